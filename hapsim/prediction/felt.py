@@ -76,7 +76,7 @@ def correction_for(felt: Felt) -> str:
     k, b = felt.stiffness + device.stiffness, felt.damping + device.friction
     if felt.predictor is not None or not felt_error((np.array(felt.k), np.array(felt.b)), (k, b), device.mass) > _PLAIN:
         return ""
-    for name in ("poles", "predictor"):
+    for name in ("poles",) if device.spring_lag else ("poles", "predictor"):
         if np.isfinite(CORRECTIONS[name].seen_by_theory(device).simulated(k, b)).all():
             return name
     return ""

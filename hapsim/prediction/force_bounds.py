@@ -160,7 +160,7 @@ def refused_travel(scene: Scene) -> str:
 def fade_stiffness(scene: Scene, channel: int) -> float:
     """N/m: up to which stiffness the loop of a channel is stable, held by a hand and without a simulated damper, for
     the least mass that the scene declares."""
-    loop = configuration_of(scene, channel)
+    loop = replace(configuration_of(scene, channel), spring_lag=0.0)  # the force fades once in a sample
     least, _ = scene.device.mass_spans(scene.channels)[channel]
     _, most = replace(loop, mass=least, friction=loop.friction + HAND_DAMPING).stable_stiffness(0.0)
     return float(most) if math.isfinite(most) else 0.0

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hapsim.prediction.characteristic import places_of, scene_at
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.linear import configuration_of, network_of, why_coupled
+from hapsim.prediction.linear import configuration_of, instead_of, network_of, why_coupled
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.arrays import Complexes, Floats
@@ -60,8 +60,9 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
     try:
         loop = loop_impedance(network, f)
     except NotWorkedOutError as reason:
-        assumptions.append(f"the masses are taken to move by CORDIS's scheme: {reason}")
-        loop = loop_impedance(replace(network, scheme="cordis"), f)
+        instead, sentence = instead_of(network, reason)
+        assumptions.append(sentence)
+        loop = loop_impedance(instead, f)
     if rendering.kind is not None and rendering.kind.predicts:
         loop = loop._replace(rendered=_of_predictors(rendering, f))
         if np.isnan(loop.rendered).any(axis=(1, 2)).all():
@@ -121,7 +122,8 @@ def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZW
 
 def _width(c: Configuration, wall: StiffestWall, frequency: Floats) -> ZWidth:
     hand = {"channel_mass": [c.mass], "channel_friction": [c.friction], "channel_stiffness": [c.stiffness]}
-    link = {"ends": [[0, -1]], "stiffness": [wall.stiffness], "damping": [wall.damping]}
+    damping = wall.damping - wall.stiffness * c.spring_lag * c.period
+    link = {"ends": [[0, -1]], "stiffness": [wall.stiffness], "damping": [damping]}
     network = Network(rate=c.rate, delay=c.delay, hold=c.hold, sampling=c.sampling, point_mass=[], **hand, **link)  # type: ignore[arg-type]
     loop = loop_impedance(network, frequency)
     return ZWidth(frequency, wall, width_db(loop.device[:, 0, 0], loop.closed_loop[:, 0, 0]))

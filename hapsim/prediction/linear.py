@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hapsim.scene import Buffer, Click, Damper, Detent, Friction, Nonlinear, Plectrum, Scene, Spring, ViscoElastic
 from hapsim.scene.modules import Link, MaterialPoint
-from hapsim.theory import Configuration, Network
-from hapsim.theory.interface import damper_named
+from hapsim.theory import Configuration, Network, NotWorkedOutError
+from hapsim.theory.interface import damper_named, hold_lag
 from hapsim.theory.links import Law, Linear, buffer, click, detent, friction, nonlinear, plectrum, viscoelastic
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
@@ -139,6 +140,9 @@ def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
         if other in scene.device_points:
             return f"is tied to another hand ({other}, by {link})"
     kinds = dampers_of(linear, name)
+    other_than_backward = [f"{link}: {kind}" for (kind, _), link in kinds.items() if kind != "backward"]
+    if other_than_backward and _late_by_mean(scene):
+        return f"gets the mean force of its substeps, with a damper that is not backward ({other_than_backward[0]})"
     if len(kinds) < 2:
         return ""
     words = (
@@ -162,7 +166,13 @@ def configuration_of(
         stiffness=device.stiffnesses(scene.channels)[channel],
         damper=damper,
         cutoff=cutoff,
+        spring_lag=_late_by_mean(scene) if damper == "backward" else 0.0,
     )
+
+
+def _late_by_mean(scene: Scene) -> float:
+    """Sample periods by which the mean of the substeps' forces is behind the last one, of an even motion."""
+    return 0.5 - 0.5 / scene.substeps if scene.device.decimation == "mean" else 0.0
 
 
 def hand_of(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration, float, float]:
@@ -171,6 +181,25 @@ def hand_of(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration
     damper, cutoff = next(iter(dampers_of(linear, name)), ("backward", None))
     stiffness, damping = math.fsum(link.stiffness for link in links), math.fsum(link.damping for link in links)
     return configuration_of(scene, scene.device_points[name].channel, damper, cutoff), stiffness, damping
+
+
+def instead_of(network: Network, reason: NotWorkedOutError) -> tuple[Network, str]:
+    """What is worked out in place of a network for which that is not done, and a sentence about it."""
+    if network.substeps == 1:
+        sentence = (
+            "the masses are taken to move by CORDIS's scheme; up to where they are stable under "
+            f"{network.scheme}, and how fast they swing, is not worked out: {reason}"
+        )
+        return replace(network, scheme="cordis"), sentence
+    steps, lag = network.substeps, hold_lag(network.hold)
+    delay = steps * (network.delay + lag) - lag + (0.5 * (steps - 1) if network.decimation == "mean" else 0.0)
+    fast = replace(network, rate=steps * network.rate, delay=delay, scheme="cordis", substeps=1)
+    sentence = (
+        "the device is taken to sample with every substep, as late as it is, and the masses to move by CORDIS's "
+        "scheme; what the device's own rate does to the hand and to what is stable is not worked out: "
+        f"{reason}"
+    )
+    return fast, sentence
 
 
 def is_lone(scene: Scene, linear: LinearScene) -> bool:
@@ -188,6 +217,8 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
     number = {name: i for i, name in enumerate(points)} | dict.fromkeys(linear.fixed, -1)
     links = [*linear.links.values(), *linear.inner]
     device = scene.device
+    # Without masses the force of the last step is that of one step: it knows both positions, and nothing else.
+    substeps = scene.substeps if linear.masses or device.decimation == "mean" else 1
     network = Network(
         rate=scene.rate,
         channel_mass=np.array(device.masses(scene.channels))[channels],
@@ -200,9 +231,11 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         stiffness=np.array([link.stiffness for link in links]),
         damping=np.array([link.damping for link in links]),
         channel_stiffness=np.array(device.stiffnesses(scene.channels))[channels],
-        damper=tuple(damper_named(link.damper, link.cutoff, scene.rate) for link in links),
+        damper=tuple(damper_named(link.damper, link.cutoff, scene.rate * substeps) for link in links),
         margin_links=len(linear.links),
         scheme=scene.scheme,
         outside=tuple(link.outside for link in links),
+        substeps=substeps,
+        decimation=device.decimation,
     )
     return network, tuple(points)

@@ -217,13 +217,16 @@ def _of_links(scene: Scene) -> Iterator[_Value]:
     masses = {name: module.mass for name, module in (scene.material_points | scene.structures).items()}
     for name, mass in masses.items():
         yield from _of_spring(scene, name, mass, "")
+    moved = frozenset(masses)
     masses |= {name: spans[point.channel][0] for name, point in scene.device_points.items()}
     ranges = _ranges(scene)
     strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {number(limit)} N")
     for name, link in scene.links.items():
         ends = [end.partition(".")[0] for end in link.between]
         hand = next((end for end in ends if end in scene.device_points), "")
-        yield from _of_spring(scene, name, min(masses[end] for end in ends if end in masses), hand)
+        yield from _of_spring(
+            scene, name, min(masses[end] for end in ends if end in masses), hand, not moved.isdisjoint(ends)
+        )
         if hand:
             yield from (
                 one._replace(range=strong) for one in _values(link, f"modules.{name}.", ranges) if one.unit == "N"
@@ -234,9 +237,10 @@ def _of_links(scene: Scene) -> Iterator[_Value]:
         yield _Value(f"modules.{name}.mass", structure.mass, "kg", heavy)
 
 
-def _of_spring(scene: Scene, name: str, mass: float, hand: str) -> Iterator[_Value]:
-    """What a module's stiffness and damping do with this mass, in kg. `hand`: the device point that it holds, or ""."""
-    module, rate = scene.modules[name], scene.rate
+def _of_spring(scene: Scene, name: str, mass: float, hand: str, moves: bool = True) -> Iterator[_Value]:
+    """What a module's stiffness and damping do with this mass, in kg. `hand`: the device point that it holds, or "";
+    `moves`: whether it holds something that the scene moves."""
+    module, rate = scene.modules[name], scene.step_rate if moves else scene.rate
     stiffness, damping = getattr(module, "stiffness", 0.0), getattr(module, "damping", 0.0)
     most = [mass * rate**2 * (8.0 if scene.scheme == "rk4" else 4.0), 2.0 * mass * rate]  # what no scheme renders
     hardest, least, why = most[0], [0.0, 0.0], f"at {frequency(rate)} it is unstable on {number(mass)} kg with any"

@@ -25,6 +25,7 @@ from hapsim.prediction.force_bounds import slow_slew
 from hapsim.prediction.linear import (
     LinearScene,
     hand_of,
+    instead_of,
     is_lone,
     links_of,
     network_of,
@@ -199,15 +200,11 @@ def predict_on_wire(scene: Scene) -> Prediction | None:
 
 
 def _solved(network: Network) -> tuple[Network, Solution, str]:
-    """The network, its poles and modes; where they are not worked out for its scheme, with CORDIS's, and a sentence."""
+    """The network, its poles and modes; where they are not worked out, those of `instead_of` it, and a sentence."""
     try:
         return network, solve(network), ""
     except NotWorkedOutError as reason:
-        instead = replace(network, scheme="cordis")
-        sentence = (
-            "the masses are taken to move by CORDIS's scheme; up to where they are stable under "
-            f"{network.scheme}, and how fast they swing, is not worked out: {reason}"
-        )
+        instead, sentence = instead_of(network, reason)
         return instead, solve(instead), sentence
 
 
@@ -269,6 +266,8 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     if not prediction.by_its_scheme:
         warnings.append(
             f"how stable the scene is was worked out for scheme: cordis, not for {scene.scheme}, by which it runs."
+            if scene.substeps == 1
+            else "how stable the scene is was worked out for a device that samples with every substep, not as it runs."
         )
     elif is_surely_unstable(prediction):
         warnings.append(

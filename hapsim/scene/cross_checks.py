@@ -47,6 +47,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:
         yield from _centred_dampers(around)
+        yield from _predicted_mean(per_channel[("device",)])
     if isinstance(sound, Mapping):
         yield from sound_issues(sound, around, scene.get("scheme"))
     quantum = per_channel[("mock",)].get("quantum", 1e-9)
@@ -70,6 +71,15 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
             ("device", "travel_margin"),
             "found a margin without a travel, expected device.travel: [the least, the most] beside it; or omit it",
             at_key=True,
+        )
+
+
+def _predicted_mean(device: Mapping[str, object]) -> Iterator[Issue]:
+    if device.get("decimation") == "mean" and (correction := device.get("correction")) in ("predictor", "adaptive"):
+        yield Issue(
+            ("device", "decimation"),
+            f"found mean with correction: {correction}, whose force answers one state, that of the last substep; "
+            "expected last, or correction: poles",
         )
 
 

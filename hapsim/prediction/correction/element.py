@@ -153,7 +153,7 @@ def remedies_for(kind: CorrectionKind, declared: Configuration, desired: tuple[f
         rate_hz=rate,
         delay_samples=None if delay is None or kind.predicts else declared.delay - delay,
         friction=friction,
-        predictor=not kind.predicts and is_had(declared, PREDICTOR),
+        predictor=not kind.predicts and not declared.spring_lag and is_had(declared, PREDICTOR),
     )
 
 

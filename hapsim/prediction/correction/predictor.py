@@ -24,7 +24,7 @@ POLES_OF_THE_PUSH = (SLOWEST, 0.25, 0.0)
 
 def without_delay(declared: Configuration) -> Configuration:
     """As a mass that is the declared one sees the loop."""
-    return replace(declared, delay=0.0, sampling="ideal", damper="sensed", cutoff=None)
+    return replace(declared, delay=0.0, sampling="ideal", damper="sensed", cutoff=None, spring_lag=0.0)
 
 
 def predicted(true: Configuration, declared: Configuration, observer: Observer) -> ClosedLoop:

@@ -104,7 +104,8 @@ def as_read(model: Configuration) -> StatePredictor:
     decay = damper.of_velocities[0] if damper.of_velocities else 0.0
     moves = np.array([[1.0, 0.0, 1.0], [0.0, decay, model.rate * (newest - oldest)]])
     gains = np.array([[1.0], [model.rate * newest], [1.0]])
-    return StatePredictor(moves, moves[:1], gains, gains[:2], np.eye(2, STATES))
+    read = StatePredictor(moves, moves[:1], gains, gains[:2], np.eye(2, STATES))
+    return read.for_compliance(-model.spring_lag)
 
 
 def _ahead(model: Configuration, own: tuple[float, float], step: DeviceStep, pushed: Floats) -> Floats:

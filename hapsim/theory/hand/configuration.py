@@ -56,6 +56,9 @@ class Configuration:
             paper's); "centred", the difference across two periods; "filtered", a first-order low-pass behind the
             backward one; "sensed", the velocity that the device measures.
         cutoff: of the filtered damper, Hz, > 0; None for the others.
+        spring_lag: sample periods, >= 0, by which the simulated spring's force is that of an earlier place on the line
+            between the last two positions; only with the backward damper, and then B acts as B - K spring_lag T. The
+            mean of the forces of N substeps has (N - 1)/(2 N).
 
     Raises:
         ValueError: an argument is out of its range; the sentence says which, and what was expected.
@@ -70,15 +73,21 @@ class Configuration:
     stiffness: float = 0.0
     damper: str = "backward"
     cutoff: float | None = None
+    spring_lag: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("mass", "rate"):
             object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
-        for name in ("friction", "delay", "stiffness"):
+        for name in ("friction", "delay", "stiffness", "spring_lag"):
             object.__setattr__(self, name, checks.not_negative(name, getattr(self, name)))
         checks.one_of("hold", self.hold, HOLDS)
         checks.one_of("sampling", self.sampling, SAMPLINGS)
         damper_named(self.damper, self.cutoff, self.rate)
+        if self.spring_lag and self.damper != "backward":
+            raise ValueError(
+                f"damper is {self.damper!r}, but the mean of the substeps' forces (spring_lag {self.spring_lag:g}) is "
+                "worked out for a hand on a backward one."
+            )
 
     @property
     def period(self) -> float:
@@ -196,7 +205,8 @@ class Configuration:
                 f"{self.damper} damper."
             )
         K, B = np.broadcast_arrays(np.asarray(K, dtype=float), np.asarray(B, dtype=float))
-        wall = Wall(self.period * K.ravel(), B.ravel(), self.delay, self._equation.damper)
+        damping = B - self.spring_lag * self.period * K
+        wall = Wall(self.period * K.ravel(), damping.ravel(), self.delay, self._equation.damper)
         return needed_friction(wall).reshape(K.shape)[()]
 
     @_quietly
@@ -224,10 +234,10 @@ class Configuration:
     def linear_stiffness_limit(self, B: ArrayLike) -> Floats:
         """(b0 + B)/(T/2 + delay T), N/m: the most stiffness near the origin, too much as B grows (Gil et al., 2004).
 
-        T/2 is the zero-order hold's mean delay; averaged sampling adds as much, the impulse hold has none. Infinite
-        where nothing is late.
+        T/2 is the zero-order hold's mean delay; averaged sampling adds as much, ``spring_lag`` its own, the impulse
+        hold has none. Infinite where nothing is late.
         """
-        lag = self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag
+        lag = self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag + self.spring_lag
         return ((self.friction + np.asarray(B, dtype=float)) / (lag * self.period))[()]
 
     @_quietly
@@ -253,7 +263,8 @@ class Configuration:
         """
         f = np.asarray(frequency, dtype=float)
         jw, theta = 2j * np.pi * f, 2.0 * np.pi * f * self.period
-        element = np.asarray(K) / jw + np.asarray(B) * damper_gain(self._equation.damper, theta)
+        damping = np.asarray(B) - self.spring_lag * self.period * np.asarray(K)
+        element = np.asarray(K) / jw + damping * damper_gain(self._equation.damper, theta)
         rendered = element * late_and_held(theta, self.delay, self.hold, self.sampling)
         rendered = rendered + self.friction + self.stiffness / jw
         return np.where((theta > 0.0) & (theta < np.pi), rendered, np.nan)[()]
@@ -291,7 +302,7 @@ class Configuration:
             self.hold,
             self.sampling,
         )
-        return loop_equation(plant, damper_named(self.damper, self.cutoff, self.rate))
+        return loop_equation(plant, damper_named(self.damper, self.cutoff, self.rate), self.spring_lag)
 
     @cached_property
     def _undamped(self) -> Undamped:

@@ -35,7 +35,7 @@ def element_of_oscillator(
     damping = -(p_change * (r - r_slope * p) + q_change * r_slope) / steepness
     if equation.damper.senses:
         stiffness = stiffness - equation.plant.offset * damping
-    return stiffness, damping, pair
+    return stiffness, damping + equation.lag * stiffness, pair
 
 
 def _parts(

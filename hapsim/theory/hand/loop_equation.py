@@ -8,7 +8,8 @@ cleared of fractions
 
     (kappa + beta offset) position(z) + beta w velocity(z) + (w² + p w + q) rest(z) = 0.
 
-These are the paper's P, Q and R, apart from a common factor.
+These are the paper's P, Q and R, apart from a common factor. Of a spring that acts ``lag`` samples later than the
+damper, the backward difference takes kappa lag from beta.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ class LoopEquation(NamedTuple):
     plant: SampledPlant
     damper: DamperModel
     lift: int
+    lag: float
 
     @property
     def degree(self) -> int:
@@ -36,9 +38,9 @@ class LoopEquation(NamedTuple):
         return self.plant.lead + self.damper.delays + self.lift + len(self.damper.denominator) + 1
 
 
-def loop_equation(plant: SampledPlant, damper: DamperModel) -> LoopEquation:
+def loop_equation(plant: SampledPlant, damper: DamperModel, lag: float = 0.0) -> LoopEquation:
     """The equation of this plant and damper."""
-    return LoopEquation(plant, damper, max(0, -plant.lead - damper.delays))
+    return LoopEquation(plant, damper, max(0, -plant.lead - damper.delays), lag)
 
 
 def effective_stiffness(equation: LoopEquation, kappa: Floats, beta: Floats) -> Floats:
@@ -48,7 +50,7 @@ def effective_stiffness(equation: LoopEquation, kappa: Floats, beta: Floats) -> 
 
 def characteristic(equation: LoopEquation, kappa: Floats, beta: Floats) -> list[Floats]:
     """The monic characteristic polynomial in z, highest power first, one array for each coefficient."""
-    plant = equation.plant
+    plant, beta = equation.plant, beta - equation.lag * kappa
     position, velocity, rest = _in_z(equation)
     free = np.convolve([1.0, plant.p - 2.0, 1.0 - plant.p + plant.q], rest)
     coefficients = [np.full_like(kappa, constant) for constant in free]
@@ -80,7 +82,7 @@ def equation_on_pair(equation: LoopEquation, kappa: Floats, beta: Floats, w: Lin
     Ordered by powers of w, so that what friction and simulated damping leave of each other is one sum,
     b0 T/m + beta, and not the difference of two polynomials.
     """
-    plant, damper = equation.plant, equation.damper
+    plant, damper, beta = equation.plant, equation.damper, beta - equation.lag * kappa
     z = w.plus(1.0)
     _, velocity, rest = _in_z(equation)
     of_rest = z.power(plant.lead + damper.delays + equation.lift).times(_in_w(damper.denominator, w))
@@ -112,7 +114,7 @@ def _excess(plant: SampledPlant, swung: float, velocity_at_rest: float) -> float
 
 def _in_z(equation: LoopEquation) -> tuple[Floats, Floats, Floats]:
     """position, velocity and rest, each in powers of z, highest first."""
-    plant, damper, lift = equation
+    plant, damper, lift, _ = equation
     denominator = np.append(_expanded(damper.denominator), np.zeros(damper.delays + lift))
     velocity = plant.velocity if damper.senses else np.convolve(plant.numerator, _expanded(damper.numerator))
     lead = plant.lead + damper.delays + lift

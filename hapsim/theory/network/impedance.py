@@ -13,7 +13,8 @@ Their sum device + rendered is what an additional force of the loop meets: the c
 
 The points' forces and motions obey D(z) x = f (``response.py``), D over the links, the masses' inertia and 1/G
 of the channels: the rendered impedance is D without 1/G, the masses eliminated. Where another scheme than CORDIS's
-moves the masses, it is the inverse of the closed loop's transfer function, read from its state, without 1/G.
+moves the masses, or they move in substeps, it is the inverse of the closed loop's transfer function, read from its
+state, without 1/G.
 """
 
 from __future__ import annotations

@@ -20,12 +20,13 @@ from hapsim.theory.network.response import Places, SceneMatrix
 from hapsim.theory.network.rest_poles import poles_at_rest
 from hapsim.theory.network.sparse import one_thread
 from hapsim.theory.network.state import is_large
-from hapsim.theory.network.transitions import SparseTransition, sparse_transition
+from hapsim.theory.network.transitions import LiftedTransition, Transition, sparse_transition
 from hapsim.theory.schemes import SCHEMES
 
 BESIDE = 1e-6  # a shift stands this far beside 1, where a free motion's pole would make it singular
 ASIDE = 1e-7  # and this far beside a pole that was found
 APPROACHES = 6
+LOWEST = 24  # poles, of a scene with substeps
 EDGE = 1.05  # a bound of the fastest motion this close to it is the shift
 ROW = 0.1  # a pole further from the shift is another
 SAME = 1e-9  # two poles found by two searches are one within this
@@ -38,6 +39,7 @@ MOST_HANDS = 16
 REFINEMENTS = 5
 SLOPE_OVER = 1e-4  # of z - 1: how far from z the slope is taken
 NEAR = 1e-5  # a pole that would move further stays where it was found
+REAL = 1e-14  # an imaginary part below this is rounding
 ROUNDING = float(np.finfo(float).eps)
 
 
@@ -73,9 +75,10 @@ def _some_modes(network: Network) -> Solution:
     *grown, growth = _growing(matrix)
     places = [search.where for search, poles, _ in searches if poles.size]
     found = [*(one[1:] for one in searches), tuple(grown)]
-    points = network.channel_mass.size + network.point_mass.size
-    poles = np.concatenate([one for one, _ in found])
-    motions = np.concatenate([motions[:points] for _, motions in found], axis=1)
+    if isinstance(matrix, LiftedTransition):
+        found.append(_lowest(matrix))
+        places.append("those of the masses' own that are lowest in pitch")
+    poles, motions = np.concatenate([one for one, _ in found]), np.hstack([motions for _, motions in found])
     every, motions = _once_each(network, refined(network, poles, motions), motions)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
     others = f"no other that grows by more than {_least_seen(matrix):.1g} of itself in a sample period was seen"
@@ -87,17 +90,22 @@ def _some_modes(network: Network) -> Solution:
 
 
 def _searches(network: Network) -> Iterator[PoleSearch]:
-    yield PoleSearch(1.0 + BESIDE, 32, "1")
-    yield PoleSearch(-1.0 - BESIDE, 8, "-1")
+    # In steps, motions of every pitch come close to any place of the plane: few of them are looked for there.
+    few = network.substeps > 1
+    yield PoleSearch(1.0 + BESIDE, 4 if few else 32, "1")
+    if not few:
+        yield PoleSearch(-1.0 - BESIDE, 8, "-1")
     top = _highest(network)
     if top is not None:
-        yield PoleSearch(top[0], 16, "about the highest of the masses' own", top[1])
+        yield PoleSearch(top[0], 2 if few else 16, "about the highest of the masses' own", top[1])
     hands = [_hand_alone(network, channel) for channel in range(min(network.channel_mass.size, MOST_HANDS))]
     for hand in sorted({complex(np.round(hand, 6)) for hand in hands}, key=abs):
-        yield PoleSearch(hand, 12, "the hand's own" if len(hands) == 1 else "the hands' own", np.ones(len(hands)))
+        yield PoleSearch(
+            hand, 2 if few else 12, "the hand's own" if len(hands) == 1 else "the hands' own", np.ones(len(hands))
+        )
 
 
-def _nearest(matrix: SparseTransition, search: PoleSearch) -> tuple[Complexes, NDArray]:
+def _nearest(matrix: Transition, search: PoleSearch) -> tuple[Complexes, NDArray]:
     """The poles nearest to the shift that converged, of pairs the upper, and their motions (N, n)."""
     from scipy.sparse import linalg
 
@@ -112,7 +120,7 @@ def _nearest(matrix: SparseTransition, search: PoleSearch) -> tuple[Complexes, N
     return _trusted(matrix, shift + 1.0 / values, motions)
 
 
-def _beside_a_pole(matrix: SparseTransition, near: complex, start: Floats) -> complex:
+def _beside_a_pole(matrix: Transition, near: complex, start: Floats) -> complex:
     """A shift beside a pole near this one, by inverse iterations and then Rayleigh's.
 
     Where poles stand in a row, and the shift beside the row, all of them are as far from it; from a place in the
@@ -132,7 +140,33 @@ def _beside_a_pole(matrix: SparseTransition, near: complex, start: Floats) -> co
     return (pole if abs(pole - near) < ROW else near) + ASIDE
 
 
-def _growing(matrix: SparseTransition) -> tuple[Complexes, NDArray, float]:
+def _lowest(matrix: LiftedTransition) -> tuple[Complexes, NDArray]:
+    """The poles of the motions that are lowest in pitch, wherever in the plane a whole sample period puts them: those
+    of a step with the hands held still, followed by inverse iterations to where the hands move, and their motions."""
+    poles, held = _nearest(matrix.held, PoleSearch(1.0 + BESIDE, LOWEST, ""))
+    followed = [_followed(matrix, pole, motion) for pole, motion in zip(poles**matrix.steps, held.T, strict=True)]
+    motions = np.array([motion for _, motion in followed]).reshape(-1, matrix.size).T
+    poles = np.array([pole for pole, _ in followed], complex)
+    return _trusted(matrix, np.where(np.abs(poles.imag) < REAL, poles.real, poles), motions)
+
+
+def _followed(matrix: LiftedTransition, pole: complex, held: NDArray) -> tuple[complex, NDArray]:
+    motion = matrix.placed(held).astype(complex)
+    for _ in range(APPROACHES):
+        motion /= np.linalg.norm(motion)
+        moved = matrix @ motion
+        quotient = complex(np.vdot(motion, moved))
+        if np.linalg.norm(moved - quotient * motion) < 0.1 * TRUSTED:
+            return quotient, motion
+        solve = matrix.inverse(pole + ASIDE)
+        if solve is None:
+            break
+        motion = solve(motion)
+        pole = complex(np.vdot(motion, matrix @ motion) / np.vdot(motion, motion))
+    return pole, motion
+
+
+def _growing(matrix: Transition) -> tuple[Complexes, NDArray, float]:
     """The poles of the greatest modulus and their motions, where a random motion grows by more than a free one would.
 
     And by how much it grows in a sample period, where no pole was found that does.
@@ -163,11 +197,11 @@ def _growing(matrix: SparseTransition) -> tuple[Complexes, NDArray, float]:
     return poles, motions, 0.0 if found else math.exp(last / (quarter * BREATH))
 
 
-def _steps(matrix: SparseTransition) -> int:
+def _steps(matrix: Transition) -> int:
     return int(min(MOST_STEPS, STATE_STEPS / matrix.work))
 
 
-def _least_seen(matrix: SparseTransition) -> float:
+def _least_seen(matrix: Transition) -> float:
     """The growth in a sample period that a random motion shows: it has to outgrow all the others before its end."""
     return max(4.0 * math.log(GREW), math.log(matrix.size) / 1.5) / _steps(matrix)
 
@@ -186,7 +220,7 @@ def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> t
         return np.zeros(0, complex), np.zeros((size, 0), complex)
 
 
-def _trusted(matrix: SparseTransition, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
+def _trusted(matrix: Transition, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
     """Those whose motion is indeed multiplied by the pole, of pairs the upper."""
     lower = poles.imag < 0.0
     poles, motions = np.where(lower, poles.conj(), poles), np.where(lower, motions.conj(), motions)
@@ -228,6 +262,8 @@ def _hand_alone(network: Network, channel: int) -> complex:
         network.damping[touching],
         network.channel_stiffness[[channel]],
         tuple(network.damper[link] for link in touching.tolist()),
+        substeps=network.substeps,
+        decimation=network.decimation,
     )
     if is_large(alone):
         return 1.0 + 2.0 * BESIDE
@@ -255,10 +291,11 @@ def _highest(network: Network) -> tuple[complex, Floats | None] | None:
     except linalg.ArpackError:
         return None
     stretched = (stretch @ motion) ** 2
-    kappa = float(network.stiffness[links] @ stretched) / network.rate**2
-    beta = float(network.damping[links] @ stretched) / network.rate
+    rate = network.rate * network.substeps
+    kappa = float(network.stiffness[links] @ stretched) / rate**2
+    beta = float(network.damping[links] @ stretched) / rate
     # No motion is faster than where neighbours move against each other by as much as they do themselves.
-    bound = float(abs(springs).sum(axis=1).max()) / network.rate**2 * (1.0 + BESIDE)
+    bound = float(abs(springs).sum(axis=1).max()) / rate**2 * (1.0 + BESIDE)
     beside = bound < EDGE * kappa
     if beside:
         kappa, beta = bound, beta * bound / kappa
@@ -268,7 +305,7 @@ def _highest(network: Network) -> tuple[complex, Floats | None] | None:
     if scheme is not None:
         step = scheme.advance(np.array([[0.0, 1.0], [-kappa, -beta]]), np.eye(2))
     poles = np.linalg.eigvals(step)
-    pole = complex(poles[np.argmin(poles.real)])
+    pole = complex(poles[np.argmin(poles.real)]) ** network.substeps
     shift = complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
     return shift, None if beside else np.concatenate([np.zeros(channels), motion / np.sqrt(network.point_mass)])
 
@@ -298,8 +335,10 @@ def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
 
 
 def at_rest(network: Network, poles: Complexes, motions: NDArray, same: float) -> Bools:
-    """(n,) which of the poles within ``same`` of 1 are those of motions that stretch nothing, and not a brake's."""
+    """(n,) which of the poles within ``same`` of 1 are those of motions that stretch nothing, and not a brake's;
+    ``motions`` (points or more, n)."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
+    motions = motions[: mass.size]
     inertia = mass @ np.abs(motions) ** 2 * network.rate
     links = acting_links(network)
     first, second = network.ends[links].T

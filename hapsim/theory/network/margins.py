@@ -2,7 +2,8 @@
 
 For a scene of CORDIS's scheme that is small enough, one eigenvalue problem for each link and quantity gives every
 factor at which a pole crosses the unit circle (``crossings.py``). For a large one the circle is sampled
-(``large_margins.py``). For the other schemes the factors are searched by the poles (``changed_link.py``).
+(``large_margins.py``). For the other schemes, and with substeps, the factors are searched by the poles
+(``changed_link.py``).
 """
 
 from __future__ import annotations
@@ -120,7 +121,8 @@ def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Searc
     most = max(most, int(size <= ONE_AT_LEAST))
     how = "by the poles, in steps of a tenth, beyond tenfold of double: what comes and goes within one is not seen"
     if not most:
-        how = f"none was worked out: under scheme: {network.scheme} that is done for fewer masses only"
+        under = f"under scheme: {network.scheme}" if network.substeps == 1 else "with substeps"
+        how = f"none was worked out: {under} that is done for fewer masses only"
     elif links > most:
         how = f"{most} of {links} links, those that touch a hand first; {how}"
     return _Search(most, how, lambda link, quantity: ChangedLink(network, link, quantity).ranges_searched(unstable))

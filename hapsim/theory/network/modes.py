@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.rest_poles import poles_at_rest
-from hapsim.theory.network.transitions import transition, turned_in_steps
+from hapsim.theory.network.transitions import steps_of_motions, transition
 
 NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion
 AT_THE_LIMIT = 1e-12  # a modulus this close to 1 is 1, to rounding
@@ -75,8 +75,7 @@ def all_modes(network: Network) -> Solution:
         return not_finite(size)
     poles, vectors = np.linalg.eig(matrix)
     poles = settled(network, matrix, poles.astype(complex))
-    turned = turned_in_steps(network, vectors) if network.substeps > 1 else None
-    return Solution(sort_by_modulus(poles), modes_of(network, poles, vectors, turned), size)
+    return Solution(sort_by_modulus(poles), modes_of(network, poles, vectors), size)
 
 
 @np.errstate(all="ignore")
@@ -138,15 +137,16 @@ def snap_to_rest(network: Network, poles: Complexes) -> Complexes:
     return poles
 
 
-def modes_of(network: Network, poles: Complexes, vectors: NDArray, turned: Floats | None = None) -> list[Mode]:
-    """The modes, the slowest to decay first; ``vectors`` (points or more, n) are the poles' motions, and ``turned``
-    (n,) the radians that they turn in a sample period, about; None or NaN: as the poles say."""
+def modes_of(network: Network, poles: Complexes, states: NDArray) -> list[Mode]:
+    """The modes, the slowest to decay first; ``states`` (size, n) are the poles' motions."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
     order = np.lexsort((-poles.real, -np.abs(poles)))
     kept = [i for i in order if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]
-    energy = mass[:, None] * np.abs(vectors[: mass.size]) ** 2
-    turns = np.zeros(poles.size) if turned is None else np.round((turned - np.angle(poles)) / (2.0 * np.pi))
-    turns = np.nan_to_num(turns)
+    energy, turns = mass[:, None] * np.abs(states[: mass.size]) ** 2, np.zeros(poles.size)
+    if network.substeps > 1:
+        turned, moving = steps_of_motions(network, poles, states)
+        turns = np.nan_to_num(np.round((turned - np.angle(poles)) / (2.0 * np.pi)))
+        energy = np.where(moving.sum(axis=0) > NO_MOTION**2 * energy.sum(axis=0), moving, energy)
     return [_mode(complex(poles[i]), float(turns[i]), network.rate, energy[:, i] / energy[:, i].sum()) for i in kept]
 
 

@@ -11,19 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.theory.arrays import Floats, Indices
+from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.mass_rates import MassRates, advanced
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.sparse import Solve, Triplets, dense, factorised, sparse
 from hapsim.theory.network.state import is_large, transition_parts
-from hapsim.theory.network.substeps import lift_of
+from hapsim.theory.network.substeps import Lift, lift_of
 from hapsim.theory.schemes import SCHEMES, NotWorkedOutError
 
 Parts = tuple[Triplets, MassRates | None, int]
 """As ``transition_parts`` returns them."""
 
-MOST_INVERSE = 4_000_000  # numbers of a state times steps in a sample period: a shifted inverse takes some seconds
-STAYS = 1e-24  # mean square of the masses' motion, where that of the whole state is 1: rounding
+MOST_INVERSE = 200_000  # numbers of a state times steps in a sample period: some tens of inverses take half a minute
 A_CALL = 15_000  # numbers that are multiplied in the time that a multiplication takes to begin
 
 
@@ -59,6 +58,12 @@ class SparseTransition:
             power, steps = squared, 2 * steps
         return power, steps
 
+    def part(self, slots: Indices) -> SparseTransition:
+        """What it makes of these numbers out of themselves."""
+        sides = (side if side is None else side.tocsr()[slots][:, slots] for side in (self.right, self._left))
+        right, left = sides
+        return SparseTransition(right, None if left is None else left.tocsc())
+
     def inverse(self, shift: complex) -> Solve | None:
         """x -> (transition - shift)^-1 x; None where the shift is a pole, exactly."""
         from scipy.sparse import eye
@@ -73,7 +78,8 @@ class LiftedTransition:
 
         (A^N - z)^-1 = 1/(N z) times the sum of w (A - w)^-1 over the N roots w of w^N = z
 
-    for what the steps move; the device's few numbers are eliminated.
+    for what the steps move; the device's few numbers are eliminated. ``step``: a step; ``held``: the same of what it
+    moves, the hands held still.
     """
 
     def __init__(self, network: Network) -> None:
@@ -81,6 +87,7 @@ class LiftedTransition:
         self.size, self.steps = lift.layout.size, network.substeps
         self.step = _sparse_of(network, (*lift.stepped(), lift.size), lift.moved_hands())
         self.work, self.is_finite = self.steps * self.step.work, self.step.is_finite
+        self.held = self.step.part(lift.scene)
         self._power = self.step.power(self.steps & -self.steps) if self.is_finite else (self.step, 1)
         self.embedded = sparse(lift.embedded(), (lift.size, self.size)).tocsr()
         self._device = sparse(lift.of_device(), (self.size, self.size + lift.asked.size)).tocsr()
@@ -91,6 +98,12 @@ class LiftedTransition:
         after = np.asarray(self._device @ np.concatenate([state, moved[self._lift.asked]]))
         after[self._lift.scene] = moved[self._lift.scene]
         return after
+
+    def placed(self, held: NDArray) -> NDArray:
+        """States (size,) or (size, n) out of those of ``held``; what the device has is 0."""
+        state = np.zeros((self.size, *held.shape[1:]), held.dtype)
+        state[self._lift.scene] = held
+        return state
 
     def _after_steps(self, state: NDArray) -> NDArray:
         power, steps = self._power
@@ -110,44 +123,41 @@ class LiftedTransition:
             NotWorkedOutError: that takes too long.
         """
         if self.size * self.steps > MOST_INVERSE:
-            raise NotWorkedOutError(f"of as many masses with {self.steps} substeps that takes too long")
+            raise NotWorkedOutError(f"{self.steps} substeps of as many masses take too long")
         turns = (np.angle(shift) + 2.0 * np.pi * np.arange(self.steps)) / self.steps
         roots = abs(shift) ** (1.0 / self.steps) * np.exp(1j * turns)
-        solves = [self.step.inverse(root) for root in roots.tolist()]
+        solves = [self.held.inverse(root) for root in roots.tolist()]
         if any(solve is None for solve in solves):
             return None
         scene, asked = self._lift.scene, self._lift.asked
         others = np.setdiff1d(np.arange(self.size), scene)
 
         def of_scene(wanted: NDArray) -> NDArray:
-            whole = np.zeros((self._lift.size, *wanted.shape[1:]), complex)
-            whole[scene] = wanted
-            parts = (root * solve(whole)[scene] for root, solve in zip(roots, solves, strict=True) if solve is not None)
+            pairs = zip(roots, solves, strict=True)
+            parts = (root * solve(wanted.astype(complex)) for root, solve in pairs if solve is not None)
             found: NDArray = sum(parts) / (shift * self.steps)
             return found if np.iscomplexobj(wanted) or np.imag(shift) else found.real
-
-        def placed(moved: NDArray) -> NDArray:
-            state = np.zeros((self.size, *moved.shape[1:]), moved.dtype)
-            state[scene] = moved
-            return state
 
         by_others = self._after_steps(np.eye(self.size)[:, others])
         pushed = of_scene(by_others[scene])
         own, by_force = np.split(self._device[others].toarray(), [self.size], axis=1)
-        asks = by_others[asked] - self._after_steps(placed(pushed))[asked]
+        asks = by_others[asked] - self._after_steps(self.placed(pushed))[asked]
         inner = own[:, others] - shift * np.eye(others.size) + by_force @ asks
 
         def solve(state: NDArray) -> NDArray:
-            found = placed(of_scene(state[scene]))
+            found = self.placed(of_scene(state[scene]))
             moved = np.linalg.solve(inner, state[others] - by_force @ self._after_steps(found)[asked])
-            found = found - placed(pushed @ moved)
+            found = found - self.placed(pushed @ moved)
             found[others] = moved
             return found
 
         return solve
 
 
-def sparse_transition(network: Network) -> SparseTransition | LiftedTransition:
+Transition = SparseTransition | LiftedTransition
+
+
+def sparse_transition(network: Network) -> Transition:
     """The transition of a large scene.
 
     Raises:
@@ -170,30 +180,38 @@ def transition(network: Network) -> Any:
         return _dense_of(network, parts)
     lift = lift_of(network)
     size, scene = lift.layout.size, lift.scene
-    step = _dense_of(network, (*lift.stepped(), lift.size)) @ dense(lift.moved_hands(), (lift.size, lift.size))
-    moved = np.linalg.matrix_power(step, network.substeps) @ dense(lift.embedded(), (lift.size, size))
+    moved = np.linalg.matrix_power(_dense_step(network, lift), network.substeps) @ dense(
+        lift.embedded(), (lift.size, size)
+    )
     own, by_force = np.split(dense(lift.of_device(), (size, size + lift.asked.size)), [size], axis=1)
     matrix = own + by_force @ moved[lift.asked]
     matrix[scene] = moved[scene]
     return matrix
 
 
-def turned_in_steps(network: Network, states: NDArray) -> Floats:
-    """(n,) the radians that motions (size, n) of a scene with substeps turn in a sample period: those that the masses
-    do from step to step, each for as much as it moves; NaN where they stay. A hand on its line does not show them."""
+def steps_of_motions(network: Network, poles: Complexes, states: NDArray) -> tuple[Floats, Floats]:
+    """Of motions (size, n) of a scene with substeps: the radians (n,) that they turn in a sample period, from step to
+    step, each point for as much energy as it has; and this energy (points, n), in any unit."""
     lift = lift_of(network)
     if is_large(network):
-        step: Any = LiftedTransition(network).step
+        lifted = LiftedTransition(network)
+        step, embedded = lifted.step, lifted.embedded
     else:
-        step = _dense_of(network, (*lift.stepped(), lift.size)) @ dense(lift.moved_hands(), (lift.size, lift.size))
-    motion, turned = dense(lift.embedded(), (lift.size, lift.layout.size)) @ states, np.zeros(states.shape[1])
-    masses = slice(network.channel_mass.size, lift.layout.now.stop)
-    turned[network.point_mass @ np.abs(states[masses]) ** 2 < STAYS * network.point_mass.sum()] = np.nan
+        step, embedded = _dense_step(network, lift), dense(lift.embedded(), (lift.size, lift.layout.size))
+    mass = np.concatenate([network.channel_mass, network.point_mass])[:, None]
+    motion, turned = embedded @ states, np.zeros(states.shape[1])
+    energy, ways = np.zeros((mass.size, states.shape[1])), list[NDArray]()
     for _ in range(network.substeps):
         after = step @ motion
-        turned += np.angle(network.point_mass @ (motion[masses].conj() * after[masses]))
+        ways = [*ways[:1], *ways[-1:], (after - motion)[: mass.size]]  # the first, the last but one, the last
+        turned += np.angle((mass * ways[-2:][0].conj() * ways[-1]).sum(axis=0))
+        energy += mass * np.abs(ways[-1]) ** 2
         motion = after
-    return turned
+    return turned + np.angle((mass * ways[-1].conj() * poles * ways[0]).sum(axis=0)), energy
+
+
+def _dense_step(network: Network, lift: Lift) -> Any:
+    return _dense_of(network, (*lift.stepped(), lift.size)) @ dense(lift.moved_hands(), (lift.size, lift.size))
 
 
 def _dense_of(network: Network, parts: Parts) -> Floats:
@@ -208,9 +226,10 @@ def _sparse_of(network: Network, parts: Parts, first: Triplets | None = None) ->
     """``first``: a matrix that moves the state before."""
     entries, system, size = parts
     scheme, matrix = SCHEMES[network.scheme], sparse(entries, (size, size))
-    before = sparse(first, (size, size)) if first is not None else 1.0
+    every = np.arange(size)
+    before = sparse(first or Triplets(every, every, np.ones(size)), (size, size))
     if scheme is None or system is None:
-        return SparseTransition(matrix @ before if first is not None else matrix)
+        return SparseTransition(matrix @ before)
     own = 2 * system.masses
     rates = sparse(system.rates, (system.size, system.size))
     start = sparse(system.start, (system.size, size)).tocsr()
