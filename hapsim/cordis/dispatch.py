@@ -24,17 +24,18 @@ Column = NDArray[np.floating[Any]]
 class TickState(NamedTuple):
     """N points at sample n. Positions in m, force in N, shape (N,); the arrays are the program's, not copies.
 
-    A program has three of them: its three rows of positions take turns, so that no sample is ever copied.
+    A program has two of them: its two rows of positions take turns, so that no sample is ever copied. A third row would
+    be half as much memory again for every step to go through.
 
     Attributes:
-        position, previous, following: x[n], x[n-1], and x[n+1], to be written.
+        position: x[n].
+        previous: x[n-1], and what `integrate` has moved is at x[n+1] there.
         force: added up during a tick. Whatever uses a force sets it to zero; nothing uses a ground's.
         velocity: (H,) m/s, sensed by the H device points, which come first; 0 where the device senses none.
     """
 
     position: Column
     previous: Column
-    following: Column
     force: Column
     velocity: NDArray[np.float64]
 
@@ -64,7 +65,7 @@ class Part(NamedTuple):
         initialize: before the first tick.
         retarget: when live parameters have moved, and once more with the next sample.
         add_forces: when all points are where they are at this sample.
-        integrate: when all forces are added up: where its points are at the next sample.
+        integrate: when all forces are added up: puts its points in `previous` where they are at the next sample.
         place: before another program takes over: puts all its points where they are, where a tick does not.
         resume: after `initialize`, in a program that took over from another: reads where its points are.
         kept: stays in memory as long as the part does, because its numbers hold addresses of it.

@@ -69,7 +69,7 @@ def ticks(program: Program, measured: Reals, velocity: Reals, force: Reals, samp
 
 def ticks_watched(program: Program, rows: list[NDArray[Any]], weights: Reals, watched: Reals) -> None:
     """As many samples as `watched` has room for, all hands at 0; behind each, the sum of `weights` times the numbers in
-    the row whose turn it is: three rows, contiguous, of the program's own type of number."""
+    the row whose turn it is: two rows, contiguous, of the program's own type of number."""
     addresses = np.array([row.ctypes.data for row in rows], np.uint64)
     if any(row.dtype != program.rows.dtype or row.size < weights.size for row in rows):
         raise ValueError("rows of another type of number, or too short")

@@ -37,7 +37,7 @@ class Program:
     ) -> None:
         state, self.heard = context.state, context.heard
         self.rows = rows
-        """(3, N) positions in m: of this sample, the next and the one before, taking turns."""
+        """(2, N) positions in m: of this sample and of the one before, taking turns."""
         self.force = state.force
         self.parts = parts
         self.record = new_record(PROGRAM)
@@ -58,7 +58,7 @@ class Program:
         self.record.force = state.force.ctypes.data
         self.record.velocity = state.velocity.ctypes.data
         self.record.heard = self.heard.ctypes.data
-        self._states = [Behind(_state_at(rows, turn, state.force, state.velocity)) for turn in range(3)]
+        self._states = [Behind(_state_at(rows, turn, state.force, state.velocity)) for turn in range(2)]
         self.record.states = [one.address for one in self._states]
         for name in ("initialize", "retarget", "add_forces", "integrate"):
             self.call_all_of(name)
@@ -206,7 +206,7 @@ def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:
 
 def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mapping[str, slice]) -> Column:
     """The positions at the first sample, and where the points were before it."""
-    rows = np.zeros((3, size), np.float64)
+    rows = np.zeros((2, size), np.float64)
     modules: Mapping[str, Any] = scene.structures
     for name, structure in modules.items():
         rows[:, structures[name]] = structure.position
@@ -216,10 +216,10 @@ def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mappin
     for name, point in scene.material_points.items():
         position, velocity = point.start()
         rows[0, number[name]] = position
-        rows[2, number[name]] = position - velocity / scene.step_rate
+        rows[1, number[name]] = position - velocity / scene.step_rate
     return aligned(rows, real_of(scene))
 
 
 def _state_at(rows: Column, turn: int, force: Column, velocity: Any) -> TickState:
     """The program's state where the positions of this sample are in row `turn`."""
-    return TickState(rows[turn], rows[turn - 1], rows[(turn + 1) % 3], force, velocity)
+    return TickState(rows[turn], rows[1 - turn], force, velocity)

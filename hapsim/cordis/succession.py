@@ -22,7 +22,7 @@ from hapsim.scene.modules import MaterialPoint, Structure
 
 
 class CarriedPoints(NamedTuple):
-    """Points of an older program, PROGRAM, by number there, `taken`, and here, `placed`. `rows`: (3, N) its positions,
+    """Points of an older program, PROGRAM, by number there, `taken`, and here, `placed`. `rows`: (2, N) its positions,
     in m."""
 
     older: Any
@@ -45,7 +45,7 @@ def carry_points(points, state):
     """Puts every point where it is and was."""
     points, state = value_of(points), value_of(state)
     turn = points.older.turn
-    here, before = points.rows[turn], points.rows[turn - 1 if turn > 0 else 2]
+    here, before = points.rows[turn], points.rows[1 - turn]
     for i in range(np.uint64(points.taken.size)):
         state.position[points.placed[i]] = here[points.taken[i]]
         state.previous[points.placed[i]] = before[points.taken[i]]

@@ -14,9 +14,9 @@ from hapsim.cordis.stored_energy import call_evaluate, number_at, put_number, st
 
 PROGRAM = np.dtype(
     [
-        ("turn", np.int64),  # which of the three rows of positions is this sample's; the next one is the next sample's
-        ("states", np.uint64, (3,)),  # addresses of the TickState at each turn
-        ("rows", np.uint64, (3,)),  # and of the positions
+        ("turn", np.int64),  # the row of positions that is this sample's; the other: the one before, then the next
+        ("states", np.uint64, (2,)),  # addresses of the TickState at each turn
+        ("rows", np.uint64, (2,)),  # and of the positions
         ("force", np.uint64),  # address of all points' forces
         ("single", np.int64),  # 1: positions and forces have single precision
         ("hands", np.int64),  # H device points, which come first among the points
@@ -64,6 +64,7 @@ def take_over(older, program, measured):
     call_all(program.initialize, state)
     call_all(program.carry_numbers, state)
     call_all(program.resume, state)
+    program.settling = 1
 
 
 @inlined
@@ -75,7 +76,7 @@ def tick(program, measured, velocity, force):
     """
     compact()
     turn = np.uint64(program.turn)
-    program.turn = turn + ONE if turn < 2 else np.uint64(0)
+    program.turn = ONE - turn
     state = program.states[turn]
     _set_positions(program, program.rows[turn], measured)
     if program.senses:
@@ -91,7 +92,7 @@ def tick(program, measured, velocity, force):
 def _rows(program):
     """The addresses of the positions at this sample and at the one before."""
     turn = np.uint64(program.turn)
-    return program.rows[turn], program.rows[turn - ONE if turn > 0 else np.uint64(2)]
+    return program.rows[turn], program.rows[ONE - turn]
 
 
 @inlined

@@ -72,7 +72,7 @@ def record(scene: Scene, string: StringOfMasses, shape: Vector, samples: int) ->
     # of each of its modes: sines, all of one norm, the slowest first.
     modes = next((part.numbers for part in program.parts if isinstance(part.numbers, ExactModes)), None)
     if modes is not None:
-        rows, amounts = 3 * [modes.position], dst(shape, type=1) / (shape.size + 1)
+        rows, amounts = 2 * [modes.position], dst(shape, type=1) / (shape.size + 1)
     else:
         first = numbers_of(scene)["string.0"]
         rows, amounts = [row[first:] for row in program.rows], shape

@@ -111,6 +111,25 @@ def test_points_go_on_in_another_precision(precision: str, wanted: str) -> None:
     np.testing.assert_array_equal(changed[:60], force[:60])
 
 
+def test_a_ground_that_is_taken_over_on_its_ramp_stands_still_there() -> None:
+    link = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 100.0, "damping": 0.5}
+    scene = scene_of(ON_ONE_LINK | {"link": link}, mock=None)
+    moved = scene_of(ON_ONE_LINK | {"wall": {"type": "ground", "position": 0.011}, "link": link}, mock=None)
+    program, still, force = compile_scene(scene), np.zeros(1), np.zeros((60, 1))
+    start(program, still)
+    program.parameters.post(parameter_values(moved), 100)
+    for n in range(60):
+        if n == 50:
+            older, program = program, compile_scene(scene)
+            take_over_from(older, scene, program, scene)
+            take_over(older, program, still)
+        follow_parameters(program)
+        tick(program, still, still, force[n])
+    place = positions_of(program)[0][numbers_of(scene)["wall"]]
+    assert 0.004 < place < 0.007
+    np.testing.assert_allclose(force[52:], 100.0 * place, rtol=1e-12)
+
+
 def test_live_parameters_go_on_from_where_they_are() -> None:
     """A ground on its ramp, and a stiffness: neither jumps where another structure takes over."""
     link = {"type": "spring", "between": ["hand", "wall"], "stiffness": 100.0}

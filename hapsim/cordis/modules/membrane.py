@@ -7,6 +7,8 @@ The recurrence is that of `string.py`, with four neighbours: s[i] = x[left] + x[
 A membrane stands in memory row after row, each between two borders, and between two rows of borders above and below.
 The border of a fixed edge stays where it is; that of a free edge follows its neighbour, so that no link to it
 is ever stretched. Every row begins where lanes may begin, so that what is above and below is fetched whole.
+
+Rows are moved from above downwards, and x[n+1] goes where x[n-1] was. So what a row needs of the one above is kept.
 """
 
 from __future__ import annotations
@@ -20,44 +22,49 @@ from numpy.typing import NDArray
 from hapsim.compiling import fma, inlined
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
-from hapsim.cordis.dispatch import action
+from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.modules.structure import (
     LoadedPoints,
     StencilKernel,
     UniformLinks,
+    linear_terms,
     link_coefficients,
     moved,
     neighbours,
-    place_terms,
     push_loaded_points,
     stencil_kernel,
     structure_type,
     sweep,
 )
-from hapsim.cordis.simd import fetch, padded, put, put_one, width_of
+from hapsim.cordis.simd import aligned, fetch, padded, put, put_one, width_of
 from hapsim.scene import Membrane
 
 
 class Membranes(NamedTuple):
     """S membranes: their first mass, how far it is in memory from one row to the next, how many rows and columns of
-    masses each has, shape (S,), and which edges are free (S, 4)."""
+    masses each has, shape (S,), and which edges are free (S, 4).
+    `above`: room for the terms of a row, the longest one's."""
 
     first: NDArray[np.uint64]
     pitch: NDArray[np.uint64]
     rows: NDArray[np.uint64]
     columns: NDArray[np.uint64]
     free: NDArray[np.bool_]
+    above: Column
     links: UniformLinks
     loaded: LoadedPoints
 
 
 class MembraneStep(NamedTuple):
-    """`a`, `b`, `e` as above; `pitch`: from one row to the next in memory."""
+    """`a`, `b`, `e` as above; `pitch`: from one row to the next in memory; `above`: the terms of the row above the one
+    that begins at `row`, borders and all."""
 
     a: float
     b: float
     e: float
     pitch: np.uint64
+    above: Column
+    row: np.uint64
 
 
 def _numbers(
@@ -67,7 +74,8 @@ def _numbers(
     counts = [(_pitch(one), one.rows, one.columns) for one in membranes.values()]
     free = np.array([[edge == "free" for edge in one.edges] for one in membranes.values()])
     pitch, rows, columns = np.array(counts, np.uint64).T.copy()
-    return Membranes(np.array(firsts, np.uint64), pitch, rows, columns, free, links, loaded)
+    above = aligned(np.zeros(int(pitch.max())), context.real)
+    return Membranes(np.array(firsts, np.uint64), pitch, rows, columns, free, above, links, loaded)
 
 
 def _pitch(membrane: Membrane) -> int:
@@ -96,9 +104,12 @@ def integrate(membranes, state):
     for s in range(np.uint64(membranes.first.size)):
         _free_edges(membranes, s, state.position)
         a, b, e = link_coefficients(membranes.links, s)
-        step = MembraneStep(a, b, e, membranes.pitch[s])
+        pitch, first = membranes.pitch[s], membranes.first[s]
+        begin = first & ~(width_of(membranes.above) - np.uint64(1))
+        _keep_borders(MembraneStep(a, b, e, pitch, membranes.above, begin), state)
         for row in range(membranes.rows[s]):
-            sweep(step, state, membranes.first[s] + row * membranes.pitch[s], membranes.columns[s])
+            way = row * pitch
+            sweep(MembraneStep(a, b, e, pitch, membranes.above, begin + way), state, first + way, membranes.columns[s])
     push_loaded_points(membranes.loaded, state)
 
 
@@ -121,6 +132,18 @@ def _free_edges(membranes, s, position):
 
 
 @inlined
+def _keep_borders(step, state):
+    """Keeps the terms of the row of borders above."""
+    for i in range(np.uint64(0), step.pitch, width_of(step.above)):
+        put(step.above, i, _terms_at(step, (state.position, state.previous), step.row - step.pitch + i))
+
+
+@inlined
+def _terms_at(step, rows, place):
+    return linear_terms(step, fetch(rows[0], place), fetch(rows[1], place))[0]
+
+
+@inlined
 def _copy_row(position, masses, borders, columns):
     """Puts a row of borders where a row of masses is, in lanes, along with what stands beside them."""
     begin, end = np.uint64(1), columns + np.uint64(1)
@@ -129,21 +152,29 @@ def _copy_row(position, masses, borders, columns):
 
 
 @fma
-def _update(step, rows, here, terms):
-    x, before = fetch(rows[0], here), fetch(rows[1], here)
-    four = rows[0].dtype.type(4)
-    pull = (neighbours(terms, 0) + _upright(rows[0], here, step.pitch)) - four * x
-    pull_before = (neighbours(terms, 1) + _upright(rows[1], here, step.pitch)) - four * before
-    return moved(step, x, before, pull, pull_before)
+def _update_by_coefficients(step, rows, here, terms):
+    _, x, before = terms[1]
+    real = rows[0].dtype.type
+    now, old = real(2) - real(4) * (step.a + step.b) - step.e, real(1) - real(4) * step.b - step.e
+    return (now * x - old * before) + _sum_of_four(step, rows, here, terms)
 
 
-@inlined
-def _upright(row, here, pitch):
-    """The sum of what is above and below."""
-    return fetch(row, here - pitch) + fetch(row, here + pitch)
+@fma
+def _update_by_differences(step, rows, here, terms):
+    t, x, before = terms[1]
+    return moved(step, x, before, _sum_of_four(step, rows, here, terms) - rows[0].dtype.type(4) * t)
 
 
-stencil_kernel(MembraneStep, StencilKernel(place_terms, _update))
+@fma
+def _sum_of_four(step, rows, here, terms):
+    """The terms of all neighbours; keeps those here for the row below."""
+    column = here - step.row
+    above = fetch(step.above, column)
+    put(step.above, column, terms[1][0])
+    return neighbours(terms, 0) + (above + _terms_at(step, rows, here + step.pitch))
+
+
+stencil_kernel(MembraneStep, StencilKernel(linear_terms, _update_by_coefficients, _update_by_differences))
 
 MEMBRANE = structure_type(
     Membrane, _numbers, _layout, initialize, integrate, "membranes", "a stencil over contiguous memory, row by row"

@@ -30,13 +30,11 @@ class Grounds(NamedTuple):
 
 @action
 def retarget(grounds, state):
-    """Puts every ground to its rest position. Between, they stand still by themselves: all rows of positions have them
+    """Puts every ground to its rest position. Between, they stand still by themselves: both rows of positions have them
     where they are."""
     grounds, state = value_of(grounds), value_of(state)
     for i in range(np.uint64(grounds.rest.size)):
-        p = grounds.start + i
-        state.previous[p] = state.position[p]
-        state.position[p] = state.following[p] = grounds.rest[i]
+        state.position[grounds.start + i] = grounds.rest[i]
 
 
 class Masses(NamedTuple):
@@ -51,10 +49,9 @@ def integrate(group, state):
     """Moves every mass by one sample, and uses up the force on it."""
     group, state = value_of(group), value_of(state)
     first, end = group.start, group.start + np.uint64(group.mobility.size)
-    x, before, after = state.position[first:end], state.previous[first:end], state.following[first:end]
-    force = state.force[first:end]
+    x, before, force = state.position[first:end], state.previous[first:end], state.force[first:end]
     for i in range(np.uint64(group.mobility.size)):
-        after[i] = x[i] + x[i] - before[i] + group.mobility[i] * force[i]
+        before[i] = x[i] + x[i] - before[i] + group.mobility[i] * force[i]
         force[i] = 0.0
 
 

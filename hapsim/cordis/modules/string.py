@@ -38,16 +38,16 @@ from hapsim.cordis.modules.structure import (
     LoadedPoints,
     StencilKernel,
     UniformLinks,
+    linear_terms,
     link_coefficients,
     moved,
     neighbours,
-    place_terms,
     push_loaded_points,
     stencil_kernel,
     structure_type,
     sweep,
 )
-from hapsim.cordis.simd import fetch, padded, put_one, shift_lanes
+from hapsim.cordis.simd import padded, put_one, shift_lanes
 from hapsim.scene import String
 
 _ONE = np.uint64(1)
@@ -140,11 +140,12 @@ def integrate_stiff(strings, state):
         a, b, e = link_coefficients(strings.links, s)
         step = StiffStringStep(a, b, e, strings.links.mobility[s] * strings.bending[s])
         first, end = rows.first[s], rows.first[s] + rows.masses[s]
+        pulls = _border_pull(step, state, first, first - _ONE), _border_pull(step, state, end - _ONE, end)
         sweep(step, state, first, rows.masses[s])
         if rows.borders[s, 0] == _CONTINUES:
-            _take_back(step, state, first, first - _ONE)
+            put_one(state.previous, first, state.previous[first] - pulls[0])
         if rows.borders[s, 1] == _CONTINUES:
-            _take_back(step, state, end - _ONE, end)
+            put_one(state.previous, end - _ONE, state.previous[end - _ONE] - pulls[1])
     push_loaded_points(strings.loaded, state)
 
 
@@ -171,21 +172,16 @@ def _place(borders, position, inner, outer, border, beyond):
 
 
 @inlined
-def _take_back(step, state, mass, border):
-    """Takes back what the link to a free end's border did."""
-    x, before, after = state.position, state.previous, state.following
+def _border_pull(step, state, mass, border):
+    """How far the link to a border moves the mass beside it: at a free end, where there is none, that is taken back."""
+    x, before = state.position, state.previous
     d, d_before = x[border] - x[mass], before[border] - before[mass]
-    put_one(after, mass, after[mass] - (step.a * d + step.b * (d - d_before)))
+    return step.a * d + step.b * (d - d_before)
 
 
 @fma
-def _coefficient_terms(step, x, before):
-    return ((step.a + step.b) * x - step.b * before,)
-
-
-@fma
-def _update_by_coefficients(step, rows, here, terms):
-    x, before = fetch(rows[0], here), fetch(rows[1], here)
+def _update_by_coefficients(step, rows, _here, terms):
+    _, x, before = terms[1]
     a, b, e = step
     real = rows[0].dtype.type
     now, old = real(2) - real(2) * (a + b) - e, real(1) - real(2) * b - e
@@ -193,22 +189,20 @@ def _update_by_coefficients(step, rows, here, terms):
 
 
 @fma
-def _update_by_differences(step, rows, here, terms):
-    x, before = fetch(rows[0], here), fetch(rows[1], here)
-    two = rows[0].dtype.type(2)
-    return moved(step, x, before, neighbours(terms, 0) - two * x, neighbours(terms, 1) - two * before)
+def _update_by_differences(step, rows, _here, terms):
+    t, x, before = terms[1]
+    return moved(step, x, before, neighbours(terms, 0) - rows[0].dtype.type(2) * t)
 
 
 @fma
-def _stiff_coefficient_terms(step, x, before):
-    """What is asked of a neighbour, and of the one behind it."""
+def _stiff_terms(step, x, before):
     a, b, _, g = step
-    return (a + b + (g + g + g + g)) * x - b * before, x
+    return (a + b + (g + g + g + g)) * x - b * before, x, before
 
 
 @fma
-def _update_stiff_by_coefficients(step, rows, here, terms):
-    x, before = fetch(rows[0], here), fetch(rows[1], here)
+def _update_stiff_by_coefficients(step, rows, _here, terms):
+    _, x, before = terms[1]
     a, b, e, g = step
     real = rows[0].dtype.type
     now, old = real(2) - real(2) * (a + b) - e - real(6) * g, real(1) - real(2) * b - e
@@ -217,23 +211,16 @@ def _update_stiff_by_coefficients(step, rows, here, terms):
 
 
 @fma
-def _update_stiff_by_differences(step, rows, here, terms):
-    x, before = fetch(rows[0], here), fetch(rows[1], here)
-    real = rows[0].dtype.type
-    pull, pull_before = neighbours(terms, 0) - real(2) * x, neighbours(terms, 1) - real(2) * before
-    bend = ((shift_lanes(terms, 0, -2) + shift_lanes(terms, 0, 2)) - real(2) * x) - real(4) * pull
-    return moved(step, x, before, pull, pull_before) - step.g * bend
+def _update_stiff_by_differences(step, rows, _here, terms):
+    t, x, before = terms[1]
+    two = rows[0].dtype.type(2)
+    bend = (shift_lanes(terms, 1, -2) + shift_lanes(terms, 1, 2)) - two * x
+    return moved(step, x, before, (neighbours(terms, 0) - two * t) - step.g * bend)
 
 
+stencil_kernel(StringStep, StencilKernel(linear_terms, _update_by_coefficients, _update_by_differences))
 stencil_kernel(
-    StringStep,
-    StencilKernel(place_terms, _update_by_differences),
-    StencilKernel(_coefficient_terms, _update_by_coefficients),
-)
-stencil_kernel(
-    StiffStringStep,
-    StencilKernel(place_terms, _update_stiff_by_differences),
-    StencilKernel(_stiff_coefficient_terms, _update_stiff_by_coefficients),
+    StiffStringStep, StencilKernel(_stiff_terms, _update_stiff_by_coefficients, _update_stiff_by_differences)
 )
 
 _string_type = partial(structure_type, String, _numbers, _layout, initialize)

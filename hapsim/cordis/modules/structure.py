@@ -2,8 +2,9 @@
 (`simd.py`), and the masses that links hold.
 
 A step is a named tuple of a structure's numbers, with a kernel registered for its type by `stencil_kernel`.
-`neighbour_terms` works out from x[n] and x[n-1] of some masses what their neighbours need of them, `update` from that
-and from the neighbours' terms where they are at x[n+1]. So each term is worked out once and not by each neighbour anew.
+It works out from x[n] and x[n-1] of some masses what their neighbours need of them, and from that and the neighbours'
+terms where they are at x[n+1]. So each term is worked out once and not by each neighbour anew. x[n+1] goes where x[n-1]
+was: two rows of positions in place of three, which a long string fetches from beyond the nearest caches in every step.
 
 A structure moves all its masses in one pass, without forces. Forces of links reach only the masses that they hold
 (`LoadedPoints`): those are moved once more, and no other mass is asked.
@@ -76,10 +77,10 @@ def _loaded_points_of(structures: Mapping[str, Any], context: BuildContext) -> L
 
 @inlined
 def push_loaded_points(loaded, state):
-    """Adds to the motion of each mass that links hold what their force on it does, and uses up the force."""
+    """Adds to x[n+1] of each mass that links hold what their force on it does, and uses up the force."""
     for i in range(np.uint64(loaded.point.size)):
         p = loaded.point[i]
-        add_to_one(state.following, np.uint64(p), loaded.mobility[i] * state.force[p])
+        add_to_one(state.previous, np.uint64(p), loaded.mobility[i] * state.force[p])
         state.force[p] = 0.0
 
 
@@ -95,28 +96,28 @@ def link_coefficients(links, s):
 
 
 class StencilKernel(NamedTuple):
-    """How a step goes.
+    """How a step goes, with two ways to work out the same x[n+1].
 
-    `neighbour_terms`: (step, x, before) -> a tuple of lanes, of masses that are at x now and were at `before` a sample
-    ago. `update`: (step, rows, here, terms) -> the lanes at `here`, a sample on. `rows`: (x, before); `terms`: those of
-    the lanes to the left, of those here and of those to the right.
+    `terms_of`: (step, x, before) -> (t, x, before), lanes of masses that are at x now and were at `before` a sample
+    ago; t is what neighbours add up. The other two: (step, rows, here, terms) -> the lanes at `here`, a sample on.
+    `rows`: (x, before); `terms`: those of the lanes to the left, of those here and of those to the right.
+
+    `by_coefficients` multiplies x and `before` by a coefficient of each: fewer operations, but for numbers of 64 bits
+    only. With 32 bits the coefficients, rounded, no longer cancel: a string of 100 masses would swing in its lowest
+    mode by up to a thousandth too fast or too slow. `by_differences` subtracts a mass's own term from its neighbours'.
     """
 
-    neighbour_terms: Callable[..., Any]
-    update: Callable[..., Any]
+    terms_of: Callable[..., Any]
+    by_coefficients: Callable[..., Any]
+    by_differences: Callable[..., Any]
 
 
-_KERNELS: dict[type, tuple[StencilKernel, StencilKernel]] = {}
+_KERNELS: dict[type, StencilKernel] = {}
 
 
-def stencil_kernel(step: type, differences: StencilKernel, coefficients: StencilKernel | None = None) -> None:
-    """Registers what moves a structure's masses by a sample.
-
-    `differences` of positions are taken first and multiplied afterwards. `coefficients` multiplies each position by a
-    coefficient of its own: fewer operations, but for numbers of 64 bits only. With 32 bits the coefficients, rounded,
-    no longer cancel: a string of 100 masses would swing in its lowest mode by up to a thousandth too fast or too slow.
-    """
-    _KERNELS[step] = coefficients or differences, differences
+def stencil_kernel(step: type, kernel: StencilKernel) -> None:
+    """Registers what moves a structure's masses by a sample."""
+    _KERNELS[step] = kernel
 
 
 def _neighbour_terms(step, x, before):
@@ -129,7 +130,7 @@ def _update(step, rows, here, terms):
 
 @overload(_neighbour_terms)
 def _choose_neighbour_terms(step, x, before):  # noqa: ARG001  (numba matches the names)
-    kernel: Any = _KERNELS[step.instance_class][x.dtype == types.float32].neighbour_terms
+    kernel: Any = _KERNELS[step.instance_class].terms_of
 
     def neighbour_terms(step, x, before):
         return kernel(step, x, before)
@@ -139,18 +140,19 @@ def _choose_neighbour_terms(step, x, before):  # noqa: ARG001  (numba matches th
 
 @overload(_update)
 def _choose_update(step, rows, here, terms):  # noqa: ARG001  (numba matches the names)
-    kernel: Any = _KERNELS[step.instance_class][rows[0].dtype == types.float32].update
+    kernel = _KERNELS[step.instance_class]
+    way: Any = kernel.by_differences if rows[0].dtype == types.float32 else kernel.by_coefficients
 
     def update(step, rows, here, terms):
-        return kernel(step, rows, here, terms)
+        return way(step, rows, here, terms)
 
     return update
 
 
-@inlined
-def place_terms(step, x, before):  # noqa: ARG001  (every step's)
-    """Where masses are and were, for steps that work out differences."""
-    return x, before
+@fma
+def linear_terms(step, x, before):
+    """The terms of a structure in which each mass is linked to the nearest."""
+    return (step.a + step.b) * x - step.b * before, x, before
 
 
 @inlined
@@ -160,10 +162,10 @@ def neighbours(terms, which):
 
 
 @fma
-def moved(step, x, before, pull, pull_before):
-    """x[n+1] by `differences`: `pull` is the sum over the neighbours of how far they are from x, in m."""
+def moved(step, x, before, pull):
+    """x[n+1] by differences; `pull`: how far the links move the masses, in m."""
     way = x - before
-    return x + (((way - step.e * way) + (step.a + step.b) * pull) - step.b * pull_before)
+    return x + ((way - step.e * way) + pull)
 
 
 @inlined
@@ -171,24 +173,25 @@ def sweep(step, state, first, count):
     """Moves `count` masses from the one at `first` on by a sample.
 
     There is a border or two before them, in the first one's lanes, and two numbers behind them. What stands beside
-    them in the same lanes keeps its place: `following` has it where `position` does.
+    them in the same lanes keeps its place: `previous` gets it where `position` has it.
+
+    x[n+1] goes where x[n-1] is. What the lanes to the right need of it is in `middle` by then.
     """
-    x, after = state.position, state.following
-    rows, width, end = (x, state.previous), width_of(x), first + count
+    rows, width, end = (state.position, state.previous), width_of(state.position), first + count
     here, last = first & ~(width - np.uint64(1)), (end - np.uint64(1)) & ~(width - np.uint64(1))
     beyond = (end + np.uint64(1)) & ~(width - np.uint64(1))  # where the second border is
     left = middle = _terms_at(step, rows, here)  # the first border, or two, stand before the first mass in its lanes
     right = _terms_at(step, rows, min(here + width, beyond))
-    _put_inside(x, after, here, first, end, _update(step, rows, here, (left, middle, right)))
+    _put_inside(rows, here, first, end, _update(step, rows, here, (left, middle, right)))
     here += width
     while here < last:
         left, middle = middle, right
         right = _terms_at(step, rows, here + width)
-        put(after, here, _update(step, rows, here, (left, middle, right)))
+        put(rows[1], here, _update(step, rows, here, (left, middle, right)))
         here += width
     if here == last:
         left, middle, right = middle, right, _terms_at(step, rows, beyond)
-        _put_inside(x, after, here, first, end, _update(step, rows, here, (left, middle, right)))
+        _put_inside(rows, here, first, end, _update(step, rows, here, (left, middle, right)))
 
 
 @inlined
@@ -197,6 +200,6 @@ def _terms_at(step, rows, here):
 
 
 @inlined
-def _put_inside(x, after, here, first, end, lanes):
+def _put_inside(rows, here, first, end, lanes):
     """What is not a mass stays."""
-    put(after, here, chosen(lanes, fetch(x, here), np.int64(first - here), np.int64(end - here)))
+    put(rows[1], here, chosen(lanes, fetch(rows[0], here), np.int64(first - here), np.int64(end - here)))

@@ -67,7 +67,7 @@ def integrate(points, state):
     for i in range(n + n):
         points.state[i] = points.next[i]
     for i in range(n):
-        state.following[points.point[i]] = points.state[i]
+        state.previous[points.point[i]] = points.state[i]
         state.position[points.point[i]] = points.state[i] - points.state[n + i]
 
 

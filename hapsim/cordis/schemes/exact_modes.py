@@ -77,7 +77,7 @@ def integrate(modes, state):
     for h in range(np.uint64(modes.point.size)):
         p = modes.point[h]
         x = _sum(modes.shape[h], modes.position)
-        state.following[p] = x
+        state.previous[p] = x
         state.position[p] = x - _sum(modes.shape[h], modes.step)
 
 

@@ -109,7 +109,7 @@ def integrate(points, state):
         _solve_narrow(points.factor, change)
     else:
         _solve(points.factor, points.change)
-    _write(points.point, points.in_row, points.step, change, state.position, state.following)
+    _write(points.point, points.in_row, points.step, change, state.position, state.previous)
 
 
 @fma
@@ -124,13 +124,13 @@ def _read(point, in_row, position, previous, step, middle):
 
 
 @fma
-def _write(point, in_row, step, change, position, following):
+def _write(point, in_row, step, change, position, previous):
     """The next position, and what becomes the one before it."""
     half, first = position.dtype.type(0.5), np.uint64(point[0])
     for i in range(np.uint64(point.size)):
         p = first + i if in_row else np.uint64(point[i])
         after = position[p] + (step[i] + half * change[i])
-        following[p] = after
+        previous[p] = after
         position[p] = after - (step[i] + change[i])
 
 

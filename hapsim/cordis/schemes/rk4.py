@@ -78,7 +78,7 @@ def integrate(points, state):
     _go(x, before, one, c2, half, y)
     _go_before(x, before, y, one, c3, y_before)
     _add_forces_at(points, state, one)
-    _finish(mobility, force, x, before, points.change, state.following[start:])
+    _finish(mobility, force, x, before, points.change, y)
     for i in range(np.uint64(c1.size)):
         state.force[start + i] = x.dtype.type(0)
 
@@ -122,16 +122,19 @@ def _go_before(x, before, y, share, change, y_before):
 
 
 @fma
-def _finish(mobility, force, x, before, change, following):
+def _finish(mobility, force, x, before, change, after):
+    """Puts x[n+1] in `before` and what is the position before that in `x`; `after` holds it in between."""
     c1, c2, c3 = change
     two, sixth = x.dtype.type(2), x.dtype.type(1) / x.dtype.type(6)
     points = np.uint64(c1.size)
     for i in range(points):
-        following[i] = x[i] + ((x[i] - before[i]) + sixth * (c1[i] + c2[i] + c3[i]))
+        after[i] = x[i] + ((x[i] - before[i]) + sixth * (c1[i] + c2[i] + c3[i]))
     for i in range(points):
         c1[i] += two * (c2[i] + c3[i]) + mobility[i] * force[i]
     for i in range(points):
-        x[i] = following[i] - ((x[i] - before[i]) + sixth * c1[i])
+        x[i] = after[i] - ((x[i] - before[i]) + sixth * c1[i])
+    for i in range(points):
+        before[i] = after[i]
 
 
 def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
@@ -145,7 +148,7 @@ def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple
             (always if one.kind.memoryless or part.add_forces is None else once).append(part)
     size, mobility = context.state.force.size, mobility_of_all(scene, context)
     position, previous, force, kept = np.zeros((4, size), context.real)
-    at = Behind(TickState(position, previous, position, force, context.state.velocity))
+    at = Behind(TickState(position, previous, force, context.state.velocity))
     asked = [(part.add_forces, Behind(part.numbers)) for part in always if part.add_forces is not None]
     calls, pairs = new_record(CALLS), calls_of(asked, at)
     calls.pairs, calls.count = pairs.ctypes.data, len(pairs)

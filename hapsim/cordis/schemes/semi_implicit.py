@@ -44,20 +44,20 @@ def integrate(points, state):
     """Moves every point by one sample; what becomes its previous position is where the step came from."""
     points, state = value_of(points), value_of(state)
     start = points.start
-    _advance(points.mobility, points.step, state.position[start:], state.following[start:], state.force[start:])
+    _advance(points.mobility, points.step, state.position[start:], state.previous[start:], state.force[start:])
 
 
 @fma
-def _advance(mobility, step, position, following, force):
+def _advance(mobility, step, position, previous, force):
     """One loop for each array that is written: more at once the compiler does not take for apart from each other, and
     then it moves no two points at a time."""
     points = np.uint64(step.size)
     for i in range(points):
         step[i] += mobility[i] * force[i]
     for i in range(points):
-        following[i] = position[i] + step[i]
+        previous[i] = position[i] + step[i]
     for i in range(points):
-        position[i] = following[i] - step[i]
+        position[i] = previous[i] - step[i]
     for i in range(points):
         force[i] = force.dtype.type(0)
 
