@@ -36,6 +36,13 @@ class Progress:
     faded_ticks: int = 0
     slowed_ticks: int = 0
     """Ticks in which a change of the scene was slowed, for want of energy."""
+    sound_frames: int = 0
+    """Of the scene's sound, where it is played or written; the rest as in a Report."""
+    clipped_sound_values: int = 0
+    lost_sound_frames: int = 0
+    underruns: int = 0
+    resampling_ppm: float | None = None
+    sound_latency_s: tuple[float, float] | None = None
 
     @property
     def seen_rate_hz(self) -> float | None:

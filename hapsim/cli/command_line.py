@@ -132,6 +132,7 @@ class Commands(_Commands):
         "mock": ("device:mock", "Serve a scene's mock device on a pseudo-terminal."),
         "compile": ("prepare:compile_", "Compile ahead of the first run. No device is touched."),
         "ports": ("device:ports", "List the serial ports."),
+        "sound": ("device:sound", "List the sound cards that `run --sound` can play on."),
         "new": ("shipped:new", "Write a first scene to begin with."),
         "scenes": ("shipped:scenes", "List the scenes that ship with hapsim."),
         "files": ("shipped:files", "Print where the header, the firmware, the pages and the scenes are."),

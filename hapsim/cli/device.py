@@ -1,4 +1,4 @@
-"""`hapsim mock` and `hapsim ports`: devices, simulated and found."""
+"""`hapsim mock`, `hapsim ports` and `hapsim sound`: devices, simulated and found."""
 
 from __future__ import annotations
 
@@ -44,6 +44,31 @@ def ports(json: Json = False) -> None:
         show_ports(stdout(), found)
     else:
         complain("No serial port was found. `hapsim mock SCENE` serves a device without hardware.")
+
+
+def sound(json: Json = False) -> None:
+    """List the sound cards that `run --sound` can play on."""
+    from hapsim.sound.play import output_devices
+
+    found = output_devices()
+    if json:
+        print(document({"devices": [one._asdict() for one in found]}))
+    elif found:
+        rows = [
+            (
+                str(one.number),
+                escape(one.name) + (" (default)" if one.is_default else ""),
+                escape(one.system),
+                str(one.outputs),
+                f"{one.rate_hz:.6g}",
+                f"{1e3 * one.latency_s:.3g}",
+            )
+            for one in found
+        ]
+        headings = ("number", "<name", "<system", "channels", "rate  Hz", "latency  ms")
+        stdout().print(table("Sound cards", headings, rows))
+    else:
+        complain("No sound card was found. `hapsim run SCENE --sound-file FILE.wav` writes a file without one.")
 
 
 _NOT_KNOWN = "n/a"  # as pyserial says it

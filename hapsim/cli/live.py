@@ -183,9 +183,14 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
         (progress.slewed_ticks, "slewed"),
         (progress.slowed_ticks, "with changes slowed"),
         (progress.faded_ticks, "outside the travel"),
+        (progress.underruns, "gaps in the sound"),
+        (progress.lost_sound_frames, "frames of it lost"),
+        (progress.clipped_sound_values, "values of it clipped"),
     ):
         if ticks:
             yield f"{ticks} {what}"
+    if progress.sound_latency_s is not None:
+        yield f"sound {1e3 * progress.sound_latency_s[0]:.1f} ms late, {progress.resampling_ppm or 0.0:+.1f} ppm"
     known = zip(progress.estimated_mass_kg, progress.estimated_mass_uncertainty_kg, strict=True)
     if masses := " ".join(f"{kg:.3g} ± {unsure:.1g}" for kg, unsure in known if kg is not None):
         yield f"mass {masses} kg"

@@ -168,7 +168,7 @@ class RecordOptions:
     """The file that a trace is written to."""
 
     record: Annotated[Path | None, option("FILE", "Write the trace: .trace, .npz or .csv.")] = None
-    overwrite: Annotated[bool, flag("--overwrite", "Replace the file of --record if it exists.")] = False
+    overwrite: Annotated[bool, flag("--overwrite", "Replace a file that exists.")] = False
 
     def require_writable(self) -> None:
         """Raises UsageError where the file cannot be written, or exists and is not to be replaced."""
@@ -177,8 +177,12 @@ class RecordOptions:
         from hapsim.recording.trace import require_writable_as_trace
 
         require_writable_as_trace(self.record)
-        if self.record.is_file() and not self.overwrite:
-            raise UsageError(f"{self.record}: the file exists; --overwrite replaces it")
+        self.require_free(self.record)
+
+    def require_free(self, path: Path) -> None:
+        """Raises UsageError where a file exists and is not to be replaced."""
+        if path.is_file() and not self.overwrite:
+            raise UsageError(f"{path}: the file exists; --overwrite replaces it")
 
 
 @dataclass

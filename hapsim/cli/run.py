@@ -85,11 +85,48 @@ class ServiceOptions:
         return telling(path, lambda: document(state.document()) + "\n", gives_way=gives_way)
 
 
+@dataclass
+class SoundOptions:
+    """Where the scene's sound goes."""
+
+    sound: Annotated[bool, flag("--sound", "Play the scene's sound on a sound card.")] = False
+    sound_device: Annotated[
+        str | None,
+        option("NAME", "Sound card, by a name or a number of `hapsim sound` [default: the system's]."),
+    ] = None
+    volume: Annotated[float | None, option("DB", "Volume in dB; 0 is full scale [default: 0]")] = None
+    latency: Annotated[
+        float | None, option("MS", "Time from a position to the loudspeaker in ms, if it can be had [default: 15]")
+    ] = None
+    sound_file: Annotated[
+        Path | None, option("FILE.wav", "Write the sound, also without a sound card and in virtual time.")
+    ] = None
+
+    def values(self, record: RecordOptions) -> dict[str, Any]:
+        """Returns the options of `start`. Raises UsageError where the file exists or --sound is missing."""
+        names = ("--sound-device", self.sound_device), ("--volume", self.volume), ("--latency", self.latency)
+        if given := [name for name, value in names if value is not None and not self.sound]:
+            raise UsageError(f"{given[0]}: found no --sound, which plays the scene's sound; expected both")
+        if self.sound_file is not None:
+            record.require_free(self.sound_file)
+        values: dict[str, Any] = {
+            "sound": self.sound,
+            "sound_file": self.sound_file,
+            "sound_device": self.sound_device or "",
+        }
+        if self.latency is not None:
+            values["latency_s"] = 1e-3 * self.latency
+        if self.volume is not None:
+            values["volume_db"] = self.volume
+        return values
+
+
 def run(
     device: DeviceOptions,
     *,
     duration: Annotated[float | None, seconds("Duration in seconds [default: until interrupted]")] = None,
     record: RecordOptions,
+    sound: SoundOptions,
     realtime: Realtime = False,
     service: ServiceOptions,
     unstable: Unstable = False,
@@ -106,6 +143,7 @@ def run(
     with notifier.told_of_failures():
         scene, kind = device.load(), device.kind()
         record.require_writable()
+        playing = sound.values(record)
         warnings = predict_before_arming(device.scene, with_mock(scene, kind), unstable)
     port = scene.device.port if kind == "auto" else None
     place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
@@ -127,6 +165,7 @@ def run(
             judges_energy=True,
             on_progress=tell,
             on_warning=complain,
+            **playing,
         )
     notifier.stopping(lifetime.failure or "")
     with undisturbed():
@@ -178,6 +217,8 @@ def _show(lifetime: Lifetime, grants: Sequence[PrivilegeResult], warnings: list[
     show_report(stdout(), report, lifetime.reconnections)
     for file in lifetime.records:
         say_written("Trace", file if file.exists() else None)
+    for file in lifetime.sound_files:
+        say_written("Sound", file)
 
 
 class _Reporter:

@@ -73,9 +73,19 @@ def _rows(report: Report, reconnections: int) -> Iterator[tuple[str, str]]:
         ("forces withheld: position too old", report.withheld_forces, ""),
         ("releases to test a motor's sign", report.sign_tests, ""),
         ("rows not recorded", report.dropped_rows + report.unrecorded_rows, ""),
+        ("gaps in the sound (underruns)", report.underruns, ""),
+        ("frames of the sound lost", report.lost_sound_frames, ""),
+        ("values of the sound clipped", report.clipped_sound_values, ""),
     ):
         if count:
             yield label, f"[yellow]{count}[/yellow]{note}"
+    if report.sound_frames:
+        yield "frames of the sound", str(report.sound_frames)
+    if report.resampling_ppm is not None:
+        yield "device's clock by the sound card's  ppm", f"{report.resampling_ppm:+.1f}"
+    if report.sound_latency_s is not None:
+        p50, p99 = (f"{1e3 * one:.1f}" for one in report.sound_latency_s)
+        yield "position to loudspeaker  ms", f"{p50} (99 %: {p99})"
     for channel, mass in enumerate(report.estimated_mass_kg):
         if mass is not None:
             yield spoken(channel)(f"estimated mass, channel {channel}  kg"), _estimated_mass(report, channel, mass)
@@ -143,6 +153,7 @@ def lifetime_document(lifetime: Lifetime, grants: Sequence[PrivilegeResult] = ()
             "reconnections": lifetime.reconnections,
             "interruptions": [asdict(one) for one in lifetime.interruptions],
             "records": list(map(str, lifetime.records)),
+            "sound_files": list(map(str, lifetime.sound_files)),
         }
         | failure_document(lifetime.failure)
     )

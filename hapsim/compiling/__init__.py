@@ -12,7 +12,7 @@ __all__ = ["COMPILED_ROOMS", "compiler", "entry", "fma", "helper", "inlined", "o
 _HAPSIM = Path(__file__).resolve().parent.parent
 
 COMPILED_ROOMS = (
-    *(_HAPSIM / room for room in ("compiling", "cordis", "loop", "device/mock")),
+    *(_HAPSIM / room for room in ("compiling", "cordis", "loop", "device/mock", "sound")),
     Path(firmware_protocol.__file__).resolve().parent,
 )
 """All compiled functions are in these directories: an edit elsewhere keeps all machine code."""

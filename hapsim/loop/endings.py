@@ -6,7 +6,6 @@ Where bytes are read a positive number is their count.
 from __future__ import annotations
 
 from hapsim.compiling import inlined
-from hapsim.loop.sound import is_full
 
 HEARD = 1  # a position was taken
 RUNNING = 1  # nothing ends the loop yet
@@ -52,9 +51,10 @@ def ending_before_exchange(loop):
     if 0 <= control.samples <= state.ticks + state.lost_frames or state.newest_ns - state.first_ns > control.lasts_ns:
         return DONE
     # With a margin, for positions that arrive several at once.
-    ring = loop.ring
-    full = (ring.waits and ring.head - ring.tail > ring.capacity // 2) or is_full(loop.sound)
-    return RING_FULL if full else RUNNING
+    ring, sound = loop.ring, loop.sound
+    if ring.waits and ring.head - ring.tail > ring.capacity // 2:
+        return RING_FULL
+    return RING_FULL if sound.waits and sound.pushed - sound.read > sound.capacity // 2 else RUNNING
 
 
 @inlined

@@ -131,9 +131,3 @@ def publish(ring, time_ns):
     ring.written = ring.pushed
     fence()
     ring.version += 1
-
-
-@inlined
-def is_full(ring):
-    """Whether the reader that the loop waits for has to make room: half is left for positions that come at once."""
-    return ring.waits != 0 and ring.pushed - ring.read > ring.capacity // 2

@@ -82,6 +82,18 @@ class Report:
     unrecorded_rows: int = 0
     """Rows missing from the recorded file, which could not be written, or not fast enough. The force was not
     affected."""
+    sound_frames: int = 0
+    """Frames of the scene's sound, where it is played or written: one for each step of its modules."""
+    clipped_sound_values: int = 0
+    """Values of these that the soft clip changed."""
+    lost_sound_frames: int = 0
+    """Frames that are missing from the sound file, or were not played because the sound card stood still."""
+    underruns: int = 0
+    """Gaps in what was played: times that the sound card got no frames, or not in time."""
+    resampling_ppm: float | None = None
+    """How much faster the device's clock is than the sound card's, in parts per million of what both declare."""
+    sound_latency_s: tuple[float, float] | None = None
+    """From the arrival of a position to the loudspeaker: median and 99th percentile."""
 
     @property
     def knows_ticks(self) -> bool:
@@ -104,7 +116,9 @@ _LISTS = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained"
 def report_from(values: dict[str, Any]) -> Report:
     """What `asdict` made of a report, after JSON. TypeError where it is none."""
     spreads = {name: Spread(**values[name]) for name in ("lateness_s", "exchange_s", "age_samples")}
-    return Report(**values | spreads | {name: tuple(values.get(name, ())) for name in _LISTS})
+    lists = {name: tuple(values.get(name, ())) for name in _LISTS}
+    latency = values.get("sound_latency_s")
+    return Report(**values | spreads | lists | {"sound_latency_s": latency and tuple(latency)})
 
 
 def summary_document(report: Report, statistics: Statistics, finished: bool) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.ring import LATE_FORCE, LIMITED, ROWS, row_type
+from hapsim.recording.background_file import require_writable
 from hapsim.recording.report import NOT_FINISHED, Report, Statistics, read_summary, report_from, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
 
@@ -174,14 +175,9 @@ def _write_npz(
 
 def require_writable_as_trace(path: Path) -> None:
     """UsageError where a trace could not be written there: better before the run than after it."""
-    directory = path.resolve().parent
     if path.suffix not in _ENDINGS:
         raise UsageError(f"{path}: found the ending '{path.suffix}', expected {', '.join(_ENDINGS)}")
-    if not directory.is_dir():
-        raise UsageError(f"{path}: there is no directory {directory}")
-    is_other = path.exists() and not path.is_file() and not path.is_char_device()  # opening a pipe would wait
-    if is_other or not os.access(path if path.exists() else directory, os.W_OK):
-        raise UsageError(f"{path}: no file can be written there")
+    require_writable(path)
 
 
 def load_trace(path: str | Path) -> Trace:

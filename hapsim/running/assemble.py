@@ -31,6 +31,7 @@ from hapsim.running.correction import LoopCorrection
 from hapsim.running.guard_setup import energy_guard_of, history_of, set_leap, set_slew, set_travel
 from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
+from hapsim.sound.output import SoundOutput
 
 _RING_ROWS = 1 << 16
 _SOUND_S, _LEAST_FRAMES = 1.0, 4096  # that the sound's ring holds at least
@@ -61,6 +62,8 @@ class LoopMemory:
         """The rest of the correction: predictors and the estimate of the mass."""
         self.sound: SoundRing | None = None
         """What the scene's pick-ups hear; None where it has none."""
+        self.sound_output: SoundOutput | None = None
+        """What becomes of it; None where it goes nowhere."""
         self.excitation: Excitation | PeriodicExcitation | None = None
         """Kept here because the loop reads the forces of a periodic one."""
         self.history: ForceHistory | None = None
@@ -94,11 +97,11 @@ class LoopMemory:
         self._programs = [self.program, program]
         post(self.record.slot, program.address, steps, cross_fade.address())
 
-    def hear_with(self, scene: Scene) -> None:
-        """Has the loop write what the scene's pick-ups hear into a ring."""
+    def hear_with(self, scene: Scene, waits: bool) -> None:
+        """Has the loop write what the scene's pick-ups hear into a ring; `waits`: and wait for who drains it."""
         record, channels = self.record.sound, len(scene.sound)
         capacity = 1 << math.ceil(math.log2(max(_SOUND_S * scene.step_rate, _LEAST_FRAMES)))
-        self.sound = SoundRing(record, channels, capacity)
+        self.sound = SoundRing(record, channels, capacity, waits)
         highpass = np.array([one.highpass for one in scene.sound.values()])
         record.keeps[:channels] = np.exp(-2.0 * np.pi * highpass / scene.step_rate)
         self.record.slot.sound, self.record.slot.hear = record.address, hear.address()
@@ -128,7 +131,7 @@ def assemble_loop(
     scene: Scene, connection: Connection, description: Description, options: RunOptions | None = None
 ) -> LoopMemory:
     """Returns the loop of `scene` over `connection`, not yet armed. It uses the options `duration`, `excitation`,
-    `judges_energy`, `judges_sign` and `unstable`."""
+    `judges_energy`, `judges_sign`, `sound_file` and `unstable`."""
     options = options or RunOptions()
     rendering = rendered(scene)
     loop = LoopMemory(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
@@ -137,7 +140,7 @@ def assemble_loop(
     loop.rendered_scene = rendering.scene
     loop.begin_with(compile_scene(rendering.scene))
     if scene.sound:
-        loop.hear_with(scene)
+        loop.hear_with(scene, options.sound_file is not None and scene.device.clock == "lockstep")
     loop.record.slot.substeps, loop.record.slot.mean = scene.substeps, scene.device.decimation == "mean"
     _set_io(loop.record.io, scene, description)
     _set_control(loop.control, scene, options.duration)

@@ -147,6 +147,7 @@ UNITS: dict[str, CompileUnit] = {
     "motion": CompileUnit(12, ("device.mock.motion:move_with_spring_or_friction",), in_second_process=True),
     "wire": CompileUnit(14, _TIMED_WIRE, in_second_process=True, calls_system=True),
     "sound": CompileUnit(2, ("loop.sound:hear",)),
+    "playback": CompileUnit(9, ("sound.resample:play",), calls_system=True),
     "changes": CompileUnit(8, ("cordis.parameters:move", "loop.crossfade:cross_fade"), _posts),
     "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),
     "modules": CompileUnit(150, modules="double"),
@@ -241,7 +242,7 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     places = {place_of_device(scene) for scene in scenes}
     names = {"loop", "port", "guards", "changes"}.union(*(DEVICE_UNITS[place] for place in places))
     if any(scene.sound for scene in scenes):
-        names.add("sound")
+        names |= {"sound", "playback"}
     if any(wire_of(scene) == "mock" for scene in scenes):
         names.add("wire")
     if not scenes:

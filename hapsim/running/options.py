@@ -92,3 +92,8 @@ class RunOptions:
     on_warning: Callable[[str], None] | None = None
     on_arming: Callable[[Any], None] | None = None  # with the Session, which imports this
     resumes: bool = False
+    sound: bool = False
+    sound_device: str = ""
+    sound_file: str | Path | None = None
+    volume_db: float = 0.0
+    latency_s: float = 0.015

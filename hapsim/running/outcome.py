@@ -17,7 +17,8 @@ from hapsim.number_format import duration, plural, rounded_down, rounded_up
 from hapsim.prediction import unlikely
 from hapsim.prediction.timing import host_silence
 from hapsim.progress import Progress
-from hapsim.recording.recorder import Recorder, RecordFile
+from hapsim.recording.background_file import BackgroundFile
+from hapsim.recording.recorder import Recorder
 from hapsim.recording.trace import Report, Statistics, Trace, columns_of
 from hapsim.running.assemble import LoopMemory
 from hapsim.scene import Scene
@@ -68,7 +69,8 @@ def _counts_of(loop: LoopMemory) -> dict[str, Any]:
     counts = ("ticks", "deadline_misses", "limited_ticks", "slewed_ticks", "faded_ticks")
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
     slowed = {"slowed_ticks": -(-int(loop.record.tank.slowed_ticks) // int(loop.record.slot.substeps))}
-    return {name: int(getattr(loop.state, name)) for name in counts} | slowed | masses
+    sound = {} if loop.sound_output is None else loop.sound_output.counts()
+    return {name: int(getattr(loop.state, name)) for name in counts} | slowed | masses | sound
 
 
 def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
@@ -137,13 +139,13 @@ def with_sentence(failure: RunError, sentence: str) -> RunError:
     return _with_trace(type(failure)(f"{failure}{sentence}"), failure.trace)
 
 
-def record_failure(failure: RunError | None, name: str, record: RecordFile | None, trace: Trace) -> RunError | None:
-    """Returns the error of a run, with the reason why its record is incomplete, if it is."""
-    if record is None or not record.problem:
+def file_failure(failure: RunError | None, name: str, file: BackgroundFile | None, trace: Trace) -> RunError | None:
+    """Returns the error of a run, with the reason why a file of it is incomplete, if it is."""
+    if file is None or not file.problem:
         return failure
     if failure is not None:
-        return with_sentence(failure, f". And {record.problem}")
-    ended = f"{name}: the run ended as asked after {trace.report.ticks} ticks, and {record.problem}"
+        return with_sentence(failure, f". And {file.problem}")
+    ended = f"{name}: the run ended as asked after {trace.report.ticks} ticks, and {file.problem}"
     return _with_trace(RecordError(ended), trace)
 
 

@@ -96,6 +96,8 @@ class Lifetime:
     interruptions: tuple[Interruption, ...]
     records: tuple[Path, ...] = ()
     """The files of its sessions, where they were recorded."""
+    sound_files: tuple[Path, ...] = ()
+    """Those of their sound."""
 
     @property
     def reconnections(self) -> int:
@@ -109,18 +111,19 @@ def keep_running(
     *,
     reconnect: bool,
     record: Path | None = None,
+    sound_file: Path | None = None,
     duration: float | None = None,
     **options: Any,
 ) -> Lifetime:
     """Runs `scene` until it ends, a signal stops it, or it fails for good (main thread only).
 
     `reconnect`: wait for a device that is lost; the first time it has to be there. `duration`: seconds, waits included.
-    `record`: where to record, a file per session (`record_of`). `options`: as of `start`. Raises what `start` raises
-    before the first arming; later failures are in the Lifetime.
+    `record`, `sound_file`: where to record and where to write the sound, a file per session (`record_of`). `options`:
+    as of `start`. Raises what `start` raises before the first arming; later failures are in the Lifetime.
     """
     if reconnect and place_of_device(scene, options.get("transport", "auto"), portable=True) != "port":
         raise UsageError("--reconnect waits for a device's port: found the mock, which does not go away; leave it out")
-    keeper = _Keeper(scene, observer, reconnect, record, duration, options)
+    keeper = _Keeper(scene, observer, reconnect, _Files(record), _Files(sound_file), duration, options)
     with stopping_on_signals(keeper.stop):
         return keeper.run()
 
@@ -131,13 +134,37 @@ def record_of(path: Path, session: int) -> Path:
 
 
 @dataclass
+class _Files:
+    """The files of one kind, one for each session. `path`: of the first; None for no files."""
+
+    path: Path | None
+    names: list[Path] = field(default_factory=list)
+    next: int = 0
+
+    def of_session(self, session: int) -> Path | None:
+        """Returns the file of a session, the same for all its tries: the first is called as asked, a later one by the
+        next number that no file has, nor the unfinished file of a run that was killed."""
+        if self.path is None:
+            return None
+        if len(self.names) == session:
+            name = record_of(self.path, self.next)
+            while self.next > 0 and any(map(os.path.lexists, (name, name.with_name(f"{name.name}.part")))):
+                self.next += 1
+                name = record_of(self.path, self.next)
+            self.next += 1
+            self.names.append(name)
+        return self.names[-1]
+
+
+@dataclass
 class _Keeper:
     """The sessions of a run. The first fields are the arguments of `keep_running`."""
 
     scene: Scene
     observer: RunObserver
     reconnect: bool
-    record: Path | None
+    records: _Files
+    sound_files: _Files
     duration: float | None
     options: dict[str, Any]
     starting: bool = True
@@ -145,8 +172,6 @@ class _Keeper:
     session: Session | None = None
     runs: list[SessionResult] = field(default_factory=list)
     interruptions: list[Interruption] = field(default_factory=list)
-    records: list[Path] = field(default_factory=list)
-    next_record: int = 0
     lost_at: float | None = None
     """Since when the device is waited for, on the monotonic clock, s."""
     short: int = 0
@@ -169,8 +194,8 @@ class _Keeper:
             self.interruptions.append(Interruption(why, at, 0.0, came_back=False))
             self.observer.tell("lost", f"{why}. Waiting for {self._port} to answer again")
             failure = self._come_back(why)
-        records = tuple(self.records[: len(self.runs)])
-        return Lifetime(_report_of_all(self.runs), failure, tuple(self.interruptions), records)
+        records, sound_files = (tuple(one.names[: len(self.runs)]) for one in (self.records, self.sound_files))
+        return Lifetime(_report_of_all(self.runs), failure, tuple(self.interruptions), records, sound_files)
 
     @property
     def _port(self) -> str:
@@ -250,7 +275,8 @@ class _Keeper:
                 left = max(left, self.scene.period)  # what was left a moment ago may be over by now
             options = {
                 "duration": left,
-                "record": self._record_of_session(),
+                "record": self.records.of_session(len(self.runs)),
+                "sound_file": self.sound_files.of_session(len(self.runs)),
                 "on_arming": self._arming,
                 "resumes": bool(self.runs),
                 **self.options,
@@ -277,20 +303,6 @@ class _Keeper:
         self.runs.append(SessionResult(trace.report, trace.statistics))
         self.short = 0 if trace.report.duration_s > _LONG_S else self.short + 1
         return failure
-
-    def _record_of_session(self) -> Path | None:
-        """Returns the file of a session, the same for all its tries: the first is called as asked, a later one by the
-        next number that no file has, nor the unfinished file of a run that was killed."""
-        if self.record is None:
-            return None
-        if len(self.records) == len(self.runs):
-            path = record_of(self.record, self.next_record)
-            while self.next_record > 0 and any(map(os.path.lexists, (path, path.with_name(f"{path.name}.part")))):
-                self.next_record += 1
-                path = record_of(self.record, self.next_record)
-            self.next_record += 1
-            self.records.append(path)
-        return self.records[-1]
 
     def _arming(self, session: Session) -> None:
         if self.stopped:  # a callback swallowed the interrupt

@@ -27,8 +27,11 @@ from hapsim.scene.choices import WITH_SENSOR
 from hapsim.scene.cross_checks import narrow_detents
 from hapsim.scene.issue import one_of
 from hapsim.scene.modules import ModuleContext
+from hapsim.sound.play import choose_device
+from hapsim.sound.wav import require_writable_as_wav
 
 _MOST_TICKS = 2.0**62
+_MOST_LATENCY_S, _MOST_VOLUME_DB = 0.5, 40.0
 _FIRMWARE = "Not armed; set the register in its firmware"
 _SCALES = (
     ("position_scale", "m per count", schema.REG_POSITION_SCALE),
@@ -56,9 +59,31 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
         require_linux("--realtime", "leave it out")
     if options.record is not None:
         require_writable_as_trace(Path(options.record))
+    _require_sound(scene, options)
     shaken = surely_shaken_by(scene) if options.unstable is False else None
     if shaken is not None:
         raise UsageError(f"not armed: the scene is predicted unstable: {shaken.sentence}")
+
+
+def _require_sound(scene: Scene, options: RunOptions) -> None:
+    """Raises UsageError where the scene cannot be played or written as asked for."""
+    if not options.sound and options.sound_file is None:
+        return
+    if not scene.sound:
+        raise UsageError(
+            "the scene has no sound: expected pick-ups, such as sound: {ear: {from: gut.7, of: velocity}} "
+            "(configs/README.md)"
+        )
+    if options.sound and scene.device.clock == "lockstep":
+        raise UsageError("sound is not played in virtual time (clock: lockstep): --sound-file writes a file")
+    if not 0.0 <= options.latency_s <= _MOST_LATENCY_S:
+        raise UsageError(f"latency: found {duration(options.latency_s)}, expected 0 to {duration(_MOST_LATENCY_S)}")
+    if not options.volume_db <= _MOST_VOLUME_DB:
+        raise UsageError(f"volume: found {options.volume_db:g} dB, expected at most {_MOST_VOLUME_DB:g} dB")
+    if options.sound_file is not None:
+        require_writable_as_wav(Path(options.sound_file))
+    if options.sound and not options.resumes:
+        choose_device(options.sound_device)
 
 
 def require_not_less_stable(before: Scene, scene: Scene) -> None:

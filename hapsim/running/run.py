@@ -59,10 +59,14 @@ def start(scene: SceneSource, **options: Any) -> Session:
       name `energy_limit`, it is always enabled.
     * `judges_sign`: stops a motor that pushes the wrong way for the mock, too. Behind a port it always does.
     * `on_progress`: called during compilation.
-    * `on_warning`: called once, from another thread, with a sentence if the record can no longer be written.
+    * `on_warning`: called, from another thread, with a sentence if a file can no longer be written or the sound card
+      is gone.
     * `on_arming`: called with the session just before the device is armed. From then on `stop` ends the run cleanly.
     * `resumes`: the device took forces before. `Session.restarted` then says whether it powered up since, so that
       its zero has changed; where the scene counts from that zero, the device is not armed.
+    * `sound`: plays the scene's sound on `sound_device` (a name, part of one or a number of `hapsim sound`; default:
+      the system's), `volume_db` (dB) louder than full scale, `latency_s` after a position has arrived, or as soon as
+      the card can. `sound_file`: a .wav to write, also in virtual time.
 
     Raises SceneError and UsageError for what cannot run, and DeviceError if the port or the device fails. What ends
     the run later is raised when the with-block is left, or by `Session.close`: DeviceError, GuardError where a guard

@@ -53,6 +53,9 @@ from hapsim.running.requirements import (
     require_runnable,
 )
 from hapsim.scene import Scene
+from hapsim.sound.output import SoundOutput
+from hapsim.sound.play import Playback
+from hapsim.sound.wav import WavFile
 from hapsim.stopping import note_arming, undisturbed
 
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
@@ -104,6 +107,8 @@ class Session:
             if options.record is not None:
                 self._recorder.file = self._begin_record(scene, Path(options.record))
                 stack.callback(self._finish_record)
+            if options.sound or options.sound_file is not None:
+                self._open_sound(scene, stack)
             self._resources = stack.pop_all()
         self._thread = threading.Thread(target=self._run_loop, name="haptic loop", daemon=True)
         self._reader = threading.Thread(target=self._collect_and_finish, name="telemetry", daemon=True)
@@ -245,6 +250,30 @@ class Session:
 
         return RecordFile(path, head, report_so_far, self._options.on_warning or _ignore)
 
+    def _open_sound(self, scene: Scene, stack: contextlib.ExitStack) -> None:
+        options, ring, warn = self._options, self._loop.sound, self._options.on_warning or _ignore
+        assert ring is not None
+        self._loop.sound_output = output = SoundOutput(ring)
+        stack.callback(self._finish_sound, output)
+        if options.sound_file is not None:
+            output.file = WavFile(Path(options.sound_file), len(scene.sound), round(scene.step_rate), warn)
+        if options.sound:
+            try:
+                output.playback = Playback(
+                    ring,
+                    scene.step_rate,
+                    burst=scene.substeps,
+                    device=options.sound_device,
+                    latency_s=options.latency_s,
+                    volume_db=options.volume_db,
+                    on_warning=warn,
+                )
+                output.playback.start()
+            except UsageError as error:
+                if not options.resumes:
+                    raise
+                warn(f"{error}. The scene goes on without sound")
+
     # Running
 
     def begin(self) -> None:
@@ -273,10 +302,17 @@ class Session:
             ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
                 self._recorder.collect()
+                self._collect_sound()
                 ending = self._body(self._loop.record)
             self._ending = ending
         finally:
+            if self._loop.sound_output is not None:
+                self._loop.sound_output.fade()
             self._over.set()
+
+    def _collect_sound(self) -> None:
+        if self._loop.sound_output is not None:
+            self._loop.sound_output.collect()
 
     def _collect_and_finish(self) -> None:
         """Empties the ring while the loop runs, then finishes: in this thread, where no Ctrl-C interrupts it."""
@@ -285,6 +321,7 @@ class Session:
                 while not self._over.wait(_COLLECT_S):
                     if not self._loop.record.ring.waits or self._recorder.file is not None:
                         self._recorder.collect()
+                    self._collect_sound()
             finally:
                 self._failure = self._finish()
         except BaseException as error:  # `_leave` returns it to the thread that waits
@@ -317,7 +354,9 @@ class Session:
         failure = outcome.failure_of(self.name, self.scene, self._loop, self.trace, ending)
         if failure is not None:
             failure = self._with_report(failure)
-        return outcome.record_failure(failure, self.name, self._recorder.file, self.trace)
+        sound = self._loop.sound_output
+        failure = outcome.file_failure(failure, self.name, None if sound is None else sound.file, self.trace)
+        return outcome.file_failure(failure, self.name, self._recorder.file, self.trace)
 
     def _end_and_disarm(self) -> int:
         """Ends the loop, disarms the device and makes the trace; returns how the loop ended."""
@@ -344,6 +383,11 @@ class Session:
         assert file is not None
         trace = self._trace or outcome.trace_of(self.scene, self._loop, self._recorder, endings.STOPPED)
         self._trace = replace(trace, report=file.finish(trace.report, trace.statistics))
+
+    def _finish_sound(self, output: SoundOutput) -> None:
+        output.close()
+        if self._trace is not None:
+            self._trace = replace(self._trace, report=replace(self._trace.report, **output.counts()))
 
     def _with_report(self, failure: RunError) -> RunError:
         """Writes the report file of a failed run. Returns the failure with its path, or with why there is none."""

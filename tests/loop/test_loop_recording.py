@@ -16,7 +16,7 @@ from loop_rig import scene_of
 import hapsim
 from hapsim.errors import RecordError, UsageError
 from hapsim.loop.ring import ROWS
-from hapsim.recording import recorder, stream
+from hapsim.recording import background_file, recorder, stream
 from hapsim.recording.trace import Trace, load_trace
 from hapsim.running import run
 
@@ -206,8 +206,8 @@ def test_a_disk_slower_than_the_run_costs_rows_and_no_time(monkeypatch: pytest.M
         write(self, rows)
 
     monkeypatch.setattr(stream.StreamWriter, "write_rows", write_later)
-    monkeypatch.setattr(recorder, "_MOST_BYTES", 1_500_000)
-    monkeypatch.setattr(recorder, "_PATIENCE_S", 0.01)
+    monkeypatch.setattr(background_file, "_MOST_BYTES", 1_500_000)
+    monkeypatch.setattr(background_file, "_PATIENCE_S", 0.01)
     monkeypatch.setattr(recorder.RecordFile, "finish", _then(goes_on.set, recorder.RecordFile.finish))
     told: list[str] = []
     with pytest.raises(RecordError, match="the disk is slower than the run") as caught:

@@ -20,6 +20,7 @@ ORDER = (
     ("hapsim.loop",),
     ("hapsim.device",),
     ("hapsim.recording",),
+    ("hapsim.sound",),
     ("hapsim.running", "hapsim.bringup"),
     ("hapsim.measuring", "hapsim.doctor"),
     ("hapsim.speed_accuracy",),

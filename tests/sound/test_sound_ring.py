@@ -7,7 +7,7 @@ import pytest
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
-from hapsim.loop.sound import SOUND_RING, SoundRing, is_full, publish, push
+from hapsim.loop.sound import SOUND_RING, SoundRing, publish, push
 
 CHANNELS, CAPACITY = 2, 8
 
@@ -59,13 +59,3 @@ def test_a_late_reader_goes_on_with_the_newest_frames_and_counts_the_others(ring
     # The oldest place is the one that the loop writes next.
     assert ring.drain()[:, 0].tolist() == list(range(13, 20))
     assert ring.lost == 13
-
-
-def test_in_virtual_time_the_loop_waits_for_half_a_ring(ring: SoundRing) -> None:
-    push_numbers(ring, 0, 5)
-    publish_frames(ring.record, 0)
-    assert not is_full(ring.record)
-    ring.record.waits = 1
-    assert is_full(ring.record)
-    ring.drain()
-    assert not is_full(ring.record)
