@@ -147,7 +147,7 @@ UNITS: dict[str, CompileUnit] = {
     "motion": CompileUnit(12, ("device.mock.motion:move_with_spring_or_friction",), in_second_process=True),
     "wire": CompileUnit(14, _TIMED_WIRE, in_second_process=True, calls_system=True),
     "sound": CompileUnit(2, ("loop.sound:hear",)),
-    "playback": CompileUnit(9, ("sound.resample:play",), calls_system=True),
+    "playback": CompileUnit(17, ("sound.resample:play",), calls_system=True),
     "changes": CompileUnit(8, ("cordis.parameters:move", "loop.crossfade:cross_fade"), _posts),
     "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),
     "modules": CompileUnit(150, modules="double"),

@@ -151,7 +151,6 @@ class Playback:
             where = f"{frequency(card.rate_hz)} and {outputs} channels"
             raise UsageError(f"sound: {card.name} cannot be opened with {where}: {error}") from error
         self.record.output_s = self._stream.latency
-        self._nominal_ratio = step_rate_hz / card.rate_hz
         self._seen, self._seen_at = -1, time.monotonic()
 
     def start(self) -> None:
@@ -164,7 +163,7 @@ class Playback:
     @property
     def ratio_ppm(self) -> float:
         """How much faster the device's clock is than the card's, by what they declare."""
-        return 1e6 * (float(self.record.slope) / self._nominal_ratio - 1.0)
+        return 1e6 * float(self.record.slope / self.record.nominal - 1.0)
 
     def look(self) -> None:
         """Warns, once, if the card takes no frames any more. The scene goes on without it."""

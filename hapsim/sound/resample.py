@@ -37,7 +37,7 @@ _STEERING = 0.25  # of the memory: the time constant of the steering
 _MOST_STEERING = 1e-3  # of the ratio: less than two cents
 _OUTLIER_S, _PATIENCE_S = 2e-3, 0.25  # a measured place is off by no more, or for no longer
 _FADE_S, _DECAY_S = 0.01, 0.003
-_MOST_OFF = 0.05  # of the ratio from the nominal one
+_MOST_OFF = 0.05  # of the slope from the nominal one: there is room for no more
 _STALE_PERIODS = 4.0
 _MARGIN_S = 1e-3  # that wake-ups of the loop and of the card are late by, all the same
 _UNDERFLOW = 4  # PortAudio's flag
@@ -68,6 +68,7 @@ PLAYER = np.dtype(
         ("memory", np.float64),  # frames of the card
         ("line", np.float64),  # frames that the device has moved the scene by, now
         ("slope", np.float64),
+        ("nominal", np.float64),  # slope
         ("outliers", np.int64),  # frames of the card since the line began to be off
         # The sound
         ("playing", np.int64),
@@ -108,7 +109,7 @@ class Player:
         of a position to the loudspeaker, or what is needed if that is more."""
         ratio, channels = hz[0] / hz[1], int(ring.record.channels)
         half, table = half_length(ratio), filter_table(ratio)
-        room = math.ceil((CHUNK + 1) * ratio * (1.0 + _MOST_OFF)) + 2 * half
+        room = math.ceil((CHUNK + 1) * ratio * (1.0 + _MOST_OFF) * (1.0 + _MOST_STEERING)) + 2 * half + 2
         self._memory = table, np.ones(2 * half, np.float32), np.ones((channels, room), np.float32), ring
         self.record = record = new_record(PLAYER)
         """PLAYER."""
@@ -117,7 +118,7 @@ class Player:
         record.channels, record.outputs, record.rate_hz, record.burst = channels, outputs, hz[1], burst
         record.stale_ns = round(1e9 * (_STALE_PERIODS * burst / hz[0] + _OUTLIER_S))
         record.half, record.phases, record.room = half, len(table) - 1, room
-        record.slope = record.ratio = ratio
+        record.slope = record.nominal = record.ratio = ratio
         record.latency_s, record.volume = latency_s, volume
 
 
@@ -199,7 +200,8 @@ def _follow_line(player, ring, frames):
     off = min(max(off, -most), most)
     n = max(player.memory / frames, 3.0)
     player.line += off * (4.0 * n - 2.0) / (n * (n + 1.0))
-    player.slope += off * 6.0 / (n * (n + 1.0) * frames)
+    slope = player.slope + off * 6.0 / (n * (n + 1.0) * frames)
+    player.slope = min(max(slope, (1.0 - _MOST_OFF) * player.nominal), (1.0 + _MOST_OFF) * player.nominal)
     player.memory = min(player.memory + frames, _MEMORY_S * player.rate_hz)
 
 
@@ -250,7 +252,7 @@ def _interrupt(player):
 @helper
 def _has_frames(player, ring, frames):
     """Whether the ring has what these frames of the card need; counts what was overwritten."""
-    last = player.place + np.int64(player.part + player.ratio * (frames - 1)) + player.half
+    last = player.place + np.int64(player.part + player.ratio * (frames - 1)) + player.half + 1  # for rounding
     lost = ring.pushed + 1 - ring.capacity - (player.place - player.half + 1)
     if lost > 0:
         player.lost += lost
@@ -295,7 +297,7 @@ def _gather(player, ring, work, frames):
     channels, mask = np.uint64(player.channels), np.uint64(ring.capacity - 1)
     source = _floats_at(ring.frames, ring.capacity * ring.channels)
     first = np.uint64(player.place - player.half + 1)
-    count = np.uint64(np.int64(player.part + player.ratio * (frames - 1)) + 2 * player.half)
+    count = np.uint64(np.int64(player.part + player.ratio * (frames - 1)) + 2 * player.half + 1)
     for i in range(count):
         at = ((first + i) & mask) * channels
         for c in range(channels):

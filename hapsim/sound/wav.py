@@ -64,7 +64,7 @@ class WavFile(BackgroundFile):
             try:
                 lock(self._descriptor, path, "sound")
                 os.ftruncate(self._descriptor, 0)
-                self._write_header()
+                self._count(0)
             except BaseException:
                 os.close(self._descriptor)
                 raise
@@ -94,15 +94,15 @@ class WavFile(BackgroundFile):
             if done and (self._frames * frame + done) % 2:
                 os.write(self._descriptor, b"\0")
         finally:
-            self._frames += done // frame
-            self._write_header()
+            self._count(self._frames + done // frame)
         if room < len(rows):
             raise OSError(errno.EFBIG, "a WAV file holds 4 GiB")
 
     def _summarize(self) -> None:
         os.fsync(self._descriptor)
 
-    def _write_header(self) -> None:
-        """Counts the frames that are there."""
+    def _count(self, frames: int) -> None:
+        """Writes a header for the frames that are there."""
         os.lseek(self._descriptor, 0, os.SEEK_SET)
-        os.write(self._descriptor, header(self._channels, self._rate_hz, self._frames))
+        os.write(self._descriptor, header(self._channels, self._rate_hz, frames))
+        self._frames = frames

@@ -98,3 +98,13 @@ def test_one_channel_plays_everywhere_and_several_each_in_its_place(channels: in
     last = card.run(0.5)[-1]
     expected = [levels[0]] * outputs if channels == 1 else [*levels, *[0.0] * outputs][:outputs]
     assert last == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_clock_far_from_what_it_declares_harms_nothing() -> None:
+    """A card that loses a fifth of its time: gaps, but nothing beyond the memory of a chunk is read."""
+    card = SimulatedCard(sine(200.0), card_hz=44100, card_ppm=-2e5)
+    played = card.run(5.0)
+    assert card.record.slope <= 1.05 * card.record.nominal
+    assert card.record.room >= 64 * 1.051 * card.record.nominal + 2 * card.record.half + 1
+    assert np.abs(played).max() < 0.55
+    assert card.record.underruns > 0
