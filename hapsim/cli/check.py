@@ -28,7 +28,7 @@ from hapsim.prediction import (
     warnings_about,
 )
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
-from hapsim.prediction.linear import with_device
+from hapsim.prediction.linear import late_by_mean, with_device
 from hapsim.units import InUnits
 
 if TYPE_CHECKING:
@@ -137,7 +137,10 @@ def _predicted_for(scene: Scene) -> str:
     samples = "sample" if device.delay == 1.0 else "samples"
     late = f"delay {device.delay:g} {samples} ({duration(device.delay * scene.period)})" if device.delay else "no delay"
     averaged = ", averaged positions" if device.sampling == "average" else ""
-    return InUnits(f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}")
+    steps = f", {scene.substeps} substeps a sample" if scene.substeps > 1 else ""
+    if lag := late_by_mean(scene):
+        steps += f" (springs act on the mean position, {lag:.4g} of a sample late)"
+    return InUnits(f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}{steps}")
 
 
 def _one_hand(span: tuple[float, float], friction: float, stiffness: float) -> str:

@@ -141,7 +141,7 @@ def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
             return f"is tied to another hand ({other}, by {link})"
     kinds = dampers_of(linear, name)
     other_than_backward = [f"{link}: {kind}" for (kind, _), link in kinds.items() if kind != "backward"]
-    if other_than_backward and _late_by_mean(scene):
+    if other_than_backward and late_by_mean(scene):
         return f"gets the mean force of its substeps, with a damper that is not backward ({other_than_backward[0]})"
     if len(kinds) < 2:
         return ""
@@ -166,11 +166,11 @@ def configuration_of(
         stiffness=device.stiffnesses(scene.channels)[channel],
         damper=damper,
         cutoff=cutoff,
-        spring_lag=_late_by_mean(scene) if damper == "backward" else 0.0,
+        spring_lag=late_by_mean(scene) if damper == "backward" else 0.0,
     )
 
 
-def _late_by_mean(scene: Scene) -> float:
+def late_by_mean(scene: Scene) -> float:
     """Sample periods by which the mean of the substeps' forces is behind the last one, of an even motion."""
     return 0.5 - 0.5 / scene.substeps if scene.device.decimation == "mean" else 0.0
 

@@ -116,7 +116,9 @@ def _nearest(matrix: Transition, search: PoleSearch) -> tuple[Complexes, NDArray
     solve = matrix.inverse(shift)
     if solve is None:
         return np.zeros(0, complex), np.zeros((size, 0))
-    values, motions = _largest(linalg.LinearOperator((size, size), solve, dtype=type(shift)), search.most, 40)
+    inverse = linalg.LinearOperator((size, size), solve, dtype=type(shift))
+    # Of a crowd of aliases nothing converges soon; what stands apart does.
+    values, motions = _largest(inverse, search.most, 4 if isinstance(matrix, LiftedTransition) else 40)
     return _trusted(matrix, shift + 1.0 / values, motions)
 
 
@@ -144,7 +146,8 @@ def _lowest(matrix: LiftedTransition) -> tuple[Complexes, NDArray]:
     """The poles of the motions that are lowest in pitch, wherever in the plane a whole sample period puts them: those
     of a step with the hands held still, followed by inverse iterations to where the hands move, and their motions."""
     poles, held = _nearest(matrix.held, PoleSearch(1.0 + BESIDE, LOWEST, ""))
-    followed = [_followed(matrix, pole, motion) for pole, motion in zip(poles**matrix.steps, held.T, strict=True)]
+    once = np.unique(np.round(poles, 9), return_index=True)[1]  # of a pair both were found
+    followed = [_followed(matrix, complex(poles[i]) ** matrix.steps, held[:, i]) for i in once]
     motions = np.array([motion for _, motion in followed]).reshape(-1, matrix.size).T
     poles = np.array([pole for pole, _ in followed], complex)
     return _trusted(matrix, np.where(np.abs(poles.imag) < REAL, poles.real, poles), motions)
