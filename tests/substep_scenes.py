@@ -29,8 +29,10 @@ def random_scene(seed: int) -> Scene:
 
 
 def with_factor(scene: Scene, link: str, factor: float) -> Scene:
-    """The scene with this link's stiffness multiplied."""
+    """The scene with this link's stiffness multiplied, in slower motion, so that its force is not limited."""
     document = json.loads(scene.model_dump_json(exclude_none=True))
+    initial = document["mock"]["initial"]
+    initial["velocity"] = [one / factor for one in initial["velocity"]]
     document["modules"][link]["stiffness"] *= factor
     return parse_scene(json.dumps(document))
 
