@@ -86,6 +86,9 @@ SNAP_ENERGY: Look = {"fontsize": 8, "rotation": 90, "ha": "center", "va": "top",
 UNSTABLE_REGION: Look = {"facecolor": "none", "edgecolor": "0.5", "linewidth": 0, "hatch": "xxxx", "zorder": 0.6}
 HYSTERESIS: Look = {"facecolor": "#d9e6f0", "edgecolor": "#7fa8c9", "linewidth": 0.6, "zorder": 1}
 
+# How loud, over time and frequency.
+SOUND_LEVEL = "cubehelix_r"  # silence is as white as the page
+
 # Over time, and a device's residuals.
 ZERO_LINE: Look = {"color": "black", "linewidth": 0.5}
 MARK: Look = {"markersize": 5, "linestyle": "", "color": "black", "fillstyle": "none"}

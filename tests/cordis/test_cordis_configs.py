@@ -84,17 +84,6 @@ def test_the_wall_throws_the_hand_back_once_and_never_holds_it() -> None:
     assert np.max(way) > 1.01 * -way[np.flatnonzero(careless.force)[0] - 1]
 
 
-def test_the_plectrum_takes_the_string_along_up_to_its_release_and_lets_it_ring() -> None:
-    scene, comment = shipped("plucked_string")
-    played = play(scene, 1.0, "string.12")
-    assert np.abs(played.force).max() == pytest.approx(0.8, abs=0.02)
-    assert "up to 0.8 N" in comment
-    assert np.all(played.force[len(played.force) // 4 :] == 0.0)
-    ringing = pitch(played.points["string.12"][len(played.force) // 4 :], scene.rate)
-    assert ringing == pytest.approx(80.0, abs=0.1)
-    assert "rings at 80.0 Hz" in comment
-
-
 def test_the_rubbed_string_sticks_and_breaks_away_again_and_again() -> None:
     scene, comment = shipped("rubbed_string")
     played = play(scene, 1.0)
