@@ -58,6 +58,7 @@ def service(
     port: Port = None,
     user: Annotated[bool, flag("--user", "For your own service manager, which grants less.")] = False,
     watch: Watch = False,
+    sound: Annotated[bool, flag("--sound", "Play the scene's sound, on a card of ALSA.")] = False,
     json: Json = False,
 ) -> None:
     """Print a systemd unit that runs SCENE, waits for its device and reports its status to the service manager."""
@@ -66,7 +67,7 @@ def service(
     on = loaded.device.port
     if on is None:
         raise UsageError(f"{scene}: a service drives a device: found no port, expected --port, or one in the scene")
-    text, name = unit_for(scene, on, of_user=user, watch=watch), unit_name(on)
+    text, name = unit_for(scene, on, of_user=user, watch=watch, sound=sound), unit_name(on)
     if refusal := why_not_armed(scene, loaded, predict(loaded, with_margins=False)):
         warn(f"`hapsim run` will refuse this scene, and the service ends with status 2. {refusal}", "service")
     if not user and (closed := closed_to_service(scene)):

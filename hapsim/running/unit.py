@@ -17,7 +17,7 @@ from hapsim.errors import UsageError
 
 _TEMPLATE = Path(__file__).with_name("hapsim.service")
 _OF_SYSTEM = re.compile(r"# Only the system's service manager.*?\n\n", re.DOTALL)
-_SERIAL_GROUP = "dialout"  # of serial ports, where a system has it
+_SERIAL_GROUP, _SOUND_GROUP = "dialout", "audio"  # of serial ports and sound cards, where a system has them
 _SERIAL_DRIVERS = ("ttyACM", "ttyUSB")
 _TEMPORARY = ("/tmp/", "/var/tmp/")
 
@@ -27,15 +27,16 @@ def unit_name(port: str) -> str:
     return f"hapsim-{_plain(port)}.service"
 
 
-def unit_for(scene: str, port: str, *, of_user: bool = False, watch: bool = False) -> str:
+def unit_for(scene: str, port: str, *, of_user: bool = False, watch: bool = False, sound: bool = False) -> str:
     """Returns the text of a unit that runs this scene file on `port`, with this interpreter. `of_user`: for a user's
-    own service manager, which grants less. Raises UsageError for a path that no unit can hold."""
+    own service manager, which grants less; `sound`: with its sound. Raises UsageError for a path that no unit can
+    hold."""
     import grp
 
     file = os.path.abspath(scene)
     words = [sys.executable, "-m", "hapsim", "run", file, "--port", port, "--reconnect", "--realtime"]
-    words += ["--log", "json", "--status", "auto", *(["--watch"] if watch else [])]
-    has_group = any(group.gr_name == _SERIAL_GROUP for group in grp.getgrall())
+    words += ["--log", "json", "--status", "auto", *["--watch"] * watch, *["--sound"] * sound]
+    groups = {group.gr_name for group in grp.getgrall()} & {_SERIAL_GROUP, *[_SOUND_GROUP] * sound}
     is_temporary = any(path.startswith(_TEMPORARY) for path in (file, sys.executable, port))
     path = os.environ.get("PYTHONPATH")
     template = _TEMPLATE.read_text(encoding="utf-8")
@@ -43,10 +44,10 @@ def unit_for(scene: str, port: str, *, of_user: bool = False, watch: bool = Fals
         description=_escaped(f"hapsim: {Path(file).name} on {port}"),
         account="" if of_user else _account_settings(),
         command=" ".join(map(_quoted, words)),
-        groups=f"SupplementaryGroups={_SERIAL_GROUP}\n" if has_group else "",
+        groups=f"SupplementaryGroups={' '.join(sorted(groups, reverse=True))}\n" if groups else "",
         name=_plain(port),
         private_tmp="no" if is_temporary else "yes",
-        devices="\n".join(f"DeviceAllow=char-{driver} rw" for driver in _drivers(port)),
+        devices="\n".join(f"DeviceAllow=char-{driver} rw" for driver in (*_drivers(port), *["alsa"] * sound)),
         environment=f"Environment={_quoted(f'PYTHONPATH={path}', command=False)}\n" if path else "",
         target="default.target" if of_user else "multi-user.target",
     )

@@ -224,3 +224,12 @@ def test_the_service_has_the_user_s_account(scene: Path, tmp_path: Path, monkeyp
 
 def _as_nobodys(found: os.stat_result, mode: int | None) -> os.stat_result:
     return found if mode is None else os.stat_result([mode, *found[1:4], 65534, 65534, *found[6:]])
+
+
+def test_with_sound_the_unit_may_open_a_sound_card() -> None:
+    silent, sounding = (settings(unit_for("/a.yaml", "/dev/ttyACM0", sound=sound)) for sound in (False, True))
+    assert "char-alsa rw" in sounding["DeviceAllow"]
+    assert "char-alsa rw" not in silent["DeviceAllow"]
+    assert sounding["ExecStart"][0].endswith(" --sound")
+    assert "audio" in sounding["SupplementaryGroups"][0]
+    assert "audio" not in str(silent)
