@@ -374,6 +374,22 @@ def test_a_large_string_with_substeps_has_the_poles_of_its_whole_transition(monk
         solve(one)
 
 
+def test_where_it_takes_too_long_the_pitch_is_predicted_and_the_rest_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    gut = {"type": "string", "masses": 40, "mass": 1e-5, "stiffness": 1000, "damping": 1e-5}
+    pull = {"type": "viscoelastic", "between": ["hand", "gut.8"], "stiffness": 20, "damping": 0.01}
+    plucked = scene(MODULES | {"gut": gut, "pull": pull}, 48, "last")
+    exact = predict(plucked, with_margins=False)
+    monkeypatch.setattr(state, "LARGE", 50)
+    monkeypatch.setattr(large_modes, "MOST_STEPS", 3000)
+    monkeypatch.setattr(transitions, "MOST_INVERSE", 1000)
+    taken = predict(plucked, with_margins=False)
+    assert exact.by_its_scheme
+    assert not taken.by_its_scheme
+    assert "48 substeps of as many masses take too long" in taken.assumptions[-1]
+    pitches = [min(mode.frequency_hz for mode in one.modes if mode.frequency_hz > 50.0) for one in (exact, taken)]
+    assert pitches[1] == pytest.approx(pitches[0], rel=1e-3)
+
+
 MODULES: dict[str, Any] = {
     "hand": {"type": "device", "channel": 0},
     "wall": {"type": "ground"},

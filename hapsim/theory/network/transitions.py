@@ -138,7 +138,9 @@ class LiftedTransition:
             found: NDArray = sum(parts) / (shift * self.steps)
             return found if np.iscomplexobj(wanted) or np.imag(shift) else found.real
 
-        by_others = self._after_steps(np.eye(self.size)[:, others])
+        units = np.zeros((self.size, others.size))
+        units[others, np.arange(others.size)] = 1.0
+        by_others = self._after_steps(units)
         pushed = of_scene(by_others[scene])
         own, by_force = np.split(self._device[others].toarray(), [self.size], axis=1)
         asks = by_others[asked] - self._after_steps(self.placed(pushed))[asked]
@@ -180,9 +182,8 @@ def transition(network: Network) -> Any:
         return _dense_of(network, parts)
     lift = lift_of(network)
     size, scene = lift.layout.size, lift.scene
-    moved = np.linalg.matrix_power(_dense_step(network, lift), network.substeps) @ dense(
-        lift.embedded(), (lift.size, size)
-    )
+    steps = np.linalg.matrix_power(_dense_step(network, lift), network.substeps)
+    moved = steps @ dense(lift.embedded(), (lift.size, size))
     own, by_force = np.split(dense(lift.of_device(), (size, size + lift.asked.size)), [size], axis=1)
     matrix = own + by_force @ moved[lift.asked]
     matrix[scene] = moved[scene]
