@@ -47,17 +47,12 @@ def output_devices() -> list[OutputDevice]:
     """Returns what PortAudio can play on now. UsageError where sounddevice or PortAudio is missing."""
     portaudio = _portaudio()
     chosen = portaudio.default.device[1]
+    keys = ("max_output_channels", "default_samplerate", "default_low_output_latency")
+    found = enumerate(portaudio.query_devices())
+    systems = [one["name"] for one in portaudio.query_hostapis()]
     return [
-        OutputDevice(
-            number,
-            one["name"],
-            portaudio.query_hostapis(one["hostapi"])["name"],
-            one["max_output_channels"],
-            one["default_samplerate"],
-            one["default_low_output_latency"],
-            number == chosen,
-        )
-        for number, one in enumerate(portaudio.query_devices())
+        OutputDevice._make([number, one["name"], systems[one["hostapi"]], *map(one.get, keys), number == chosen])
+        for number, one in found
         if one["max_output_channels"] > 0
     ]
 

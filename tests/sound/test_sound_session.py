@@ -122,7 +122,7 @@ class Card:
         module._ffi = types.SimpleNamespace(cast=lambda _kind, value: value)
         module._exit_handler = module._initialize = module._terminate = lambda: None
         module.query_devices = lambda: [device | {"name": name} for name in names]
-        module.query_hostapis = lambda _number: {"name": "ALSA"}
+        module.query_hostapis = lambda: ({"name": "ALSA"},)
         module.default = types.SimpleNamespace(device=(-1, 0))
         self.module = module
 

@@ -20,8 +20,9 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import hapsim
 
@@ -81,21 +82,49 @@ def busy_thread() -> Iterator[None]:
     over.set()
 
 
+def told(report: Mapping[str, Any]) -> dict[str, object]:
+    """What is printed of a report."""
+    p50, p99 = report["sound_latency_s"] or (0.0, 0.0)
+    return {
+        "underruns": report["underruns"],
+        "lost frames": report["lost_sound_frames"],
+        "ppm": round(report["resampling_ppm"] or 0.0, 2),
+        "latency p50, p99 ms": (round(1e3 * p50, 2), round(1e3 * p99, 2)),
+        "deadline misses": f"{report['deadline_misses']} of {report['ticks']}",
+        "seconds": round(report["duration_s"], 1),
+    }
+
+
 def of_hapsim(seconds: float, realtime: bool) -> dict[str, object]:
     """The report of a run, with its mock in this process."""
     options = {"duration": seconds, "transport": "terminal", "sound": True, "realtime": realtime, "keep": False}
     with hapsim.start(hapsim.parse_scene(_SCENE, "sound"), **options) as session:
         session.wait()
-    report = session.trace.report
-    p50, p99 = report.sound_latency_s or (0.0, 0.0)
-    return {
-        "underruns": report.underruns,
-        "lost frames": report.lost_sound_frames,
-        "ppm": round(report.resampling_ppm or 0.0, 2),
-        "latency p50, p99 ms": (round(1e3 * p50, 2), round(1e3 * p99, 2)),
-        "deadline misses": f"{report.deadline_misses} of {report.ticks}",
-        "seconds": round(report.duration_s, 1),
-    }
+    return told(vars(session.trace.report))
+
+
+def of_long_run(seconds: float, directory: Path, realtime: bool) -> dict[str, object]:
+    """The report of `hapsim run --reconnect` on a mock in a process of its own."""
+    port, scene, scheduling = directory / "port", directory / "scene.yaml", ["--realtime"] * realtime
+    scene.write_text(_SCENE)
+    with running("hapsim", "mock", str(scene), "--link", str(port), *scheduling):
+        while not port.exists():
+            time.sleep(0.1)
+        run = [
+            "hapsim",
+            "run",
+            scene,
+            "--port",
+            port,
+            "--duration",
+            str(seconds),
+            "--reconnect",
+            "--reports",
+            directory,
+        ]
+        answer = subprocess.run([*run, "--sound", "--json", *scheduling], stdout=subprocess.PIPE, check=True)
+    report = json.loads(answer.stdout)
+    return told(report) | {"reconnections": report["reconnections"]}
 
 
 def of_c(client: Path, seconds: float) -> dict[str, object]:
@@ -121,7 +150,7 @@ def main() -> None:
             print(f"{what:<40}{found}, load {os.getloadavg()[0]:.1f}", flush=True)
 
         if arguments.minutes:
-            say(f"{arguments.minutes:g} minutes", of_hapsim(60.0 * arguments.minutes, realtime))
+            say(f"{arguments.minutes:g} minutes", of_long_run(60.0 * arguments.minutes, directory, realtime))
             return
         client = directory / "client"
         subprocess.run(["cc", "-O2", _HERE / "sound_client.c", "-lportaudio", "-lm", "-o", client], check=True)
