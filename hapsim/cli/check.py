@@ -22,6 +22,7 @@ from hapsim.prediction import (
     Felt,
     Prediction,
     host_silence,
+    partials_of,
     predict,
     predict_on_wire,
     robustness_of,
@@ -53,6 +54,7 @@ def check(
     with at_work(stderr(), "working out modes and gain margins"):
         prediction = predict(loaded, at=position(at, loaded))
         on_wire = predict_on_wire(loaded)
+        partials = partials_of(loaded) if loaded.sound else {}
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
     of_slew = _slew_warnings(loaded, prediction)
@@ -60,6 +62,7 @@ def check(
     if json:
         compiled = {} if explanation is None else {"compiled": explanation.as_document()}
         compiled |= {"sound_peaks": peaks} if peaks else {}
+        compiled |= {"partials_hz": partials} if partials else {}
         bounds = {"force_bounds": run_bounds(loaded)._asdict(), "travel": travel_document(loaded)}
         predicted = prediction_document(prediction, on_wire=on_wire)
         about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
@@ -71,6 +74,9 @@ def check(
     (details.show_details if explain else _show_summary)(out, loaded, prediction, on_wire)
     if explanation is not None:
         details.show_explanation(out, explanation)
+    for sentence in details.partials_sentences(partials):
+        out.print(sentence)
+    if explanation is not None:
         for sentence in details.sound_sentences(loaded, peaks):
             out.print(sentence)
     for warning in warnings:

@@ -382,7 +382,17 @@ def travel_sentences(scene: Scene) -> Iterator[str]:
 
 
 RENDERED_S = 2.0
+_PARTIALS = 6
 _PEAK = 10.0 ** (-6.0 / 20.0)
+
+
+def partials_sentences(partials: dict[str, tuple[float, ...]]) -> Iterator[str]:
+    """Yields at which pitches each pick-up rings."""
+    for name, pitches in partials.items():
+        some = ", ".join(f"{one:.1f}" for one in pitches[:_PARTIALS])
+        more = f" and {len(pitches) - _PARTIALS} more" if len(pitches) > _PARTIALS else ""
+        rings = f"rings at {some} Hz{more}, once contacts, plectra and friction let go" if pitches else "does not ring"
+        yield f"Sound: {name} {rings}."
 
 
 def sound_sentences(scene: Scene, peaks: dict[str, float]) -> Iterator[str]:

@@ -7,6 +7,7 @@ from firmware_protocol.wire_time import WireTime
 from hapsim.prediction.felt import correction_for, felt_at_rate, robustness_of
 from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.partials import partials_of
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import (
     Shaking,
@@ -37,6 +38,7 @@ __all__ = [
     "felt_at_rate",
     "host_silence",
     "is_surely_unstable",
+    "partials_of",
     "predict",
     "predict_impedance",
     "predict_on_wire",
