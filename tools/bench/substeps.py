@@ -4,7 +4,7 @@
 
 A hand on a link, on a mass or on a string, or two hands on a mass; 1 to 64 substeps, either decimation, every scheme,
 hold and sampling, delays of 0, 0.37, 1 and 2 samples, dampers that are backward, filtered or sensed. `measure` has the
-word where one pair of poles is what it hears; strings and two hands are rung, and the poles of the ring-down compared.
+word on links and masses where it is sure; otherwise the poles of a ring-down, in position and force, are compared.
 With 0.999 of the stiffness that a margin allows the slowest motion of a ring-down has to die away, and with 1.001 to
 grow.
 """
