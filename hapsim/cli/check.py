@@ -129,7 +129,8 @@ def _stability(prediction: Prediction, is_slewed: bool) -> str:
         note = " between stable and unstable: something drifts or swings for ever"
     elif prediction.stable and is_slewed:
         verdict, note = "[yellow]stable without its slew limit[/yellow]", ": see the warning"
-    return f"{verdict}{note} (spectral radius {prediction.spectral_radius:.9g})"
+    radius = prediction.spectral_radius
+    return f"{verdict}{note}" + (f" (spectral radius {radius:.9g})" if math.isfinite(radius) else "")
 
 
 def _predicted_for(scene: Scene) -> str:

@@ -218,7 +218,7 @@ def _show(lifetime: Lifetime, grants: Sequence[PrivilegeResult], warnings: list[
     for file in lifetime.records:
         say_written("Trace", file if file.exists() else None)
     for file in lifetime.sound_files:
-        say_written("Sound", file)
+        say_written("Sound", file if file.exists() else None)
 
 
 class _Reporter:

@@ -96,15 +96,15 @@ def hear(ring, heard, other, weight):
         if not math.isfinite(x):
             x = 0.0  # the scene diverges: its force ends the run
         if ring.keeps[c] < 1.0:
-            ring.passed[c] = ring.keeps[c] * (ring.passed[c] + x - ring.last[c])
+            passed = ring.keeps[c] * (ring.passed[c] + x - ring.last[c])
             ring.last[c] = x
-            x = ring.passed[c]
+            x = ring.passed[c] = passed if math.isfinite(passed) else 0.0
         size = abs(x)
         ring.peak[c] = max(ring.peak[c], size)
         if size > KNEE:
             ring.clipped += 1
             beyond = (size - KNEE) / (1.0 - KNEE)
-            x = math.copysign(KNEE + (1.0 - KNEE) * beyond / (1.0 + beyond), x)
+            x = math.copysign(1.0 - (1.0 - KNEE) / (1.0 + beyond), x)  # 1 even where `beyond` is infinite
         ring.frame[c] = x
     push(ring, ring.frame)
 

@@ -86,11 +86,9 @@ class BackgroundFile:
         if not self._failure:
             return ""
         missing = f"{self.unwritten} {self._unit}s are" if self.unwritten else f"no {self._unit} is"
-        place = self._part if self._part.exists() else self._path
-        return (
-            f"the {self._what} is not what was asked for ({self._failure}): {missing} missing, what was written is in "
-            f"{place}"
-        )
+        place = next((one for one in (self._part, self._path) if one.exists()), None)
+        kept = f"{missing} missing, what was written is in {place}" if place else f"{self._path} does not exist"
+        return f"the {self._what} is not what was asked for ({self._failure}): {kept}"
 
     @property
     def unwritten(self) -> int:

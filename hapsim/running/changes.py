@@ -24,7 +24,7 @@ from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.running.assemble import LoopMemory
-from hapsim.running.requirements import require_not_less_stable
+from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
@@ -116,6 +116,7 @@ class LiveScene:
         """Compiles the program of `scene` and crossfades to it. Only the last lines hold the lock."""
         rendering = rendered(scene)
         after = rendering.scene
+        require_in_time(after)
         program, is_shaken = compile_scene(after), self._is_shaken_by(scene)
         while self._loop.is_replacing:
             if self._is_over():
@@ -235,7 +236,9 @@ def _changed(scene: Scene, changes: Changes) -> Scene:
     fixed = fixed_modules(scene)
     for name, values in changes.items():
         if name not in parts:
-            raise UsageError(f"found '{name}', expected the name of a module{did_you_mean(str(name), parts)}")
+            raise UsageError(
+                f"found '{name}', expected the name of a module or a pick-up{did_you_mean(str(name), parts)}"
+            )
         if name in fixed and parts[name].live:
             raise UsageError(
                 f"{name}: nothing of it can change while the scene runs, because it is in the matrix that scheme: "

@@ -81,7 +81,7 @@ def _require_sound(scene: Scene, options: RunOptions) -> None:
     if not options.volume_db <= _MOST_VOLUME_DB:
         raise UsageError(f"volume: found {options.volume_db:g} dB, expected at most {_MOST_VOLUME_DB:g} dB")
     if options.sound_file is not None:
-        require_writable_as_wav(Path(options.sound_file))
+        require_writable_as_wav(Path(options.sound_file), len(scene.sound), scene.step_rate)
     if options.sound and not options.resumes:
         choose_device(options.sound_device)
 

@@ -99,6 +99,8 @@ def _differences(before: Scene, after: Scene) -> Iterator[str]:
             yield f"{name}: {old.type} → {new.type}"
         else:
             yield from _different_keys(f"{name}.", old, new, type(old).model_fields, old.initial)
+    for name, heard in before.sound.items():  # whose names are the same: others are refused
+        yield from _different_keys(f"sound.{name}.", heard, after.sound[name], type(heard).model_fields)
 
 
 def _different_keys(

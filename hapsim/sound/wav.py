@@ -21,12 +21,17 @@ from hapsim.recording.background_file import BackgroundFile, in_words, lock, req
 _BYTES = 3  # of a value
 _FULL_SCALE = 1 << (8 * _BYTES - 1)
 _MOST_BYTES = (1 << 32) - 256  # of frames: the header counts in 32 bits
+_BLOCK = 1 << 16  # frames that are written at a time
 _PCM, _EXTENSIBLE = 1, 0xFFFE
 _PCM_GUID = bytes.fromhex("0100000000001000800000aa00389b71")
 
 
-def require_writable_as_wav(path: Path) -> None:
+def require_writable_as_wav(path: Path, channels: int, step_rate_hz: float) -> None:
     """UsageError where no sound could be written there: better before the run than after it."""
+    most_hz = ((1 << 32) - 1) // (channels * _BYTES)  # the header counts bytes a second in 32 bits
+    if not 1 <= round(step_rate_hz) <= most_hz:
+        steps = f"found {step_rate_hz:g} steps a second (rate times substeps)"
+        raise UsageError(f"{path}: {steps}; a WAV file of {channels} channel(s) has 1 to {most_hz} frames a second")
     if path.suffix != ".wav":
         raise UsageError(f"{path}: found the ending '{path.suffix}', expected .wav")
     require_writable(path)
@@ -47,7 +52,7 @@ def header(channels: int, rate_hz: int, frames: int) -> bytes:
 
 def in_24_bits(frames: NDArray[np.float32]) -> bytes:
     """Returns the bytes of frames in which 1.0 is full scale."""
-    counts = np.clip(np.rint(np.float64(frames) * _FULL_SCALE), -_FULL_SCALE, _FULL_SCALE - 1)
+    counts = np.clip(np.rint(frames * np.float32(_FULL_SCALE)), -_FULL_SCALE, _FULL_SCALE - 1)
     return counts.astype("<i4").view(np.uint8).reshape(-1, 4)[:, :_BYTES].tobytes()
 
 
@@ -81,8 +86,14 @@ class WavFile(BackgroundFile):
         """The run is over: writes what waits."""
         self._join()
         os.close(self._descriptor)
+        if not self._failure and not self._path.exists():
+            self._failure = "it was removed while the scene ran"
 
     def _write(self, rows: NDArray[np.float32]) -> None:
+        for first in range(0, len(rows), _BLOCK):  # what a write takes beside the rows does not grow with them
+            self._write_block(rows[first : first + _BLOCK])
+
+    def _write_block(self, rows: NDArray[np.float32]) -> None:
         begin, frame = len(header(self._channels, self._rate_hz, 0)), self._channels * _BYTES
         room = _MOST_BYTES // frame - self._frames
         data = memoryview(in_24_bits(rows[:room]))

@@ -88,7 +88,11 @@ def test_parameters_are_set_by_the_names_of_the_scene() -> None:
 @pytest.mark.parametrize(
     ("changes", "over", "sentence"),
     [
-        ({"tuch0": {"stiffness": 1.0}}, 0.0, "found 'tuch0', expected the name of a module; did you mean 'touch0'"),
+        (
+            {"tuch0": {"stiffness": 1.0}},
+            0.0,
+            "expected the name of a module or a pick-up; did you mean 'touch0'",
+        ),
         ({"touch0": {"stifness": 1.0}}, 0.0, "found 'stifness', but of a viscoelastic stiffness and damping can"),
         ({"touch0": {"damper": "centred"}}, 0.0, "found 'damper', but of a viscoelastic"),
         ({"hand0": {"channel": 1}}, 0.0, "of a device nothing can change"),

@@ -52,6 +52,17 @@ def test_an_untouched_file_is_no_news(path: Path, session: Session) -> None:
     assert file.look(session) is None
 
 
+def test_an_edit_of_the_sound_is_reported(path: Path) -> None:
+    path.write_text(TEXT + "sound: {ear: {from: hand, of: velocity, gain: 1.0}}\n", encoding="utf-8")
+    with hapsim.start(load_scene(path)) as session:
+        file = WatchedFile(str(path))
+        edit(path, "gain: 1.0", "gain: 0.5")
+        news = file.look(session)
+        assert news is not None
+        assert news.changed == ("sound.ear.gain 1 → 0.5",)
+        assert session.scene.sound["ear"].gain == 0.5
+
+
 def test_what_is_edited_is_adopted_and_reported_once(path: Path, session: Session) -> None:
     file = WatchedFile(str(path))
     edit(path, "stiffness: 1000, damping: 2", "stiffness: 500, damping: 3")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 import pytest
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
-from hapsim.loop.sound import SOUND_RING, SoundRing, publish, push
+from hapsim.loop.sound import SOUND_RING, SoundRing, hear, publish, push
 
 CHANNELS, CAPACITY = 2, 8
 
@@ -41,6 +43,18 @@ def test_a_reader_sees_the_frames_of_a_sample_together_with_its_time(ring: Sound
     assert ring.drain().tolist() == [[0, 0], [1, -1], [2, -2]]
     publish_frames(ring.record, 99)
     assert ring.record.time_ns == 77  # no frame is newer
+
+
+def test_a_scene_that_diverges_leaves_numbers(ring: SoundRing) -> None:
+    """A high-pass adds what is finite to more than a number holds."""
+    hear_step = ctypes.CFUNCTYPE(None, *[ctypes.c_uint64] * 3, ctypes.c_double)(hear.address())
+    ring.record.keeps[:CHANNELS] = 0.999
+    for value in (1.7e308, -1.7e308, -1.7e308, np.inf, np.nan, 0.0):
+        heard = np.array([value, 0.0])
+        hear_step(ring.record.address, heard.ctypes.data, 0, 0.0)
+    publish_frames(ring.record, 0)
+    assert np.isfinite(ring.drain()).all()
+    assert np.isfinite(ring.record.peak).all()
 
 
 def test_frames_come_in_order_across_the_end_of_the_ring(ring: SoundRing) -> None:

@@ -21,7 +21,7 @@ import pytest
 from test_sound_wav import read
 
 from hapsim.errors import RecordError, UsageError
-from hapsim.running import run, start
+from hapsim.running import requirements, run, start
 from hapsim.scene import parse_scene
 from hapsim.sound import wav
 
@@ -73,6 +73,7 @@ def test_what_a_full_disk_leaves_is_kept_and_the_run_goes_on(tmp_path: Path, mon
         (scene_of(sound=""), {"sound_file": "a.wav"}, "the scene has no sound: expected pick-ups"),
         (scene_of(), {"sound": True}, "sound is not played in virtual time"),
         (scene_of(), {"sound_file": "a.mp3"}, "a.mp3: found the ending '.mp3', expected .wav"),
+        (scene_of().model_copy(update={"rate": 1e8}), {"sound_file": "a.wav"}, "a WAV file of 1 channel.* has 1 to 14"),
         (scene_of(), {"sound_file": "none/a.wav"}, "there is no directory"),
         (scene_of("device"), {"sound": True, "latency_s": 2.0}, "latency: found 2 s, expected 0 to 500 ms"),
         (scene_of("device"), {"sound": True, "volume_db": 60.0}, "volume: found 60 dB, expected at most 40 dB"),
@@ -81,6 +82,15 @@ def test_what_a_full_disk_leaves_is_kept_and_the_run_goes_on(tmp_path: Path, mon
 def test_what_cannot_be_heard_is_refused(scene: Any, options: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         start(scene, **options)
+
+
+def test_a_larger_scene_whose_steps_do_not_fit_is_not_adopted(monkeypatch: pytest.MonkeyPatch) -> None:
+    with start(scene_of("device")) as session:
+        now = session.scene
+        monkeypatch.setattr(requirements, "tick_seconds", lambda *_: 1e-4)
+        with pytest.raises(UsageError, match=r"substeps: found 48, whose steps take 4\.8 ms here"):
+            session.adopt(scene_of("device", EAR.replace("of: position", "of: velocity")))
+        assert session.scene is now
 
 
 class Card:

@@ -130,6 +130,15 @@ def test_at_4_gib_the_file_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "a WAV file holds 4 GiB" in told[0]
 
 
+def test_a_file_that_was_removed_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "sound.wav"
+    file = WavFile(path, 1, RATE, pytest.fail)
+    file.put(noise(10, 1))
+    path.unlink()
+    file.finish()
+    assert file.problem.endswith(f"(it was removed while the scene ran): {path} does not exist")
+
+
 def test_two_runs_do_not_write_one_file(tmp_path: Path) -> None:
     path = tmp_path / "sound.wav"
     file = WavFile(path, 1, RATE, pytest.fail)
