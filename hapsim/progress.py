@@ -12,7 +12,7 @@ _SHORTEST_S = 0.25  # in less, a few positions that came together make a rate of
 class Progress:
     """How a run is doing, for a live line. Tuples have an entry for each channel."""
 
-    phase: Literal["compiling", "running", "waiting", "serving"]
+    phase: Literal["compiling", "running", "ended", "waiting", "serving"]
     text: str = ""
     share: float | None = None
     """How far it is, 0 to 1, where that is known."""

@@ -80,7 +80,7 @@ def _shown(error: Console, words: _Words) -> Iterator[Callable[[Progress], None]
     def write(progress: Progress) -> None:
         text = words.of(progress)
         if is_due(progress.phase):
-            fields = asdict(progress) if progress.phase == "running" else {"text": progress.text}
+            fields = asdict(progress) if progress.phase in ("running", "ended") else {"text": progress.text}
             log.say("info", progress.phase, text, **fields)
 
     yield write

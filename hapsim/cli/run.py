@@ -266,7 +266,7 @@ class _Reporter:
 
     def _running(self, progress: Progress) -> None:
         """Shows progress; and reports, once for each arming, that the device was armed outside its travel."""
-        if progress.phase == "running" and progress.ticks > 0 and not self._is_placed:
+        if progress.phase in ("running", "ended") and progress.ticks > 0 and not self._is_placed:
             self._is_placed = True
             if progress.faded_ticks == progress.ticks:
                 places = ", ".join(f"{one:.6g}" for one in progress.position)

@@ -41,6 +41,8 @@ class Connection:
     behind_port: bool = False
     """Whether the device may have a timer and a hand of its own. A mock in this process has no hand, and is only as
     punctual as this machine."""
+    mock: Any = None
+    """MOCK, where the device is the one in this process."""
     inbox: Any = field(default_factory=_new_inbox)
     """INBOX"""
     _written: deque[bytes] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))

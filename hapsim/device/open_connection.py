@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from typing import Literal
+from typing import Any, Literal
 
 from hapsim.device.connection import Connection
 from hapsim.device.serial_port import open_portable_port, open_serial_port
@@ -73,24 +73,31 @@ def open_connection(
             connection = _loopback(scene)
         else:
             port = scene.device.port or ""
+            mock = None
             if place == "terminal":
-                port = stack.enter_context(_served_mock(scene, realtime))
+                mock = _mock(scene)
+                port = stack.enter_context(_serving(mock, realtime and scene.device.clock != "lockstep"))
             connection = stack.enter_context(contextlib.closing(open_port(port, scene.device.baud)))
-            connection.behind_port = place == "port"
+            connection.behind_port, connection.mock = place == "port", mock
         if between is not None:
             connection.transport = between(connection.transport)
         yield connection
 
 
 def _loopback(scene: Scene) -> Connection:
-    from hapsim.device.mock.assemble import assemble_mock
     from hapsim.device.mock.loopback import loopback_transport
 
-    return Connection(loopback_transport(assemble_mock(scene)), "mock in memory", close=lambda: None)
+    mock = _mock(scene)
+    return Connection(loopback_transport(mock), "mock in memory", close=lambda: None, mock=mock)
 
 
-def _served_mock(scene: Scene, realtime: bool) -> contextlib.AbstractContextManager[str]:
+def _mock(scene: Scene) -> Any:
     from hapsim.device.mock.assemble import assemble_mock
+
+    return assemble_mock(scene)
+
+
+def _serving(mock: Any, as_hardware: bool) -> contextlib.AbstractContextManager[str]:
     from hapsim.device.mock.terminal import serving
 
-    return serving(assemble_mock(scene), realtime and scene.device.clock != "lockstep")
+    return serving(mock, as_hardware)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import threading
+import weakref
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from hapsim.errors import UsageError
 from hapsim.loop.ring import Ring
 from hapsim.recording.background_file import BackgroundFile, in_words, lock
+from hapsim.recording.feed import Stream
 from hapsim.recording.report import Report, Statistics, summary_document
 from hapsim.recording.stream import Head, StreamWriter
 from hapsim.recording.trace import convert
@@ -24,13 +26,14 @@ from hapsim.recording.trace import convert
 
 class Recorder:
     """The ring's reader. `keep`: False frees the rows without keeping them, but for the last `recent` ones or a few
-    more."""
+    more. Every `Stream` gets them too."""
 
     def __init__(self, ring: Ring, keep: bool, recent: int = 1) -> None:
         self._ring, self._keep, self._recent = ring, keep, recent
         self._lock = threading.Lock()
         self._kept: list[NDArray[Any]] = []
         self._last = deque([ring.drain()])
+        self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self.file: RecordFile | None = None
         """The file that is written meanwhile, if any."""
 
@@ -45,16 +48,33 @@ class Recorder:
             self._last.append(rows)
             while sum(one.size for one in self._last) - self._last[0].size >= self._recent:
                 self._last.popleft()
+            for stream in list(self._streams):
+                stream.put(rows)
             if self.file is not None:
                 self.file.put(rows, patient=bool(self._ring.record.waits))
+
+    def follow(self, stream: Stream) -> None:
+        """Gives `stream` every row from now on, for as long as somebody has it."""
+        self.collect()
+        with self._lock:
+            self._streams.add(stream)
+
+    def use_file(self, file: RecordFile | None) -> RecordFile | None:
+        """Writes the rows from now on to `file`; returns the one before."""
+        self.collect()
+        with self._lock:
+            self.file, before = file, self.file
+        return before
 
     def rows(self) -> NDArray[Any]:
         """Everything kept."""
         return np.concatenate([self._last[0][:0], *self._kept])
 
-    def last_rows(self) -> NDArray[Any]:
-        """The `recent` rows that came last."""
-        return np.concatenate(self._last)[-self._recent :]
+    def last_rows(self, count: int | None = None) -> NDArray[Any]:
+        """The rows that came last, `count` or all `recent` ones."""
+        with self._lock:
+            rows = list(self._last)
+        return np.concatenate(rows)[-(count or self._recent) :]
 
 
 class RecordFile(BackgroundFile):
@@ -97,6 +117,11 @@ class RecordFile(BackgroundFile):
             self._failure = self._failure or in_words(error)
         self._writer.close()
         return report
+
+    @property
+    def path(self) -> Path:
+        """The file that was asked for."""
+        return self._path
 
     @property
     def written(self) -> int:

@@ -4,18 +4,26 @@ Public is what `__all__` names.
 """
 
 from hapsim.progress import Progress
+from hapsim.recording.feed import Samples, Stream
 from hapsim.recording.trace import Report, Statistics, Trace
 from hapsim.running.options import Excitation, PeriodicExcitation
+from hapsim.running.parameters import Parameter
 from hapsim.running.run import run, start
 from hapsim.running.session import Session, sessions
+from hapsim.running.state import Event, State
 
 __all__ = [
+    "Event",
     "Excitation",
+    "Parameter",
     "PeriodicExcitation",
     "Progress",
     "Report",
+    "Samples",
     "Session",
+    "State",
     "Statistics",
+    "Stream",
     "Trace",
     "run",
     "sessions",

@@ -69,7 +69,7 @@ class Notifier:
         self._send("READY=1", f"STATUS={_one_line(session.scene.path or 'the scene')} runs")
 
     def _running(self, progress: Progress) -> None:
-        if progress.phase != "running":
+        if progress.phase not in ("running", "ended"):
             self._status(progress.phase)
             return
         if progress.ticks > self._ticks and self._keep_alive():

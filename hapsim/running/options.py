@@ -90,6 +90,8 @@ class RunOptions:
     judges_sign: bool = False
     on_progress: Callable[[Progress], None] | None = None
     on_warning: Callable[[str], None] | None = None
+    on_event: Callable[[Any], None] | None = None  # with an Event
+    history_s: float = 1.0
     on_arming: Callable[[Any], None] | None = None  # with the Session, which imports this
     resumes: bool = False
     sound: bool = False

@@ -62,6 +62,8 @@ def start(scene: SceneSource, **options: Any) -> Session:
     * `on_warning`: called, from another thread, with a sentence if a file can no longer be written or the sound card
       is gone.
     * `on_arming`: called with the session just before the device is armed. From then on `stop` ends the run cleanly.
+    * `on_event`: called with an `Event` after each change, marker and recording, from the thread that caused it.
+    * `history_s`: how many seconds `Session.history` returns.
     * `resumes`: the device took forces before. `Session.restarted` then says whether it powered up since, so that
       its zero has changed; where the scene counts from that zero, the device is not armed.
     * `sound`: plays the scene's sound on `sound_device` (a name, part of one or a number of `hapsim sound`; default:

@@ -16,7 +16,8 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -36,15 +37,17 @@ from hapsim.loop.realtime.scheduling import no_timer_slack
 from hapsim.loop.run import run_loop
 from hapsim.loop.system import missing_calls
 from hapsim.progress import Progress
+from hapsim.recording.feed import Samples, Stream, Units
 from hapsim.recording.recorder import Recorder, RecordFile
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
 from hapsim.recording.stream import Head
-from hapsim.recording.trace import Report, Statistics, Trace, columns_of
+from hapsim.recording.trace import Report, Statistics, Trace, columns_of, require_writable_as_trace
 from hapsim.running import outcome
 from hapsim.running.assemble import assemble_loop
 from hapsim.running.changes import OVER, Changes, LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
 from hapsim.running.options import RunOptions
+from hapsim.running.parameters import Parameter, parameters_of
 from hapsim.running.requirements import (
     PACING,
     require_compatible,
@@ -52,6 +55,7 @@ from hapsim.running.requirements import (
     require_known_zero,
     require_runnable,
 )
+from hapsim.running.state import Event, EventKind, State, StateReader, as_html
 from hapsim.scene import Scene
 from hapsim.sound.output import SoundOutput
 from hapsim.sound.play import Playback
@@ -60,6 +64,8 @@ from hapsim.stopping import note_arming, undisturbed
 
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
 _LAST_ROWS = 1 << 16  # of the last second, at most
+_MOST_HISTORY = 1 << 21  # rows
+_STREAM_S = 60.0  # that a stream keeps for who reads it late
 _open: list[Session] = []
 """The sessions that run, and those whose failure was not raised yet."""
 
@@ -95,6 +101,8 @@ class Session:
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
+        self.markers: list[Event] = []
+        """Of `mark`."""
         self.grants: list[PrivilegeResult] = []
         """What the real-time set-up requested of the system, each granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -103,10 +111,13 @@ class Session:
             require_in_time(self._loop.rendered_scene)
             self._live = LiveScene(scene, self._loop, self._over.is_set, self.gives_way, options.unstable)
             self._body = self._compiled_body()
-            self._recorder = Recorder(self._loop.ring, options.keep, min(math.ceil(scene.rate), _LAST_ROWS))
+            kept = max(options.history_s * scene.rate, min(scene.rate, _LAST_ROWS))
+            self._recorder = Recorder(self._loop.ring, options.keep, min(math.ceil(kept), _MOST_HISTORY))
+            self._state = StateReader(self._loop, scene.rate)
+            self._to_file = threading.Lock()
+            stack.callback(self._finish_record)
             if options.record is not None:
                 self._recorder.file = self._begin_record(scene, Path(options.record))
-                stack.callback(self._finish_record)
             if options.sound or options.sound_file is not None:
                 self._open_sound(scene, stack)
             self._resources = stack.pop_all()
@@ -122,7 +133,14 @@ class Session:
             raise failure
 
     def __repr__(self) -> str:
-        return f"<Session: {self.scene.path or 'a scene'} on {self.name}, {'over' if self._over.is_set() else 'runs'}>"
+        progress = self.progress()
+        moved = zip(progress.position, progress.force, strict=False)
+        channels = ", ".join(self.scene.units(f"{x:+.3g} m {force:+.3g} N") for x, force in moved)
+        how = f"{progress.phase}, {progress.elapsed_s:.1f} s, {channels}, {progress.deadline_misses} misses"
+        return f"<Session: {self.scene.path or 'a scene'} on {self.name}, {how}>"
+
+    def _repr_html_(self) -> str:
+        return as_html(self.scene, self.name, self.state(), self.parameters)
 
     @property
     def name(self) -> str:
@@ -148,6 +166,9 @@ class Session:
         """
         self._require_running()
         self._live.set(changes, over)
+        self._tell(
+            "changed", values={f"{part}.{key}": value for part, keys in changes.items() for key, value in keys.items()}
+        )
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
         """Changes to `scene`. Where only live parameters differ, this is `set`. Otherwise its modules are compiled
@@ -161,15 +182,89 @@ class Session:
         """
         self._require_running()
         self._live.adopt(scene, over)
+        self._tell("changed")
 
     @property
     def sound_peaks(self) -> dict[str, float]:
         """The largest size that each pick-up has had, before the soft clip; 1.0 is full scale."""
         return dict(zip(self.scene.sound, self._loop.record.sound.peak.tolist(), strict=False))
 
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """What may change while the scene runs, by name ("touch.stiffness"), with its value, unit and bounds."""
+        return parameters_of(self.scene, self._connection.mock is not None)
+
     def progress(self) -> Progress:
-        """Returns the state of the loop now."""
-        return outcome.progress_of(self._loop)
+        """Returns the counters of the loop now; its phase is "ended" once it is over."""
+        progress = outcome.progress_of(self._loop)
+        return replace(progress, phase="ended") if self._over.is_set() else progress
+
+    def state(self) -> State:
+        """Returns the latest position, velocity and force of each channel, the position of each module, and how old
+        they are. It takes some ten microseconds, and the loop does not notice."""
+        return self._state.read(self.progress())
+
+    def stream(self) -> Stream:
+        """Returns an iterator over all `Samples` from now on, without gaps, in pieces as they come. It ends with the
+        run. In real time one that is not read for a minute raises UsageError for the samples that are lost."""
+        io, used, scene = self._loop.record.io, slice(self._loop.wire.channels), self.scene
+        units = Units(scene.rate, io.position_scale[used].copy(), io.force_scale[used].copy())
+        longest = None if self._loop.record.ring.waits else math.ceil(_STREAM_S * scene.rate)
+        stream = Stream(units, longest, self._done.is_set, self._recorder.collect)
+        self._recorder.follow(stream)
+        return stream
+
+    def history(self) -> Samples:
+        """Returns the last samples: those of a second, or of `start(history_s=...)`."""
+        io, used = self._loop.record.io, slice(self._loop.wire.channels)
+        self._recorder.collect()
+        units = Units(self.scene.rate, io.position_scale[used], io.force_scale[used])
+        return units.samples(self._recorder.last_rows())
+
+    def subscribe(self, rate: float) -> Iterator[State]:
+        """Yields the `State` `rate` times per second until the run has ended. Who is late gets the next one, not a
+        backlog."""
+        if not (math.isfinite(rate) and rate > 0):
+            raise UsageError(f"rate: found {rate}, expected how often a second, above 0 (Hz)")
+        due = time.monotonic()
+        while not self._over.is_set():
+            yield self.state()
+            due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
+            self._over.wait(max(due - time.monotonic(), 0.0))
+
+    def mark(self, text: str = "") -> Event:
+        """Notes that something happened at this sample; returns the event. `markers` lists them."""
+        event = self._tell("marker", text)
+        self.markers.append(event)
+        return event
+
+    def record(self, path: str | Path) -> None:
+        """Begins to write every sample from now on to `path`, a new .trace, .npz or .csv. UsageError where it cannot,
+        or where a record is being written."""
+        self._require_running()
+        with self._to_file:
+            if self._recorder.file is not None:
+                raise UsageError(f"{path}: {self._recorder.file.path} is being recorded: stop that first")
+            require_writable_as_trace(Path(path))
+            if Path(path).exists():
+                raise UsageError(f"{path}: the file exists; it was not touched")
+            self._recorder.use_file(self._begin_record(self.scene, Path(path)))
+        self._tell("recording", str(path))
+
+    def stop_recording(self) -> Path | None:
+        """Ends the record that is being written, and returns its file; None where there is none."""
+        with self._to_file:
+            file = self._recorder.use_file(None)
+        if file is None:
+            return None
+        file.finish(outcome.report_of(self.scene, self._loop, "running"), outcome.statistics_of(self._loop))
+        self._tell("recorded", file.problem or str(file.path))
+        return file.path
+
+    def _tell(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> Event:
+        event = Event(kind, sentence, values or {}, int(self._loop.state.sample))
+        (self._options.on_event or _ignore)(event)
+        return event
 
     def statistics(self) -> Statistics:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
@@ -380,7 +475,8 @@ class Session:
 
     def _finish_record(self) -> None:
         file = self._recorder.file
-        assert file is not None
+        if file is None:
+            return
         trace = self._trace or outcome.trace_of(self.scene, self._loop, self._recorder, endings.STOPPED)
         self._trace = replace(trace, report=file.finish(trace.report, trace.statistics))
 
@@ -399,7 +495,8 @@ class Session:
             from_device=last_bytes(inbox.last, inbox.bytes),
             to_device=self._sent_before + last_bytes(io.sent, io.outbox) + self._connection.take_written(),
         )
-        last = replace(self.trace, **columns_of(self._recorder.last_rows()))
+        rows = self._recorder.last_rows(min(math.ceil(self.scene.rate), _LAST_ROWS))
+        last = replace(self.trace, **columns_of(rows))
         where = ""
         try:
             directory = default_directory() if directory is None else Path(directory)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field
 
@@ -31,6 +31,10 @@ class Initial(Part):
 class Hand(Part):
     """The hand that holds the mock's moving parts, from the start of the run on: it pushes, and it is a spring and a
     damper to where it is. Its mass is in ``mock.mass``. SI units."""
+
+    #: As of a module: a hand that another program moves.
+    live: ClassVar[tuple[str, ...]] = ("force", "stiffness", "damping", "position")
+    crossfaded: ClassVar[tuple[str, ...]] = ()
 
     force: Annotated[PerChannel, quantity("Force with which the hand pushes", "N", per_channel=True)] = 0.0
     stiffness: Annotated[PerChannel, quantity("Stiffness of the hand", "N/m", least=0, per_channel=True)] = 0.0

@@ -1,0 +1,191 @@
+"""The live model of a run, from its first arming to its end, whatever sessions it has: what the views show and change.
+
+A view may call everything here from any thread. Changes are made one after the other in a thread of the hub's own;
+those that wait meanwhile are made together, so that a stream of them costs what the loop can use and no more.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hapsim.errors import GuardError, HapsimError, UsageError
+from hapsim.running.parameters import Parameter, changes_from, parameters_of
+from hapsim.running.reconnecting import RunObserver
+from hapsim.running.session import Session
+from hapsim.running.state import Event, EventKind, State
+from hapsim.scene import Scene, parse_scene
+
+HISTORY_S = 60.0
+"""What a view that comes late still gets to see."""
+NO_SESSION = "nothing runs at the moment: the device is not armed"
+
+_MOST_EVENTS = 500
+_MOST_WAITING = 10_000  # changes
+
+
+class _Change(NamedTuple):
+    values: Mapping[str, Any]
+    over: float
+    done: Future[None]
+
+
+class Hub:
+    """The live model of a run. Its `observer` and `on_event` connect it to `keep_running`."""
+
+    def __init__(self, scene: Scene, record_dir: Path | None = None) -> None:
+        """`record_dir`: where records go that a view begins; None: none may be begun."""
+        self._scene, self.record_dir = scene, record_dir
+        self.session: Session | None = None
+        """The one that runs."""
+        self.events: deque[Event] = deque(maxlen=_MOST_EVENTS)
+        """The latest ones."""
+        self._listeners: list[Callable[[Event], None]] = []
+        self._waiting: deque[_Change] = deque()
+        self._news = threading.Condition()
+        self._is_over = False
+        self._thread = threading.Thread(target=self._make_changes, name="live changes", daemon=True)
+        self._thread.start()
+
+    # What views see
+
+    @property
+    def scene(self) -> Scene:
+        """The scene as it is now."""
+        return self._scene if self.session is None else self.session.scene
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """What may change, by name."""
+        session = self.session
+        return parameters_of(self._scene, has_mock=False) if session is None else session.parameters
+
+    def state(self) -> State | None:
+        """The latest values; None while nothing runs."""
+        session = self.session
+        return None if session is None else session.state()
+
+    def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
+        """Has `hear` called with every event, from whichever thread; it must return at once and not raise. Returns what
+        ends that."""
+        self._listeners.append(hear)
+        return lambda: self._listeners.remove(hear)
+
+    def tell(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> None:
+        """Reports an event to all who listen."""
+        self.on_event(Event(kind, sentence, values or {}))
+
+    def on_event(self, event: Event) -> None:
+        """What a session calls with its events."""
+        self.events.append(event)
+        for hear in self._listeners.copy():
+            hear(event)
+
+    # What views do
+
+    def set(self, values: Mapping[str, Any], over: float = 0.02) -> Future[None]:
+        """Changes parameters by their whole names, `{"touch.stiffness": 1500.0}`, all or none. The future is done when
+        the loop has them, or raises UsageError with the reason why nothing was changed."""
+        done: Future[None] = Future()
+        with self._news:
+            if len(self._waiting) >= _MOST_WAITING:
+                done.set_exception(UsageError(f"more than {_MOST_WAITING} changes wait already: send fewer"))
+            else:
+                self._waiting.append(_Change(values, over, done))
+                self._news.notify()
+        return done
+
+    def adopt(self, text: str, over: float = 0.02) -> None:
+        """Changes to the scene of this text; the device stays, whatever port the text names. Takes as long as it has to
+        be compiled and predicted. Raises SceneError and UsageError."""
+        session = self._running()
+        wanted = parse_scene(text, "the scene that was sent")
+        device = wanted.device.model_copy(update={"port": session.scene.device.port})
+        session.adopt(wanted.model_copy(update={"device": device}), over)
+
+    def mark(self, text: str) -> None:
+        """Notes that something happened now."""
+        self._running().mark(text)
+
+    def stop(self) -> None:
+        """Ends the run: the force goes to zero."""
+        self._running().stop()
+
+    def record(self, is_on: bool) -> Path | None:
+        """Begins a record, in the hub's directory and named by the time, or ends the one that is being written. Returns
+        its file."""
+        session = self._running()
+        if not is_on:
+            return session.stop_recording()
+        if self.record_dir is None:
+            raise UsageError("no record can be begun from here: hapsim was started without --record-dir DIR")
+        name = Path(self.scene.path or "scene").stem
+        path = self.record_dir / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.trace"
+        session.record(path)
+        return path
+
+    # What the run does
+
+    @property
+    def observer(self) -> RunObserver:
+        """What keeps the hub up to date."""
+        return RunObserver(started=self._started, over=self._over, tell=self._told)
+
+    def ended(self, failure: HapsimError | None) -> None:
+        """The run is over for good. `failure`: why it did not end as asked."""
+        if isinstance(failure, GuardError):
+            self.tell("guard", str(failure))
+        self.tell("ended", str(failure or ""))
+        with self._news:
+            self._is_over = True
+            self._news.notify()
+
+    def _started(self, session: Session) -> None:
+        self.session = session
+        self.tell("armed", f"{session.scene.path or 'the scene'} runs on {session.name}")
+
+    def _over(self) -> None:
+        if self.session is not None:
+            self._scene, self.session = self.session.scene, None
+
+    def _told(self, event: str, sentence: str) -> None:
+        kinds: dict[str, EventKind] = {"lost": "lost", "waiting": "waiting", "reconnected": "reconnected"}
+        if event in kinds:
+            self.tell(kinds[event], sentence)
+
+    def _running(self) -> Session:
+        if self.session is None:
+            raise UsageError(NO_SESSION)
+        return self.session
+
+    def _make_changes(self) -> None:
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._waiting or self._is_over)
+                if self._is_over:
+                    return
+                taken = list(self._waiting)
+                self._waiting.clear()
+            if len({change.over for change in taken}) > 1 or not self._made(taken):
+                for change in taken:
+                    self._made([change], or_reject=True)
+
+    def _made(self, together: list[_Change], or_reject: bool = False) -> bool:
+        """Makes these changes as one; returns whether it could. `or_reject`: reports why not."""
+        values = {name: value for change in together for name, value in change.values.items()}
+        try:
+            session = self._running()
+            session.set(changes_from(values, session.parameters), together[0].over)
+        except UsageError as error:
+            if or_reject:
+                self.tell("rejected", str(error), values)
+                together[0].done.set_exception(error)
+            return False
+        for change in together:
+            change.done.set_result(None)
+        return True

@@ -1,0 +1,139 @@
+"""The live parameters of a scene: what may change while it runs, with its unit, its bounds and its value.
+
+Built from the scene and from what its types declare: a new module's live fields appear by themselves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+from hapsim.cordis.program import fixed_modules
+from hapsim.errors import UsageError
+from hapsim.scene import Hand, Mock, Scene
+from hapsim.scene.issue import did_you_mean
+from hapsim.scene.modules import Module
+from hapsim.scene.part import Part
+from hapsim.scene.quantity import Expectation
+from hapsim.scene.sound import PickUp
+
+Kind = Literal["number", "numbers", "word", "points"]
+Value = float | str | tuple[Any, ...]
+
+MOCK_HAND = "mock.hand"
+"""The part whose parameters are those of the hand that holds the mock."""
+
+_DECADES = 1.5  # that a logarithmic slider has on either side of the value
+_REACH = {"m": 0.05, "rad": 1.0, "N": 10.0, "N·m": 1.0, "N/m": 1000.0, "N·s/m": 10.0}  # of a slider around 0, by unit
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One thing that may change while the scene runs."""
+
+    name: str
+    """Such as "touch.stiffness"."""
+    kind: Kind
+    """A number; numbers, one for each channel; a word; or points, a table's [x, y]."""
+    value: Value
+    unit: str
+    description: str
+    least: float | None = None
+    """The bounds of a number; None where there is none."""
+    most: float | None = None
+    is_least_excluded: bool = False
+    """Whether the number has to be above `least`."""
+    words: tuple[str, ...] = ()
+    """The words that a word may be."""
+
+    @property
+    def part(self) -> str:
+        """The module or pick-up that it belongs to."""
+        return self.name.rpartition(".")[0]
+
+    @property
+    def key(self) -> str:
+        """Its field there."""
+        return self.name.rpartition(".")[2]
+
+    @property
+    def is_logarithmic(self) -> bool:
+        """Whether a slider's scale should be logarithmic: the number is never negative, and above 0 now."""
+        return self.kind == "number" and self.least == 0.0 and isinstance(self.value, float) and self.value > 0.0
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Where a slider should begin and end: around the value, within the bounds."""
+        value = self.value if isinstance(self.value, float) else 0.0
+        if self.is_logarithmic:
+            low, high = value * 10.0**-_DECADES, value * 10.0**_DECADES
+        else:
+            reach = max(_REACH.get(self.unit, 1.0), 2.0 * abs(value))
+            low, high = -reach, reach
+        least, most = self.least, self.most
+        return max(low, -math.inf if least is None else least), min(high, math.inf if most is None else most)
+
+
+def parts_of(scene: Scene) -> dict[str, Module | PickUp | Hand]:
+    """What has live parameters, by name: the modules, the pick-ups, and the hand that holds the mock."""
+    hand = (scene.mock or Mock()).hand
+    return {**scene.modules, **scene.sound, MOCK_HAND: hand}
+
+
+def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:
+    """Every live parameter of a scene, by name. `has_mock`: its device is the mock of this process."""
+    fixed, found = fixed_modules(scene), {}
+    for name, part in parts_of(scene).items():
+        if name in fixed or (name == MOCK_HAND and not has_mock):
+            continue
+        values = part.model_dump(by_alias=True)
+        for key in (*part.live, *part.crossfaded):
+            if values.get(key) is not None:
+                found[f"{name}.{key}"] = _parameter(f"{name}.{key}", type(part), key, values[key], scene)
+    return found
+
+
+def changes_from(values: Mapping[str, Any], parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
+    """Values by a parameter's whole name ("touch.stiffness"), as `Session.set` takes them. Raises UsageError where no
+    parameter is called so."""
+    changes: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        if name not in parameters:
+            raise UsageError(
+                f"found '{name}', expected the name of a live parameter{did_you_mean(str(name), list(parameters))}"
+            )
+        parameter = parameters[name]
+        changes.setdefault(parameter.part, {})[parameter.key] = value
+    return changes
+
+
+def _parameter(name: str, kind: type[Part], key: str, value: Any, scene: Scene) -> Parameter:
+    unit, description, least, most, is_excluded, words = _declared(kind, key)
+    if isinstance(value, tuple) and value and isinstance(value[0], tuple):
+        return Parameter(name, "points", value, unit, description)
+    if isinstance(value, str):
+        return Parameter(name, "word", value, unit, description, words=words)
+    if name.startswith(MOCK_HAND) and scene.channels > 1:
+        value = value if isinstance(value, tuple) else (value,) * scene.channels
+    several = isinstance(value, tuple)
+    shown = scene.units(f"0 {unit}").removeprefix("0 ") if unit else ""
+    return Parameter(name, "numbers" if several else "number", value, shown, description, least, most, is_excluded)
+
+
+@cache
+def _declared(kind: type[Part], key: str) -> tuple[str, str, float | None, float | None, bool, tuple[str, ...]]:
+    """Unit, description, bounds and words that a type declares of a field."""
+    field, alias = next((one, name) for name, one in kind.model_fields.items() if key in (name, one.alias))
+    expectation = next((one for one in field.metadata if isinstance(one, Expectation)), None)
+    schema = kind.model_json_schema(by_alias=True)["properties"][field.alias or alias]
+    numbers = [schema, *schema.get("anyOf", []), *schema.get("oneOf", [])]
+    bounds = {word: one[word] for one in reversed(numbers) for word in one if word.lower().endswith("imum")}
+    least = bounds.get("minimum", bounds.get("exclusiveMinimum"))
+    words = tuple(str(word) for word in schema.get("enum", ()))
+    unit, description = "", field.description or ""
+    if expectation is not None:
+        unit, description = expectation.unit.removeprefix("1").removeprefix("/(SI unit)"), expectation.description
+    return unit, description, least, bounds.get("maximum"), "exclusiveMinimum" in bounds, words
