@@ -60,7 +60,7 @@ class State:
     velocity: tuple[float, ...]
     """(C,) m/s: the backward difference of the last two positions."""
     force: tuple[float, ...]
-    """(C,) N, that was sent last."""
+    """(C,) N, that was sent last: 0 once the run is over."""
     modules: Mapping[str, float | NDArray[np.float64]]
     """m: where each point is; of a string or a membrane (masses,) where each of its masses is. Taken while the loop
     runs: masses of one structure may differ by a sample."""
