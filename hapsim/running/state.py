@@ -100,11 +100,12 @@ class StateReader:
         program = self._loop.program
         if program is not self._program:
             self._program, self._places = program, _places(program.numbers)
-        row = positions_of(program)[0]
+        row, measured = positions_of(program)[0], self._loop.record.io.measured
+        hands = {name: float(measured[one.channel]) for name, one in self._loop.rendered_scene.device_points.items()}
         return {
             name: row[place].astype(np.float64) if isinstance(place, np.ndarray) else float(row[place])
             for name, place in self._places.items()
-        }
+        } | hands  # whose place in the program is the tick's own
 
 
 def _places(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]:
