@@ -297,13 +297,13 @@ class StoredEnergy:
         return [address_of(column[memory.modules.index(name) :]) for memory in memories for column in memory.columns]
 
     def _links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
-        scene = self._scene
+        scene, grounds, hands = self._scene, self._scene.grounds, self._scene.device_points  # each is made anew
         for name, link in scene.links.items():
             if not connected & {*_nodes(scene, link)}:
                 continue
             ends = [self._program.numbers[end] for end in link.between]
-            at = [self._live(end, "position") if end in scene.grounds else 0 for end in link.between]
-            most = self._force_limit if any(end in scene.device_points for end in link.between) else np.inf
+            at = [self._live(end, "position") if end in grounds else 0 for end in link.between]
+            most = self._force_limit if any(end in hands for end in link.between) else np.inf
             offset = side = force = 0
             if isinstance(link, Nonlinear):
                 if link.force_over_distance is not None:
