@@ -50,6 +50,7 @@ PARAMETERS = np.dtype(
         ("sets", np.int64),  # that were taken
         ("posted_samples", np.int64),  # N of the posted set
         ("samples", np.int64),  # N of the set that was taken last
+        ("straight", np.int64),  # 1: the ramp is a straight line, v0 + (v1 - v0) s
         ("left", np.float64),  # samples until the values are at their targets
         ("share", np.float64),  # of the way, that is behind them
         ("stored", np.uint64),  # address of a STORED; 0: no energy is accounted for
@@ -128,7 +129,7 @@ def move(parameters, position, previous):
     before = parameters.share
     parameters.left = max(parameters.left - 1.0, 0.0)
     s = 1.0 - parameters.left / parameters.samples
-    parameters.share = s * s * (3.0 - 2.0 * s)
+    parameters.share = s if parameters.straight else s * s * (3.0 - 2.0 * s)
     _lead(parameters, origin, target)
     if parameters.stored != 0:
         stored = stored_at(parameters.stored)

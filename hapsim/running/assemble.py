@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from hapsim.running.guard_setup import energy_guard_of, history_of, set_leap, se
 from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 from hapsim.sound.output import SoundOutput
+
+if TYPE_CHECKING:
+    from hapsim.device.mock.live_hand import LiveHand
 
 _RING_ROWS = 1 << 16
 _SOUND_S, _LEAST_FRAMES = 1.0, 4096  # that the sound's ring holds at least
@@ -70,6 +73,8 @@ class LoopMemory:
         """The forces that acted; None if no guard needs them."""
         self.energy_guard: EnergyGuard | None = None
         """None where it is off."""
+        self.hand: LiveHand | None = None
+        """The hand that holds the mock; None where the device is no mock of this process."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
@@ -150,6 +155,10 @@ def assemble_loop(
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
     _set_guards(loop, scene, connection, description, options)
+    if connection.mock is not None:
+        from hapsim.device.mock.live_hand import LiveHand
+
+        loop.hand = LiveHand(connection.mock, scene)
     loop.account_for(loop.program, rendering.scene)
     return loop
 

@@ -24,8 +24,10 @@ from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.running.assemble import LoopMemory
+from hapsim.running.parameters import MOCK_HAND, LivePart, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable
-from hapsim.scene import Scene
+from hapsim.scene import Hand, Mock, Scene
+from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
 from hapsim.scene.part import Part, Table
@@ -39,7 +41,8 @@ OVER = "the run is over: nothing can be changed any more"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _GLANCE_S = 1e-3
-_INITIAL_STATE = ("mock", "initial")
+_MAY_DIFFER = (("mock", "initial"), ("mock", "hand"))
+_NO_HAND = f"{MOCK_HAND}: the device is no mock of this process; a hand that holds a real device cannot be set"
 
 
 class LiveScene:
@@ -68,6 +71,8 @@ class LiveScene:
         def change() -> None:
             with self._replacing if replaces else self._writing:
                 scene = _changed(self.scene, changes)
+                if MOCK_HAND in changes and self._loop.hand is None:
+                    raise UsageError(_NO_HAND)
                 if self._unstable is False:
                     require_not_less_stable(self.scene, scene)
                 if not replaces:
@@ -106,6 +111,7 @@ class LiveScene:
         samples = _samples(scene, over)
         rendering = rendered(scene)
         values, now = parameter_values(rendering.scene), parameter_values(self._loop.rendered_scene)
+        self._move_hand(scene, samples)
         if not np.array_equal(values, now):
             self._announce(samples, self._is_shaken_by(scene))
             self._loop.program.parameters.post(values, samples * scene.substeps)
@@ -129,7 +135,12 @@ class LiveScene:
             program.parameters.post(parameter_values(after), samples * scene.substeps)
             self._loop.follow_with(program, samples * scene.substeps)
             self._correct_as(rendering, samples)
+            self._move_hand(scene, samples)
             self.scene, self._loop.rendered_scene = scene, after
+
+    def _move_hand(self, scene: Scene, samples: int) -> None:
+        if self._loop.hand is not None and parts_of(scene)[MOCK_HAND] != parts_of(self.scene)[MOCK_HAND]:
+            self._loop.hand.follow(scene, samples)
 
     def _is_shaken_by(self, scene: Scene) -> bool:
         """Whether the scene is predicted unstable and may run, with the energy guard on."""
@@ -148,6 +159,8 @@ class LiveScene:
         fixed = first_fixed_difference(self.scene, scene)
         if fixed:
             raise UsageError(f"{fixed} cannot change while the scene runs: stop it and start it anew")
+        if self._loop.hand is None and not _agree(parts_of(self.scene)[MOCK_HAND], parts_of(scene)[MOCK_HAND]):
+            raise UsageError(_NO_HAND)
         io = self._loop.record.io
         if scene.channels > io.channels:
             raise UsageError(f"the device has {io.channels} channel(s), the scene uses {scene.channels}")
@@ -167,10 +180,10 @@ def first_fixed_difference(now: Scene, wanted: Scene) -> str:
             return key
     for part in ("device", "mock"):
         before, after = getattr(now, part), getattr(wanted, part)
-        if type(before) is not type(after):
+        if type(before) is not type(after) and _without_hand(before) != _without_hand(after):
             return part
-        for key in type(before).model_fields if before is not None else ():
-            if (part, key) != _INITIAL_STATE and not _agree(getattr(before, key), getattr(after, key)):
+        for key in type(before).model_fields if before is not None and after is not None else ():
+            if (part, key) not in _MAY_DIFFER and not _agree(getattr(before, key), getattr(after, key)):
                 return f"{part}.{key}"
     if list(now.sound) != list(wanted.sound):
         return "sound: the names and order of its pick-ups"
@@ -178,6 +191,10 @@ def first_fixed_difference(now: Scene, wanted: Scene) -> str:
         if before.highpass != wanted.sound[name].highpass:
             return f"sound.{name}.highpass"
     return ""
+
+
+def _without_hand(mock: Mock | None) -> Mock:
+    return (mock or Mock()).model_copy(update={"hand": Hand()})
 
 
 def _agree(before: Any, after: Any) -> bool:
@@ -197,17 +214,12 @@ def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
         return False
     fixed = fixed_modules(now)
 
-    def only_live_differ(name: str, before: Module | PickUp, after: Module | PickUp) -> bool:
+    def only_live_differ(name: str, before: LivePart, after: LivePart) -> bool:
         live = set() if name in fixed else set(before.live)
         return type(before) is type(after) and before.model_dump(exclude=live) == after.model_dump(exclude=live)
 
-    before, after = _parts(now), _parts(wanted)
+    before, after = parts_of(now), parts_of(wanted)
     return list(before) == list(after) and all(only_live_differ(name, one, after[name]) for name, one in before.items())
-
-
-def _parts(scene: Scene) -> dict[str, Module | PickUp]:
-    """What has live parameters: the modules and the pick-ups, by name."""
-    return {**scene.modules, **scene.sound}
 
 
 def _samples(scene: Scene, over: float) -> int:
@@ -222,7 +234,7 @@ def _samples(scene: Scene, over: float) -> int:
 def _crossfades(scene: Scene, changes: Any) -> bool:
     """Whether a `set` changes what cannot ramp, such as a table."""
     sound = isinstance(changes, Mapping) and all(isinstance(values, Mapping) for values in changes.values())
-    parts = _parts(scene)
+    parts = parts_of(scene)
     return sound and any(
         key in parts[name].crossfaded for name, values in changes.items() if name in parts for key in values
     )
@@ -230,7 +242,7 @@ def _crossfades(scene: Scene, changes: Any) -> bool:
 
 def _changed(scene: Scene, changes: Changes) -> Scene:
     """Returns the scene with some values changed, checked as a scene file's values are."""
-    parts = _parts(scene)
+    parts = parts_of(scene)
     if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
         raise UsageError(f"found {changes!r}, expected the names of modules, each with what changes: {_EXAMPLE}")
     fixed = fixed_modules(scene)
@@ -245,16 +257,20 @@ def _changed(scene: Scene, changes: Changes) -> Scene:
                 f"{scene.scheme} makes once; under scheme: {one_of(without_matrices())} it can"
             )
         parts[name] = _part_with(name, parts[name], values)
+    hand = parts.pop(MOCK_HAND)
     modules = {name: one for name, one in parts.items() if isinstance(one, Module)}
     pick_ups = {name: one for name, one in parts.items() if isinstance(one, PickUp)}
     around = ModuleContext.of(modules)
     issues = (issue for name in changes if name in modules for issue in modules[name].issues(name, around))
     for issue in itertools.chain(issues, sound_issues(pick_ups, around, scene.scheme)):
         raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
-    return scene.model_copy(update={"modules": Table(modules), "sound": Table(pick_ups)})
+    for issue in lists_of_another_length({("mock", "hand"): dict(hand)}, scene.channels):
+        raise UsageError(f"{'.'.join(map(str, issue.path))}: {issue.sentence}")
+    mock = (scene.mock or Mock()).model_copy(update={"hand": hand}) if MOCK_HAND in changes else scene.mock
+    return scene.model_copy(update={"modules": Table(modules), "sound": Table(pick_ups), "mock": mock})
 
 
-def _part_with(name: str, module: Module | PickUp, values: Mapping[str, Any]) -> Module | PickUp:
+def _part_with(name: str, module: LivePart, values: Mapping[str, Any]) -> LivePart:
     changeable = (*module.live, *module.crossfaded)
     for key in values:
         if key not in changeable:

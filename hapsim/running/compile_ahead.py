@@ -144,7 +144,11 @@ UNITS: dict[str, CompileUnit] = {
     "loopback": CompileUnit(
         39, (*_FIRMWARE, "device.mock.loopback:receive", "device.mock.loopback:send"), in_second_process=True
     ),
-    "motion": CompileUnit(12, ("device.mock.motion:move_with_spring_or_friction",), in_second_process=True),
+    "motion": CompileUnit(
+        16,
+        ("device.mock.motion:move_with_spring_or_friction", "device.mock.live_hand:lead_hand"),
+        in_second_process=True,
+    ),
     "wire": CompileUnit(14, _TIMED_WIRE, in_second_process=True, calls_system=True),
     "sound": CompileUnit(2, ("loop.sound:hear",)),
     "playback": CompileUnit(17, ("sound.resample:play",), calls_system=True),
@@ -241,6 +245,8 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
 
     places = {place_of_device(scene) for scene in scenes}
     names = {"loop", "port", "guards", "changes"}.union(*(DEVICE_UNITS[place] for place in places))
+    if places - {"port"}:
+        names.add("motion")
     if any(scene.sound for scene in scenes):
         names |= {"sound", "playback"}
     if any(wire_of(scene) == "mock" for scene in scenes):

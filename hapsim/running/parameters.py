@@ -26,6 +26,8 @@ Value = float | str | tuple[Any, ...]
 MOCK_HAND = "mock.hand"
 """The part whose parameters are those of the hand that holds the mock."""
 
+LivePart = Module | PickUp | Hand
+
 _DECADES = 1.5  # that a logarithmic slider has on either side of the value
 _REACH = {"m": 0.05, "rad": 1.0, "N": 10.0, "N·m": 1.0, "N/m": 1000.0, "N·s/m": 10.0}  # of a slider around 0, by unit
 
@@ -77,7 +79,7 @@ class Parameter:
         return max(low, -math.inf if least is None else least), min(high, math.inf if most is None else most)
 
 
-def parts_of(scene: Scene) -> dict[str, Module | PickUp | Hand]:
+def parts_of(scene: Scene) -> dict[str, LivePart]:
     """What has live parameters, by name: the modules, the pick-ups, and the hand that holds the mock."""
     hand = (scene.mock or Mock()).hand
     return {**scene.modules, **scene.sound, MOCK_HAND: hand}

@@ -160,6 +160,7 @@ class Session:
         way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. Where the
         energy guard is on, a change that would give the hand too much energy is slowed, with all its values in step.
         Tables of `nonlinear` (lists of points) and the shape of a `detent` crossfade the scene, as `adopt` does.
+        "mock.hand" is the hand that holds the mock: it ramps along a straight line, for 4 ms at least.
 
         Raises UsageError, and changes nothing, where a name, a key or a value is wrong, where the parameter cannot
         change while the scene runs, or, with `start(unstable=False)`, where the scene is then predicted unstable.

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from hapsim.errors import SceneError, UsageError
 from hapsim.running.changes import OVER
+from hapsim.running.parameters import MOCK_HAND, parts_of
 from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
 
@@ -91,6 +92,8 @@ def _differences(before: Scene, after: Scene) -> Iterator[str]:
     yield from _different_keys("", before, after, ("scheme", "precision"))
     if before.mock is not None and after.mock is not None and before.mock.initial != after.mock.initial:
         yield f"mock.initial{_AT_THE_NEXT_START}"
+    hand, moved = parts_of(before)[MOCK_HAND], parts_of(after)[MOCK_HAND]
+    yield from _different_keys(f"{MOCK_HAND}.", hand, moved, hand.live)
     for name in {**before.modules, **after.modules}:
         old, new = before.modules.get(name), after.modules.get(name)
         if old is None or new is None:

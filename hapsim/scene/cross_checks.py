@@ -53,7 +53,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     quantum = per_channel[("mock",)].get("quantum", 1e-9)
     if per_channel[("device",)].get("port") is None and isinstance(quantum, int | float):
         yield from narrow_detents(around, lambda _: float(quantum), "mock.quantum")
-    yield from _lists_of_another_length(per_channel, _channels(around))
+    yield from lists_of_another_length(per_channel, _channels(around))
     yield from _links_of_both_motions(around, per_channel[("device",)].get("motion"))
 
 
@@ -178,7 +178,8 @@ def _channels(around: ModuleContext) -> int | None:
     return max((1 + point.channel for point in points), default=None)
 
 
-def _lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterator[Issue]:
+def lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterator[Issue]:
+    """Yields the lists of these parts that do not have a value for each channel."""
     fields = [((*path, name), value) for path, part in per_channel.items() for name, value in part.items()]
     for path, value in fields:
         one = {"travel": "pair", "motion": "word"}.get(str(path[-1]), "number")

@@ -35,6 +35,7 @@ class Hand(Part):
     #: As of a module: a hand that another program moves.
     live: ClassVar[tuple[str, ...]] = ("force", "stiffness", "damping", "position")
     crossfaded: ClassVar[tuple[str, ...]] = ()
+    type: ClassVar[str] = "hand"
 
     force: Annotated[PerChannel, quantity("Force with which the hand pushes", "N", per_channel=True)] = 0.0
     stiffness: Annotated[PerChannel, quantity("Stiffness of the hand", "N/m", least=0, per_channel=True)] = 0.0

@@ -59,15 +59,23 @@ def assemble_mock(scene: Scene) -> Any:
 
 def _set_bodies(mock: Any, scene: Scene) -> None:
     device, bodies = scene.mock_device, mock.initial[: scene.channels]
-    hand = device.hand
     bodies["mass"] = device.mass
-    bodies["friction"] = np.add(device.friction, hand.damping)
-    bodies["stiffness"] = np.add(device.stiffness, hand.stiffness)
-    bodies["push"] = np.add(hand.force, np.multiply(hand.stiffness, hand.position))
+    bodies["friction"], bodies["stiffness"], bodies["push"] = hand_values(scene)
     bodies["coulomb"] = device.coulomb
     bodies["position"] = device.initial_position
     bodies["velocity"] = device.initial_velocity
     mock.bodies[: scene.channels] = bodies
+
+
+def hand_values(scene: Scene) -> NDArray[np.float64]:
+    """Returns what the hand makes of the mock's bodies, shape (3, C): friction (N·s/m) and stiffness (N/m), the
+    device's among them, and the push (N) of each."""
+    device, values = scene.mock_device, np.empty((3, scene.channels))
+    hand = device.hand
+    values[0] = np.add(device.friction, hand.damping)
+    values[1] = np.add(device.stiffness, hand.stiffness)
+    values[2] = np.add(hand.force, np.multiply(hand.stiffness, hand.position))
+    return values
 
 
 def _set_converters(mock: Any, scene: Scene, description: Description) -> None:

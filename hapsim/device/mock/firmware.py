@@ -62,7 +62,7 @@ BOARD = np.dtype(
 CALLED = np.dtype(
     [
         ("take_bytes", np.uint64),  # the events
-        ("take_sample", np.uint64),
+        ("take_sample", np.uint64),  # or `lead_hand` before it
         ("look_at_watchdog", np.uint64),
         ("take_force", np.uint64),  # for a received force: `act_on_force`, or `take_late_force` before it
         ("act_on_force", np.uint64),
@@ -104,6 +104,7 @@ MOCK = np.dtype(
         ("gripped", np.int64),  # how many of them are over
         ("byte_ns", np.float64),  # of a byte on the wire, in real time
         ("turnaround_ns", np.float64),  # before the first byte of an answer
+        ("hand", np.uint64),  # address of a LIVE_HAND; 0: the hand has not changed yet
         ("address", np.uint64),  # of this record
         ("called", CALLED),
     ],
