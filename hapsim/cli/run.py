@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapsim.cli.live import live_line
+from hapsim.cli.live_options import LiveOptions
 from hapsim.cli.options import (
     DeviceOptions,
     Json,
@@ -129,6 +130,7 @@ def run(
     sound: SoundOptions,
     realtime: Realtime = False,
     service: ServiceOptions,
+    live: LiveOptions,
     unstable: Unstable = False,
     portable: Annotated[
         bool, flag("--portable", "Run the loop in plain Python: more jitter, no Linux needed.")
@@ -148,11 +150,16 @@ def run(
     port = scene.device.port if kind == "auto" else None
     place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
     state = RunState(place, port, scene.rate, scene.device.motions(scene.channels))
-    with notifier.told_of_failures(), service.serving(state, port, not portable), live_line(stderr()) as tell:
+    with (
+        notifier.told_of_failures(),
+        service.serving(state, port, not portable),
+        live.serving(scene, not portable) as hub,
+        live_line(stderr()) as tell,
+    ):
         reporter = _Reporter(tell, port or "", kind, WatchedFile(device.scene) if service.watch else None)
         lifetime = keep_running(
             scene,
-            together(state.observer, notifier.observer, reporter.observer),
+            together(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),
             reconnect=service.reconnect,
             record=record.record,
             duration=duration,
@@ -166,7 +173,10 @@ def run(
             on_progress=tell,
             on_warning=complain,
             **playing,
+            **(hub.options if hub else {}),
         )
+        if hub:
+            hub.ended(lifetime.failure)
     notifier.stopping(lifetime.failure or "")
     with undisturbed():
         _show(lifetime, reporter.grants, warnings, json)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from hapsim.errors import GuardError, HapsimError, UsageError
 from hapsim.running.parameters import Parameter, changes_from, parameters_of
@@ -44,7 +44,7 @@ class Hub:
         self.session: Session | None = None
         """The one that runs."""
         self.events: deque[Event] = deque(maxlen=_MOST_EVENTS)
-        """The latest ones."""
+        """The latest ones, without changes."""
         self._listeners: list[Callable[[Event], None]] = []
         self._waiting: deque[_Change] = deque()
         self._news = threading.Condition()
@@ -82,9 +82,15 @@ class Hub:
 
     def on_event(self, event: Event) -> None:
         """What a session calls with its events."""
-        self.events.append(event)
+        if event.kind not in ("changed", "rejected"):  # of which there may be a thousand a second
+            self.events.append(event)
         for hear in self._listeners.copy():
             hear(event)
+
+    @property
+    def phase(self) -> Literal["running", "waiting", "ended"]:
+        """Whether a session runs, is waited for, or none will come."""
+        return "ended" if self._is_over else "waiting" if self.session is None else "running"
 
     # What views do
 
@@ -135,6 +141,11 @@ class Hub:
     def observer(self) -> RunObserver:
         """What keeps the hub up to date."""
         return RunObserver(started=self._started, over=self._over, tell=self._told)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `start` has to be called with."""
+        return {"on_event": self.on_event, "history_s": HISTORY_S}
 
     def ended(self, failure: HapsimError | None) -> None:
         """The run is over for good. `failure`: why it did not end as asked."""

@@ -101,14 +101,20 @@ class Stream:
             with self._news:
                 self._news.wait_for(lambda: self._count > 0 or self._lost > 0, _WAIT_S)
 
-    def take(self) -> Samples | None:
-        """Returns the samples since the last call without waiting for more; None where there are none. UsageError where
-        some were lost."""
+    def take(self, most: int | None = None) -> Samples | None:
+        """Returns the samples since the last call, the first `most` of them, without waiting for more; None where there
+        are none. UsageError where some were lost."""
         self._collect()
         with self._news:
             lost, self._lost = self._lost, 0
-            rows, self._count = list(self._waiting), 0
-            self._waiting.clear()
+            left, rows = self._count if most is None else min(most, self._count), []
+            self._count -= left
+            while left:
+                piece = self._waiting.popleft()
+                rows.append(piece[:left])
+                if piece.size > left:
+                    self._waiting.appendleft(piece[left:])
+                left -= rows[-1].size
         if lost:
             raise UsageError(f"the stream was read too late: {lost} samples are lost. Read it more often")
         return self._units.samples(np.concatenate(rows)) if rows else None

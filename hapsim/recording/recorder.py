@@ -53,10 +53,13 @@ class Recorder:
             if self.file is not None:
                 self.file.put(rows, patient=bool(self._ring.record.waits))
 
-    def follow(self, stream: Stream) -> None:
-        """Gives `stream` every row from now on, for as long as somebody has it."""
+    def follow(self, stream: Stream, before: int = 0) -> None:
+        """Gives `stream` every row from now on, for as long as somebody has it, and first the last `before` ones."""
         self.collect()
         with self._lock:
+            rows = np.concatenate(list(self._last))[-before:] if before else self._last[0][:0]
+            if rows.size:
+                stream.put(rows)
             self._streams.add(stream)
 
     def use_file(self, file: RecordFile | None) -> RecordFile | None:

@@ -191,9 +191,14 @@ class Session:
         return dict(zip(self.scene.sound, self._loop.record.sound.peak.tolist(), strict=False))
 
     @property
+    def has_mock(self) -> bool:
+        """Whether its device is a mock of this process."""
+        return self._connection.mock is not None
+
+    @property
     def parameters(self) -> dict[str, Parameter]:
         """What may change while the scene runs, by name ("touch.stiffness"), with its value, unit and bounds."""
-        return parameters_of(self.scene, self._connection.mock is not None)
+        return parameters_of(self.scene, self.has_mock)
 
     def progress(self) -> Progress:
         """Returns the counters of the loop now; its phase is "ended" once it is over."""
@@ -205,14 +210,15 @@ class Session:
         they are. It takes some ten microseconds, and the loop does not notice."""
         return self._state.read(self.progress())
 
-    def stream(self) -> Stream:
+    def stream(self, history_s: float = 0.0) -> Stream:
         """Returns an iterator over all `Samples` from now on, without gaps, in pieces as they come. It ends with the
-        run. In real time one that is not read for a minute raises UsageError for the samples that are lost."""
+        run. In real time one that is not read for a minute raises UsageError for the samples that are lost.
+        `history_s`: seconds of `history` that come first."""
         io, used, scene = self._loop.record.io, slice(self._loop.wire.channels), self.scene
         units = Units(scene.rate, io.position_scale[used].copy(), io.force_scale[used].copy())
         longest = None if self._loop.record.ring.waits else math.ceil(_STREAM_S * scene.rate)
         stream = Stream(units, longest, self._done.is_set, self._recorder.collect)
-        self._recorder.follow(stream)
+        self._recorder.follow(stream, math.ceil(history_s * scene.rate))
         return stream
 
     def history(self) -> Samples:
@@ -251,6 +257,12 @@ class Session:
                 raise UsageError(f"{path}: the file exists; it was not touched")
             self._recorder.use_file(self._begin_record(self.scene, Path(path)))
         self._tell("recording", str(path))
+
+    @property
+    def recording(self) -> Path | None:
+        """The file that is being written; None where there is none."""
+        file = self._recorder.file
+        return None if file is None else file.path
 
     def stop_recording(self) -> Path | None:
         """Ends the record that is being written, and returns its file; None where there is none."""

@@ -1,0 +1,292 @@
+"""Every message of the WebSocket, as types: what a client may send, and what it gets. `schema` has all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic_core import to_json
+
+from hapsim.errors import UsageError
+from hapsim.running.state import EventKind
+from hapsim.scene.issue import did_you_mean
+
+LONGEST = 1 << 20
+"""Bytes of a message."""
+MOST_MODULES = 64
+_SHOWN = 60
+
+Name = Annotated[str, Field(max_length=200)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Value = Number | Name | list[Number] | list[list[Number]]
+Values = Annotated[
+    dict[Name, Value],
+    Field(
+        max_length=1000,
+        description="an object of parameters by name, each a finite number, a word, or a list of numbers",
+    ),
+]
+Id = Annotated[Number | Annotated[str, Field(max_length=64)] | None, Field(description="a number or a short string")]
+Over = Annotated[float, Field(ge=0, le=60, allow_inf_nan=False, description="seconds of a ramp, 0 to 60")]
+
+
+class _Request(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    id: Id = None
+
+
+class Get(_Request):
+    """Asks for the model."""
+
+    type: Literal["get"]
+
+
+class Set(_Request):
+    """Changes parameters, all or none."""
+
+    type: Literal["set"]
+    values: Values
+    over: Over = 0.02
+
+
+class Subscribe(_Request):
+    """Asks for blocks of samples; another one replaces it."""
+
+    type: Literal["subscribe"]
+    rate: float = Field(60.0, ge=0, le=1000, allow_inf_nan=False, description="blocks a second, 0 to 1000; 0: no more")
+    every: int = Field(1, ge=1, le=1_000_000, description="1 for every sample, n for every n-th")
+    history: float = Field(0.0, ge=0, le=60, allow_inf_nan=False, description="seconds, 0 to 60, that are sent first")
+    modules: list[Name] = Field([], max_length=MOST_MODULES, description=f"a list of at most {MOST_MODULES} modules")
+
+
+class Marker(_Request):
+    """Notes that something happened now."""
+
+    type: Literal["marker"]
+    text: str = Field("", max_length=1000, description="a text of at most 1000 characters")
+
+
+class Stop(_Request):
+    """Ends the run: the force goes to zero."""
+
+    type: Literal["stop"]
+
+
+class Adopt(_Request):
+    """Changes to the scene of this text; its device stays."""
+
+    type: Literal["adopt"]
+    scene: str = Field(max_length=LONGEST, description="the text of a scene")
+    over: Over = 0.05
+
+
+class Record(_Request):
+    """Begins a record, or ends it."""
+
+    type: Literal["record"]
+    on: bool = Field(description="true or false")
+
+
+class Predict(_Request):
+    """Asks what the hand would feel with these values, which are not applied."""
+
+    type: Literal["predict"]
+    values: Values = {}
+    hand: int = Field(0, ge=0, le=1000, description="the number of a hand")
+    plane: bool = Field(False, description="true or false")
+
+
+Request = Annotated[
+    Get | Set | Subscribe | Marker | Stop | Adopt | Record | Predict,
+    Field(discriminator="type"),
+]
+
+
+class _Answer(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Done(_Answer):
+    """The request was carried out."""
+
+    type: Literal["done"] = "done"
+    id: Id = None
+    file: str | None = None
+    """Of `record`."""
+
+
+class Rejected(_Answer):
+    """The request changed nothing."""
+
+    type: Literal["rejected"] = "rejected"
+    id: Id = None
+    reason: str
+
+
+class EventMessage(_Answer):
+    """Something happened, whoever caused it."""
+
+    type: Literal["event"] = "event"
+    kind: EventKind
+    sentence: str
+    values: Mapping[str, Any]
+    """Of `changed`; without any, the whole scene may be another: `get` it."""
+    sample: int
+    at: str
+
+
+class Channel(_Answer):
+    """One channel of the device."""
+
+    channel: int
+    name: str
+    """Of its point."""
+    motion: Literal["linear", "rotary"]
+    unit_position: str
+    unit_force: str
+    force_limit: float
+    travel: tuple[float | None, float | None]
+    """None where the scene names no bound."""
+
+
+class ParameterMessage(_Answer):
+    """A live parameter."""
+
+    name: str
+    kind: Literal["number", "numbers", "word", "points"]
+    value: Any
+    unit: str
+    description: str
+    least: float | None
+    most: float | None
+    words: tuple[str, ...]
+    span: tuple[float, float]
+    logarithmic: bool
+
+
+class ModuleMessage(_Answer):
+    """What may be watched: a point, or a structure by one of its masses ("gut.7")."""
+
+    name: str
+    masses: int | None
+    """None for a point."""
+
+
+class Model(_Answer):
+    """All that there is, as it is now: the answer to `get`."""
+
+    type: Literal["model"] = "model"
+    id: Id = None
+    version: str
+    scene: str
+    title: str
+    rate_hz: float
+    phase: Literal["running", "waiting", "ended"]
+    channels: list[Channel]
+    parameters: list[ParameterMessage]
+    modules: list[ModuleMessage]
+    has_mock: bool
+    can_record: bool
+    recording: str | None
+    """The file that is being written."""
+    events: list[EventMessage]
+
+
+class Bins(_Answer):
+    """A histogram: the bins in which something was counted."""
+
+    edges_s: list[float]
+    """Where each begins, s; of `age` in samples."""
+    counts: list[int]
+
+
+class Counters(_Answer):
+    """How the run is doing, once a second."""
+
+    type: Literal["counters"] = "counters"
+    progress: dict[str, Any]
+    """The fields of hapsim.progress.Progress."""
+    exchange: Bins
+    lateness: Bins
+    age: Bins
+    clients: int
+    rejected: int
+    """Messages of all clients so far."""
+
+
+class Predicted(BaseModel):
+    """What the hand would feel: the answer to `predict`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    type: Literal["predicted"] = "predicted"
+    id: Id = None
+
+
+_REQUESTS: TypeAdapter[Any] = TypeAdapter(Request)
+_TYPES: dict[str, type[_Request]] = {
+    str(one.__name__).lower(): one for one in (Get, Set, Subscribe, Marker, Stop, Adopt, Record, Predict)
+}
+ANSWERS = (Done, Rejected, Model, Predicted, EventMessage, Counters)
+
+
+def schema() -> dict[str, Any]:
+    """Returns the JSON schema of all messages: what a client sends, and what it gets."""
+    answers: TypeAdapter[Any] = TypeAdapter(Done | Rejected | Model | Predicted | EventMessage | Counters)
+    keys = [("requests", "validation", _REQUESTS), ("answers", "serialization", answers)]
+    places, found = TypeAdapter.json_schemas(
+        keys,  # type: ignore[arg-type]
+        title="Messages of a running hapsim",
+        description="The JSON messages of ws://HOST:7470/live: a client sends requests and gets answers and events.",
+        ref_template="#/$defs/{model}",
+    )
+    named = {name: places[name, mode] for name, mode, _ in keys}  # type: ignore[index]
+    return {**found, "anyOf": list(named.values()), "$defs": {**found["$defs"], **named}}
+
+
+def text_of(message: BaseModel) -> str:
+    """Returns the JSON of a message; what is no number is null."""
+    return to_json(message, inf_nan_mode="null", fallback=_plain).decode()
+
+
+def request_of(text: str | bytes) -> Any:
+    """Returns the request that a message makes. Raises UsageError with what is wrong with it."""
+    if isinstance(text, bytes):
+        raise UsageError("found a binary message, expected JSON in a text message")
+    try:
+        return _REQUESTS.validate_json(text)
+    except ValidationError as error:
+        raise UsageError(_reason(error)) from None
+
+
+def _reason(error: ValidationError) -> str:
+    """The first of pydantic's errors, in our words."""
+    first = error.errors(include_url=False, include_context=True)[0]
+    kind, where, found = first["type"], first["loc"], _shown(first["input"])
+    if kind == "json_invalid":
+        return f"found no JSON: {first['ctx']['error']}"
+    if kind.startswith("union_tag"):
+        tag = first["input"].get("type") if isinstance(first["input"], dict) else None
+        return f"type: found {_shown(tag)}, expected one of {', '.join(_TYPES)}{did_you_mean(str(tag), list(_TYPES))}"
+    if len(where) < 2:
+        return f'found {found}, expected an object such as {{"type": "get"}}'
+    request, key = _TYPES[str(where[0])], str(where[1])
+    if kind == "extra_forbidden":
+        return f"{where[0]}: found the key {_shown(key)}, expected one of {', '.join(request.model_fields)}"
+    expected = request.model_fields[key].description or next(
+        (one.description for one in request.model_fields[key].metadata if getattr(one, "description", None)), "a value"
+    )
+    found = "nothing" if kind == "missing" else found
+    inner = f".{_shown(where[2])}" if len(where) > 2 and isinstance(where[2], str) else ""
+    return f"{where[0]}.{key}{inner}: found {found}, expected {expected}"
+
+
+def _shown(value: Any) -> str:
+    text = to_json(value, inf_nan_mode="strings", fallback=str).decode(errors="replace")
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -1,0 +1,293 @@
+"""The page and the WebSocket of a running scene, on one port. `viewer` serves one client of the WebSocket."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import mimetypes
+import socket
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+import hapsim
+from hapsim.errors import UsageError
+from hapsim.live.access import Address, has_token, new_token, why_refused
+from hapsim.live.hub import Hub
+from hapsim.live.messages import (
+    LONGEST,
+    Bins,
+    Channel,
+    Counters,
+    EventMessage,
+    Model,
+    ModuleMessage,
+    ParameterMessage,
+    text_of,
+)
+from hapsim.live.viewer import Viewer
+from hapsim.loop.histogram import Histogram
+from hapsim.running.parameters import Parameter
+from hapsim.running.session import Session
+from hapsim.running.state import Event
+from hapsim.scene import Scene
+
+PORT = 7470
+MOST_CLIENTS = 16
+_MOST_CONNECTIONS = 64  # pages and half-open ones included
+_FOLDER = Path(__file__).with_name("page")
+SCHEMA = Path(__file__).with_name("messages.json")
+_TOGETHER_S = 1 / 60  # changes within it are one event
+_SECURITY = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class WebView:
+    """Serves a hub at an address. `report` prints a warning."""
+
+    def __init__(self, hub: Hub, address: Address, report: Callable[[str], None]) -> None:
+        self.hub, self.address, self.report = hub, address, report
+        self.rejected = 0
+        """Messages that changed nothing."""
+        self._token = "" if address.is_loopback else new_token()
+        self._files = {f"/{file.relative_to(_FOLDER)}": file for file in _FOLDER.rglob("*") if file.is_file()}
+        self._files |= {"/": _FOLDER / "index.html", "/schema.json": SCHEMA}
+        self._viewers: set[Viewer] = set()
+        self._connections = 0
+        self._changed: dict[str, Any] = {}
+        self._flush: asyncio.TimerHandle | None = None
+        self._slow, self._predictor = ThreadPoolExecutor(2, "live requests"), ThreadPoolExecutor(1, "live predictions")
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds the page."""
+        return f"http://{self.address}/" + (f"?token={self._token}" if self._token else "")
+
+    # As a View
+
+    async def start(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Begins to listen. Raises UsageError where the port is taken or the address is another machine's."""
+        self._loop = loop
+        listening = _listening(self.address)
+        self.address = self.address._replace(port=listening.getsockname()[1])  # 0: one that is free
+        logger = logging.Logger("hapsim.live", logging.CRITICAL + 1)  # a bad handshake is nobody's news
+        self._server: Server = await serve(
+            self._serve,
+            sock=listening,
+            process_request=self._process,
+            create_connection=self._connection_type(),
+            compression=None,
+            max_size=LONGEST,
+            max_queue=4,
+            close_timeout=1.0,
+            open_timeout=5.0,
+            logger=logger,
+            server_header=None,
+        )
+        self._unlisten = self.hub.listen(lambda event: self._call(self._heard, event))
+
+    async def close(self) -> None:
+        """Sends what is left, closes all connections."""
+        self._unlisten()
+        self._tell_changed()
+        for viewer in self._viewers:
+            viewer.tell(None)
+        self._server.close(close_connections=not self._viewers)
+        await self._server.wait_closed()
+        for one in (self._slow, self._predictor):
+            one.shutdown(wait=False, cancel_futures=True)
+
+    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
+        """From any thread."""
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    # Connections
+
+    def _connection_type(self) -> type[ServerConnection]:
+        view = self
+
+        class Counted(ServerConnection):
+            """Hangs up where there are too many already, before it reads anything."""
+
+            def connection_made(self, transport: asyncio.BaseTransport) -> None:
+                super().connection_made(transport)
+                view._connections += 1
+                if view._connections > _MOST_CONNECTIONS:
+                    self.transport.abort()
+
+            def connection_lost(self, exc: Exception | None) -> None:
+                view._connections -= 1
+                super().connection_lost(exc)
+
+        return Counted
+
+    def _process(self, _: ServerConnection, request: Request) -> Response | None:
+        """Answers a request, unless it opens a WebSocket."""
+        url, headers = urlsplit(request.path), request.headers
+        is_live = url.path == "/live"
+        if why := why_refused(self.address, headers.get_all("Host"), headers.get_all("Origin"), needs_origin=is_live):
+            return _response(HTTPStatus.FORBIDDEN, why)
+        cookie = f"hapsim-{self.address.port}"
+        if self._token and not has_token(self._token, cookie, url.query, headers.get_all("Cookie")):
+            return _response(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong: open the URL that hapsim printed")
+        if is_live and len(self._viewers) >= MOST_CLIENTS:
+            return _response(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are connected already")
+        if is_live and "Upgrade" in headers:
+            return None
+        file = self._files.get(url.path)
+        if file is None:
+            return _response(HTTPStatus.NOT_FOUND, f"{url.path[:80]}: there is nothing here")
+        own = {}
+        if self._token and "token=" in url.query:
+            own["Set-Cookie"] = f"{cookie}={self._token}; HttpOnly; SameSite=Lax; Path=/"
+            own["Location"] = url.path
+        kind = mimetypes.guess_type(file.name)[0] or "application/octet-stream"
+        status = HTTPStatus.SEE_OTHER if own else HTTPStatus.OK
+        return _response(status, file.read_bytes(), f"{kind}; charset=utf-8", own)
+
+    async def _serve(self, connection: ServerConnection) -> None:
+        if len(self._viewers) >= MOST_CLIENTS:  # several came at once
+            await connection.close(1013, f"{MOST_CLIENTS} clients are connected already")
+            return
+        viewer = Viewer(self, connection)
+        self._viewers.add(viewer)
+        try:
+            await viewer.serve()
+        finally:
+            self._viewers.discard(viewer)
+
+    # What viewers ask
+
+    async def beside(self, work: Callable[[], Any], is_prediction: bool = False) -> Any:
+        """Returns what `work` returns in another thread."""
+        return await self._loop.run_in_executor(self._predictor if is_prediction else self._slow, work)
+
+    def model(self, id: Any) -> Model:
+        """Returns the answer to `get`."""
+        hub, scene, session = self.hub, self.hub.scene, self.hub.session
+        return Model(
+            id=id,
+            version=hapsim.__version__,
+            scene=Path(scene.path or "scene").name,
+            title=Path(scene.path or "scene").stem.replace("_", " "),
+            rate_hz=scene.rate,
+            phase=hub.phase,
+            channels=_channels(scene),
+            parameters=[_parameter(one) for one in hub.parameters.values()],
+            modules=_modules(session),
+            has_mock=session is not None and session.has_mock,
+            can_record=hub.record_dir is not None,
+            recording=None if session is None or session.recording is None else str(session.recording),
+            events=[_event(one) for one in list(hub.events)[-100:]],
+        )
+
+    def counters(self, session: Session) -> str:
+        """Returns the message with the counters."""
+        statistics = session.statistics()
+        return text_of(
+            Counters(
+                progress=asdict(session.progress()),
+                exchange=_bins(statistics.exchange),
+                lateness=_bins(statistics.lateness),
+                age=_bins(statistics.age),
+                clients=len(self._viewers),
+                rejected=self.rejected,
+            )
+        )
+
+    # Events
+
+    def _heard(self, event: Event) -> None:
+        """Tells all viewers. What changes within a moment is one event; so is what is rejected."""
+        if event.kind == "changed" and event.values:
+            self._changed |= event.values
+            self._last_change = event
+            if self._flush is None:
+                self._flush = self._loop.call_later(_TOGETHER_S, self._tell_changed)
+        else:
+            self._tell_changed()
+            self._tell_all(_event(event))
+
+    def _tell_changed(self) -> None:
+        if self._flush is not None:
+            self._flush.cancel()
+            self._flush, values, self._changed = None, self._changed, {}
+            last = self._last_change
+            self._tell_all(EventMessage(kind="changed", sentence="", values=values, sample=last.sample, at=last.at))
+
+    def _tell_all(self, message: EventMessage) -> None:
+        text = text_of(message)
+        for viewer in self._viewers:
+            viewer.tell(text)
+
+
+def _listening(address: Address) -> socket.socket:
+    family = socket.AF_INET6 if ":" in address.ip else socket.AF_INET
+    try:
+        return socket.create_server((address.ip, address.port), family=family, backlog=_MOST_CONNECTIONS)
+    except OSError as error:
+        raise UsageError(
+            f"--serve: {address} cannot be listened to: {error.strerror}. Is another hapsim there? "
+            "Name another port with --serve-at HOST:PORT"
+        ) from error
+
+
+def _response(status: HTTPStatus, body: str | bytes, kind: str = "", own: dict[str, str] | None = None) -> Response:
+    body = body.encode() if isinstance(body, str) else body
+    headers = {"Content-Type": kind or "text/plain; charset=utf-8", "Content-Length": str(len(body))}
+    return Response(
+        status, status.phrase, Headers({**headers, "Connection": "close", **_SECURITY, **(own or {})}), body
+    )
+
+
+def _event(event: Event) -> EventMessage:
+    values = dict(event.values)
+    return EventMessage(kind=event.kind, sentence=event.sentence, values=values, sample=event.sample, at=event.at)
+
+
+def _parameter(one: Parameter) -> ParameterMessage:
+    names = ("name", "kind", "value", "unit", "description", "least", "most", "words", "span")
+    return ParameterMessage(**{name: getattr(one, name) for name in names}, logarithmic=one.is_logarithmic)
+
+
+def _channels(scene: Scene) -> list[Channel]:
+    motions, travels = scene.device.motions(scene.channels), scene.device.travels(scene.channels)
+    names = {point.channel: name for name, point in scene.device_points.items()}
+    return [
+        Channel(
+            channel=i,
+            name=names.get(i, ""),
+            motion=motion,
+            unit_position="rad" if motion == "rotary" else "m",
+            unit_force="N·m" if motion == "rotary" else "N",
+            force_limit=scene.device.force_limit,
+            travel=travels[i],
+        )
+        for i, motion in enumerate(motions)
+    ]
+
+
+def _modules(session: Session | None) -> list[ModuleMessage]:
+    places = {} if session is None else session.state().modules
+    return [
+        ModuleMessage(name=name, masses=None if isinstance(place, float) else place.size)
+        for name, place in places.items()
+    ]
+
+
+def _bins(histogram: Histogram) -> Bins:
+    there = histogram.counts.nonzero()[0]
+    return Bins(edges_s=histogram.edges[there].tolist(), counts=histogram.counts[there].tolist())
