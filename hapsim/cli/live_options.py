@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import ipaddress
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +16,12 @@ from hapsim.cli.output import complain
 from hapsim.errors import UsageError
 
 if TYPE_CHECKING:
+    from hapsim.live.access import Address
     from hapsim.live.hub import Hub
     from hapsim.live.server import View
     from hapsim.scene import Scene
+
+_PORT, _OSC_PORT = 7470, 7471
 
 
 @dataclass
@@ -41,8 +45,8 @@ class LiveOptions:
     def serving(self, scene: Scene, gives_way: bool) -> Iterator[Hub | None]:
         """While open, serves the scene in the ways that were asked for. Gives the hub that the run has to keep up to
         date; None where nothing was asked for. `gives_way`: the loop is compiled. Raises UsageError."""
-        self._require_sound()
-        if not self._serves and not self._answers_osc:
+        page, osc = self._addresses()
+        if page is None and osc is None:
             yield None
             return
         for package in ("websockets", "pythonosc"):
@@ -54,8 +58,8 @@ class LiveOptions:
         from hapsim.live.server import Server
 
         hub = Hub(scene, self.record_dir)
-        views = self._views(hub)
-        server = Server(views, gives_way)
+        views = self._views(hub, page, osc)
+        server = Server(views, _warn, gives_way)
         server.start()
         try:
             for url in (view.url for view in views if view.url):
@@ -64,44 +68,52 @@ class LiveOptions:
         finally:
             server.close()
 
-    @property
-    def _serves(self) -> bool:
-        return self.serve or self.serve_at is not None
+    def words(self) -> list[str]:
+        """Returns the options as a command has them. Raises UsageError where they contradict each other."""
+        self._addresses()
+        words = ["--serve"] * self.serve + ["--osc"] * self.osc
+        given = ("--serve-at", self.serve_at), ("--osc-at", self.osc_at), ("--osc-from", ",".join(names(self.osc_from)))
+        for name, value in (*given, ("--record-dir", self.record_dir and os.path.abspath(self.record_dir))):
+            words += [name, str(value)] if value else []
+        return words
 
-    @property
-    def _answers_osc(self) -> bool:
-        return self.osc or self.osc_at is not None
-
-    def _views(self, hub: Hub) -> list[View]:
-        from hapsim.live.access import address_of
-
+    def _views(self, hub: Hub, page: Address | None, osc: Address | None) -> list[View]:
         views: list[View] = []
-        if self._serves:
-            from hapsim.live import web
+        if page is not None:
+            from hapsim.live.web import WebView
 
-            page = web.WebView(hub, address_of("--serve-at", self.serve_at, web.PORT), _warn)
-            views.append(page)
-        if self._answers_osc:
-            from hapsim.live import osc, oscquery
+            views.append(WebView(hub, page, _warn))
+        if osc is not None:
+            from hapsim.live.osc import OscView
+            from hapsim.live.oscquery import OscQueryView
 
-            address, senders = address_of("--osc-at", self.osc_at, osc.PORT), tuple(names(self.osc_from))
-            if not address.is_loopback and not senders:
-                raise UsageError(f"--osc-at {address}: found no --osc-from, expected the addresses whose OSC is taken")
-            views += [kind(hub, address, senders, _warn) for kind in (osc.OscView, oscquery.OscQueryView)]
+            senders = tuple(names(self.osc_from))
+            views += [OscView(hub, osc, senders, _warn), OscQueryView(hub, osc, senders, _warn)]
         return views
 
-    def _require_sound(self) -> None:
-        if self.record_dir is not None and not self._serves:
+    def _addresses(self) -> tuple[Address | None, Address | None]:
+        """Returns where the page and where OSC is served; None for what is not. Raises UsageError."""
+        serves, answers_osc = self.serve or self.serve_at is not None, self.osc or self.osc_at is not None
+        if self.record_dir is not None and not serves:
             raise UsageError("--record-dir: found no --serve, from whose page records are begun; expected both")
         if self.record_dir is not None and not self.record_dir.is_dir():
             raise UsageError(f"--record-dir {self.record_dir}: found no directory there, expected one")
-        if self.osc_from and not self._answers_osc:
+        if self.osc_from and not answers_osc:
             raise UsageError("--osc-from: found no --osc, which takes their packets; expected both")
         for one in names(self.osc_from):
             try:
                 ipaddress.ip_address(one)
             except ValueError:
                 raise UsageError(f"--osc-from: found '{one}', expected an IP address, or several with commas") from None
+        if not serves and not answers_osc:
+            return None, None
+        from hapsim.live.access import address_of
+
+        page = address_of("--serve-at", self.serve_at, _PORT) if serves else None
+        osc = address_of("--osc-at", self.osc_at, _OSC_PORT) if answers_osc else None
+        if osc is not None and not osc.is_loopback and not self.osc_from:
+            raise UsageError(f"--osc-at {osc}: found no --osc-from, expected the addresses whose OSC is taken")
+        return page, osc
 
 
 def _warn(sentence: str) -> None:

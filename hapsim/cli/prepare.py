@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hapsim.cli.live import live_line, unkept, warn_if_elsewhere
+from hapsim.cli.live_options import LiveOptions
 from hapsim.cli.options import Json, Port, SceneFile, Watch, flag, load, require_file
 from hapsim.cli.output import complain, document, say, stderr, warn
 from hapsim.errors import UsageError
@@ -59,6 +60,8 @@ def service(
     user: Annotated[bool, flag("--user", "For your own service manager, which grants less.")] = False,
     watch: Watch = False,
     sound: Annotated[bool, flag("--sound", "Play the scene's sound, on a card of ALSA.")] = False,
+    *,
+    live: LiveOptions,
     json: Json = False,
 ) -> None:
     """Print a systemd unit that runs SCENE, waits for its device and reports its status to the service manager."""
@@ -67,7 +70,9 @@ def service(
     on = loaded.device.port
     if on is None:
         raise UsageError(f"{scene}: a service drives a device: found no port, expected --port, or one in the scene")
-    text, name = unit_for(scene, on, of_user=user, watch=watch, sound=sound), unit_name(on)
+    words, record_dir = live.words(), live.record_dir
+    text = unit_for(scene, on, of_user=user, watch=watch, sound=sound, live=words, record_dir=record_dir)
+    name = unit_name(on)
     if refusal := why_not_armed(scene, loaded, predict(loaded, with_margins=False)):
         warn(f"`hapsim run` will refuse this scene, and the service ends with status 2. {refusal}", "service")
     if not user and (closed := closed_to_service(scene)):

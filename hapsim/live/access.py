@@ -96,7 +96,7 @@ def has_token(token: str, name: str, query: str, cookies: Sequence[str]) -> bool
         except CookieError:
             continue
         given += [cookie.value] if cookie is not None else []
-    return any(hmac.compare_digest(one.encode(), token.encode()) for one in given)
+    return any(hmac.compare_digest(one.encode(errors="replace"), token.encode()) for one in given)
 
 
 def _hostname(host: str) -> str | None:

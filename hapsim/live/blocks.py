@@ -6,12 +6,9 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hapsim.errors import UsageError
 from hapsim.recording.feed import Samples
-from hapsim.running.state import State
-from hapsim.scene.issue import did_you_mean
+from hapsim.running.session import Session
 
 SAMPLES, MODULES = 1, 2
 """Kinds of a block."""
@@ -37,21 +34,8 @@ def thinned(samples: Samples, every: int, before: int) -> Samples:
     return Samples(**{name: values[kept] for name, values in vars(samples).items()})
 
 
-def modules_block(state: State, watched: Sequence[str], period: float) -> bytes:
-    """Returns a block of one row: [0, position of each watched module in m]."""
-    row = np.array([0.0, *(place_of(state, name) for name in watched)], "<f4")
-    return HEAD.pack(MODULES, 1, row.size, len(state.position), state.sample, period) + row.tobytes()
-
-
-def place_of(state: State, name: str) -> float:
-    """Returns where a point is, or a structure's mass ("gut.7"), in m. Raises UsageError where there is none."""
-    part, _, number = name.partition(".")
-    place = state.modules.get(part)
-    if isinstance(place, float) and not number:
-        return place
-    masses: NDArray[np.float64] | None = place if isinstance(place, np.ndarray) else None
-    if masses is not None and number.isascii() and number.isdigit() and len(number) < 8 and int(number) < masses.size:
-        return float(masses[int(number)])
-    if masses is not None:
-        raise UsageError(f"found '{name[:80]}', expected one of its masses, {part}.0 to {part}.{masses.size - 1}")
-    raise UsageError(f"found '{name[:80]}', expected a point or a structure{did_you_mean(part, list(state.modules))}")
+def modules_block(session: Session, watched: Sequence[str]) -> bytes:
+    """Returns a block of one row: [0, position of each watched module in m]. Raises UsageError where there is none."""
+    (sample, places), scene = session.positions(watched), session.scene
+    row = np.concatenate([[0.0], places]).astype("<f4")
+    return HEAD.pack(MODULES, 1, row.size, scene.channels, sample, scene.period) + row.tobytes()

@@ -99,7 +99,9 @@ class Hub:
         the loop has them, or raises UsageError with the reason why nothing was changed."""
         done: Future[None] = Future()
         with self._news:
-            if len(self._waiting) >= _MOST_WAITING:
+            if self._is_over:
+                done.set_exception(UsageError(NO_SESSION))
+            elif len(self._waiting) >= _MOST_WAITING:
                 done.set_exception(UsageError(f"more than {_MOST_WAITING} changes wait already: send fewer"))
             else:
                 self._waiting.append(_Change(values, over, done))
@@ -149,12 +151,12 @@ class Hub:
 
     def ended(self, failure: HapsimError | None) -> None:
         """The run is over for good. `failure`: why it did not end as asked."""
-        if isinstance(failure, GuardError):
-            self.tell("guard", str(failure))
-        self.tell("ended", str(failure or ""))
         with self._news:
             self._is_over = True
             self._news.notify()
+        if isinstance(failure, GuardError):
+            self.tell("guard", str(failure))
+        self.tell("ended", str(failure or ""))
 
     def _started(self, session: Session) -> None:
         self.session = session
@@ -178,10 +180,10 @@ class Hub:
         while True:
             with self._news:
                 self._news.wait_for(lambda: self._waiting or self._is_over)
-                if self._is_over:
-                    return
-                taken = list(self._waiting)
+                taken = [change for change in self._waiting if change.done.set_running_or_notify_cancel()]
                 self._waiting.clear()
+                if self._is_over and not taken:
+                    return
             if len({change.over for change in taken}) > 1 or not self._made(taken):
                 for change in taken:
                     self._made([change], or_reject=True)
@@ -192,10 +194,11 @@ class Hub:
         try:
             session = self._running()
             session.set(changes_from(values, session.parameters), together[0].over)
-        except UsageError as error:
+        except Exception as error:  # a defect must not end this thread
+            known = error if isinstance(error, HapsimError) else UsageError(f"a defect of hapsim itself: {error!r}")
             if or_reject:
-                self.tell("rejected", str(error), values)
-                together[0].done.set_exception(error)
+                self.tell("rejected", str(known), values)
+                together[0].done.set_exception(known)
             return False
         for change in together:
             change.done.set_result(None)

@@ -12,8 +12,8 @@ from hapsim.errors import UsageError
 from hapsim.running.state import EventKind
 from hapsim.scene.issue import did_you_mean
 
-LONGEST = 1 << 20
-"""Bytes of a message."""
+LONGEST, SHORT = 1 << 20, 1 << 16
+"""Characters of a message with a scene, and of any other."""
 MOST_MODULES = 64
 _SHOWN = 60
 
@@ -172,6 +172,8 @@ class ModuleMessage(_Answer):
     name: str
     masses: int | None
     """None for a point."""
+    columns: int | None
+    """Of a membrane ("skin.3.4"): how many of its masses are in a row."""
 
 
 class Model(_Answer):
@@ -256,9 +258,12 @@ def request_of(text: str | bytes) -> Any:
     if isinstance(text, bytes):
         raise UsageError("found a binary message, expected JSON in a text message")
     try:
-        return _REQUESTS.validate_json(text)
+        request = _REQUESTS.validate_json(text)
     except ValidationError as error:
         raise UsageError(_reason(error)) from None
+    if len(text) > SHORT and not isinstance(request, Adopt):
+        raise UsageError(f"found {len(text)} characters, expected at most {SHORT} of a message without a scene")
+    return request
 
 
 def _reason(error: ValidationError) -> str:
@@ -279,7 +284,7 @@ def _reason(error: ValidationError) -> str:
         (one.description for one in request.model_fields[key].metadata if getattr(one, "description", None)), "a value"
     )
     found = "nothing" if kind == "missing" else found
-    inner = f".{_shown(where[2])}" if len(where) > 2 and isinstance(where[2], str) else ""
+    inner = f".{where[2][:_SHOWN]}" if len(where) > 2 and key == "values" and isinstance(where[2], str) else ""
     return f"{where[0]}.{key}{inner}: found {found}, expected {expected}"
 
 

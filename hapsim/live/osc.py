@@ -8,8 +8,6 @@ from collections.abc import Callable
 from hapsim.live.access import Address
 from hapsim.live.hub import Hub
 
-PORT = 7471
-
 
 class OscView:
     """Serves a hub. `senders`: the addresses whose packets are taken; none for loopback. `report`: prints a warning."""

@@ -11,9 +11,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from typing import Protocol
-
-from hapsim.errors import HapsimError
+from typing import Any, Protocol
 
 _NICE = 10  # the loop, and the thread that makes changes, have 0
 _PATIENCE_S = 3.0  # with views that close
@@ -36,9 +34,10 @@ class View(Protocol):
 class Server:
     """Runs views in a thread of its own, from `start` to `close`."""
 
-    def __init__(self, views: Sequence[View], gives_way: bool = True) -> None:
-        """`gives_way`: the thread has a lower priority than others; not beside a loop in Python."""
-        self._views, self._gives_way = views, gives_way
+    def __init__(self, views: Sequence[View], report: Callable[[str], None], gives_way: bool = True) -> None:
+        """`report` prints a warning. `gives_way`: the thread has a lower priority than others; not beside a loop in
+        Python."""
+        self._views, self._report, self._gives_way = views, report, gives_way
         self._loop: asyncio.AbstractEventLoop
         self._stop: asyncio.Event
         self._thread = threading.Thread(target=self._run, name="live server", daemon=True)
@@ -63,6 +62,9 @@ class Server:
 
     async def _serve(self) -> None:
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        self._loop.set_exception_handler(
+            lambda _, about: self._report(f"a defect of hapsim itself: {_in_words(about)}")
+        )
         open_views: list[View] = []
         try:
             for view in self._views:
@@ -70,7 +72,7 @@ class Server:
                 open_views.append(view)
             self._started.set_result(None)
             await self._stop.wait()
-        except HapsimError as error:
+        except Exception as error:
             self._started.set_exception(error)
         finally:
             await asyncio.gather(*(_closed(view.close) for view in open_views), return_exceptions=True)
@@ -79,3 +81,7 @@ class Server:
 async def _closed(close: Callable[[], object]) -> None:
     async with asyncio.timeout(_PATIENCE_S):
         await close()  # type: ignore[misc]
+
+
+def _in_words(about: dict[str, Any]) -> str:
+    return f"{about.get('message', '')}: {about.get('exception')!r}"

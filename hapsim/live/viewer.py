@@ -12,9 +12,10 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from hapsim.errors import HapsimError, UsageError
-from hapsim.live.blocks import block_of, modules_block, place_of, thinned
+from hapsim.live.blocks import block_of, modules_block, thinned
 from hapsim.live.hub import Hub
 from hapsim.live.messages import (
+    SHORT,
     Adopt,
     Done,
     Get,
@@ -36,10 +37,10 @@ PATIENCE_S = 5.0
 """How long a client may take nothing of what waits for it."""
 MESSAGES_PER_S = 2000.0
 """Of one client; more are read later."""
-SLOWLY, GOING_AWAY = 1013, 1001
+GOING_AWAY, TRY_LATER = 1001, 1013
 
 _MOST_EVENTS = 1000  # that wait
-_MOST_ANSWERS = 256
+_MOST_ANSWERS = 32
 _BLOCK_VALUES = 1 << 17  # of one block
 _CLOSING_S = 1.0
 
@@ -70,28 +71,31 @@ class Viewer:
         self._office, self._socket = office, socket
         self._answers: asyncio.Queue[asyncio.Task[BaseModel]] = asyncio.Queue(_MOST_ANSWERS)
         self._events: asyncio.Queue[str | None] = asyncio.Queue(_MOST_EVENTS)
+        self._ending = asyncio.Event()
         self._feed: asyncio.Task[None] | None = None
         self._going: asyncio.Task[None] | None = None
         self._allowance, self._allowed_at = MESSAGES_PER_S, 0.0
 
     async def serve(self) -> None:
         """Serves it until it goes, or is dropped."""
-        tasks = [asyncio.create_task(one()) for one in (self._write_answers, self._write_events)]
+        tasks: list[asyncio.Task[Any]] = [asyncio.create_task(self._write_answers())]
+        tasks.append(asyncio.create_task(self._write_events()))
         try:
             async for text in self._socket:
                 await self._wait_for_allowance()
                 task = asyncio.create_task(self._answer(text))
                 await self._answers.put(task)
-                await asyncio.sleep(0)
+                if len(text) > SHORT:  # a scene: what follows is meant for it
+                    await asyncio.wait([task])
         except ConnectionClosed:
             pass
         finally:
-            left = [self._answers.get_nowait() for _ in range(self._answers.qsize())]
-            for one in (*tasks, *left, *([self._feed] if self._feed else [])):
+            tasks += [self._answers.get_nowait() for _ in range(self._answers.qsize())]
+            for one in (*tasks, *([self._feed] if self._feed else [])):
                 one.cancel()
 
     def tell(self, text: str | None) -> None:
-        """Sends an event soon. None: closes the connection once all are sent."""
+        """Sends an event soon. None: closes the connection once everything is sent."""
         try:
             self._events.put_nowait(text)
         except asyncio.QueueFull:
@@ -105,20 +109,20 @@ class Viewer:
             request = request_of(text)
             id = request.id
             return await self._carried_out(request)
-        except HapsimError as error:
+        except Exception as error:
             self._office.rejected += 1
-            return Rejected(id=id, reason=str(error))
+            known = isinstance(error, HapsimError)
+            return Rejected(id=id, reason=str(error) if known else f"a defect of hapsim itself: {error!r}")
 
     async def _carried_out(self, request: Any) -> BaseModel:
-        hub, office = self._office.hub, self._office
-        file = None
+        hub, office, file = self._office.hub, self._office, None
         match request:
             case Get():
                 return office.model(request.id)
             case Set():
                 await asyncio.wrap_future(hub.set(request.values, request.over))
             case Subscribe():
-                self._subscribe(request)
+                await self._subscribe(request)
             case Marker():
                 hub.mark(request.text)
             case Stop():
@@ -145,8 +149,11 @@ class Viewer:
     async def _write_events(self) -> None:
         while (text := await self._events.get()) is not None:
             await self._send(text)
-        with contextlib.suppress(ConnectionClosed):
+        self._ending.set()
+        with contextlib.suppress(ConnectionClosed, TimeoutError):
             async with asyncio.timeout(_CLOSING_S):
+                if self._feed is not None:
+                    await asyncio.wait([self._feed])
                 await self._socket.close(GOING_AWAY, "the run has ended")
 
     async def _wait_for_allowance(self) -> None:
@@ -159,35 +166,44 @@ class Viewer:
 
     # Samples
 
-    def _subscribe(self, wanted: Subscribe) -> None:
-        state = self._office.hub.state()
-        for name in wanted.modules if state is not None else ():
-            place_of(state, name)  # type: ignore[arg-type]
-        if self._feed is not None:
+    async def _subscribe(self, wanted: Subscribe) -> None:
+        session = self._office.hub.session
+        if session is not None:
+            session.positions(wanted.modules)
+        if self._feed is not None:  # first, or blocks of both would be mixed
             self._feed.cancel()
+            await asyncio.wait([self._feed])
         self._feed = asyncio.create_task(self._stream(wanted)) if wanted.rate > 0 else None
+        if self._feed is not None:
+            self._feed.add_done_callback(self._fed)
+
+    def _fed(self, feed: asyncio.Task[None]) -> None:
+        if not feed.cancelled() and (error := feed.exception()) is not None:
+            self._office.report(f"a client is sent nothing more for a defect of hapsim itself: {error!r}")
 
     async def _stream(self, wanted: Subscribe) -> None:
         """Sends what was subscribed to, of every session that runs."""
         clock = asyncio.get_running_loop().time
         session: Session | None = None
         stream: Stream | None = None
-        due = counted = clock()
-        sent = 0
-        while True:
+        due, counted, sent, is_last = clock(), 0.0, 0, False
+        while not is_last:
+            is_last = self._ending.is_set()
             if session is not None and stream is not None:
                 sent += await self._send_samples(session, stream, wanted, sent)
             if self._office.hub.session is not session:
                 session, sent = self._office.hub.session, 0
                 stream = None if session is None else session.stream(wanted.history)
-            elif session is not None:
-                if wanted.modules:
-                    await self._send_modules(session, wanted)
-                if clock() >= counted:
-                    counted = clock() + 1.0
-                    await self._send(self._office.counters(session))
+                continue
+            if session is not None and wanted.modules:
+                await self._send_modules(session, wanted)
+            if session is not None and clock() >= counted:
+                counted = clock() + 1.0
+                await self._send(self._office.counters(session))
             due = max(due + 1.0 / wanted.rate, clock())
-            await asyncio.sleep(max(due - clock(), 0.0))
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(due):
+                    await self._ending.wait()
 
     async def _send_samples(self, session: Session, stream: Stream, wanted: Subscribe, sent: int) -> int:
         """Sends all samples that are there, in blocks; returns how many there were."""
@@ -196,7 +212,9 @@ class Viewer:
         while True:
             try:
                 samples = stream.take(most)
-            except UsageError:  # of a run in virtual time, which waits for nobody: the numbers show the gap
+            except (
+                UsageError
+            ):  # too many waited: of a run in virtual time, which waits for nobody: the numbers show the gap
                 continue
             if samples is None:
                 return count
@@ -210,7 +228,7 @@ class Viewer:
 
     async def _send_modules(self, session: Session, wanted: Subscribe) -> None:
         with contextlib.suppress(UsageError):  # another scene may not have them
-            await self._send(modules_block(session.state(), wanted.modules, session.scene.period))
+            await self._send(modules_block(session, wanted.modules))
 
     # Sending
 
@@ -234,5 +252,5 @@ class Viewer:
     async def _dropped(self) -> None:
         with contextlib.suppress(TimeoutError, ConnectionClosed):
             async with asyncio.timeout(_CLOSING_S):
-                await self._socket.close(SLOWLY, "too slow: read what you subscribe to, or subscribe to less")
+                await self._socket.close(TRY_LATER, "too slow: read what you subscribe to, or subscribe to less")
         self._socket.transport.abort()

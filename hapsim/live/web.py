@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import mimetypes
+import os
 import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +13,6 @@ from dataclasses import asdict
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
@@ -20,7 +20,7 @@ from websockets.http11 import Request, Response
 
 import hapsim
 from hapsim.errors import UsageError
-from hapsim.live.access import Address, has_token, new_token, why_refused
+from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, new_token, why_refused
 from hapsim.live.hub import Hub
 from hapsim.live.messages import (
     LONGEST,
@@ -33,16 +33,16 @@ from hapsim.live.messages import (
     ParameterMessage,
     text_of,
 )
-from hapsim.live.viewer import Viewer
+from hapsim.live.viewer import GOING_AWAY, TRY_LATER, Viewer
 from hapsim.loop.histogram import Histogram
 from hapsim.running.parameters import Parameter
 from hapsim.running.session import Session
 from hapsim.running.state import Event
 from hapsim.scene import Scene
 
-PORT = 7470
 MOST_CLIENTS = 16
 _MOST_CONNECTIONS = 64  # pages and half-open ones included
+_CLOSING_S = 2.0
 _FOLDER = Path(__file__).with_name("page")
 SCHEMA = Path(__file__).with_name("messages.json")
 _TOGETHER_S = 1 / 60  # changes within it are one event
@@ -61,12 +61,15 @@ class WebView:
         self.hub, self.address, self.report = hub, address, report
         self.rejected = 0
         """Messages that changed nothing."""
-        self._token = "" if address.is_loopback else new_token()
+        needs_token = not address.is_loopback or TOKEN_VARIABLE in os.environ
+        self._token = new_token() if needs_token else ""
         self._files = {f"/{file.relative_to(_FOLDER)}": file for file in _FOLDER.rglob("*") if file.is_file()}
         self._files |= {"/": _FOLDER / "index.html", "/schema.json": SCHEMA}
-        self._viewers: set[Viewer] = set()
+        self._viewers: dict[Viewer, asyncio.Task[Any] | None] = {}
+        self._is_closing = False
         self._connections = 0
         self._changed: dict[str, Any] = {}
+        self._rejected_at = 0.0
         self._flush: asyncio.TimerHandle | None = None
         self._slow, self._predictor = ThreadPoolExecutor(2, "live requests"), ThreadPoolExecutor(1, "live predictions")
 
@@ -102,9 +105,13 @@ class WebView:
         """Sends what is left, closes all connections."""
         self._unlisten()
         self._tell_changed()
+        self._is_closing = True
+        tasks = [task for task in self._viewers.values() if task is not None]
         for viewer in self._viewers:
             viewer.tell(None)
-        self._server.close(close_connections=not self._viewers)
+        if tasks:
+            await asyncio.wait(tasks, timeout=_CLOSING_S)
+        self._server.close()
         await self._server.wait_closed()
         for one in (self._slow, self._predictor):
             one.shutdown(wait=False, cancel_futures=True)
@@ -134,40 +141,39 @@ class WebView:
 
         return Counted
 
-    def _process(self, _: ServerConnection, request: Request) -> Response | None:
+    def _process(self, _connection: ServerConnection, request: Request) -> Response | None:
         """Answers a request, unless it opens a WebSocket."""
-        url, headers = urlsplit(request.path), request.headers
-        is_live = url.path == "/live"
+        (path, _, query), headers = request.path.partition("?"), request.headers
+        is_live = path == "/live"
         if why := why_refused(self.address, headers.get_all("Host"), headers.get_all("Origin"), needs_origin=is_live):
             return _response(HTTPStatus.FORBIDDEN, why)
         cookie = f"hapsim-{self.address.port}"
-        if self._token and not has_token(self._token, cookie, url.query, headers.get_all("Cookie")):
+        if self._token and not has_token(self._token, cookie, query, headers.get_all("Cookie")):
             return _response(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong: open the URL that hapsim printed")
-        if is_live and len(self._viewers) >= MOST_CLIENTS:
-            return _response(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are connected already")
         if is_live and "Upgrade" in headers:
             return None
-        file = self._files.get(url.path)
+        file = self._files.get(path)
         if file is None:
-            return _response(HTTPStatus.NOT_FOUND, f"{url.path[:80]}: there is nothing here")
+            return _response(HTTPStatus.NOT_FOUND, f"{path[:80]}: there is nothing here")
         own = {}
-        if self._token and "token=" in url.query:
+        if self._token and "token=" in query:
             own["Set-Cookie"] = f"{cookie}={self._token}; HttpOnly; SameSite=Lax; Path=/"
-            own["Location"] = url.path
+            own["Location"] = path
         kind = mimetypes.guess_type(file.name)[0] or "application/octet-stream"
         status = HTTPStatus.SEE_OTHER if own else HTTPStatus.OK
         return _response(status, file.read_bytes(), f"{kind}; charset=utf-8", own)
 
     async def _serve(self, connection: ServerConnection) -> None:
-        if len(self._viewers) >= MOST_CLIENTS:  # several came at once
-            await connection.close(1013, f"{MOST_CLIENTS} clients are connected already")
+        if self._is_closing or len(self._viewers) >= MOST_CLIENTS:
+            reason = "the run has ended" if self._is_closing else f"{MOST_CLIENTS} clients are connected already"
+            await connection.close(GOING_AWAY if self._is_closing else TRY_LATER, reason)
             return
         viewer = Viewer(self, connection)
-        self._viewers.add(viewer)
+        self._viewers[viewer] = asyncio.current_task()
         try:
             await viewer.serve()
         finally:
-            self._viewers.discard(viewer)
+            del self._viewers[viewer]
 
     # What viewers ask
 
@@ -217,9 +223,13 @@ class WebView:
             self._last_change = event
             if self._flush is None:
                 self._flush = self._loop.call_later(_TOGETHER_S, self._tell_changed)
-        else:
-            self._tell_changed()
-            self._tell_all(_event(event))
+            return
+        if event.kind == "rejected":
+            if self._loop.time() < self._rejected_at + _TOGETHER_S:
+                return
+            self._rejected_at = self._loop.time()
+        self._tell_changed()
+        self._tell_all(_event(event))
 
     def _tell_changed(self) -> None:
         if self._flush is not None:
@@ -240,8 +250,8 @@ def _listening(address: Address) -> socket.socket:
         return socket.create_server((address.ip, address.port), family=family, backlog=_MOST_CONNECTIONS)
     except OSError as error:
         raise UsageError(
-            f"--serve: {address} cannot be listened to: {error.strerror}. Is another hapsim there? "
-            "Name another port with --serve-at HOST:PORT"
+            f"--serve: {address} cannot be listened to: {os.strerror(error.errno or 0)}; name another address, or a "
+            "port that is free, with --serve-at HOST:PORT"
         ) from error
 
 
@@ -281,11 +291,13 @@ def _channels(scene: Scene) -> list[Channel]:
 
 
 def _modules(session: Session | None) -> list[ModuleMessage]:
-    places = {} if session is None else session.state().modules
-    return [
-        ModuleMessage(name=name, masses=None if isinstance(place, float) else place.size)
-        for name, place in places.items()
-    ]
+    if session is None:
+        return []
+    found = []
+    for name, place in session.state().modules.items():
+        columns = getattr(session.scene.modules.get(name), "columns", None)
+        found.append(ModuleMessage(name=name, masses=None if isinstance(place, float) else place.size, columns=columns))
+    return found
 
 
 def _bins(histogram: Histogram) -> Bins:

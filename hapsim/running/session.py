@@ -17,11 +17,14 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
@@ -209,6 +212,11 @@ class Session:
         """Returns the latest position, velocity and force of each channel, the position of each module, and how old
         they are. It takes some ten microseconds, and the loop does not notice."""
         return self._state.read(self.progress())
+
+    def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
+        """Returns the newest sample's number, and where points and masses of structures ("gut.7", "skin.3.4") are:
+        (names,) m. Raises UsageError where there is no such one."""
+        return self._state.positions(names)
 
     def stream(self, history_s: float = 0.0) -> Stream:
         """Returns an iterator over all `Samples` from now on, without gaps, in pieces as they come. It ends with the

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.cordis.program import Program, positions_of
+from hapsim.errors import UsageError
 from hapsim.progress import Progress
 from hapsim.running.assemble import LoopMemory
 from hapsim.scene import Scene
+from hapsim.scene.issue import did_you_mean
 
 EventKind = Literal[
     "armed",
@@ -94,6 +96,20 @@ class StateReader:
             modules=self.modules(),
             progress=progress,
         )
+
+    def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
+        """Returns the newest sample's number, and where points and masses of structures ("gut.7", "skin.3.4") are:
+        (names,) m. Raises UsageError where there is no such one."""
+        program = self._loop.program
+        row, numbers = positions_of(program)[0], program.numbers
+        for name in names:
+            if name not in numbers:
+                part = name.partition(".")[0]
+                masses = [one for one in numbers if one.startswith(f"{part}.")]
+                near = f"one of its masses, {masses[0]} to {masses[-1]}" if masses else "a point, or a structure's mass"
+                others = {one.partition(".")[0]: None for one in numbers}
+                raise UsageError(f"found '{name}', expected {near}{'' if masses else did_you_mean(part, list(others))}")
+        return int(self._loop.state.sample), np.array([row[numbers[name]] for name in names], np.float64)
 
     def modules(self) -> dict[str, float | NDArray[np.float64]]:
         """Returns where each point is."""

@@ -9,6 +9,7 @@ import os
 import re
 import stat
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from string import Template
 from typing import NamedTuple
@@ -27,15 +28,24 @@ def unit_name(port: str) -> str:
     return f"hapsim-{_plain(port)}.service"
 
 
-def unit_for(scene: str, port: str, *, of_user: bool = False, watch: bool = False, sound: bool = False) -> str:
+def unit_for(
+    scene: str,
+    port: str,
+    *,
+    of_user: bool = False,
+    watch: bool = False,
+    sound: bool = False,
+    live: Sequence[str] = (),
+    record_dir: Path | None = None,
+) -> str:
     """Returns the text of a unit that runs this scene file on `port`, with this interpreter. `of_user`: for a user's
-    own service manager, which grants less; `sound`: with its sound. Raises UsageError for a path that no unit can
-    hold."""
+    own service manager, which grants less; `sound`: with its sound; `live`: options that serve it over a network;
+    `record_dir`: where it may write. Raises UsageError for a path that no unit can hold."""
     import grp
 
     file = os.path.abspath(scene)
     words = [sys.executable, "-m", "hapsim", "run", file, "--port", port, "--reconnect", "--realtime"]
-    words += ["--log", "json", "--status", "auto", *["--watch"] * watch, *["--sound"] * sound]
+    words += ["--log", "json", "--status", "auto", *["--watch"] * watch, *["--sound"] * sound, *live]
     groups = {group.gr_name for group in grp.getgrall()} & {_SERIAL_GROUP, *[_SOUND_GROUP] * sound}
     is_temporary = any(path.startswith(_TEMPORARY) for path in (file, sys.executable, port))
     path = os.environ.get("PYTHONPATH")
@@ -46,6 +56,9 @@ def unit_for(scene: str, port: str, *, of_user: bool = False, watch: bool = Fals
         command=" ".join(map(_quoted, words)),
         groups=f"SupplementaryGroups={' '.join(sorted(groups, reverse=True))}\n" if groups else "",
         name=_plain(port),
+        sockets="AF_UNIX AF_INET AF_INET6 AF_NETLINK" if live else "AF_UNIX",
+        private_network="no" if live else "yes",
+        writable=f"ReadWritePaths={_quoted(os.path.abspath(record_dir), command=False)}\n" if record_dir else "",
         private_tmp="no" if is_temporary else "yes",
         devices="\n".join(f"DeviceAllow=char-{driver} rw" for driver in (*_drivers(port), *["alsa"] * sound)),
         environment=f"Environment={_quoted(f'PYTHONPATH={path}', command=False)}\n" if path else "",

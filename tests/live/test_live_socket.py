@@ -1,31 +1,207 @@
-"""The WebSocket of a running scene: requests, answers, events, blocks of samples."""
+"""The WebSocket of a running scene: requests, answers, events, blocks of samples. `Client` holds each message to the
+schema."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
+from live_clients import SCENE, SCHEMA, Served
+from websockets.exceptions import ConnectionClosed
+
+from hapsim.live.messages import schema
+from hapsim.recording.trace import load_trace
+
+Serve = Callable[..., Served]
+
+STRUCTURES = (
+    SCENE
+    + """
+  gut: {type: string, masses: 8, mass: 0.001, stiffness: 300, damping: 0.01, position: 0.001}
+  skin: {type: membrane, rows: 3, columns: 4, mass: 0.001, stiffness: 150, damping: 0.01, position: 0.002}
+"""
+)
 
 
-def test_a_client_sees_the_model_and_changes_it(serve: Callable[..., Any]) -> None:
-    served = serve()
+def test_the_schema_s_file_is_that_of_the_messages() -> None:
+    assert schema() == SCHEMA, "run tools/messages"
+
+
+def test_the_model_says_what_there_is(serve: Serve) -> None:
+    served = serve(STRUCTURES)
     with served.client() as client:
         model = client.ask(type="get")
-        assert [one["name"] for one in model["channels"]] == ["hand"]
-        by_name = {one["name"]: one for one in model["parameters"]}
-        assert by_name["touch.stiffness"]["value"] == 2000.0
-        assert client.ask(type="set", values={"touch.stiffness": 1500})["type"] == "done"
-        assert client.message(type="event")["values"] == {"touch.stiffness": 1500.0}
-        assert served.session.scene.modules["touch"].stiffness == 1500.0
+    parameters = {one["name"]: one for one in model["parameters"]}
+    assert parameters.keys() == served.session.parameters.keys()
+    assert (parameters["touch.stiffness"]["value"], parameters["touch.stiffness"]["unit"]) == (2000.0, "N/m")
+    assert model["channels"][0] == {
+        "channel": 0, "name": "hand", "motion": "linear", "unit_position": "m", "unit_force": "N", "force_limit": 10.0,
+        "travel": [None, None],
+    }  # fmt: skip
+    modules = [tuple(one.values()) for one in model["modules"]]
+    assert modules == [("hand", None, None), ("wall", None, None), ("gut", 8, None), ("skin", 12, 4)]
+    assert (model["phase"], model["has_mock"], model["can_record"], model["recording"]) == ("running", True, True, None)
+    assert [one["kind"] for one in model["events"]] == ["armed"]
 
 
-def test_blocks_have_every_sample(serve: Callable[..., Any]) -> None:
+def test_a_change_reaches_the_scene_and_everybody_hears_of_it(serve: Serve) -> None:
+    served = serve()
+    with served.client() as one, served.client() as other:
+        other.ask(type="get")
+        assert one.ask(type="set", values={"touch.stiffness": 1500, "touch.damping": 4}, over=0)["type"] == "done"
+        assert other.event("changed")["values"] == {"touch.stiffness": 1500.0, "touch.damping": 4.0}
+        found = one.ask(type="set", values={"touch.stiffnes": 1500})
+        assert "did you mean" in found["reason"]
+        assert other.event("rejected")["sentence"] == found["reason"]
+        counted = one.ask(type="subscribe"), one.message(type="counters")
+        assert (counted[1]["clients"], counted[1]["rejected"]) == (2, 1)
+    touch: Any = served.session.scene.modules["touch"]
+    assert (touch.stiffness, touch.damping) == (1500.0, 4.0)
+
+
+def test_a_burst_of_changes_is_answered_one_by_one_and_ends_at_the_last(serve: Serve) -> None:
     served = serve()
     with served.client() as client:
-        client.send(type="subscribe", rate=100, history=60)
+        for number in range(1000):
+            client.send(type="set", values={"touch.stiffness": 1000 + number}, id=number, over=0)
+        answers = [client.message(type="done")["id"] for _ in range(1000)]
+        assert answers == list(range(1000))
+        changed = [one["values"]["touch.stiffness"] for one in client.heard if one["type"] == "event"]
+        while changed[-1] != 1999.0:
+            changed.append(client.message(kind="changed")["values"]["touch.stiffness"])
+    assert changed == sorted(changed)
+    touch: Any = served.session.scene.modules["touch"]
+    assert touch.stiffness == 1999.0
+
+
+def test_blocks_have_every_sample_of_the_run(serve: Serve, tmp_path: Any) -> None:
+    served = serve(record=tmp_path / "all.npz")
+    with served.client() as client:
+        client.ask(type="subscribe", rate=200, history=60)
+        blocks = [client.block() for _ in range(20)]
+        client.ask(type="stop")
+        blocks += client.blocks_to_the_end()
+        assert client.closed == (1001, "the run has ended")
+    served.session.wait()
+    trace = load_trace(tmp_path / "all.npz")
+    assert {(one.channels, one.period) for one in blocks} == {(1, 0.001)}
+    rows = np.concatenate(
+        [np.column_stack([one.first + one.rows[:, 0].astype(int), one.rows[:, 2:]]) for one in blocks]
+    )
+    assert np.array_equal(rows[:, 0], trace.sample)
+    assert np.array_equal(rows[:, 1], trace.position[:, 0].astype("f4"))
+    assert np.array_equal(rows[:, 3], trace.force[:, 0].astype("f4"))
+
+
+def test_thinned_blocks_have_every_nth_sample_and_rate_0_ends_them(serve: Serve) -> None:
+    with serve().client() as client:
+        client.ask(type="subscribe", rate=100, every=7)
         blocks = [client.block() for _ in range(10)]
-    numbers = np.concatenate([one.first + one.rows[:, 0] for one in blocks])
-    assert numbers.size > 1
-    assert np.all(np.diff(numbers) == 1)
-    assert blocks[0].rows.shape[1] == 2 + 3
+        numbers = np.concatenate([one.first + one.rows[:, 0] for one in blocks])
+        assert np.all(np.diff(numbers) == 7)
+        client.ask(type="subscribe", rate=0)
+        client.ask(type="marker", text="from now on")
+        assert client.event("marker")["sentence"] == "from now on"
+        with pytest.raises(TimeoutError):
+            client.next(timeout=0.1)
+
+
+def test_watched_modules_come_in_the_order_asked_for(serve: Serve) -> None:
+    served = serve(STRUCTURES)
+    with served.client() as client:
+        assert "gut.0 to gut.7" in client.ask(type="subscribe", modules=["gut.8"])["reason"]
+        assert "did you mean 'hand'" in client.ask(type="subscribe", modules=["hnd"])["reason"]
+        client.ask(type="subscribe", modules=["hand", "skin.2.3", "wall", "gut.0"])
+        found = client.block(kind=2)
+    assert found.rows.shape == (1, 5)
+    assert found.rows[0, 2:].tolist() == pytest.approx([0.002, 0.0, 0.001])
+    assert found.first > 0
+
+
+def test_a_record_begins_and_ends_on_request(serve: Serve) -> None:
+    served = serve()
+    with served.client() as client:
+        file = client.ask(type="record", on=True)["file"]
+        assert client.ask(type="get")["recording"] == file
+        assert "is being recorded" in client.ask(type="record", on=True)["reason"]
+        assert client.ask(type="record", on=False)["file"] == file
+        assert client.ask(type="record", on=False)["file"] is None
+    assert len(load_trace(file).sample) > 0
+
+
+def test_a_scene_is_adopted_by_its_text_and_a_wrong_one_is_rejected(serve: Serve) -> None:
+    served = serve()
+    with served.client() as client:
+        wrong = client.ask(type="adopt", scene=SCENE.replace("stiffness", "stifness"))
+        assert "did you mean 'stiffness'" in wrong["reason"]
+        assert client.ask(type="adopt", scene=SCENE + "  push: {type: mass, mass: 0.1}\n")["type"] == "done"
+        assert client.event("changed")["values"] == {}
+        assert "push" in [one["name"] for one in client.ask(type="get")["modules"]]
+    assert served.session.scene.device.port is None
+
+
+def test_a_client_stays_while_the_device_is_away(serve: Serve) -> None:
+    served = serve()
+    with served.client() as client:
+        client.ask(type="subscribe", rate=100, history=60)
+        client.block()
+        client.ask(type="set", values={"touch.stiffness": 1200})
+        served.pause()
+        assert client.ask(type="get")["phase"] == "waiting"
+        assert "nothing runs" in client.ask(type="set", values={"touch.stiffness": 1500})["reason"]
+        assert "nothing runs" in client.ask(type="stop")["reason"]
+        served.resume()
+        client.event("armed")
+        model = client.ask(type="get")
+        assert {one["name"]: one["value"] for one in model["parameters"]}["touch.stiffness"] == 1200.0
+        assert client.block().first < 1000
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "found no JSON"),
+        ('{"type": "get"', "found no JSON"),
+        ("[" * 60_000, "found no JSON"),
+        (b"\0\1", "found a binary message"),
+        ("[1]", "expected an object"),
+        ("{}", "type: found null, expected one of get, set"),
+        ('{"type": "sett"}', "did you mean 'set'"),
+        ('{"type": "get", "values": {}}', 'found the key "values"'),
+        ('{"type": "get", "id": [1]}', "get.id: found [1], expected a number"),
+        ('{"type": "set"}', "set.values: found nothing"),
+        ('{"type": "set", "values": {"touch.stiffness": true}}', "found true, expected an object of parameters"),
+        ('{"type": "set", "values": {"touch.stiffness": NaN}}', 'found "NaN"'),
+        ('{"type": "set", "values": {"touch.stiffness": 1e999}}', 'found "Infinity"'),
+        ('{"type": "set", "values": {"touch.stiffness": -1}}', "touch.stiffness"),
+        ('{"type": "set", "values": {"touch.stiffness": [1, 2]}}', "touch.stiffness"),
+        ('{"type": "set", "values": {"touch.stiffness": "stiff"}}', "touch.stiffness"),
+        ('{"type": "set", "values": {"touch.stiffness": 9}, "over": -1}', "set.over: found -1, expected seconds"),
+        ('{"type": "set", "values": {"touch.mass": 1}}', "touch.mass"),
+        ('{"type": "subscribe", "rate": 1e9}', "expected blocks a second, 0 to 1000"),
+        ('{"type": "subscribe", "every": 0}', "subscribe.every: found 0"),
+        ('{"type": "adopt", "scene": "/etc/passwd"}', "the scene that was sent"),
+        ('{"type": "marker", "text": "' + "x" * 70_000 + '"}', "marker.text: found"),
+        ('{"type": "set", "values": {"a": "' + " " * 190 + '"}' + " " * 70_000 + "}", "expected at most 65536"),
+    ],
+)
+def test_a_wrong_message_is_answered_with_what_is_wrong(shared: Served, text: str | bytes, said: str) -> None:
+    with shared.client() as client:
+        client.socket.send(text)
+        reason = client.message(type="rejected")["reason"]
+        assert said in reason
+        assert "defect" not in reason
+        assert len(reason) < 1000
+        assert client.ask(type="get")["type"] == "model"
+
+
+def test_a_message_beyond_every_limit_closes_the_connection(shared: Served) -> None:
+    with shared.client() as client:
+        client.socket.send(json.dumps({"type": "adopt", "scene": "x" * (1 << 20)}))
+        with pytest.raises(ConnectionClosed):
+            client.next()
+        assert client.closed[0] == 1009
+    assert not shared.warnings

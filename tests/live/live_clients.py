@@ -1,0 +1,182 @@
+"""A running scene that is served, and clients that hold every message to the schema."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+from numpy.typing import NDArray
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from hapsim.live.access import address_of
+from hapsim.live.hub import Hub
+from hapsim.live.server import Server
+from hapsim.live.web import WebView
+from hapsim.running import Session, start
+from hapsim.scene import Scene, parse_scene
+
+SCENE = """
+version: 1
+rate: 1000
+device: {clock: host, mass: 0.2, friction: 1.0, force_limit: 10}
+mock: {initial: {position: 0.0, velocity: 0.1}}
+modules:
+  hand: {type: device, channel: 0}
+  wall: {type: ground, position: 0.0}
+  touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}
+"""
+SCHEMA = json.loads((Path(__file__).parents[2] / "hapsim/live/messages.json").read_text("utf-8"))
+REQUESTS, ANSWERS = (
+    jsonschema.Draft202012Validator({"$ref": f"#/$defs/{name}", "$defs": SCHEMA["$defs"]})
+    for name in ("requests", "answers")
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    kind: int
+    first: int
+    period: float
+    channels: int
+    rows: NDArray[np.float32]
+
+
+def block(data: bytes) -> Block:
+    kind, rows, columns, channels, first, period = struct.unpack_from("<IIIIdd", data)
+    return Block(kind, int(first), period, channels, np.frombuffer(data, "<f4", offset=32).reshape(rows, columns))
+
+
+class Client:
+    """A client that holds every message, in both directions, to the schema."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self.socket = socket
+        self.heard: list[dict[str, Any]] = []
+        self._asked = 0
+
+    @property
+    def closed(self) -> tuple[int | None, str | None]:
+        return self.socket.close_code, self.socket.close_reason
+
+    def send(self, **message: Any) -> None:
+        REQUESTS.validate(message)
+        self.socket.send(json.dumps(message))
+
+    def next(self, timeout: float = 30.0) -> dict[str, Any] | Block:
+        data = self.socket.recv(timeout=timeout)
+        if isinstance(data, bytes):
+            return block(data)
+        message: dict[str, Any] = json.loads(data)
+        ANSWERS.validate(message)
+        self.heard.append(message)
+        return message
+
+    def message(self, **fields: Any) -> dict[str, Any]:
+        """The next message with these fields."""
+        while True:
+            found = self.next()
+            if isinstance(found, dict) and all(found.get(key) == value for key, value in fields.items()):
+                return found
+
+    def event(self, kind: str) -> dict[str, Any]:
+        """The first event of this kind, which may have come before an answer."""
+        heard = [one for one in self.heard if one.get("kind") == kind]
+        return heard[0] if heard else self.message(type="event", kind=kind)
+
+    def ask(self, **message: Any) -> dict[str, Any]:
+        self._asked += 1
+        self.send(**message, id=self._asked)
+        return self.message(id=self._asked)
+
+    def blocks_to_the_end(self) -> list[Block]:
+        found = []
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                one = self.next()
+                found += [one] if isinstance(one, Block) and one.kind == 1 else []
+        return found
+
+    def block(self, kind: int = 1) -> Block:
+        while True:
+            found = self.next()
+            if isinstance(found, Block) and found.kind == kind:
+                return found
+
+
+@dataclass
+class Served:
+    hub: Hub
+    session: Session
+    view: WebView
+    warnings: list[str]
+    starting: Callable[[Scene], Session]
+    is_paused: bool = False
+    is_over: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def origin(self) -> str:
+        return f"http://127.0.0.1:{self.view.address.port}"
+
+    @contextlib.contextmanager
+    def client(self, **options: Any) -> Iterator[Client]:
+        url = f"ws://127.0.0.1:{self.view.address.port}/live"
+        with connect(url, **{"origin": self.origin, "compression": None, **options}) as socket:
+            yield Client(socket)
+
+    def pause(self) -> None:
+        """As a run that waits for its device."""
+        self.is_paused = True
+        self.session.stop()
+        self.session.wait()
+        self.hub.observer.over()
+
+    def resume(self) -> None:
+        self.session = self.starting(self.hub.scene)
+        self.hub.observer.started(self.session)
+        self.is_paused = False
+
+
+@contextlib.contextmanager
+def serving(
+    scene: str | Scene = SCENE, address: str = ":0", record_dir: Path | None = None, **options: Any
+) -> Iterator[Served]:
+    """Runs a scene on the mock and serves it, as `hapsim run --serve` does."""
+    scene = parse_scene(scene) if isinstance(scene, str) else scene
+    warnings: list[str] = []
+    hub = Hub(scene, record_dir)
+    view = WebView(hub, address_of("--serve-at", address, 0), warnings.append)
+    server = Server([view], warnings.append)
+    server.start()
+
+    def starting(scene: Scene) -> Session:
+        return start(scene, keep=False, **hub.options, **options)
+
+    served = Served(hub, starting(scene), view, warnings, starting)
+    hub.observer.started(served.session)
+    ended = threading.Thread(target=lambda: _end(served, server))
+    ended.start()
+    try:
+        yield served
+    finally:
+        served.is_over.set()
+        ended.join()
+
+
+def _end(served: Served, server: Server) -> None:
+    """Follows the session to its end, as the run does."""
+    while not served.is_over.is_set():
+        if served.session.wait(0.02) and not served.is_paused:
+            break
+    served.session.close()
+    served.hub.observer.over()
+    served.hub.ended(None)
+    server.close()
