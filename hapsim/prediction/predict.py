@@ -33,6 +33,7 @@ from hapsim.prediction.linear import (
     with_device,
 )
 from hapsim.prediction.plausibility import unlikely
+from hapsim.prediction.quick import is_surely_stable
 from hapsim.prediction.regions import growth, growth_of, regions_of
 from hapsim.prediction.timing import wire_of, wire_time_of, with_wire_delay
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Region
@@ -232,6 +233,11 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
     It is not sure at the limit, or where it was not worked out for the scheme by which the scene runs. This is what a
     running loop has to know of a scene before it takes it, at a tenth of what `predict` costs.
     """
+    return None if is_surely_stable(scene) else found_to_shake(scene)
+
+
+def found_to_shake(scene: Scene) -> Shaking | None:
+    """`surely_shaken_by`, worked out in full."""
     scene = rendered(scene).seen
     linear = scene_at(scene)
     for name in scene.device_points:

@@ -29,7 +29,7 @@ def regions_of(rendering: Rendering, name: str, around: float = 0.0) -> tuple[Re
         here = linear_at(seen, linear, name, piece)
         felt = felt_by(rendering, here, name)
         kind = _kind(felt.stiffness + felt.configuration.stiffness)
-        stable = felt.stable if kind == "held" else _growth(felt.poles, kind) < _GROWS
+        stable = felt.stable if kind == "held" else modulus_without(felt.poles, kind) < _GROWS
         energy = _snap_energy(piece, hand) if kind == "snap" else 0.0
         regions.append(Region(piece, felt, kind, stable, links_of(here, name), energy))
     return tuple(regions)
@@ -37,7 +37,7 @@ def regions_of(rendering: Rendering, name: str, around: float = 0.0) -> tuple[Re
 
 def growth(regions: tuple[Region, ...]) -> float:
     """The largest modulus of a pole with which a region shakes the hand; 0 where none does."""
-    return max((_growth(one.felt.poles, one.kind) for one in regions if not one.is_stable), default=0.0)
+    return max((modulus_without(one.felt.poles, one.kind) for one in regions if not one.is_stable), default=0.0)
 
 
 def growth_of(seen: Scene, linear: LinearScene, name: str) -> tuple[float, str]:
@@ -55,7 +55,7 @@ def growth_of(seen: Scene, linear: LinearScene, name: str) -> tuple[float, str]:
             configuration, stiffness, damping = element
             kind = _kind(stiffness + configuration.stiffness)
             if not (kind == "held" and bool(configuration.is_stable(stiffness, damping))):
-                grows = _growth(configuration.poles(stiffness, damping).tolist(), kind)
+                grows = modulus_without(configuration.poles(stiffness, damping).tolist(), kind)
                 if grows > grown:
                     links = links_of(here, name)
                     grown, whose = grows, f"{name} in {max(links, key=lambda link: links[link].stiffness)}"
@@ -75,7 +75,7 @@ def _kind(stiffness: float) -> RegionKind:
     return "held" if stiffness > 0.0 else "snap" if stiffness < 0.0 else "free"
 
 
-def _growth(poles: Iterable[complex], kind: RegionKind) -> float:
+def modulus_without(poles: Iterable[complex], kind: RegionKind) -> float:
     """The largest modulus of a pole, without the one that a snap or a free hand has by itself: the largest real one."""
     rest = list(poles)
     real = [pole for pole in rest if abs(pole.imag) <= 1e-6 * abs(pole) and pole.real > 0.0]

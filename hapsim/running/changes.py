@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from hapsim.cordis.dispatch import Column
 from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
 from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
@@ -23,6 +24,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
+from hapsim.prediction.quick import is_surely_stable
 from hapsim.running.assemble import LoopMemory
 from hapsim.running.parameters import MOCK_HAND, LivePart, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable
@@ -41,6 +43,7 @@ OVER = "the run is over: nothing can be changed any more"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _GLANCE_S = 1e-3
+_MOST_STATES = 250  # of a scene that is judged in the thread of who changes it: some milliseconds
 _MAY_DIFFER = (("mock", "initial"), ("mock", "hand"))
 _NO_HAND = f"{MOCK_HAND}: the device is no mock of this process; a hand that holds a real device cannot be set"
 
@@ -62,28 +65,37 @@ class LiveScene:
         """The scene with every change so far."""
         self._loop, self._is_over, self._gives_way, self._unstable = loop, is_over, gives_way, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
+        self._values: Column | None = None  # those of the scene that the loop moves; None: not worked out yet
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes some live parameters, as `Session.set`."""
 
         replaces = _crossfades(self.scene, changes)
 
-        def change() -> None:
+        def change(is_beside: bool = True) -> bool:
             with self._replacing if replaces else self._writing:
                 scene = _changed(self.scene, changes)
                 if MOCK_HAND in changes and self._loop.hand is None:
                     raise UsageError(_NO_HAND)
-                if self._unstable is False:
-                    require_not_less_stable(self.scene, scene)
+                if not self._is_quickly_judged(scene):
+                    if not is_beside:
+                        return False
+                    if self._unstable is False:
+                        require_not_less_stable(self.scene, scene)
                 if not replaces:
                     self._ramp_to(scene, over)
                 elif scene != self.scene:
                     self._replace(scene, _samples(scene, over))
+                return True
 
-        if self._unstable is None and not replaces:
-            change()
-        else:  # predicts the scene, which takes seconds for a large one, or compiles it
+        # Beside the loop it predicts the scene, which takes seconds for a large one, or compiles it.
+        if replaces or not change(is_beside=False):
             self._beside_loop(change)
+
+    def _is_quickly_judged(self, scene: Scene) -> bool:
+        """Whether a change to `scene` needs no prediction, by `unstable`."""
+        is_same = self._unstable is False and scene.modules is self.scene.modules
+        return self._unstable is None or is_same or is_surely_stable(scene, _MOST_STATES)
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, as `Session.adopt`."""
@@ -100,7 +112,7 @@ class LiveScene:
 
         self._beside_loop(change)
 
-    def _beside_loop(self, work: Callable[[], None]) -> None:
+    def _beside_loop(self, work: Callable[[], object]) -> None:
         if self._gives_way:
             Beside(work).result()
         else:
@@ -110,13 +122,14 @@ class LiveScene:
         """Posts the values of `scene`, if any differs."""
         samples = _samples(scene, over)
         rendering = rendered(scene)
-        values, now = parameter_values(rendering.scene), parameter_values(self._loop.rendered_scene)
+        values = parameter_values(rendering.scene)
+        now = parameter_values(self._loop.rendered_scene) if self._values is None else self._values
         self._move_hand(scene, samples)
         if not np.array_equal(values, now):
             self._announce(samples, self._is_shaken_by(scene))
             self._loop.program.parameters.post(values, samples * scene.substeps)
             self._correct_as(rendering, samples)
-        self.scene, self._loop.rendered_scene = scene, rendering.scene
+        self.scene, self._loop.rendered_scene, self._values = scene, rendering.scene, values
 
     def _replace(self, scene: Scene, samples: int) -> None:
         """Compiles the program of `scene` and crossfades to it. Only the last lines hold the lock."""
@@ -136,7 +149,7 @@ class LiveScene:
             self._loop.follow_with(program, samples * scene.substeps)
             self._correct_as(rendering, samples)
             self._move_hand(scene, samples)
-            self.scene, self._loop.rendered_scene = scene, after
+            self.scene, self._loop.rendered_scene, self._values = scene, after, None
 
     def _move_hand(self, scene: Scene, samples: int) -> None:
         if self._loop.hand is not None and parts_of(scene)[MOCK_HAND] != parts_of(self.scene)[MOCK_HAND]:
@@ -266,8 +279,12 @@ def _changed(scene: Scene, changes: Changes) -> Scene:
         raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
     for issue in lists_of_another_length({("mock", "hand"): dict(hand)}, scene.channels):
         raise UsageError(f"{'.'.join(map(str, issue.path))}: {issue.sentence}")
-    mock = (scene.mock or Mock()).model_copy(update={"hand": hand}) if MOCK_HAND in changes else scene.mock
-    return scene.model_copy(update={"modules": Table(modules), "sound": Table(pick_ups), "mock": mock})
+    made: dict[str, Any] = {"modules": Table(modules)} if changes.keys() & scene.modules.keys() else {}
+    if changes.keys() & scene.sound.keys():
+        made["sound"] = Table(pick_ups)
+    if MOCK_HAND in changes:
+        made["mock"] = (scene.mock or Mock()).model_copy(update={"hand": hand})
+    return scene.model_copy(update=made)
 
 
 def _part_with(name: str, module: LivePart, values: Mapping[str, Any]) -> LivePart:

@@ -7,6 +7,7 @@ shared with the transforms of ``sampled_plant.py``, against which it is a check.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ class DeviceStep(NamedTuple):
     window: float
 
 
+@lru_cache(maxsize=64)
 def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0, sampling: str = "ideal") -> DeviceStep:
     """The step of a mass with the normalised friction b0 T/m and own spring k0 T²/m, and a delay in sample periods."""
     whole, fraction = whole_and_fraction(delay)
@@ -47,7 +49,10 @@ def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0,
     if window > 0.0:
         read = np.stack([both[TRAVEL], both[POSITION] - opens[POSITION]]) / window
     rows = np.vstack([both[:2], read])
-    return DeviceStep(rows[:, :2], np.hstack([np.zeros((4, whole)), rows[:, 2:]]), window)
+    step = DeviceStep(rows[:, :2], np.hstack([np.zeros((4, whole)), rows[:, 2:]]), window)
+    for shared in step[:2]:
+        shared.flags.writeable = False
+    return step
 
 
 def split(segments: list[Piece], at: float) -> tuple[list[Piece], list[Piece]]:

@@ -1,0 +1,67 @@
+"""How a stream of changes is judged: quickly, and never in favour of a scene that the whole prediction refuses."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import pytest
+
+import hapsim
+from hapsim.errors import UsageError
+from hapsim.prediction import surely_shaken_by
+from hapsim.prediction.predict import found_to_shake
+from hapsim.prediction.quick import is_surely_stable
+from hapsim.running import changes
+from hapsim.scene import Scene, parse_scene
+from hapsim.scene.part import Table
+from hapsim.scene.shipped import shipped_scene, shipped_scenes
+
+SLOW = ("struck_membrane", "bowed_string", "knob_24")  # to predict in full, often
+SCENES = {name: parse_scene(shipped_scene(name), name) for name in shipped_scenes() if name not in SLOW}
+KEYS = ("stiffness", "damping", "position", "force", "depth")
+
+
+def varied(scene: Scene, chance: random.Random) -> Scene:
+    """With some numbers of its modules multiplied, most by little, some by a lot."""
+    modules = dict(scene.modules)
+    for name, module in modules.items():
+        new = {
+            key: getattr(module, key) * 10.0 ** chance.choice((0.1 * chance.random(), chance.uniform(-1.5, 2.0)))
+            for key in KEYS
+            if isinstance(getattr(module, key, None), float)
+        }
+        modules[name] = module.model_copy(update=new)
+    device = scene.device.model_copy(update={"delay": chance.choice((0.0, 0.5, 1.0, 2.0))})
+    return scene.model_copy(update={"modules": Table(modules), "device": device})
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_it_accepts_shakes_no_hand(name: str) -> None:
+    chance, accepted, refused = random.Random(name), 0, 0
+    for _ in range(12):
+        scene = varied(SCENES[name], chance)
+        shaking = found_to_shake(scene)
+        accepted += is_surely_stable(scene)
+        refused += shaking is not None
+        assert not (is_surely_stable(scene) and shaking is not None)
+        assert (surely_shaken_by(scene) is None) == (shaking is None)
+    assert is_surely_stable(SCENES[name])
+    assert accepted or refused
+
+
+def test_a_stream_of_changes_is_judged_without_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
+    def predicted(*_: Any) -> None:
+        raise AssertionError("a prediction, which takes long")
+
+    monkeypatch.setattr(changes, "require_not_less_stable", predicted)
+    scene = SCENES["four_keys"]
+    lockstep = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
+    with hapsim.start(lockstep, unstable=False) as session:
+        for stiffness in (100.0, 150.0, 200.0):
+            session.set({"c-spring": {"stiffness": stiffness}, "rest": {"position": 1e-6 * stiffness}})
+        session.set({"mock.hand": {"force": 1.0}})
+        monkeypatch.undo()
+        with pytest.raises(UsageError, match="predicted unstable"):
+            session.set({"c-spring": {"stiffness": 1e6}})
+        assert session.scene.links["c-spring"].stiffness == 200.0  # type: ignore[attr-defined]
