@@ -65,3 +65,12 @@ def test_a_stream_of_changes_is_judged_without_a_prediction(monkeypatch: pytest.
         with pytest.raises(UsageError, match="predicted unstable"):
             session.set({"c-spring": {"stiffness": 1e6}})
         assert session.scene.links["c-spring"].stiffness == 200.0  # type: ignore[attr-defined]
+
+
+def test_a_damper_that_shakes_a_hand_without_a_spring_is_not_accepted() -> None:
+    scene = SCENES["first_touch"]
+    for damping, is_stable in ((5.0, True), (1e4, False)):
+        touch = scene.modules["touch"].model_copy(update={"stiffness": 0.0, "damping": damping})
+        braked = scene.model_copy(update={"modules": Table({**scene.modules, "touch": touch})})
+        assert is_surely_stable(braked) is is_stable
+        assert (found_to_shake(braked) is None) is is_stable
