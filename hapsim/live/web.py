@@ -43,6 +43,7 @@ from hapsim.scene import Scene
 MOST_CLIENTS = 16
 _MOST_CONNECTIONS = 64  # pages and half-open ones included
 _CLOSING_S = 2.0
+_SEND_BUFFER = 1 << 18  # bytes of one client
 _FOLDER = Path(__file__).with_name("page")
 SCHEMA = Path(__file__).with_name("messages.json")
 _TOGETHER_S = 1 / 60  # changes within it are one event
@@ -247,7 +248,9 @@ class WebView:
 def _listening(address: Address) -> socket.socket:
     family = socket.AF_INET6 if ":" in address.ip else socket.AF_INET
     try:
-        return socket.create_server((address.ip, address.port), family=family, backlog=_MOST_CONNECTIONS)
+        listening = socket.create_server((address.ip, address.port), family=family, backlog=_MOST_CONNECTIONS)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # the system's may grow to megabytes
+        return listening
     except OSError as error:
         raise UsageError(
             f"--serve: {address} cannot be listened to: {os.strerror(error.errno or 0)}; name another address, or a "

@@ -233,3 +233,24 @@ def test_with_sound_the_unit_may_open_a_sound_card() -> None:
     assert sounding["ExecStart"][0].endswith(" --sound")
     assert "audio" in sounding["SupplementaryGroups"][0]
     assert "audio" not in str(silent)
+
+
+def test_a_unit_that_serves_may_reach_the_network_and_write_records(
+    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
+) -> None:
+    options = (
+        "--serve",
+        "--osc",
+        "--serve-at",
+        "127.0.0.1:7000",
+        "--osc-from",
+        "127.0.0.1",
+        "--record-dir",
+        str(tmp_path),
+    )
+    found = settings(hapsim("service", scene, *options, "--json").document["unit"])
+    assert tuple(shlex.split(found["ExecStart"][0])[-len(options) :]) == options
+    assert found["PrivateNetwork"] == ["no"]
+    assert "AF_INET6" in found["RestrictAddressFamilies"][0]
+    assert found["ReadWritePaths"] == [str(tmp_path)]
+    assert "found no --osc-from" in hapsim("service", scene, "--osc-at", "0.0.0.0").sentence
