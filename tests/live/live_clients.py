@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from hapsim.errors import RunError
 from hapsim.live.access import address_of
 from hapsim.live.hub import Hub
 from hapsim.live.server import Server
@@ -158,7 +159,7 @@ def serving(
     server.start()
 
     def starting(scene: Scene) -> Session:
-        return start(scene, keep=False, **hub.options, **options)
+        return start(scene, keep=False, unstable=False, judges_energy=True, **hub.options, **options)
 
     served = Served(hub, starting(scene), view, warnings, starting)
     hub.observer.started(served.session)
@@ -176,7 +177,11 @@ def _end(served: Served, server: Server) -> None:
     while not served.is_over.is_set():
         if served.session.wait(0.02) and not served.is_paused:
             break
-    served.session.close()
+    failure = None
+    try:
+        served.session.close()
+    except RunError as error:
+        failure = error
     served.hub.observer.over()
-    served.hub.ended(None)
+    served.hub.ended(failure)
     server.close()
