@@ -1,0 +1,58 @@
+"""`hapsim run --serve` as a program: what it prints, an edit of the scene's file, a device that goes and comes back."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from live_clients import SCENE, Client
+from websockets.sync.client import connect
+
+
+def printed(program: Any, pattern: str) -> str:
+    """What the pattern finds in standard error, as soon as it is there. The minute is for a machine that hangs."""
+    give_up = time.monotonic() + 60.0
+    while (found := re.search(pattern, program.err)) is None:
+        assert time.monotonic() < give_up, program.err
+        assert program.poll() is None, program.err
+        time.sleep(0.01)
+    return str(found[1])
+
+
+def test_a_client_stays_through_edits_a_lost_device_and_to_the_end(
+    start_hapsim: Callable[..., Any], tmp_path: Path
+) -> None:
+    scene, port = tmp_path / "scene.yaml", tmp_path / "port"
+    scene.write_text(SCENE.replace("clock: host", "clock: device"), "utf-8")
+    device = start_hapsim("mock", scene, "--link", port)
+    while not port.exists():
+        time.sleep(0.01)
+    options = "--port", port, "--watch", "--reconnect", "--serve-at", "127.0.0.1:0", "--record-dir", tmp_path
+    run = start_hapsim("run", scene, *options, "--reports", tmp_path)
+    url = printed(run, r"Serving at (http://\S+/)")
+    with connect(f"ws{url[4:]}live", origin=url.rstrip("/")) as socket:  # type: ignore[arg-type]
+        client = Client(socket)
+        client.event("armed")
+        model = client.ask(type="get")
+        assert (model["scene"], model["has_mock"], model["can_record"]) == ("scene.yaml", False, True)
+        assert client.ask(type="set", values={"touch.stiffness": 1100})["type"] == "done"
+        scene.write_text(scene.read_text("utf-8").replace("2000", "900"), "utf-8")
+        while {one["name"]: one["value"] for one in model["parameters"]}["touch.stiffness"] != 900.0:
+            model = client.ask(type="get")
+        device.kill()
+        client.event("lost")
+        assert client.ask(type="get")["phase"] == "waiting"
+        port.unlink()
+        start_hapsim("mock", scene, "--link", port)
+        client.event("reconnected")
+        client.ask(type="subscribe")
+        client.block()
+        assert client.ask(type="stop")["type"] == "done"
+        assert client.event("ended")["sentence"] == ""
+        client.blocks_to_the_end()
+        assert client.closed == (1001, "the run has ended")
+    assert run.wait() == 0
+    assert "Traceback" not in run.err
