@@ -49,6 +49,7 @@ class Hub:
         self._waiting: deque[_Change] = deque()
         self._news = threading.Condition()
         self._is_over = False
+        self._known: dict[str, Parameter] = {}
         self._thread = threading.Thread(target=self._make_changes, name="live changes", daemon=True)
         self._thread.start()
 
@@ -159,7 +160,7 @@ class Hub:
         self.tell("ended", str(failure or ""))
 
     def _started(self, session: Session) -> None:
-        self.session = session
+        self.session, self._known = session, session.parameters
         self.tell("armed", f"{session.scene.path or 'the scene'} runs on {session.name}")
 
     def _over(self) -> None:
@@ -193,7 +194,9 @@ class Hub:
         values = {name: value for change in together for name, value in change.values.items()}
         try:
             session = self._running()
-            session.set(changes_from(values, session.parameters), together[0].over)
+            if not values.keys() <= self._known.keys():  # names stay what they are: no list of all for each change
+                self._known = session.parameters
+            session.set(changes_from(values, self._known), together[0].over)
         except Exception as error:  # a defect must not end this thread
             known = error if isinstance(error, HapsimError) else UsageError(f"a defect of hapsim itself: {error!r}")
             if or_reject:

@@ -1,0 +1,302 @@
+"""A running scene, watched and changed: what `set` costs, how soon a change is felt, and what views cost the loop.
+
+    tools/bench/panel [--only cost,latency,watched] [--seconds 10] [--rounds 5] [--streams osc]
+
+* cost: µs that `Session.set` takes, by scene; each set has another value, in a loop that runs in real time.
+* latency: from just before a change is sent to the arrival of the first position that is answered with it, at 1 kHz
+  over a pseudo-terminal. The wall moves on by 1 µm a change; force and position of a row say where it was. From Python
+  in the same process, over the WebSocket and over OSC of `hapsim run`, 50 and 1000 times per second.
+* watched: `hapsim run` with and without a panel (60 blocks per second), two streams of 1000 changes per second over OSC
+  (or, `--streams websocket`, over that) and a client that subscribes and does not read, taking turns: deadline misses,
+  exchange time and wake-up latency.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import os
+import re
+import signal
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pythonosc.osc_message_builder import OscMessageBuilder
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect as connect_here
+
+import hapsim
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+CHANGED = {
+    "first_touch": "touch.stiffness",
+    "wall": "stop.stiffness",
+    "four_keys": "c-spring.stiffness",
+    "plucked_string": "pick.stiffness",
+    "bowed_string": "bow.stiffness",
+    "struck_membrane": "stick.stiffness",
+}
+STIFFNESS, STEP = 200.0, 1e-6
+HELD = f"""\
+version: 1
+rate: 1000
+device: {{mass: 0.2, clock: device, friction: 1.0}}
+mock: {{hand: {{stiffness: 500, damping: 5}}}}
+modules:
+  hand:  {{type: device, channel: 0}}
+  wall:  {{type: ground}}
+  other: {{type: ground}}
+  touch: {{type: viscoelastic, between: [hand, wall], stiffness: {STIFFNESS}, damping: 0}}
+  more:  {{type: viscoelastic, between: [hand, other], stiffness: 10, damping: 0.1}}
+"""
+Send = Callable[[float], object]
+
+
+def paced(rate: float, seconds: float) -> Iterator[int]:
+    """Numbers from 1 on, at this rate."""
+    begin = time.monotonic()
+    for i in range(1, round(rate * seconds) + 1):
+        time.sleep(max(begin + i / rate - time.monotonic(), 0.0))
+        yield i
+
+
+def sent_at(send: Send, rate: float, seconds: float) -> NDArray[np.int64]:
+    """Moves the wall on and on; returns when each change was begun, ns."""
+    begun = []
+    for i in paced(rate, seconds):
+        begun.append(time.monotonic_ns())
+        send(i * STEP)
+    return np.array(begun)
+
+
+def latencies(trace: hapsim.running.Trace, begun: NDArray[np.int64]) -> NDArray[np.float64]:
+    """ms from each change to the first position that was answered with it or a later one; infinite for none."""
+    more = 10.0 * trace.position[:, 0] + 0.1 * np.diff(trace.position[:, 0], prepend=0.0) * trace.rate
+    wall = (trace.asked_force[:, 0] + more) / STIFFNESS + trace.position[:, 0]
+    rows = np.searchsorted(np.maximum.accumulate(wall), (np.arange(begun.size) + 0.5) * STEP)
+    arrived = np.append(trace.time_ns.astype(float), np.inf)
+    return np.asarray((arrived[rows] - begun) * 1e-6)
+
+
+@contextlib.contextmanager
+def served(directory: Path, *options: str) -> Iterator[tuple[str, int, list[Any]]]:
+    """`hapsim run` of the held scene: its WebSocket, its OSC port; its report, once it has ended."""
+    (directory / "held.yaml").write_text(HELD, encoding="utf-8")
+    with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as free:
+        free.bind(("127.0.0.1", 0))
+        osc = free.getsockname()[1]
+    command = [sys.executable, "-m", "hapsim", "run", str(directory / "held.yaml"), "--json"]
+    command += ["--realtime", "--serve-at", "127.0.0.1:0", "--osc-at", f"127.0.0.1:{osc}", *options]
+    report: list[Any] = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        found = next(found for line in process.stderr if (found := re.search(r"http://([^/\s\"]+)/", line)))
+        listener = threading.Thread(target=process.stderr.read)
+        listener.start()
+        url = f"ws://{found[1]}/live"
+        with connect_here(url, origin=origin_of(url)) as client:
+            while json.loads(ask(client, {"type": "get"}))["phase"] != "running":
+                time.sleep(0.05)
+        yield url, osc, report
+        process.send_signal(signal.SIGINT)
+        assert process.stdout is not None
+        report.append(json.loads(process.stdout.read()))
+        listener.join()
+
+
+def ask(client: Any, message: dict[str, Any]) -> str:
+    """Returns the answer to a request."""
+    client.send(json.dumps(message))
+    while json.loads(answer := client.recv())["type"] in ("event", "counters"):
+        pass
+    return str(answer)
+
+
+def origin_of(url: str) -> Any:
+    """What a page of the same server sends as its origin."""
+    return url.replace("ws:", "http:").removesuffix("/live")
+
+
+def osc_message(address: str, *values: float) -> bytes:
+    """One OSC message of floats."""
+    builder = OscMessageBuilder(address)
+    for value in values:
+        builder.add_arg(value, "f")
+    return builder.build().dgram
+
+
+# What is measured
+
+
+def cost() -> None:
+    """Prints what `Session.set` takes."""
+    print("| scene, changed | `set`, µs, p50 | p99 | with `unstable=False`, p50 | p99 |\n|---|---|---|---|---|")
+    for name, key in CHANGED.items():
+        cells, (part, _, field) = [f"{name}, {key}"], key.rpartition(".")
+        for unstable in (None, False):
+            with hapsim.start(CONFIGS / f"{name}.yaml", transport="mock", unstable=unstable) as session:
+                value, took = session.parameters[key].value, []
+                for i in range(301):
+                    begin = time.perf_counter()
+                    session.set({part: {field: value * (1.0 - 1e-4 * i)}})  # type: ignore[operator]
+                    took.append(1e6 * (time.perf_counter() - begin))
+                    time.sleep(0.002)
+            cells += [f"{one:.0f}" for one in np.quantile(took[1:], (0.5, 0.99))]
+        print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def latency(seconds: float) -> None:
+    """Prints how soon a change is felt."""
+    print("| from | changes per second | p50, ms | p99 | most | never felt |\n|---|---|---|---|---|---|")
+    for way in ("Python", "WebSocket", "OSC"):
+        for rate in (50.0, 1000.0):
+            with tempfile.TemporaryDirectory() as directory:
+                trace, begun = run_changed(way, rate, seconds, Path(directory))
+            took = latencies(trace, begun)
+            cells = [f"{one:.2f}" for one in np.quantile(took, (0.5, 0.99, 1.0), method="higher")]
+            print(f"| {way} | {rate:g} | {' | '.join(cells)} | {np.isinf(took).sum()} |", flush=True)
+
+
+def run_changed(way: str, rate: float, seconds: float, directory: Path) -> tuple[Any, NDArray[np.int64]]:
+    """The trace of a run that was changed in this way, and when each change was begun."""
+    if way == "Python":
+        scene = hapsim.parse_scene(HELD, "held")
+        with hapsim.start(scene, transport="terminal", unstable=False) as session:
+            begun = sent_at(lambda x: session.set({"wall": {"position": x}}, over=0.0), rate, seconds)
+            time.sleep(0.2)
+        return session.trace, begun
+    file = directory / "run.trace"
+    with served(directory, "--record", str(file)) as (url, osc, _):
+        if way == "OSC":
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+                out.connect(("127.0.0.1", osc))
+                begun = sent_at(lambda x: out.send(osc_message("/hapsim/wall/position", x, 0.0)), rate, seconds)
+        else:
+            with connect_here(url, origin=origin_of(url), max_queue=None) as client:
+                moved = {"type": "set", "over": 0.0}
+                begun = sent_at(
+                    lambda x: client.send(json.dumps(moved | {"values": {"wall.position": x}})), rate, seconds
+                )
+        time.sleep(0.2)
+    return hapsim.load_trace(file), begun
+
+
+def watched(seconds: float, rounds: int, streams: str) -> None:
+    """Prints what views cost the loop."""
+    found: dict[bool, list[dict[str, float]]] = {False: [], True: []}
+    for number in range(2 * rounds):
+        is_watched = bool(number % 2)
+        with tempfile.TemporaryDirectory() as directory, served(Path(directory)) as (url, osc, report):
+            if is_watched:
+                at = osc if streams == "osc" else url
+                clients = [gently(stream, at, name, seconds) for name in ("wall", "other")]
+                for one in (*clients, gently(lambda to: asyncio.run(view(to, seconds)), url)):
+                    one.join()
+            else:
+                time.sleep(seconds)
+        told = report[0]
+        if told["ending"] not in ("interrupted", "stopped"):
+            print(f"round {number + 1}, watched: {is_watched}: {told['ending']}", file=sys.stderr)
+        found[is_watched].append(
+            {"deadline misses": told["deadline_misses"] / told["ticks"] * 1e6, "changes": told["parameter_changes"]}
+            | {f"exchange, µs, {q}": 1e6 * told["exchange_s"][q] for q in ("p50", "p99")}
+            | {f"wake-up latency, µs, {q}": 1e6 * told["lateness_s"][q] for q in ("p50", "p99")}
+        )
+    print("| | alone | watched | watched / alone |\n|---|---|---|---|")
+    for what in found[False][0]:
+        alone, watching = ([one[what] for one in found[key]] for key in (False, True))
+        ratios = [one / other for one, other in zip(watching, alone, strict=True) if other]
+        cells = [spread(alone), spread(watching), spread(ratios, 2) if ratios else ""]
+        print(f"| {what}{', per million' if what == 'deadline misses' else ''} | {' | '.join(cells)} |", flush=True)
+
+
+def gently(work: Callable[..., None], *arguments: Any) -> threading.Thread:
+    """Does this in a thread of low priority, as if on another machine; ends with the run where that ends early."""
+
+    def run() -> None:
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
+        with contextlib.suppress(ConnectionClosed):
+            work(*arguments)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread
+
+
+def stream(at: int | str, name: str, seconds: float) -> None:
+    """A stream that moves a ground to and fro, to an OSC port or a WebSocket."""
+    with contextlib.ExitStack() as stack:
+        if isinstance(at, int):
+            out = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        else:
+            client = stack.enter_context(connect_here(at, origin=origin_of(at), max_queue=None))
+        for i in paced(1000.0, seconds):
+            x = 1e-3 * float(np.sin(0.01 * i))
+            if isinstance(at, int):
+                out.sendto(osc_message(f"/hapsim/{name}/position", x, 0.005), ("127.0.0.1", at))
+            else:
+                client.send(json.dumps({"type": "set", "values": {f"{name}.position": x}, "over": 0.005}))
+
+
+async def view(url: str, seconds: float) -> None:
+    """A panel, and a client that does not read what it subscribed to."""
+    origin = origin_of(url)
+    wanted = json.dumps({"type": "subscribe", "rate": 60, "history": 60, "modules": ["hand"]})
+
+    async def panel() -> None:
+        async with connect(url, origin=origin) as client:
+            await client.send(wanted)
+            async for _ in client:
+                pass
+
+    async def slow() -> None:
+        while True:
+            with contextlib.suppress(ConnectionClosed, OSError):
+                async with connect(url, origin=origin, max_queue=1) as client:
+                    await client.send(wanted.replace("60", "1000", 1))
+                    await client.wait_closed()
+
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            await asyncio.gather(panel(), slow())
+
+
+def spread(values: list[float], digits: int = 0) -> str:
+    """Median, and the range in brackets."""
+    form = f".{digits}f" if digits else ".3g"
+    return f"{statistics.median(values):{form}} [{min(values):{form}}, {max(values):{form}}]"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        "tools/bench/panel", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", default="cost,latency,watched")
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--streams", choices=("osc", "websocket"), default="osc")
+    arguments = parser.parse_args()
+    for name in arguments.only.split(","):
+        {
+            "cost": cost,
+            "latency": lambda: latency(arguments.seconds),
+            "watched": lambda: watched(arguments.seconds, arguments.rounds, arguments.streams),
+        }[name]()
+        print()
+
+
+if __name__ == "__main__":
+    main()
