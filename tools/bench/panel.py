@@ -8,7 +8,8 @@
   in the same process, over the WebSocket and over OSC of `hapsim run`, 50 and 1000 times per second.
 * watched: `hapsim run` with and without a panel (60 blocks per second), two streams of 1000 changes per second over OSC
   (or, `--streams websocket`, over that) and a client that subscribes and does not read, taking turns: deadline misses,
-  exchange time and wake-up latency.
+  exchange time and wake-up latency. Between the two a run beside which another `hapsim run` is watched in this way: so
+  much is due to programs that need the processors, and not to the views.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def served(directory: Path, *options: str) -> Iterator[tuple[str, int, list[Any]
         free.bind(("127.0.0.1", 0))
         osc = free.getsockname()[1]
     command = [sys.executable, "-m", "hapsim", "run", str(directory / "held.yaml"), "--json"]
-    command += ["--realtime", "--serve-at", "127.0.0.1:0", "--osc-at", f"127.0.0.1:{osc}", *options]
+    command += ["--serve-at", "127.0.0.1:0", "--osc-at", f"127.0.0.1:{osc}", *options]
     report: list[Any] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -110,8 +111,10 @@ def served(directory: Path, *options: str) -> Iterator[tuple[str, int, list[Any]
         with connect_here(url, origin=origin_of(url)) as client:
             while json.loads(ask(client, {"type": "get"}))["phase"] != "running":
                 time.sleep(0.05)
-        yield url, osc, report
-        process.send_signal(signal.SIGINT)
+        try:
+            yield url, osc, report
+        finally:
+            process.send_signal(signal.SIGINT)
         assert process.stdout is not None
         report.append(json.loads(process.stdout.read()))
         listener.join()
@@ -179,7 +182,7 @@ def run_changed(way: str, rate: float, seconds: float, directory: Path) -> tuple
             time.sleep(0.2)
         return session.trace, begun
     file = directory / "run.trace"
-    with served(directory, "--record", str(file)) as (url, osc, _):
+    with served(directory, "--realtime", "--record", str(file)) as (url, osc, _):
         if way == "OSC":
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
                 out.connect(("127.0.0.1", osc))
@@ -196,30 +199,32 @@ def run_changed(way: str, rate: float, seconds: float, directory: Path) -> tuple
 
 def watched(seconds: float, rounds: int, streams: str) -> None:
     """Prints what views cost the loop."""
-    found: dict[bool, list[dict[str, float]]] = {False: [], True: []}
-    for number in range(2 * rounds):
-        is_watched = bool(number % 2)
-        with tempfile.TemporaryDirectory() as directory, served(Path(directory)) as (url, osc, report):
-            if is_watched:
-                at = osc if streams == "osc" else url
-                clients = [gently(stream, at, name, seconds) for name in ("wall", "other")]
+    found: dict[str, list[dict[str, float]]] = {"alone": [], "beside": [], "watched": []}
+    for number, how in enumerate([*found] * rounds):
+        with contextlib.ExitStack() as stack:
+            directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            url, osc, report = stack.enter_context(served(directory, "--realtime"))
+            if how == "beside":
+                url, osc, _ = stack.enter_context(served(directory))
+            if how == "alone":
+                time.sleep(seconds)
+            else:
+                clients = [gently(stream, osc if streams == "osc" else url, one, seconds) for one in ("wall", "other")]
                 for one in (*clients, gently(lambda to: asyncio.run(view(to, seconds)), url)):
                     one.join()
-            else:
-                time.sleep(seconds)
         told = report[0]
         if told["ending"] not in ("interrupted", "stopped"):
-            print(f"round {number + 1}, watched: {is_watched}: {told['ending']}", file=sys.stderr)
-        found[is_watched].append(
+            print(f"run {number + 1}, {how}: {told['ending']}", file=sys.stderr)
+        found[how].append(
             {"deadline misses": told["deadline_misses"] / told["ticks"] * 1e6, "changes": told["parameter_changes"]}
             | {f"exchange, µs, {q}": 1e6 * told["exchange_s"][q] for q in ("p50", "p99")}
             | {f"wake-up latency, µs, {q}": 1e6 * told["lateness_s"][q] for q in ("p50", "p99")}
         )
-    print("| | alone | watched | watched / alone |\n|---|---|---|---|")
-    for what in found[False][0]:
-        alone, watching = ([one[what] for one in found[key]] for key in (False, True))
-        ratios = [one / other for one, other in zip(watching, alone, strict=True) if other]
-        cells = [spread(alone), spread(watching), spread(ratios, 2) if ratios else ""]
+    print("| | alone | another run is watched | watched | watched / other watched |\n|---|---|---|---|---|")
+    for what in found["alone"][0]:
+        values = [[one[what] for one in of_kind] for of_kind in found.values()]
+        ratios = [one / other for one, other in zip(values[2], values[1], strict=True) if other]
+        cells = [*map(spread, values), spread(ratios, 2) if ratios else ""]
         print(f"| {what}{', per million' if what == 'deadline misses' else ''} | {' | '.join(cells)} |", flush=True)
 
 
