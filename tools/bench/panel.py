@@ -40,6 +40,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect as connect_here
 
 import hapsim
+from hapsim.running import Trace
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 CHANGED = {
@@ -83,7 +84,7 @@ def sent_at(send: Send, rate: float, seconds: float) -> NDArray[np.int64]:
     return np.array(begun)
 
 
-def latencies(trace: hapsim.running.Trace, begun: NDArray[np.int64]) -> NDArray[np.float64]:
+def latencies(trace: Trace, begun: NDArray[np.int64]) -> NDArray[np.float64]:
     """ms from each change to the first position that was answered with it or a later one; infinite for none."""
     more = 10.0 * trace.position[:, 0] + 0.1 * np.diff(trace.position[:, 0], prepend=0.0) * trace.rate
     wall = (trace.asked_force[:, 0] + more) / STIFFNESS + trace.position[:, 0]
@@ -173,7 +174,7 @@ def latency(seconds: float) -> None:
             print(f"| {way} | {rate:g} | {' | '.join(cells)} | {np.isinf(took).sum()} |", flush=True)
 
 
-def run_changed(way: str, rate: float, seconds: float, directory: Path) -> tuple[Any, NDArray[np.int64]]:
+def run_changed(way: str, rate: float, seconds: float, directory: Path) -> tuple[Trace, NDArray[np.int64]]:
     """The trace of a run that was changed in this way, and when each change was begun."""
     if way == "Python":
         scene = hapsim.parse_scene(HELD, "held")
