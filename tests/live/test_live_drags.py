@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import random
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -53,8 +52,7 @@ def drag(client: Client, names: list[str], chance: random.Random) -> None:
 @pytest.mark.parametrize("modules", [CONTACT, STRING], ids=["contact", "string"])
 def test_no_drag_stops_a_run_or_exceeds_a_limit(serve: Callable[..., Served], modules: str) -> None:
     chance, scene = random.Random(35), f"version: 1\nrate: 1000\n{HAND}modules:\n  hand: {{type: device, channel: 0}}"
-    guards: dict[str, Any] = {"judges_energy": True, "judges_sign": True, "unstable": False}
-    served = serve(f"{scene}\n  wall: {{type: ground}}{modules}", **guards)
+    served = serve(f"{scene}\n  wall: {{type: ground}}{modules}", judges_sign=True)
     names, most = [name for name in served.session.parameters if name in SPANS], 0.0
     assert len(names) >= 8
     with served.client() as client:
