@@ -74,7 +74,7 @@ class LiveScene:
 
         def change(is_beside: bool = True) -> bool:
             with self._replacing if replaces else self._writing:
-                scene = _changed(self.scene, changes)
+                scene = changed(self.scene, changes)
                 if MOCK_HAND in changes and self._loop.hand is None:
                     raise UsageError(_NO_HAND)
                 if not self._is_quickly_judged(scene):
@@ -253,7 +253,7 @@ def _crossfades(scene: Scene, changes: Any) -> bool:
     )
 
 
-def _changed(scene: Scene, changes: Changes) -> Scene:
+def changed(scene: Scene, changes: Changes) -> Scene:
     """Returns the scene with some values changed, checked as a scene file's values are."""
     parts = parts_of(scene)
     if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):

@@ -255,7 +255,7 @@ def test_a_shell_completes_scenes_scripts_ports_and_options(
     assert completed("hapsim new --from plu") == ["plucked_string"]
     assert completed("hapsim faults noi") == ["noisy_wire"]
     assert completed("hapsim run wall --port ") == completed("hapsim probe ") == ["/dev/ttyACM7"]
-    assert completed("hapsim run wall --re") == ["--record", "--realtime", "--reports", "--reconnect"]
+    assert completed("hapsim run wall --re") == ["--record", "--realtime", "--reports", "--reconnect", "--record-dir"]
     assert completed("hapsim check nothing/of/this/name") == []  # the shell offers files
 
 
@@ -269,7 +269,7 @@ def test_completion_imports_nothing_heavy() -> None:
     words = {"_HAPSIM_COMPLETE": "complete_bash", "COMP_WORDS": "hapsim run --rec", "COMP_CWORD": "2"}
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, env=os.environ | words, capture_output=True, text=True, check=False)
-    assert done.stdout.split() == ["--record", "--reconnect", "[]"], done.stderr
+    assert done.stdout.split() == ["--record", "--reconnect", "--record-dir", "[]"], done.stderr
 
 
 def test_the_manual_page_agrees_with_the_help() -> None:

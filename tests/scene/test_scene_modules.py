@@ -8,7 +8,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from hapsim.errors import SceneError, UsageError
-from hapsim.running.changes import _changed
+from hapsim.running.changes import changed
 from hapsim.scene import (
     Cell,
     Click,
@@ -195,7 +195,7 @@ def test_the_schema_takes_curves_and_refuses_what_the_loader_refuses(good: str, 
     ],
 )
 def test_live_values_may_change_while_the_scene_runs(good: str, kind: str, changes: dict[str, float]) -> None:
-    module: Any = _changed(scene_with(good, kind), {"it": changes}).modules["it"]
+    module: Any = changed(scene_with(good, kind), {"it": changes}).modules["it"]
     assert set(changes) == set(module.live)
     assert {key: getattr(module, key) for key in changes} == changes
 
@@ -203,25 +203,25 @@ def test_live_values_may_change_while_the_scene_runs(good: str, kind: str, chang
 def test_a_change_is_checked_against_the_other_values_of_its_module(good: str) -> None:
     scene = parse_scene(with_module(good, MODULES["friction"].replace("force: 1", "force: 1, static: 2")))
     with pytest.raises(UsageError, match=r"it.static: found 2, less than the force .* expected a number >= 3 \(N\)"):
-        _changed(scene, {"it": {"force": 3.0}})
-    assert _changed(scene, {"it": {"force": 3.0, "static": 3.0}})
-    assert _changed(scene_with(good, "friction"), {"it": {"force": 3.0}})
+        changed(scene, {"it": {"force": 3.0}})
+    assert changed(scene, {"it": {"force": 3.0, "static": 3.0}})
+    assert changed(scene_with(good, "friction"), {"it": {"force": 3.0}})
 
 
 def test_the_sharpness_of_a_detent_may_change_where_it_has_one(good: str) -> None:
     sine = scene_with(good, "detent")
-    assert _changed(sine, {"it": {"pitch": 0.01, "depth": 0.2, "damping": 0.1}})
+    assert changed(sine, {"it": {"pitch": 0.01, "depth": 0.2, "damping": 0.1}})
     with pytest.raises(UsageError, match=r"it.sharpness: found a sharpness, which shape: sine does not have"):
-        _changed(sine, {"it": {"sharpness": 3.0}})
+        changed(sine, {"it": {"sharpness": 3.0}})
     snap = parse_scene(with_module(good, MODULES["detent"].replace("0.3", "0.3, shape: snap")))
-    assert _changed(sine, {"it": {"shape": "snap", "sharpness": 2.0}})
+    assert changed(sine, {"it": {"shape": "snap", "sharpness": 2.0}})
     with pytest.raises(UsageError, match=r"it.shape: found 'saw', expected 'sine', 'snap' or 'notch'"):
-        _changed(sine, {"it": {"shape": "saw"}})
-    assert getattr(_changed(snap, {"it": {"sharpness": 3.0}}).modules["it"], "sharpness", None) == 3.0
+        changed(sine, {"it": {"shape": "saw"}})
+    assert getattr(changed(snap, {"it": {"sharpness": 3.0}}).modules["it"], "sharpness", None) == 3.0
 
 
 def test_what_cannot_change_while_the_scene_runs_is_told_with_what_can(good: str) -> None:
     with pytest.raises(UsageError, match="of a click travel and peak and drop and bottom and damping can change"):
-        _changed(scene_with(good, "click"), {"it": {"stiffness": 1.0}})
+        changed(scene_with(good, "click"), {"it": {"stiffness": 1.0}})
     with pytest.raises(UsageError, match="of a nonlinear force_over_distance and force_over_velocity can change"):
-        _changed(scene_with(good, "nonlinear"), {"it": {"stiffness": 1.0}})
+        changed(scene_with(good, "nonlinear"), {"it": {"stiffness": 1.0}})
