@@ -1,4 +1,4 @@
-"""What the hand would feel with other values, and the K,B plane around them: its stability boundary, nothing applied."""
+"""What the hand would feel with other values, and the K,B plane around them; nothing is applied."""
 
 from __future__ import annotations
 
