@@ -1,0 +1,193 @@
+"""OSC packets: bytes into messages with their times, values into bytes, and which addresses a pattern names.
+
+python-osc reads and builds messages. Bundles are taken apart here: its own reader never returns from one whose element
+has a negative size, and it recurses as deep as bundles are nested.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+from pythonosc import osc_message
+from pythonosc.osc_message_builder import OscMessageBuilder
+from pythonosc.parsing import osc_types
+
+from hapsim.errors import UsageError
+
+LONGEST = 8192
+"""Bytes of a packet that is read."""
+
+Argument = int | float | str
+
+_BUNDLE, _NOW = b"#bundle\0", b"\0\0\0\0\0\0\0\1"
+_DEEPEST = 8
+_MOST_MESSAGES = 200  # of a packet
+_FULL = 1400  # bytes of a bundle that is sent: what one Ethernet frame carries
+_TYPES = frozenset("ifdhs")
+_LONGEST_PATTERN, _MOST_WILDCARDS = 200, 16
+_WILD = frozenset("?*[]{}")
+
+
+class Received(NamedTuple):
+    """A message of a packet."""
+
+    address: str
+    arguments: tuple[Argument, ...]
+    due: float
+    """Unix time in s at which it is meant; 0 for now."""
+
+
+def messages_of(packet: bytes) -> list[Received]:
+    """Returns the messages of a packet, those of bundles with their bundle's time tag. Raises UsageError."""
+    if len(packet) > LONGEST:
+        raise UsageError(f"found a packet of more than {LONGEST} bytes, expected fewer: send several")
+    try:
+        found = []
+        for message in _unpacked(packet, 0.0, 0):
+            found.append(message)
+            if len(found) > _MOST_MESSAGES:
+                raise UsageError(f"found a bundle of more than {_MOST_MESSAGES} messages, expected fewer")
+        return found
+    except (osc_types.ParseError, osc_message.ParseError, ValueError):
+        raise UsageError("found a packet that is cut off or not OSC, expected an OSC message or bundle") from None
+
+
+def _unpacked(packet: bytes, due: float, depth: int) -> Iterator[Received]:
+    if not packet.startswith(_BUNDLE):
+        yield _message(packet, due)
+        return
+    if depth == _DEEPEST:
+        raise UsageError(f"found more than {_DEEPEST} bundles within each other, expected fewer")
+    due, place = osc_types.get_date(packet, len(_BUNDLE))
+    while place < len(packet):
+        size, place = osc_types.get_int(packet, place)
+        if not 0 < size <= len(packet) - place:
+            raise ValueError
+        yield from _unpacked(packet[place : place + size], due, depth + 1)
+        place += size
+
+
+def _message(packet: bytes, due: float) -> Received:
+    address, place = osc_types.get_string(packet, 0)
+    if not address.startswith("/"):
+        raise ValueError
+    types = osc_types.get_string(packet, place)[0] if place < len(packet) else ","
+    if other := set(types[1:]) - _TYPES:
+        raise UsageError(f"{shown(address)}: found an argument of type '{shown(min(other))}', expected i, f, d, h or s")
+    arguments = tuple(osc_message.OscMessage(packet))
+    if any(isinstance(one, float) and not math.isfinite(one) for one in arguments):
+        raise UsageError(f"{shown(address)}: found a number that is not finite, expected a finite one")
+    return Received(address, arguments, due)
+
+
+def packet_of(address: str, arguments: Sequence[Argument]) -> bytes:
+    """Returns a message: whole numbers as i (the lowest 31 bits), others as f, texts as s, as every program reads."""
+    builder = OscMessageBuilder(address)
+    for one in arguments:
+        if isinstance(one, int):
+            builder.add_arg(one & 0x7FFFFFFF, builder.ARG_TYPE_INT)
+        elif isinstance(one, float):
+            builder.add_arg(as_single(one), builder.ARG_TYPE_FLOAT)
+        else:
+            builder.add_arg(one, builder.ARG_TYPE_STRING)
+    return builder.build().dgram
+
+
+def as_single(value: float) -> float:
+    """Returns a number within what OSC's f can be."""
+    return max(-3.4e38, min(3.4e38, value))
+
+
+def bundles_of(messages: Sequence[bytes]) -> Iterator[bytes]:
+    """Yields bundles, for now, of these messages; each fits a network's frame if its messages do."""
+    bundle = b""
+    for message in messages:
+        if bundle and len(bundle) + 4 + len(message) > _FULL:
+            yield bundle
+            bundle = b""
+        bundle = (bundle or _BUNDLE + _NOW) + osc_types.write_int(len(message)) + message
+    if bundle:
+        yield bundle
+
+
+def shown(text: str) -> str:
+    """Returns what was received as a sentence may repeat it: short, and printable ASCII, which OSC's texts are."""
+    short = text if len(text) <= 80 else f"{text[:80]}..."
+    return short.encode("ascii", "backslashreplace").decode() if short.isprintable() else ascii(short)
+
+
+# Address patterns. A part of an address is compared by all lengths that its pattern may have matched so far, so that no
+# pattern takes long, whatever somebody sends.
+
+
+def is_pattern(address: str) -> bool:
+    """Whether an address may name several."""
+    return not _WILD.isdisjoint(address)
+
+
+def matches(pattern: str, address: str) -> bool:
+    """Whether an address pattern of OSC 1.0 (? * [a-z] [!a-z] {one,other}) names this address. Raises UsageError."""
+    parts, names = _parts(pattern), address.split("/")
+    return len(parts) == len(names) and all(map(_matches_part, parts, names))
+
+
+_Step = Callable[[str, int], Sequence[int]]
+
+
+@lru_cache(256)
+def _parts(pattern: str) -> tuple[tuple[_Step, ...], ...]:
+    if len(pattern) > _LONGEST_PATTERN or sum(pattern.count(one) for one in "?*[{") > _MOST_WILDCARDS:
+        most = f"at most {_LONGEST_PATTERN} characters and {_MOST_WILDCARDS} wildcards"
+        raise UsageError(f"{shown(pattern)}: found a longer pattern, expected {most}")
+    return tuple(tuple(_steps(part, pattern)) for part in pattern.split("/"))
+
+
+def _steps(part: str, pattern: str) -> Iterator[_Step]:
+    place = 0
+    while place < len(part):
+        sign = part[place]
+        if sign in "[{":
+            end = part.find("]" if sign == "[" else "}", place)
+            if end < 0:
+                raise UsageError(f"{shown(pattern)}: found '{sign}' without its end, expected both")
+            inside, place = part[place + 1 : end], end
+            yield _one_of(inside) if sign == "[" else _any_word(tuple(inside.split(",")))
+        elif sign == "*":
+            yield lambda name, at: range(at, len(name) + 1)
+        elif sign == "?":
+            yield lambda name, at: (at + 1,) if at < len(name) else ()
+        else:
+            yield _any_word((sign,))
+        place += 1
+
+
+def _one_of(inside: str) -> _Step:
+    is_other, inside = inside.startswith("!"), inside.removeprefix("!")
+    spans, place = [], 0
+    while place < len(inside):
+        is_span = inside[place + 1 : place + 2] == "-" and place + 2 < len(inside)
+        spans.append((inside[place], inside[place + 2 * is_span]))
+        place += 3 if is_span else 1
+
+    def step(name: str, at: int) -> Sequence[int]:
+        if at == len(name):
+            return ()
+        return (at + 1,) if any(low <= name[at] <= high for low, high in spans) != is_other else ()
+
+    return step
+
+
+def _any_word(words: tuple[str, ...]) -> _Step:
+    return lambda name, at: [at + len(word) for word in words if name.startswith(word, at)]
+
+
+def _matches_part(steps: tuple[_Step, ...], name: str) -> bool:
+    places = {0}
+    for step in steps:
+        places = {after for at in places for after in step(name, at)}
+        if not places:
+            return False
+    return len(name) in places
