@@ -35,8 +35,8 @@ class LiveOptions:
         str | None, option("HOST:PORT", "Serve them at this address [default: 127.0.0.1:7470]; others need a token.")
     ] = None
     record_dir: Annotated[Path | None, option("DIR", "Directory for records that are begun from the page.")] = None
-    osc: Annotated[bool, flag("--osc", "Answer OSC over UDP and OSCQuery, for this machine alone.")] = False
-    osc_at: Annotated[str | None, option("HOST:PORT", "Answer them at this address [default: 127.0.0.1:7471].")] = None
+    osc: Annotated[bool, flag("--osc", "Answer OSC over UDP, for this machine alone.")] = False
+    osc_at: Annotated[str | None, option("HOST:PORT", "Answer it at this address [default: 127.0.0.1:7471].")] = None
     osc_from: Annotated[
         list[str] | None, option("IP,…", "Addresses whose OSC is taken; required beyond this machine.")
     ] = None
@@ -85,10 +85,8 @@ class LiveOptions:
             views.append(WebView(hub, page, _warn))
         if osc is not None:
             from hapsim.live.osc import OscView
-            from hapsim.live.oscquery import OscQueryView
 
-            senders = tuple(names(self.osc_from))
-            views += [OscView(hub, osc, senders, _warn), OscQueryView(hub, osc, senders, _warn)]
+            views.append(OscView(hub, osc, tuple(names(self.osc_from)), _warn))
         return views
 
     def _addresses(self) -> tuple[Address | None, Address | None]:

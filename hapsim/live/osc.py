@@ -3,17 +3,49 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import contextlib
+import ipaddress
+import itertools
+import os
+import socket
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any
 
+from hapsim.errors import HapsimError, UsageError
 from hapsim.live.access import Address
 from hapsim.live.hub import Hub
+from hapsim.live.osc_packets import Argument, Received, bundles_of, is_pattern, matches, messages_of, packet_of, shown
+from hapsim.running.parameters import Parameter
+from hapsim.running.state import Event
+
+_ROOT = "/hapsim/"
+_OVER_S = 0.02  # of a change that names no ramp
+_FURTHEST_S, _MOST_WAITING = 60.0, 1000  # what is meant for later
+_RATE, _HIGHEST_RATE = 50.0, 1000.0  # Hz
+_MOST_SUBSCRIPTIONS = 16
+_LONGEST_MARKER = 1000  # characters
+_MOST_ERRORS = 20  # answered a second
+_MOST_UNSENT = 1 << 20  # bytes; answers beyond are dropped
 
 
-class OscView:
+class OscView(asyncio.DatagramProtocol):
     """Serves a hub. `senders`: the addresses whose packets are taken; none for loopback. `report`: prints a warning."""
 
     def __init__(self, hub: Hub, address: Address, senders: tuple[str, ...], report: Callable[[str], None]) -> None:
-        self.hub, self.address, self.senders, self.report = hub, address, senders, report
+        self.hub, self.address, self.report = hub, address, report
+        self.refused = 0
+        """How many packets and messages were refused."""
+        self._senders = {ipaddress.ip_address(one) for one in senders}
+        self.loop: asyncio.AbstractEventLoop
+        self._transport: Any  # an asyncio.DatagramTransport, which is typed without its buffer
+        self._known: dict[str, Parameter] = {}  # by address; empty: not known
+        self._waiting: set[asyncio.TimerHandle] = set()
+        self.subscriptions: dict[tuple[str, int], _Subscription] = {}
+        self._latest: Future[None] | None = None  # of the changes
+        self._second, self._answered = 0, 0  # errors of that second
+        self._deaf: Callable[[], None] = lambda: None
 
     @property
     def url(self) -> str:
@@ -21,7 +53,241 @@ class OscView:
         return f"osc.udp://{self.address}"
 
     async def start(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Begins to listen."""
+        """Begins to listen. Raises UsageError where the port is taken."""
+        self.loop = loop
+        try:
+            self._transport, _ = await loop.create_datagram_endpoint(
+                lambda: self, local_addr=(self.address.ip, self.address.port)
+            )
+        except OSError as error:
+            raise UsageError(
+                f"--osc: {self.address} cannot be listened to: {os.strerror(error.errno or 0)}; name another address, "
+                "or a port that is free, with --osc-at HOST:PORT"
+            ) from error
+        self.address = self.address._replace(port=self._transport.get_extra_info("sockname")[1])
+        self._deaf = self.hub.listen(self._hear)
 
     async def close(self) -> None:
         """Ends that."""
+        self._deaf()
+        for timer in self._waiting:
+            timer.cancel()
+        for one in [*self.subscriptions.values()]:
+            one.end()
+        self._transport.close()
+        if self.refused:
+            self.report(f"OSC: {self.refused} packets or messages were refused; /hapsim/error told their senders why")
+
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        """Takes a packet."""
+        ip = ipaddress.ip_address(addr[0])
+        ip = getattr(ip, "ipv4_mapped", None) or ip
+        if not (ip in self._senders if self._senders else ip.is_loopback):
+            return
+        try:
+            messages = messages_of(data)
+        except UsageError as error:
+            self._refuse(str(error), addr)
+            return
+        for due, group in itertools.groupby(messages, lambda message: message.due):
+            self._make_at(due, [*group], addr)
+
+    def _make_at(self, due: float, messages: Sequence[Received], sender: tuple[Any, ...]) -> None:
+        """Makes messages at their time. `due`: Unix time in s; what is over is made now."""
+        wait = due - time.time()
+        if wait <= 0:
+            self._make(messages, sender)
+        elif wait > _FURTHEST_S:
+            self._refuse(f"found a time tag {wait:.4g} s ahead, expected at most {_FURTHEST_S:g} s", sender)
+        elif len(self._waiting) >= _MOST_WAITING:
+            self._refuse(f"more than {_MOST_WAITING} bundles wait for their time already: send fewer", sender)
+        else:
+
+            def make() -> None:
+                self._waiting.discard(timer)
+                self._make(messages, sender)
+
+            timer = self.loop.call_later(wait, make)
+            self._waiting.add(timer)
+
+    def _make(self, messages: Sequence[Received], sender: tuple[Any, ...]) -> None:
+        """Does what messages ask for, in their order; sets in a row with the same ramp are one change."""
+        values: dict[str, Any] = {}
+        over, asked = _OVER_S, dict[str, None]()
+        for message in messages:
+            try:
+                found = self._named(message.address)
+                if found is None or not message.arguments:
+                    self._set(values, over, sender)
+                    values = {}
+                    asked |= dict.fromkeys(found or ())
+                    if found is None:
+                        self._command(message, sender)
+                    continue
+                new = {one.name: _value(one, message) for one in found.values()}
+                ramp = next(iter(new.values()))[1]
+                if ramp != over:
+                    self._set(values, over, sender)
+                    values, over = {}, ramp
+                values |= {name: value for name, (value, _) in new.items()}
+            except HapsimError as error:
+                self._refuse(str(error), sender)
+        self._set(values, over, sender)
+        if asked:
+            self._when_set(lambda _: self._answer([*asked], sender))
+
+    def _named(self, address: str) -> dict[str, Parameter] | None:
+        """Returns the parameters that an address or a pattern names; None for a command. Raises UsageError."""
+        if address in _COMMANDS:
+            return None
+        known = self._known = self._known or self._parameters()
+        found = {one: known[one] for one in known if matches(address, one)} if is_pattern(address) else {}
+        if not found and address not in known:
+            expected = f"{_ROOT}PART/FIELD of a live parameter, or {', '.join(sorted(_COMMANDS))}"
+            raise UsageError(f"{shown(address)}: found no such address, expected {expected}")
+        return found or {address: known[address]}
+
+    def _parameters(self) -> dict[str, Parameter]:
+        found = self.hub.parameters.items()
+        return {_ROOT + name.replace(".", "/"): one for name, one in found if one.kind != "points"}
+
+    def _set(self, values: dict[str, Any], over: float, sender: tuple[Any, ...]) -> None:
+        if values:
+            self._latest = self.hub.set(values, over)
+            self._when_set(lambda why: self._refuse(str(why), sender) if why else None)
+
+    def _when_set(self, then: Callable[[BaseException | None], None]) -> None:
+        """Calls `then`, in this thread, once the latest change is made or refused, with the reason of that."""
+
+        def done(change: Future[None]) -> None:
+            with contextlib.suppress(RuntimeError):  # the server has ended
+                self.loop.call_soon_threadsafe(then, change.exception())
+
+        if self._latest is None:
+            then(None)
+        else:
+            self._latest.add_done_callback(done)
+
+    def _answer(self, asked: Sequence[str], sender: tuple[Any, ...]) -> None:
+        """Sends the values of these addresses."""
+        known = self._parameters()
+        packets = [packet_of(one, _arguments(known[one].value)) for one in asked if one in known]
+        for packet in packets if len(packets) == 1 else bundles_of(packets):
+            self._send(packet, sender)
+
+    def _command(self, message: Received, sender: tuple[Any, ...]) -> None:
+        """Raises HapsimError."""
+        kinds, expected = _COMMANDS[message.address]
+        arguments = message.arguments
+        if len(arguments) > len(kinds) or not all(map(isinstance, arguments, kinds)) or bool(kinds) > bool(arguments):
+            raise UsageError(f"{message.address}: found {_listed(arguments)}, expected {expected}")
+        match arguments:
+            case [str(text)]:
+                if len(text) > _LONGEST_MARKER:
+                    raise UsageError(f"{message.address}: found a longer text, expected {expected}")
+                self.hub.mark(text)
+            case [int(port), *rate]:
+                self._subscribe(sender, port, float(rate[0]) if rate else _RATE)
+            case _:
+                self.hub.stop()
+
+    def _subscribe(self, sender: tuple[Any, ...], port: int, rate: float) -> None:
+        if not 0 < port < 65536 or not (rate == 0 or 0.01 <= rate <= _HIGHEST_RATE):
+            expected = f"a port and at most {_HIGHEST_RATE:g} Hz, or 0 to end"
+            raise UsageError(f"{_ROOT}subscribe: found {port} and {rate:g}, expected {expected}")
+        key = (str(sender[0]), port)
+        if key in self.subscriptions:
+            self.subscriptions[key].end()
+        if rate and len(self.subscriptions) >= _MOST_SUBSCRIPTIONS:
+            raise UsageError(f"{_ROOT}subscribe: found {_MOST_SUBSCRIPTIONS} subscriptions already, expected fewer")
+        if rate:
+            self.subscriptions[key] = _Subscription(self, (sender[0], port, *sender[2:]), rate, key)
+
+    def _refuse(self, sentence: str, sender: tuple[Any, ...]) -> None:
+        self.refused += 1
+        second = int(self.loop.time())
+        if second != self._second:
+            self._second, self._answered = second, 0
+        if self._answered < _MOST_ERRORS:
+            self._answered += 1
+            self._send(packet_of(f"{_ROOT}error", [sentence]), sender)
+
+    def _send(self, packet: bytes, receiver: tuple[Any, ...]) -> None:
+        if not self._transport.is_closing() and self._transport.get_write_buffer_size() < _MOST_UNSENT:
+            self._transport.sendto(packet, receiver)
+
+    def _hear(self, event: Event) -> None:
+        if event.kind == "armed" or (event.kind == "changed" and not event.values):
+            self._known = {}  # there may be others
+
+
+class _Subscription:
+    """Sends the state to a program, until `end`. Its socket is connected, so that it learns when nobody listens."""
+
+    def __init__(self, view: OscView, receiver: tuple[Any, ...], rate: float, key: tuple[str, int]) -> None:
+        self._view, self._rate, self._key, self.loop = view, rate, key, view.loop
+        family = socket.AF_INET6 if ":" in receiver[0] else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.connect(receiver)
+        except OSError as error:
+            self._socket.close()
+            raise UsageError(f"{_ROOT}subscribe: {error.strerror}; expected a port that can be reached") from None
+        self._due = self.loop.time()
+        self._timer = self.loop.call_soon(self._send)
+
+    def end(self) -> None:
+        """Ends it."""
+        self._timer.cancel()
+        self._socket.close()
+        self._view.subscriptions.pop(self._key, None)
+
+    def _send(self) -> None:
+        self._due = max(self._due + 1.0 / self._rate, self.loop.time())
+        self._timer = self.loop.call_at(self._due, self._send)
+        state = self._view.hub.state()
+        if state is None:
+            return
+        vectors = {"position": state.position, "velocity": state.velocity, "force": state.force}
+        messages = [packet_of(_ROOT + name, [float(one) for one in values]) for name, values in vectors.items()]
+        try:
+            for bundle in bundles_of([*messages, packet_of(f"{_ROOT}ticks", [state.sample])]):
+                self._socket.send(bundle)
+        except ConnectionRefusedError:
+            self.end()
+        except OSError:  # the network is full or away: the next may arrive
+            pass
+
+
+_COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
+    f"{_ROOT}subscribe": ((int, int | float), "PORT and RATE in Hz"),
+    f"{_ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
+    f"{_ROOT}stop": ((), "no arguments"),
+}
+"""Addresses that are no parameters: the types of their arguments, of which the first is needed, and that in words."""
+
+
+def _value(parameter: Parameter, message: Received) -> tuple[Any, float]:
+    """Returns the value that a message means for a parameter, and the ramp in s. Raises UsageError."""
+    count = len(parameter.value) if parameter.kind == "numbers" and isinstance(parameter.value, tuple) else 1
+    values, ramp = message.arguments[:count], message.arguments[count:]
+    kind = str if parameter.kind == "word" else (int, float)
+    fits = len(values) == count and len(ramp) < 2 and all(isinstance(one, kind) for one in values)
+    if not fits or any(isinstance(one, str) for one in ramp):
+        expected = "a word" if parameter.kind == "word" else "a number" if count == 1 else f"{count} numbers"
+        raise UsageError(
+            f"{shown(message.address)}: found {_listed(message.arguments)}, expected {expected}, "
+            "and the seconds of a ramp or nothing"
+        )
+    plain = [one if isinstance(one, str) else float(one) for one in values]
+    return plain if parameter.kind == "numbers" else plain[0], float(ramp[0]) if ramp else _OVER_S
+
+
+def _arguments(value: Any) -> list[Argument]:
+    values = value if isinstance(value, tuple) else (value,)
+    return [one if isinstance(one, str) else float(one) for one in values]
+
+
+def _listed(arguments: Sequence[Argument]) -> str:
+    return shown(" ".join(map(str, arguments))) or "no arguments"

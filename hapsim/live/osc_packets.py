@@ -74,9 +74,15 @@ def _message(packet: bytes, due: float) -> Received:
     address, place = osc_types.get_string(packet, 0)
     if not address.startswith("/"):
         raise ValueError
-    types = osc_types.get_string(packet, place)[0] if place < len(packet) else ","
+    types, place = osc_types.get_string(packet, place) if place < len(packet) else (",", place)
+    if not types.startswith(","):
+        raise ValueError
     if other := set(types[1:]) - _TYPES:
         raise UsageError(f"{shown(address)}: found an argument of type '{shown(min(other))}', expected i, f, d, h or s")
+    for one in types[1:]:
+        place = osc_types.get_string(packet, place)[1] if one == "s" else place + (4 if one in "if" else 8)
+    if place != len(packet):  # python-osc reads zeros where the end is missing
+        raise ValueError
     arguments = tuple(osc_message.OscMessage(packet))
     if any(isinstance(one, float) and not math.isfinite(one) for one in arguments):
         raise UsageError(f"{shown(address)}: found a number that is not finite, expected a finite one")

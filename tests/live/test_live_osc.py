@@ -1,0 +1,320 @@
+"""OSC of a running scene. Packets are built and read by python-osc's own classes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import Any
+
+import pytest
+from live_clients import SCENE
+from pythonosc.osc_bundle_builder import OscBundleBuilder
+from pythonosc.osc_message import OscMessage
+from pythonosc.osc_message_builder import OscMessageBuilder
+from pythonosc.osc_packet import OscPacket
+
+from hapsim.errors import UsageError
+from hapsim.live.access import address_of
+from hapsim.live.osc import OscView
+from hapsim.live.server import Server
+from hapsim.running.parameters import Parameter
+
+PACKETS = int(os.environ.get("HAPSIM_POINTS", "2000"))
+BATCH = 50  # that fit in a socket's buffer
+# Slow enough for a busy machine: the watchdog of 100 samples lasts half a second.
+SLOW = SCENE.replace("rate: 1000", "rate: 200").replace("stiffness: 2000, damping: 5", "stiffness: 200, damping: 2")
+
+SOCKETS: list[socket.socket] = []  # of the test
+
+
+@pytest.fixture(autouse=True)
+def _closed() -> Iterator[None]:
+    yield
+    while SOCKETS:
+        SOCKETS.pop().close()
+
+
+def message(address: str, *arguments: Any) -> Any:
+    builder = OscMessageBuilder(address)
+    for one in arguments:
+        builder.add_arg(one)
+    return builder.build()
+
+
+def bundle(due: float, *messages: Any) -> bytes:
+    """`due`: Unix time in s; 0 for now."""
+    builder = OscBundleBuilder(due)  # type: ignore[arg-type]
+    for one in messages:
+        builder.add_content(one)
+    return bytes(builder.build().dgram)
+
+
+class Client:
+    """A program that speaks OSC to a view."""
+
+    def __init__(self, view: OscView, ip: str = "127.0.0.1") -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        SOCKETS.append(self.socket)
+        self.socket.bind((ip, 0))
+        self.socket.settimeout(30)
+        self.port = self.socket.getsockname()[1]
+        self._to = ("127.0.0.1", view.address.port)
+        self._heard: list[tuple[str, list[Any]]] = []
+
+    def send(self, packet: bytes) -> None:
+        self.socket.sendto(packet, self._to)
+
+    def tell(self, address: str, *arguments: Any) -> None:
+        self.send(message(address, *arguments).dgram)
+
+    def hear(self, *addresses: str) -> list[Any]:
+        """The arguments of the next message of one of these addresses."""
+        while True:
+            while not self._heard:
+                packet = OscPacket(self.socket.recv(65536))
+                self._heard += [(one.message.address, list(one.message.params)) for one in packet.messages]
+            address, arguments = self._heard.pop(0)
+            if address in addresses:
+                return arguments
+
+    def ask(self, address: str) -> list[Any]:
+        self.tell(address)
+        return self.hear(address)
+
+    def refused(self, packet: bytes) -> str:
+        self.send(packet)
+        return str(self.hear("/hapsim/error")[0])
+
+
+@contextlib.contextmanager
+def answering(hub: Any, senders: tuple[str, ...] = ()) -> Iterator[OscView]:
+    warnings: list[str] = []
+    view = OscView(hub, address_of("--osc-at", ":0", 0), senders, warnings.append)
+    server = Server([view], warnings.append)
+    server.start()
+    try:
+        yield view
+    finally:
+        server.close()
+    assert not any("defect" in one for one in warnings), warnings
+
+
+@pytest.fixture
+def client(serve: Callable[..., Any]) -> Iterator[tuple[Any, Client, OscView]]:
+    served = serve(SLOW)
+    with answering(served.hub) as view:
+        yield served, Client(view), view
+
+
+class Recorder:
+    """Notes what a view would change."""
+
+    def __init__(self) -> None:
+        self.made: list[tuple[dict[str, Any], float]] = []
+        self.at: list[float] = []
+        self.parameters = {
+            "touch.stiffness": Parameter("touch.stiffness", "number", 200.0, "N/m", ""),
+            "touch.damping": Parameter("touch.damping", "number", 2.0, "N·s/m", ""),
+            "mock.hand.force": Parameter("mock.hand.force", "numbers", (0.0, 0.5), "N", ""),
+            "knob.shape": Parameter("knob.shape", "word", "sine", "", "", words=("sine", "snap")),
+            "table.points": Parameter("table.points", "points", ((0.0, 0.0), (1.0, 1.0)), "", ""),
+        }
+
+    def listen(self, _: Any) -> Callable[[], None]:
+        return lambda: None
+
+    def set(self, values: dict[str, Any], over: float) -> Future[None]:
+        self.made.append((values, over))
+        self.at.append(time.time())
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
+
+
+@pytest.fixture
+def recorded() -> Iterator[tuple[Recorder, Client]]:
+    hub = Recorder()
+    with answering(hub) as view:
+        yield hub, Client(view)
+
+
+def test_osc_sets_and_tells_parameters(client: tuple[Any, Client, OscView]) -> None:
+    served, osc, _ = client
+    assert osc.ask("/hapsim/touch/stiffness") == [200.0]
+    for i in range(20):
+        osc.tell("/hapsim/touch/stiffness", 150.25 + i, 0.01)
+        assert osc.ask("/hapsim/touch/stiffness") == [150.25 + i]
+    assert served.hub.parameters["touch.stiffness"].value == 169.25
+    osc.tell("/hapsim/t*/{stiffness,none}", 120)
+    assert osc.ask("/hapsim/touch/stiffness") == [120.0]
+    osc.tell("/hapsim/[a-z]ouch/*")
+    assert {tuple(osc.hear("/hapsim/touch/stiffness", "/hapsim/touch/damping")) for _ in range(2)} == {(120.0,), (2.0,)}
+    assert "-5" in osc.refused(message("/hapsim/touch/stiffness", -5.0).dgram)
+    assert osc.ask("/hapsim/touch/stiffness") == [120.0]
+    osc.tell("/hapsim/marker", "here")
+    osc.ask("/hapsim/touch/stiffness")
+    assert [one.sentence for one in served.hub.events if one.kind == "marker"] == ["here"]
+    osc.send(message("/hapsim/s?op").dgram)
+    assert "no such address" in osc.hear("/hapsim/error")[0]  # patterns reach parameters only
+    assert served.hub.phase == "running"
+    osc.tell("/hapsim/stop")
+    assert served.session.wait(30)
+
+
+def test_osc_streams_the_state(client: tuple[Any, Client, OscView]) -> None:
+    served, osc, view = client
+    osc.tell("/hapsim/subscribe", osc.port, 200)
+    ticks = []
+    for _ in range(10):
+        vectors = {name: osc.hear(f"/hapsim/{name}") for name in ("position", "velocity", "force")}
+        assert all(len(one) == 1 and isinstance(one[0], float) for one in vectors.values())
+        ticks += osc.hear("/hapsim/ticks")
+    assert ticks == sorted(ticks)
+    assert ticks[-1] > ticks[0]
+    osc.tell("/hapsim/subscribe", osc.port, 0)
+    osc.ask("/hapsim/touch/stiffness")
+    assert not view.subscriptions
+    gone = Client(view)
+    gone.socket.close()
+    osc.tell("/hapsim/subscribe", gone.port)
+    osc.ask("/hapsim/touch/stiffness")
+    while view.subscriptions:  # until a send finds that nobody listens
+        assert served.hub.phase == "running"
+        time.sleep(0.01)
+    for _ in range(16):
+        osc.tell("/hapsim/subscribe", Client(view).port, 1)
+    assert "16 subscriptions" in osc.refused(message("/hapsim/subscribe", osc.port, 10).dgram)
+    for arguments in ((70000, 10), (osc.port, 1001), (osc.port, -1), ("no",), ()):
+        assert "/hapsim/subscribe: found" in osc.refused(message("/hapsim/subscribe", *arguments).dgram)
+
+
+def test_osc_bundles_are_one_change(recorded: tuple[Recorder, Client]) -> None:
+    hub, osc = recorded
+    one, other = "/hapsim/touch/stiffness", "/hapsim/touch/damping"
+    osc.send(bundle(0, message(one, 5), message(other, 1.5), message(other, 3.0, 0.5), message(one, 7, 0.5)))
+    osc.tell("/hapsim/mock/hand/force", 1.0, 2.0, 0.25)
+    osc.tell("/hapsim/knob/shape", "snap")
+    assert osc.ask("/hapsim/mock/hand/force") == [0.0, 0.5]
+    assert osc.ask("/hapsim/knob/shape") == ["sine"]
+    assert hub.made == [
+        ({"touch.stiffness": 5.0, "touch.damping": 1.5}, 0.02),
+        ({"touch.damping": 3.0, "touch.stiffness": 7.0}, 0.5),
+        ({"mock.hand.force": [1.0, 2.0]}, 0.25),
+        ({"knob.shape": "snap"}, 0.02),
+    ]
+
+
+def test_osc_bundles_wait_for_their_time(recorded: tuple[Recorder, Client]) -> None:
+    hub, osc = recorded
+    change = message("/hapsim/touch/stiffness", 5.0)
+    due = time.time() + 0.3
+    osc.send(bundle(due, change))
+    osc.send(bundle(time.time() - 10, message("/hapsim/touch/damping", 1.0)))  # late: now
+    osc.ask("/hapsim/touch/damping")
+    while len(hub.made) < 2:
+        time.sleep(0.01)
+    assert [next(iter(values)) for values, _ in hub.made] == ["touch.damping", "touch.stiffness"]
+    assert hub.at[1] > due - 0.01
+    assert "expected at most 60 s" in osc.refused(bundle(time.time() + 65, change))
+    for i in range(1000):
+        osc.send(bundle(time.time() + 50, change))
+        if i % BATCH == 0:
+            osc.ask("/hapsim/touch/damping")
+    assert "1000 bundles wait" in osc.refused(bundle(time.time() + 50, change))
+    assert len(hub.made) == 2
+
+
+def test_osc_refuses_in_words(recorded: tuple[Recorder, Client]) -> None:
+    hub, osc = recorded
+    good = message("/hapsim/touch/stiffness", 5.0).dgram
+    for packet, sentence in (
+        (good[:-2], "cut off"),
+        (b"", "cut off"),
+        (b"#bundle\0" + bytes(8) + struct.pack(">i", -4) + good, "cut off"),
+        (message("/hapsim/touch/stiffness", float("nan")).dgram, "not finite"),
+        (message("/hapsim/touch/stiffness", float("inf")).dgram, "not finite"),
+        (message("/hapsim/touch/stiffnes", 5.0).dgram, "no such address"),
+        (message("/hapsim/table/points", 5.0).dgram, "no such address"),
+        (message("/hapsim/touch/stiffness", "much").dgram, "found much, expected a number"),
+        (message("/hapsim/touch/stiffness", 1.0, 2.0, 3.0).dgram, "expected a number, and the seconds"),
+        (message("/hapsim/mock/hand/force", 1.0).dgram, "expected 2 numbers"),
+        (message("/hapsim/knob/shape", 1.0).dgram, "expected a word"),
+        (message("/hapsim/marker").dgram, "expected one text"),
+        (message("/hapsim/stop", 1).dgram, "expected no arguments"),
+    ):
+        assert sentence in osc.refused(packet)
+    for end in range(1, len(good)):  # python-osc would read some of them as another number
+        osc.send(good[:end])
+    assert osc.ask("/hapsim/touch/damping") == [2.0]
+    assert not hub.made
+
+
+def test_osc_survives_mutated_packets(client: tuple[Any, Client, OscView]) -> None:
+    served, osc, view = client
+    before = {name: one.value for name, one in served.hub.parameters.items()}
+    asks = [message(one) for one in ("/hapsim/touch/stiffness", "/hapsim/*/damping", "/hapsim/mock/hand/force")]
+    valid = [one.dgram for one in (*asks, message("/hapsim/marker", "here"), message("/hapsim/subscribe", 9, 10.0))]
+    valid += [message("/hapsim/touch/stiffness", -1.0, -1.0).dgram, message("/hapsim/*/{damping,[a-z]*}", "x").dgram]
+    valid += [bundle(0, *asks), bundle(time.time() + 30, *asks)]
+    chance = random.Random(35)
+    for i in range(PACKETS):
+        packet = mutated(chance, chance.choice(valid))
+        if not may_set(packet):
+            osc.send(packet)
+        if i % BATCH == 0:
+            assert osc.ask("/hapsim/wall/position") == [0.0]
+    assert osc.ask("/hapsim/wall/position") == [0.0]
+    assert view.refused > PACKETS / 4
+    assert served.hub.phase == "running"
+    assert not served.session.wait(0.0)
+    assert {name: one.value for name, one in served.hub.parameters.items()} == before
+
+
+def mutated(chance: random.Random, packet: bytes) -> bytes:
+    data = bytearray(packet)
+    for _ in range(chance.randint(1, 4)):
+        place = chance.randrange(len(data) + 1)
+        kind = chance.randrange(4)
+        if kind == 0:
+            del data[place:]
+        elif kind == 1:
+            data[place:place] = chance.randbytes(chance.choice((1, 4, 8)))
+        elif kind == 2:
+            data[place : place + 4] = chance.choice((bytes(4), b"\xff" * 4, b"\x7f\xc0\0\0", b"/*/*", b",ffs"))
+        elif place < len(data):
+            data[place] ^= 1 << chance.randrange(8)
+    return bytes(data)
+
+
+def may_set(packet: bytes) -> bool:
+    """Whether python-osc reads a message of one or two numbers, which may be a good change."""
+    try:
+        found = [] if packet.startswith(b"#bundle\0") else list(OscMessage(packet))
+    except Exception:
+        return False
+    return len(found) in (1, 2) and all(isinstance(one, int | float) for one in found)
+
+
+def test_osc_takes_packets_of_listed_senders_only() -> None:
+    hub = Recorder()
+    with answering(hub, ("127.0.0.1",)) as view:
+        Client(view, "127.0.0.2").tell("/hapsim/touch/stiffness", 5.0)
+        osc = Client(view)
+        assert osc.ask("/hapsim/touch/stiffness") == [200.0]
+        assert not hub.made
+        assert not view.refused
+
+
+def test_osc_names_a_taken_port() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        address = address_of("--osc-at", f":{taken.getsockname()[1]}", 0)
+        hub: Any = Recorder()
+        with pytest.raises(UsageError, match="--osc-at"):
+            Server([OscView(hub, address, (), print)], print).start()
