@@ -79,9 +79,10 @@ def _shown(error: Console, words: _Words) -> Iterator[Callable[[Progress], None]
 
     def write(progress: Progress) -> None:
         text = words.of(progress)
-        if is_due(progress.phase):
-            fields = asdict(progress) if progress.phase in ("running", "ended") else {"text": progress.text}
-            log.say("info", progress.phase, text, **fields)
+        event = "running" if progress.phase == "ended" else progress.phase  # its end is an event of its own
+        if is_due(event):
+            fields = asdict(progress) if event == "running" else {"text": progress.text}
+            log.say("info", event, text, **fields)
 
     yield write
 
