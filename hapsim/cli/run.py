@@ -149,13 +149,9 @@ def run(
         warnings = predict_before_arming(device.scene, with_mock(scene, kind), unstable)
     port = scene.device.port if kind == "auto" else None
     place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
-    state = RunState(place, port, scene.rate, scene.device.motions(scene.channels))
-    with (
-        notifier.told_of_failures(),
-        service.serving(state, port, not portable),
-        live.serving(scene, not portable) as hub,
-        live_line(stderr()) as tell,
-    ):
+    state, gives_way = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
+    told, status, served = notifier.told_of_failures(), service.serving, live.serving
+    with told, status(state, port, gives_way), served(scene, gives_way) as hub, live_line(stderr()) as tell:
         reporter = _Reporter(tell, port or "", kind, WatchedFile(device.scene) if service.watch else None)
         lifetime = keep_running(
             scene,

@@ -126,7 +126,7 @@ class Rejected(_Answer):
 
 
 class EventMessage(_Answer):
-    """Something happened, whoever caused it."""
+    """Something happened to the run. Every client gets it."""
 
     type: Literal["event"] = "event"
     kind: EventKind

@@ -16,7 +16,7 @@ _LEAST_SHARE = 1e-4  # of the largest energy that a motion has at the pick-up's 
 
 def partials_of(scene: Scene) -> dict[str, tuple[float, ...]]:
     """Each pick-up's partials in Hz, rising: the frequencies at which what it listens to swings once contacts, plectra
-    and friction have let go. Of a large scene the lowest ones."""
+    and friction have released it. Of a large scene the lowest ones."""
     held = {name: one for name, one in scene.modules.items() if not isinstance(one, _LETS_GO)}
     prediction = predict(scene.model_copy(update={"modules": Table(held)}), with_margins=False)
     rings = [one for one in prediction.modes if one.damping_ratio < _MOST_DAMPED and one.frequency_hz > _LOWEST_HZ]

@@ -1,4 +1,4 @@
-"""The rows of a running loop for whoever follows it: samples in SI units, without gaps."""
+"""The rows of a running loop for the programs that follow it: samples in SI units, without gaps."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Samples:
         return int(self.sample.size)
 
 
-class Units:
+class Scales:
     """Rows of `row_type` -> `Samples`, one piece after the other.
 
     `rate`: Hz; `position_scale`, `force_scale`: (C,) m and N per count."""
@@ -68,10 +68,10 @@ class Stream:
 
     It keeps what was not taken yet. In real time it gives up `longest` rows behind: then `next` raises UsageError."""
 
-    def __init__(self, units: Units, longest: int | None, is_over: Any, collect: Any) -> None:
+    def __init__(self, scales: Scales, longest: int | None, is_over: Any, collect: Any) -> None:
         """`longest`: None for no limit, in virtual time. `is_over()`: whether no more rows come. `collect()`: fetches
         the newest ones."""
-        self._units, self._longest, self._is_over, self._collect = units, longest, is_over, collect
+        self._scales, self._longest, self._is_over, self._collect = scales, longest, is_over, collect
         self._waiting: deque[NDArray[Any]] = deque()
         self._count, self._lost = 0, 0
         self._news = threading.Condition()
@@ -117,4 +117,4 @@ class Stream:
                 left -= rows[-1].size
         if lost:
             raise UsageError(f"the stream was read too late: {lost} samples are lost. Read it more often")
-        return self._units.samples(np.concatenate(rows)) if rows else None
+        return self._scales.samples(np.concatenate(rows)) if rows else None

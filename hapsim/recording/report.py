@@ -89,7 +89,7 @@ class Report:
     lost_sound_frames: int = 0
     """Frames that are missing from the sound file, or were not played because the sound card stood still."""
     underruns: int = 0
-    """Gaps in what was played: times that the sound card got no frames, or not in time."""
+    """Gaps in what was played: times that the sound card got no frames, or got them too late."""
     resampling_ppm: float | None = None
     """How much faster the device's clock is than the sound card's, in parts per million of what both declare."""
     sound_latency_s: tuple[float, float] | None = None

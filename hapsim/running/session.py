@@ -16,15 +16,10 @@ import math
 import os
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
-
-import numpy as np
-from numpy.typing import NDArray
 
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
@@ -40,17 +35,15 @@ from hapsim.loop.realtime.scheduling import no_timer_slack
 from hapsim.loop.run import run_loop
 from hapsim.loop.system import missing_calls
 from hapsim.progress import Progress
-from hapsim.recording.feed import Samples, Stream, Units
-from hapsim.recording.recorder import Recorder, RecordFile
+from hapsim.recording.recorder import Recorder
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
-from hapsim.recording.stream import Head
-from hapsim.recording.trace import Report, Statistics, Trace, columns_of, require_writable_as_trace
+from hapsim.recording.trace import Trace, columns_of
 from hapsim.running import outcome
 from hapsim.running.assemble import assemble_loop
-from hapsim.running.changes import OVER, Changes, LiveScene
+from hapsim.running.changes import Changes, LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
+from hapsim.running.followed import Followed
 from hapsim.running.options import RunOptions
-from hapsim.running.parameters import Parameter, parameters_of
 from hapsim.running.requirements import (
     PACING,
     require_compatible,
@@ -58,7 +51,7 @@ from hapsim.running.requirements import (
     require_known_zero,
     require_runnable,
 )
-from hapsim.running.state import Event, EventKind, State, StateReader, as_html
+from hapsim.running.state import StateReader, as_html
 from hapsim.scene import Scene
 from hapsim.sound.output import SoundOutput
 from hapsim.sound.play import Playback
@@ -68,7 +61,6 @@ from hapsim.stopping import note_arming, undisturbed
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
 _LAST_ROWS = 1 << 16  # of the last second, at most
 _MOST_HISTORY = 1 << 21  # rows
-_STREAM_S = 60.0  # that a stream keeps for who reads it late
 _open: list[Session] = []
 """The sessions that run, and those whose failure was not raised yet."""
 
@@ -82,7 +74,7 @@ def _ignore(_: object) -> None:
     """Stands in for a callback that was not given."""
 
 
-class Session:
+class Session(Followed):
     """A running scene. Made by `start`; every method may be called from any thread.
 
     It runs until its with-block is left, until `stop` or `close`, or until the program ends. Then the device is
@@ -104,8 +96,7 @@ class Session:
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
-        self.markers: list[Event] = []
-        """Of `mark`."""
+        self.markers = []
         self.grants: list[PrivilegeResult] = []
         """What the real-time set-up requested of the system, each granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -150,11 +141,6 @@ class Session:
         """The port of its device."""
         return self._connection.name
 
-    @property
-    def scene(self) -> Scene:
-        """The scene as it is now, with every change that was made."""
-        return self._live.scene
-
     def set(self, changes: Changes, over: float = 0.02) -> None:
         """Changes parameters between two samples, all or none: `{"touch": {"stiffness": 500.0, "damping": 2.0},
         "wall": {"position": 0.01}}`, in the scene's names and units.
@@ -188,109 +174,6 @@ class Session:
         self._live.adopt(scene, over)
         self._tell("changed")
 
-    @property
-    def sound_peaks(self) -> dict[str, float]:
-        """The largest size that each pick-up has had, before the soft clip; 1.0 is full scale."""
-        return dict(zip(self.scene.sound, self._loop.record.sound.peak.tolist(), strict=False))
-
-    @property
-    def has_mock(self) -> bool:
-        """Whether its device is a mock of this process."""
-        return self._connection.mock is not None
-
-    @property
-    def parameters(self) -> dict[str, Parameter]:
-        """What may change while the scene runs, by name ("touch.stiffness"), with its value, unit and bounds."""
-        return parameters_of(self.scene, self.has_mock)
-
-    def progress(self) -> Progress:
-        """Returns the counters of the loop now; its phase is "ended" once it is over."""
-        progress = outcome.progress_of(self._loop)
-        return replace(progress, phase="ended") if self._over.is_set() else progress
-
-    def state(self) -> State:
-        """Returns the latest position, velocity and force of each channel, the position of each module, and how old
-        they are. It takes some ten microseconds, and the loop does not notice."""
-        return self._state.read(self.progress())
-
-    def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
-        """Returns the newest sample's number, and where points and masses of structures ("gut.7", "skin.3.4") are:
-        (names,) m. Raises UsageError where there is no such one."""
-        return self._state.positions(names)
-
-    def stream(self, history_s: float = 0.0) -> Stream:
-        """Returns an iterator over all `Samples` from now on, without gaps, in pieces as they come. It ends with the
-        run. In real time one that is not read for a minute raises UsageError for the samples that are lost.
-        `history_s`: seconds of `history` that come first."""
-        io, used, scene = self._loop.record.io, slice(self._loop.wire.channels), self.scene
-        units = Units(scene.rate, io.position_scale[used].copy(), io.force_scale[used].copy())
-        longest = None if self._loop.record.ring.waits else math.ceil(_STREAM_S * scene.rate)
-        stream = Stream(units, longest, self._done.is_set, self._recorder.collect)
-        self._recorder.follow(stream, math.ceil(history_s * scene.rate))
-        return stream
-
-    def history(self) -> Samples:
-        """Returns the last samples: those of a second, or of `start(history_s=...)`."""
-        io, used = self._loop.record.io, slice(self._loop.wire.channels)
-        self._recorder.collect()
-        units = Units(self.scene.rate, io.position_scale[used], io.force_scale[used])
-        return units.samples(self._recorder.last_rows())
-
-    def subscribe(self, rate: float) -> Iterator[State]:
-        """Yields the `State` `rate` times per second until the run has ended. Who is late gets the next one, not a
-        backlog."""
-        if not (math.isfinite(rate) and rate > 0):
-            raise UsageError(f"rate: found {rate}, expected how often a second, above 0 (Hz)")
-        due = time.monotonic()
-        while not self._over.is_set():
-            yield self.state()
-            due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
-            self._over.wait(max(due - time.monotonic(), 0.0))
-
-    def mark(self, text: str = "") -> Event:
-        """Notes that something happened at this sample; returns the event. `markers` lists them."""
-        event = self._tell("marker", text)
-        self.markers.append(event)
-        return event
-
-    def record(self, path: str | Path) -> None:
-        """Begins to write every sample from now on to `path`, a new .trace, .npz or .csv. UsageError where it cannot,
-        or where a record is being written."""
-        self._require_running()
-        with self._to_file:
-            if self._recorder.file is not None:
-                raise UsageError(f"{path}: {self._recorder.file.path} is being recorded: stop that first")
-            require_writable_as_trace(Path(path))
-            if Path(path).exists():
-                raise UsageError(f"{path}: the file exists; it was not touched")
-            self._recorder.use_file(self._begin_record(self.scene, Path(path)))
-        self._tell("recording", str(path))
-
-    @property
-    def recording(self) -> Path | None:
-        """The file that is being written; None where there is none."""
-        file = self._recorder.file
-        return None if file is None else file.path
-
-    def stop_recording(self) -> Path | None:
-        """Ends the record that is being written, and returns its file; None where there is none."""
-        with self._to_file:
-            file = self._recorder.use_file(None)
-        if file is None:
-            return None
-        file.finish(outcome.report_of(self.scene, self._loop, "running"), outcome.statistics_of(self._loop))
-        self._tell("recorded", file.problem or str(file.path))
-        return file.path
-
-    def _tell(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> Event:
-        event = Event(kind, sentence, values or {}, int(self._loop.state.sample))
-        (self._options.on_event or _ignore)(event)
-        return event
-
-    def statistics(self) -> Statistics:
-        """Returns lateness, exchange time and age of the force of all ticks so far."""
-        return outcome.statistics_of(self._loop)
-
     def stop(self) -> None:
         """Ends the run cleanly; returns at once."""
         self._loop.control.stop = 1
@@ -316,10 +199,6 @@ class Session:
                 "the trace is there once the run is over: leave the with-block of `start` first, or call `close`"
             )
         return self._trace
-
-    def _require_running(self) -> None:
-        if self._over.is_set():
-            raise UsageError(OVER)
 
     # Opening
 
@@ -355,16 +234,6 @@ class Session:
             return PortableLoop(self._loop.record, self._loop.inbox, self._connection.transport).run
         compile_for(run_loop, self._loop.record)
         return run_loop
-
-    def _begin_record(self, scene: Scene, path: Path) -> RecordFile:
-        loop, io = self._loop, self._loop.record.io
-        position, force = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
-        head = Head(scene.rate, position, force, scene.path or "", datetime.now(UTC).isoformat())
-
-        def report_so_far() -> tuple[Report, Statistics]:
-            return outcome.report_of(scene, loop, "running"), outcome.statistics_of(loop)
-
-        return RecordFile(path, head, report_so_far, self._options.on_warning or _ignore)
 
     def _open_sound(self, scene: Scene, stack: contextlib.ExitStack) -> None:
         options, ring, warn = self._options, self._loop.sound, self._options.on_warning or _ignore

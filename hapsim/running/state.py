@@ -100,7 +100,7 @@ class StateReader:
     def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
         """Returns the newest sample's number, and where points and masses of structures ("gut.7", "skin.3.4") are:
         (names,) m. Raises UsageError where there is no such one."""
-        program = self._loop.program
+        program, hands = self._loop.program, self._hands()
         row, numbers = positions_of(program)[0], program.numbers
         for name in names:
             if name not in numbers:
@@ -109,28 +109,36 @@ class StateReader:
                 near = f"one of its masses, {masses[0]} to {masses[-1]}" if masses else "a point, or a structure's mass"
                 others = {one.partition(".")[0]: None for one in numbers}
                 raise UsageError(f"found '{name}', expected {near}{'' if masses else did_you_mean(part, list(others))}")
-        return int(self._loop.state.sample), np.array([row[numbers[name]] for name in names], np.float64)
+        places = [hands[name] if name in hands else row[numbers[name]] for name in names]
+        return int(self._loop.state.sample), np.array(places, np.float64)
 
     def modules(self) -> dict[str, float | NDArray[np.float64]]:
         """Returns where each point is."""
         program = self._loop.program
         if program is not self._program:
             self._program, self._places = program, _places(program.numbers)
-        row, measured = positions_of(program)[0], self._loop.record.io.measured
-        hands = {name: float(measured[one.channel]) for name, one in self._loop.rendered_scene.device_points.items()}
+        row = positions_of(program)[0]
         return {
             name: row[place].astype(np.float64) if isinstance(place, np.ndarray) else float(row[place])
             for name, place in self._places.items()
-        } | hands  # whose place in the program is the tick's own
+        } | self._hands()
+
+    def _hands(self) -> dict[str, float]:
+        """Where the hands were measured, in m: their places in the program are the tick's own."""
+        measured = self._loop.record.io.measured
+        return {name: float(measured[one.channel]) for name, one in self._loop.rendered_scene.device_points.items()}
 
 
 def _places(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]:
     """Where each module stands in a program's rows: one number, or those of a structure's masses."""
-    several: dict[str, list[int]] = {}
+    places: dict[str, Any] = {}
     for name, number in numbers.items():
-        several.setdefault(name.partition(".")[0], []).append(number)
-    return {name: np.array(all_of) if f"{name}.0" in numbers or f"{name}.0.0" in numbers else all_of[0]
-            for name, all_of in several.items()}  # fmt: skip
+        module, dot, _ = name.partition(".")
+        if dot:
+            places.setdefault(module, []).append(number)
+        else:
+            places[name] = number
+    return {name: np.array(place) if isinstance(place, list) else place for name, place in places.items()}
 
 
 def as_html(scene: Scene, name: str, state: State, parameters: Mapping[str, Any]) -> str:

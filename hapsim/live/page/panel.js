@@ -12,7 +12,7 @@ const MOST_EVENTS = 200;
 /** @param {string} id @returns {any} */
 const part = (id) => document.getElementById(id);
 const connection = new Connection();
-const scope = new Scope(part("scope"));
+export const scope = new Scope(part("scope"));
 const plane = new Plane(part("plane"), part("felt"), part("note"));
 /** @type {any} */
 let model = null;
