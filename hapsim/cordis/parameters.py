@@ -16,6 +16,7 @@ The loop never waits: while a set is being written it goes on with what it has, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,14 @@ class LiveValues:
         """Posts a whole set, to be reached `samples` (>= 1) samples after it is taken. One thread at a time."""
         self.record.move = move.address()
         post(self.record, values.astype(np.float64), samples)
+
+    def post_with(self, values: Column, samples: int, add: Callable[[Any, str, int], None]) -> None:
+        """Prepares a whole set, as `post`, where what was posted before is taken; `add` takes the words of the record
+        with which it will be posted."""
+        self.record.move = move.address()
+        self._ramps[0] = values
+        add(self.record, "posted_samples", samples)
+        add(self.record, "posted", int(self.record.posted) + 2)
 
 
 _doubles_at, _parameters_at = array_at(np.float64), record_at(PARAMETERS)

@@ -21,7 +21,7 @@ from numba import types
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import compact
-from hapsim.compiling import entry, helper, inlined
+from hapsim.compiling import helper, inlined
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import array_at, function_at, native, record_at
 from hapsim.cordis.stored_energy import left_of, share_that_lasts, spend, stored_at, tank_at
@@ -98,7 +98,6 @@ def cross_fade(slot, io, position, velocity):
     if slot.posted != 0 and slot.next == 0:
         slot.steps = slot.left = slot.posted_steps
         slot.next = slot.posted
-        fence()
         slot.posted = np.uint64(0)
         slot.incoming[:], slot.weight = 0.0, 0.0
         take_over(program_at(slot.program), program_at(slot.next), position)
@@ -138,16 +137,6 @@ def _advance(slot, position):
         slot.weight = before + lasts * (slot.weight - before)
         slot.left = slot.steps * left_of(slot.weight)
     spend(tank, (slot.weight - before) * added)
-
-
-@entry
-def post(slot, program, steps, cross_fade):
-    """Posts the program at this address for a crossfade over `steps` (>= 1), after the last one has ended.
-    `cross_fade`: the address of the function of that name."""
-    slot.posted_steps = steps
-    slot.posted = np.uint64(program)
-    fence()
-    slot.cross_fade = np.uint64(cross_fade)
 
 
 @inlined

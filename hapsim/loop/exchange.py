@@ -28,6 +28,7 @@ from hapsim.loop.guards.stale import has_expired, is_outdated
 from hapsim.loop.guards.travel import BEYOND, TRAVEL, WITHIN, call_fade
 from hapsim.loop.guide import GUIDE, call_lead
 from hapsim.loop.histogram import HISTOGRAM, note
+from hapsim.loop.posted import POSTED, note_taken, take_posted
 from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
 from hapsim.loop.sound import SOUND_RING
@@ -132,6 +133,7 @@ LOOP = np.dtype(
         ("energy_guard", ENERGY_GUARD),
         ("sign", SIGN),
         ("tank", TANK),
+        ("posted", POSTED),
         ("histograms", HISTOGRAMS),
     ],
     align=True,
@@ -177,6 +179,7 @@ def take_frame(loop, decoder, now):
     note(loop.histograms.age, state.age)
     state.lost_frames += gap - 1
     flags = (ring.LATE_FORCE if late else 0) | (ring.BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
+    change = take_posted(loop.posted)
     predictor = loop.predictor
     if predictor.predict != 0:
         call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(late), state.age))
@@ -185,6 +188,7 @@ def take_frame(loop, decoder, now):
     if predictor.add != 0:
         call_add(predictor.add, (predictor.address, io.address))
     state.sample += gap
+    note_taken(loop.posted, change, state.ticks)
     sound, stops = _answer(loop, gap, late, flags, now)
     if not sound:
         return endings.NOT_FINITE

@@ -17,7 +17,6 @@ from numba import types
 
 from firmware_protocol import schema
 from hapsim.compiling import entry, helper
-from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import array_at, function_at, native, record_at
 from hapsim.cordis.tick import tick
 from hapsim.loop.buffers import IO_BUFFER
@@ -183,7 +182,6 @@ def take_posted(predictor):
         return False
     predictor.before, predictor.table = predictor.table, predictor.posted
     predictor.samples = predictor.left = predictor.posted_samples
-    fence()
     predictor.posted = np.uint64(0)
     return True
 
@@ -206,14 +204,6 @@ def set_numbers(predictor, c, at):
             older = before[first + i] + share * (before[further + i] - before[first + i])
             value = older + newer * (value - older)
         numbers[c * width + i] = value
-
-
-@entry
-def post_table(predictor, table, samples):
-    """Posts the table at this address, for a fade over `samples`."""
-    predictor.posted_samples = samples
-    fence()
-    predictor.posted = np.uint64(table)
 
 
 @entry

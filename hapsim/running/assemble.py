@@ -14,12 +14,13 @@ from hapsim.compiling.native import address_of
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.cordis.stored_energy import StoredEnergy
 from hapsim.device.connection import Connection
-from hapsim.loop.crossfade import cross_fade, post
+from hapsim.loop.crossfade import cross_fade
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.energy_guard import EnergyGuard
 from hapsim.loop.guards.sign import judge_signs
 from hapsim.loop.guide import set_guide
+from hapsim.loop.posted import Posts
 from hapsim.loop.ring import Ring
 from hapsim.loop.sound import SoundRing, hear
 from hapsim.loop.transport import Transport
@@ -94,13 +95,16 @@ class LoopMemory:
         self._programs = [program]
         self.record.slot.program = program.address
 
-    def follow_with(self, program: Program, steps: int) -> None:
-        """Crossfades to `program`, which `take_over_from` has prepared, over this number of steps of the scene."""
+    def follow_with(self, program: Program, steps: int, posts: Posts) -> None:
+        """Adds a crossfade to `program`, which `take_over_from` has prepared, over this number (>= 1) of steps of the
+        scene, to what is posted next."""
         if self.is_replacing:
             raise ValueError("the crossfade before is not over")
         self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])
         self._programs = [self.program, program]
-        post(self.record.slot, program.address, steps, cross_fade.address())
+        posts.add(self.record.slot, "posted_steps", steps)
+        posts.add(self.record.slot, "posted", program.address)
+        posts.add(self.record.slot, "cross_fade", cross_fade.address())
 
     def hear_with(self, scene: Scene, waits: bool) -> None:
         """Has the loop write what the scene's pick-ups hear into a ring; `waits`: and wait for who drains it."""

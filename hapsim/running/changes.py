@@ -21,6 +21,7 @@ from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
 from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
+from hapsim.loop.posted import Posts
 from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
@@ -65,6 +66,7 @@ class LiveScene:
         """The scene with every change so far."""
         self._loop, self._is_over, self._gives_way, self._unstable = loop, is_over, gives_way, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
+        self._posts = Posts(loop.record.posted, lambda: bool(loop.control.go and loop.state.ticks) and not is_over())
         self._values: Column | None = None  # those of the scene that the loop moves; None: not worked out yet
 
     def set(self, changes: Changes, over: float) -> None:
@@ -126,9 +128,11 @@ class LiveScene:
         now = parameter_values(self._loop.rendered_scene) if self._values is None else self._values
         self._move_hand(scene, samples)
         if not np.array_equal(values, now):
+            self._posts.wait()
             self._announce(samples, self._is_shaken_by(scene))
-            self._loop.program.parameters.post(values, samples * scene.substeps)
+            self._loop.program.parameters.post_with(values, samples * scene.substeps, self._posts.add)
             self._correct_as(rendering, samples)
+            self._posts.send()
         self.scene, self._loop.rendered_scene, self._values = scene, rendering.scene, values
 
     def _replace(self, scene: Scene, samples: int) -> None:
@@ -137,17 +141,20 @@ class LiveScene:
         after = rendering.scene
         require_in_time(after)
         program, is_shaken = compile_scene(after), self._is_shaken_by(scene)
+        self._posts.wait()
         while self._loop.is_replacing:
             if self._is_over():
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
         with self._writing:
+            self._posts.wait()
             self._announce(samples, is_shaken)
             take_over_from(self._loop.program, self._loop.rendered_scene, program, after)
             self._loop.account_for(program, after)
             program.parameters.post(parameter_values(after), samples * scene.substeps)
-            self._loop.follow_with(program, samples * scene.substeps)
+            self._loop.follow_with(program, samples * scene.substeps, self._posts)
             self._correct_as(rendering, samples)
+            self._posts.send()
             self._move_hand(scene, samples)
             self.scene, self._loop.rendered_scene, self._values = scene, after, None
 
@@ -166,7 +173,7 @@ class LiveScene:
 
     def _correct_as(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:
-            self._loop.correction.follow(rendering, samples)
+            self._loop.correction.follow(rendering, samples, self._posts)
 
     def _require_possible(self, scene: Scene) -> None:
         fixed = first_fixed_difference(self.scene, scene)

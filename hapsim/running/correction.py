@@ -4,6 +4,7 @@ the mass is estimated."""
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +18,8 @@ from hapsim.compiling.native import address_of
 from hapsim.holds import HOLDS
 from hapsim.loop.adaptive import ADAPTIVE, ADDED, LEAST_SLEW, SLEW_S, add_difference, predict_adaptively
 from hapsim.loop.mass_estimate import MOST_SLOW_SPAN, MOST_SPAN
-from hapsim.loop.predictor import STATES, post_table, predict
+from hapsim.loop.posted import Posts
+from hapsim.loop.predictor import STATES, predict
 from hapsim.prediction.correction import Corrected, Rendering
 from hapsim.prediction.correction.predictor import predictor_for
 from hapsim.theory.correction import StatePredictor, forces_in_second_difference
@@ -76,28 +78,30 @@ class LoopCorrection:
                 spans.log_mass[channel] = spans.log_least[channel]
             estimate.sprung[channel] = port.declared.stiffness * period**2
             estimate.rounding[channel] = description.position_scale[channel] ** 2 / 12.0
-        self._set_spans(rendering)
+        for channel, samples in self._spans(rendering):
+            estimate.next_span[channel] = samples
         estimate.span[:] = estimate.next_span
         estimate.slow_span[:] = np.minimum(estimate.span, MOST_SLOW_SPAN)
         self._record.adaptive = address_of(record)
         self._record.predict, self._record.add = predict_adaptively.address(), add_difference.address()
 
-    def _set_spans(self, rendering: Rendering) -> None:
-        """Sets the spans of samples with which the estimates begin, with the table that is posted next."""
+    def _spans(self, rendering: Rendering) -> Iterator[tuple[int, int]]:
+        """Yields channels, and the samples of the spans with which their estimates begin."""
         for port in (one for one in rendering.ports if one.channel in self._ports and one.schedule is not None):
             stiffness = max(port.written[0] + port.declared.stiffness, _LEAST_STIFFNESS)
             half_period_s = math.pi * math.sqrt(_span(port)[0] / stiffness)
             samples = min(max(half_period_s / rendering.desired.period, 1.0), float(MOST_SPAN))
-            self._adaptive.estimate.next_span[port.channel] = round(samples)
+            yield port.channel, round(samples)
 
-    def follow(self, rendering: Rendering, samples: int) -> None:
-        """Fades to the correction of another scene over `samples`. A channel on which nothing adapts any more
-        gets the predictor of its links, and nothing is added to their force."""
-        if self._ports:
-            self._set_spans(rendering)
+    def follow(self, rendering: Rendering, samples: int, posts: Posts) -> None:
+        """Adds a fade to the correction of another scene, over `samples`, to what is posted next. A channel on which
+        nothing adapts any more gets the predictor of its links, and nothing is added to their force."""
+        for channel, span in self._spans(rendering) if self._ports else ():
+            posts.add(self._adaptive.estimate, "next_span", span, channel)
         if self._predicts:
             self._tables = [*self._tables[-_KEPT_TABLES:], self._table(self._channel_tables(rendering))]
-            post_table(self._record, address_of(self._tables[-1]), max(samples, 1))
+            posts.add(self._record, "posted_samples", max(samples, 1))
+            posts.add(self._record, "posted", address_of(self._tables[-1]))
 
     def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
         """Returns the estimated masses under their names in `Report` and `Progress`: a value per channel, None where

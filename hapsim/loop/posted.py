@@ -1,0 +1,97 @@
+"""What another thread posts to a running loop: words that the loop writes itself, at the beginning of a tick.
+
+A change of a scene touches several parts of the loop: the values of its parameters, the correction, the guards, or the
+scene itself. All of it acts from one tick on, whose number the loop notes, so that a record can be replayed.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hapsim.compiling import inlined
+from hapsim.compiling.memory_fence import fence
+from hapsim.compiling.native import address_of, array_at
+
+MOST = 64  # words of a change
+
+POSTED = np.dtype(
+    [
+        ("number", np.int64),  # of changes posted,
+        ("taken", np.int64),  # and taken
+        ("tick", np.int64),  # with which the last one was taken; the first tick is 0
+        ("count", np.int64),  # words of the posted one:
+        ("at", np.uint64, (MOST,)),  # their addresses,
+        ("word", np.int64, (MOST,)),  # and what is written there
+    ],
+    align=True,
+)
+
+_GLANCE_S = 5e-5
+_words_at = array_at(np.int64)
+
+
+@inlined
+def take_posted(posted):
+    """Writes the words of a new change. Returns its number, for `note_taken` at the end of the tick."""
+    number = posted.number
+    if number != posted.taken:
+        fence()
+        for i in range(posted.count):
+            _words_at(posted.at[i], 1)[0] = posted.word[i]
+    return number
+
+
+@inlined
+def note_taken(posted, number, tick):
+    """Notes that nothing reads any more what a change was posted with."""
+    if number != posted.taken:
+        posted.tick = tick
+        fence()
+        posted.taken = number
+
+
+class Posts:
+    """Where changes are posted, by one thread at a time. `record`: POSTED."""
+
+    def __init__(self, record: Any, runs: Callable[[], bool]) -> None:
+        """`runs`: whether a loop ticks, which takes what is posted."""
+        self._record, self._runs = record, runs
+        self._words: list[tuple[Any, str, int, int | float]] = []
+
+    def add(self, record: Any, field: str, value: int | float, at: int = 0) -> None:
+        """Adds a value for a field, of 8 bytes, to the next change; `at`: which of several."""
+        self._words.append((record, field, at, value))
+
+    def send(self) -> None:
+        """Posts what was added. Where no loop runs, it is written at once."""
+        words, self._words = self._words, []
+        if not self._runs():
+            for record, field, at, value in words:
+                record[field] = value if np.ndim(record[field]) == 0 else _with(record[field], at, value)
+            return
+        posted = self._record
+        for i, (record, field, at, value) in enumerate(words):
+            kind, offset = record.dtype.fields[field][:2]
+            posted.at[i] = address_of(record) + offset + 8 * at
+            posted.word[i] = np.array([value], kind.base).view(np.int64)[0]
+        posted.count = len(words)
+        posted.number += 1
+
+    def wait(self) -> None:
+        """Waits until the loop has taken what was posted."""
+        while self._record.taken != self._record.number and self._runs():
+            time.sleep(_GLANCE_S)
+
+    @property
+    def taken_with(self) -> int | None:
+        """The tick with which the loop took the last change; None as long as it has not."""
+        return int(self._record.tick) if self._record.taken == self._record.number else None
+
+
+def _with(values: Any, at: int, value: int | float) -> Any:
+    values[at] = value
+    return values
