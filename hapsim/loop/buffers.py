@@ -63,6 +63,7 @@ IO_BUFFER = np.dtype(
         ("as_hand", np.float64, _EACH),  # N, the part of the excitation that plays the hand
         ("excitation", np.float64, _EACH),  # N, added to the scene's force
         ("position_counts", np.int64, _EACH),  # from the scene's origin on
+        ("velocity_counts", np.int64, _EACH),  # as on the wire
         ("origin_counts", np.int64, _EACH),  # the device's position there,
         ("origin_at_arming", np.int64, _EACH),  # 1: its first one
         ("force_counts", np.int64, _EACH),  # the force after excitation and guards

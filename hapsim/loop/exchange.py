@@ -84,7 +84,8 @@ STATE = np.dtype(
         ("newest_ns", np.int64),
         ("since_sent", np.int64),  # samples from the position that the last force to leave answers
         ("unanswered", np.int64),  # 1: the newest position's force has not left yet
-        ("tick_ns", np.int64),  # where the host paces: when the loop woke up to ask for the next position
+        ("tick_ns", np.int64),  # where the host paces: when the loop woke up to ask for the next position,
+        ("asked_ns", np.int64),  # and for what it sent last, which may ask again
         ("sent_ns", np.int64),  # when the last force had left
         ("due_ns", np.int64),  # where the device paces: when the next position is expected
     ],
@@ -212,7 +213,8 @@ def _read_position(io, decoder, is_first):
             io.before[c] = io.measured[c]
         if io.velocities:
             io.velocity_before[c] = io.velocity[c]
-            io.velocity[c] = decoder.counts[np.uint64(io.channels) + c] * io.velocity_scale[c]
+            io.velocity_counts[c] = decoder.counts[np.uint64(io.channels) + c]
+            io.velocity[c] = io.velocity_counts[c] * io.velocity_scale[c]
             if is_first:
                 io.velocity_before[c] = io.velocity[c]
 
@@ -248,7 +250,7 @@ def _answer(loop, gap, late, flags, now):
             stops = verdict
     state.newest_ns = now
     state.limited_ticks += limited
-    push(loop.ring, state.sample, now, flags | ring.LIMITED if limited else flags, io)
+    push(loop.ring, state, now, flags | ring.LIMITED if limited else flags, io)
     state.ticks += 1
     state.unanswered = 1
     return sound, stops
@@ -284,6 +286,7 @@ def compose_frame(loop, disarm):
     io = loop.io
     state, control = loop.state, loop.control
     kind, number, argument = schema.FORCE, state.sample & _MODULUS_MASK, control.time_to_live
+    state.asked_ns = loop.wait.begun_ns
     if disarm:
         kind, number, argument = schema.DISARM, 0, 0
         _take_force_away(io)

@@ -66,12 +66,18 @@ class Posts:
         """Adds a value for a field, of 8 bytes, to the next change; `at`: which of several."""
         self._words.append((record, field, at, value))
 
+    @property
+    def next_number(self) -> int:
+        """The number of the next change."""
+        return int(self._record.number) + 1
+
     def send(self) -> None:
         """Posts what was added. Where no loop runs, it is written at once."""
         words, self._words = self._words, []
         if not self._runs():
             for record, field, at, value in words:
                 record[field] = value if np.ndim(record[field]) == 0 else _with(record[field], at, value)
+            self._record.number = self._record.taken = self._record.number + 1
             return
         posted = self._record
         for i, (record, field, at, value) in enumerate(words):
@@ -86,10 +92,9 @@ class Posts:
         while self._record.taken != self._record.number and self._runs():
             time.sleep(_GLANCE_S)
 
-    @property
-    def taken_with(self) -> int | None:
-        """The tick with which the loop took the last change; None as long as it has not."""
-        return int(self._record.tick) if self._record.taken == self._record.number else None
+    def tick_of(self, number: int) -> int | None:
+        """The tick with which the loop took this change, the last one; None as long as it has not."""
+        return int(self._record.tick) if self._record.taken >= number else None
 
 
 def _with(values: Any, at: int, value: int | float) -> Any:

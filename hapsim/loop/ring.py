@@ -42,27 +42,40 @@ RING = np.dtype(
     align=True,
 )
 
-_SAMPLE, _TIME, _FLAGS, _VALUES = 0, 1, 2, 3  # words of a row; then C each of position, force and asked
+# Words of a row; then C each of position, force, asked force and velocity.
+_SAMPLE, _TIME, _FLAGS, _TICK, _ASKED, _SENT, _VALUES = range(7)
 _words_at = array_at(np.int64)
 
 ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
 """The columns of a trace, a row per tick."""
 
 
-def row_type(channels: int) -> np.dtype[Any]:
-    """Returns the type of a row for its reader, and in files: little-endian, without gaps."""
-    types = ("<i8", "<i8", "u1", *((kind, (channels,)) for kind in ("<i4", "<i4", "<f8")))
-    return np.dtype(list(zip(ROWS, types, strict=True)))
+BEFORE = ("tick_before_ns", "asked_before_ns", "sent_before_ns")
+"""Columns of a row where the host paces: how long before this position the loop woke up to ask for it, asked for the
+last time, and had sent the force with that."""
+VELOCITY = "velocity_counts"
+"""The column of velocities that the device senses."""
+
+
+def row_type(channels: int, velocity: bool = False, by_host: bool = False) -> np.dtype[Any]:
+    """Returns the type of a row for its reader, and in files: little-endian, without gaps. `velocity`: with those that
+    are sensed; `by_host`: with BEFORE."""
+    types: list[Any] = ["<i8", "<i8", "u1", *((kind, (channels,)) for kind in ("<i4", "<i4", "<f8"))]
+    columns = [*zip(ROWS, types, strict=True), *((VELOCITY, "<i4", (channels,)) for _ in range(velocity))]
+    return np.dtype(columns + [(name, "<i4") for name in BEFORE if by_host])
 
 
 class Ring:
     """The reader's side. A row is contiguous in memory: sample, time in ns, flags, positions and forces in counts, and
     the bits of the scene's force in N before excitation, limit and rounding."""
 
-    def __init__(self, record: object, channels: int, capacity: int, waits: bool) -> None:
-        """An empty ring in `record`, a RING; `capacity` is a power of two."""
+    def __init__(self, record: object, of: np.dtype[Any], capacity: int, waits: bool) -> None:
+        """An empty ring in `record`, a RING, of rows that are read as `of`; `capacity` is a power of two."""
         self.record: np.record = record  # type: ignore[assignment]
-        self._rows = np.zeros((capacity, _VALUES + 3 * channels), np.int64)
+        self.of = of
+        """The `row_type`."""
+        channels = of["position_counts"].shape[0]
+        self._rows = np.zeros((capacity, _VALUES + 4 * channels), np.int64)
         self._rows.fill(0)  # so that the loop causes no page fault
         self.record.rows = self._rows.ctypes.data
         self.record.capacity, self.record.width = self._rows.shape
@@ -74,16 +87,22 @@ class Ring:
         tail, head = int(self.record.tail), int(self.record.head)
         taken = self._rows[np.arange(tail, head) & (len(self._rows) - 1)]
         self.record.tail = head
-        rows = np.empty(len(taken), row_type(int(self.record.channels)))
-        rows["sample"], rows["time_ns"], rows["flags"] = taken[:, :_VALUES].T
-        rows["position_counts"], rows["force_counts"], asked = np.split(taken[:, _VALUES:], 3, axis=1)
+        rows = np.empty(len(taken), self.of)
+        rows["sample"], rows["time_ns"], rows["flags"] = taken[:, :_TICK].T
+        position, force, asked, velocity = np.split(taken[:, _VALUES:], 4, axis=1)
+        rows["position_counts"], rows["force_counts"] = position, force
         rows["asked_force"] = np.ascontiguousarray(asked).view(np.float64)
+        names = self.of.names or ()
+        if VELOCITY in names:
+            rows[VELOCITY] = velocity
+        for word, name in enumerate(BEFORE if BEFORE[0] in names else (), _TICK):
+            rows[name] = np.minimum(taken[:, word], np.iinfo(np.int32).max)
         return rows
 
 
 @inlined
-def push(ring, sample, time_ns, flags, io):
-    """Writes a row of `io`, which the reader does not see before `publish`."""
+def push(ring, state, time_ns, flags, io):
+    """Writes a row of `io` and the loop's `state`, which the reader does not see before `publish`."""
     compact()
     at = ring.head + ring.unpublished
     if at - ring.tail >= ring.capacity:
@@ -91,12 +110,14 @@ def push(ring, sample, time_ns, flags, io):
         return
     ring.newest = ring.rows + np.uint64(8 * ring.width * (at & (ring.capacity - 1)))
     row = _words_at(ring.newest, ring.width)
-    row[_SAMPLE], row[_TIME], row[_FLAGS] = sample, time_ns, flags
+    row[_SAMPLE], row[_TIME], row[_FLAGS] = state.sample, time_ns, flags
+    row[_TICK], row[_ASKED], row[_SENT] = time_ns - state.tick_ns, time_ns - state.asked_ns, time_ns - state.sent_ns
     channels = np.uint64(ring.channels)
     for c in range(channels):
         row[np.uint64(_VALUES) + c] = io.position_counts[c]
         row[np.uint64(_VALUES) + channels + c] = io.force_counts[c]
         row[np.uint64(_VALUES) + channels + channels + c] = np.float64(io.asked[c]).view(np.int64)
+        row[np.uint64(_VALUES) + channels + channels + channels + c] = io.velocity_counts[c]
     ring.unpublished += 1
 
 

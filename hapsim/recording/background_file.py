@@ -10,7 +10,8 @@ import os
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -38,10 +39,15 @@ class BackgroundFile:
         self._failure = ""  # why rows are missing, or the file that was asked for
         self._is_broken = False
         self._taken = 0
+        self._notes: deque[dict[str, Any]] = deque()
         self._waiting: SimpleQueue[NDArray[Any]] = SimpleQueue()
         self._put_bytes = self._done_bytes = 0
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._write_all, name=what, daemon=True)
+
+    def take_notes(self, notes: Iterable[dict[str, Any]]) -> None:
+        """Takes what happened beside the rows that are put next."""
+        self._notes.extend(notes)
 
     def _start(self) -> None:
         self._thread.start()
@@ -49,6 +55,9 @@ class BackgroundFile:
     @abstractmethod
     def _write(self, rows: NDArray[Any]) -> None:
         """Writes rows. OSError where not all could be written."""
+
+    def _write_note(self, note: dict[str, Any]) -> None:
+        """Writes a note, where the file has any. OSError where it cannot."""
 
     @abstractmethod
     def _summarize(self) -> None:
@@ -111,6 +120,8 @@ class BackgroundFile:
             ends = self._ends.wait(_WRITE_S)
             waiting = [self._waiting.get() for _ in range(self._waiting.qsize())]
             try:
+                while self._notes and not self._is_broken:
+                    self._write_note(self._notes.popleft())
                 if waiting and not self._is_broken:
                     self._write(np.concatenate(waiting))
                 if time.monotonic() - last_summary >= _SUMMARY_S and not self._is_broken:

@@ -28,8 +28,11 @@ class Recorder:
     """The ring's reader. `keep`: False frees the rows without keeping them, but for the last `recent` ones or a few
     more. Every `Stream` gets them too."""
 
-    def __init__(self, ring: Ring, keep: bool, recent: int = 1) -> None:
-        self._ring, self._keep, self._recent = ring, keep, recent
+    def __init__(
+        self, ring: Ring, keep: bool, recent: int = 1, notes: Callable[[], list[dict[str, Any]]] = list
+    ) -> None:
+        """`notes()`: what happened beside the rows since the last call, for a file."""
+        self._ring, self._keep, self._recent, self._notes = ring, keep, recent, notes
         self._lock = threading.Lock()
         self._kept: list[NDArray[Any]] = []
         self._last = deque([ring.drain()])
@@ -41,6 +44,9 @@ class Recorder:
         """Empties the ring; from any thread."""
         with self._lock:
             rows = self._ring.drain()
+            notes = self._notes()  # after the rows: none of them was made by a change that is not noted
+            if self.file is not None:
+                self.file.take_notes(notes)
             if not rows.size:
                 return
             if self._keep:
@@ -133,6 +139,9 @@ class RecordFile(BackgroundFile):
 
     def _write(self, rows: NDArray[Any]) -> None:
         self._writer.write_rows(rows)
+
+    def _write_note(self, note: dict[str, Any]) -> None:
+        self._writer.write_note(note)
 
     def _summarize(self) -> None:
         self._writer.write_summary(self._summary())

@@ -4,10 +4,11 @@
     a chunk: kind, 4 bytes; count, size and check, 4 bytes each, little-endian; payload, `size` bytes
     and so on
 
-The check is a CRC-32 (zlib's) of everything else in the chunk. HEAD, the first: a JSON document (version, rate_hz,
-channels, position_scale, force_scale, scene, begun, and the report before the first row). ROWS: `count` rows of
-`row_type(channels)`. TOLD, about once a second and at the end: a JSON document, the report and the histograms so far;
-`finished` is true in the last one of a run that came to its end. A reader stops at the first chunk that is not whole.
+The check is a CRC-32 (zlib's) of everything else in the chunk. HEAD, the first: a JSON document (version, channels,
+the fields of `Head`, and the report before the first row). ROWS: `count` rows of `Head.rows`. NOTE: a JSON document,
+what happened beside the rows: a marker, or a change of the scene and the first tick with it. TOLD, about once a second
+and at the end: a JSON document, the report and the histograms so far; `finished` is true in the last one of a run that
+came to its end. A reader stops at the first chunk that is not whole.
 """
 
 from __future__ import annotations
@@ -28,12 +29,13 @@ from hapsim.errors import UsageError
 from hapsim.loop.ring import row_type
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
-VERSION = 1
+VERSION = 2
+_READ = (1, 2)  # 1 has no `run`, and no notes
 MOST_ROWS = 1 << 15
 """In a chunk: what a reader has in memory at once."""
 
 _CHUNK = struct.Struct("<4sIII")
-_HEAD, _ROWS, _TOLD = b"HEAD", b"ROWS", b"TOLD"
+_HEAD, _ROWS, _NOTE, _TOLD = b"HEAD", b"ROWS", b"NOTE", b"TOLD"
 _MOST_BYTES = 1 << 26  # of a chunk; one that says it is longer is damaged
 
 
@@ -49,6 +51,17 @@ class Head(NamedTuple):
     """Its file, where it has one."""
     begun: str = ""
     """UTC, ISO 8601."""
+    velocity: bool = False
+    """Whether its rows have the velocities that the device sensed."""
+    by_host: bool = False
+    """Whether the host paced, and its rows have when forces left."""
+    run: dict[str, Any] | None = None
+    """What was run (`hapsim.running.replayed`); None where the record cannot be replayed."""
+
+    @property
+    def rows(self) -> np.dtype[Any]:
+        """The type of its rows."""
+        return row_type(self.channels, self.velocity, self.by_host)
 
     @property
     def channels(self) -> int:
@@ -79,6 +92,10 @@ class StreamWriter:
             piece = rows[first : first + MOST_ROWS]
             self._write_chunk(_ROWS, len(piece), piece.tobytes())
             self.written += len(piece)
+
+    def write_note(self, note: dict[str, Any]) -> None:
+        """Writes what happened beside the rows. OSError where it cannot."""
+        self._write_chunk(_NOTE, 0, json.dumps(note).encode())
 
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Writes the report and the histograms so far, and has the system put the file on the disk. OSError where it
@@ -121,12 +138,14 @@ class StreamReader:
                 raise UsageError(f"{path}: the trace was cut off, or damaged, before its first row")
             self._begin = stream.tell()
         head = json.loads(payload)
-        if head["version"] != VERSION:
+        if head["version"] not in _READ:
             raise UsageError(
                 f"{path}: found version {head['version']} of hapsim's stream of rows, expected {VERSION}: it takes a "
                 "newer hapsim"
             )
-        self.head = Head(**{name: head[name] for name in Head._fields})
+        self.head = Head(**{name: head[name] for name in Head._fields if name in head})
+        self.notes: list[dict[str, Any]] = []
+        """What happened beside the rows, once they were read."""
         self.summary: dict[str, Any] = head["told"]
         """The last report and histograms in the file, once the rows were read."""
         self.is_finished = False
@@ -134,7 +153,8 @@ class StreamReader:
 
     def rows(self) -> Iterator[NDArray[Any]]:
         """The rows of every whole chunk up to the first that is not."""
-        kind, of = b"", row_type(self.head.channels)
+        kind, of = b"", self.head.rows
+        self.notes = []
         with self._path.open("rb") as stream:
             end = stream.seek(self._begin)
             while chunk := _next_chunk(stream):
@@ -143,6 +163,8 @@ class StreamReader:
                     if len(payload) != count * of.itemsize:
                         break
                     yield np.frombuffer(payload, of)
+                elif kind == _NOTE:
+                    self.notes.append(json.loads(payload))
                 elif kind == _TOLD:
                     self.summary = json.loads(payload)
                 end = stream.tell()

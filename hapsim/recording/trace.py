@@ -238,7 +238,7 @@ def _load_npz(stream: BinaryIO) -> Trace:
 def _load_stream(path: Path) -> Trace:
     """One that ends early is read up to its end. KeyError, TypeError or ValueError where it is no trace's."""
     reader = StreamReader(path)
-    rows = np.concatenate([np.empty(0, row_type(reader.head.channels)), *reader.rows()])
+    rows = np.concatenate([np.empty(0, reader.head.rows), *reader.rows()])
     report, statistics = read_summary(reader.summary)
     return Trace(
         rate=reader.head.rate_hz,

@@ -21,7 +21,7 @@ from hapsim.loop.guards.energy_guard import EnergyGuard
 from hapsim.loop.guards.sign import judge_signs
 from hapsim.loop.guide import set_guide
 from hapsim.loop.posted import Posts
-from hapsim.loop.ring import Ring
+from hapsim.loop.ring import Ring, row_type
 from hapsim.loop.sound import SoundRing, hear
 from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by
@@ -47,13 +47,15 @@ _GRACE_NS = 50_000_000  # a run may end so late before the clock ends it
 class LoopMemory:
     """A loop that is ready to run, with everything that has to stay in memory meanwhile."""
 
-    def __init__(self, connection: Connection, description: Description, velocity: bool, virtual_time: bool) -> None:
+    def __init__(self, connection: Connection, description: Description, velocity: bool, clock: str) -> None:
+        """`clock`: the device's, as in a scene."""
         self.record = new_record(LOOP)
         """LOOP of hapsim.loop.exchange."""
         self.inbox = connection.inbox
         self.wire = armed_format(description.channels, velocity)
         """The format that an armed device speaks."""
-        self.ring = Ring(self.record.ring, description.channels, _RING_ROWS, waits=virtual_time)
+        rows = row_type(description.channels, velocity, clock == "host")
+        self.ring = Ring(self.record.ring, rows, _RING_ROWS, waits=clock == "lockstep")
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)
         self.record.io.address = address_of(self.record.io)
@@ -143,7 +145,7 @@ def assemble_loop(
     `judges_energy`, `judges_sign`, `sound_file` and `unstable`."""
     options = options or RunOptions()
     rendering = rendered(scene)
-    loop = LoopMemory(connection, description, bool(scene.sensed_links), scene.device.clock == "lockstep")
+    loop = LoopMemory(connection, description, bool(scene.sensed_links), scene.device.clock)
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene

@@ -10,6 +10,7 @@ import itertools
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -67,6 +68,9 @@ class LiveScene:
         self._loop, self._is_over, self._gives_way, self._unstable = loop, is_over, gives_way, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
         self._posts = Posts(loop.record.posted, lambda: bool(loop.control.go and loop.state.ticks) and not is_over())
+        self._notes: deque[dict[str, Any]] = deque()
+        self._noting = threading.Lock()
+        self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have it yet
         self._values: Column | None = None  # those of the scene that the loop moves; None: not worked out yet
 
     def set(self, changes: Changes, over: float) -> None:
@@ -84,10 +88,11 @@ class LiveScene:
                         return False
                     if self._unstable is False:
                         require_not_less_stable(self.scene, scene)
+                note = {"set": changes, "over": over}
                 if not replaces:
-                    self._ramp_to(scene, over)
+                    self._ramp_to(scene, over, note)
                 elif scene != self.scene:
-                    self._replace(scene, _samples(scene, over))
+                    self._replace(scene, _samples(scene, over), note)
                 return True
 
         # Beside the loop it predicts the scene, which takes seconds for a large one, or compiles it.
@@ -102,17 +107,38 @@ class LiveScene:
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, as `Session.adopt`."""
         samples = _samples(scene, over)
+        note = {"adopt": document_of(scene), "over": over}
 
         def change() -> None:
             with self._replacing:
                 self._require_possible(scene)
                 if differs_in_live_parameters_alone(self.scene, scene):
                     with self._writing:
-                        self._ramp_to(scene, over)
+                        self._ramp_to(scene, over, note)
                 elif scene != self.scene:
-                    self._replace(scene, samples)
+                    self._replace(scene, samples, note)
 
         self._beside_loop(change)
+
+    def take_notes(self) -> list[dict[str, Any]]:
+        """Returns the changes that the loop has taken since the last call, each as {"tick": with which, "set": changes
+        or "adopt": the document of a scene, "over": seconds}."""
+        self._note_taken()
+        return [self._notes.popleft() for _ in range(len(self._notes))]
+
+    def _note_taken(self) -> None:
+        with self._noting:
+            if self._posted is not None and (tick := self._posts.tick_of(self._posted[0])) is not None:
+                self._notes.append({"tick": tick, **self._posted[1]})
+                self._posted = None
+
+    def _wait_for_turn(self) -> None:
+        self._posts.wait()
+        self._note_taken()
+
+    def _send(self, note: dict[str, Any]) -> None:
+        self._posted = self._posts.next_number, note
+        self._posts.send()
 
     def _beside_loop(self, work: Callable[[], object]) -> None:
         if self._gives_way:
@@ -120,7 +146,7 @@ class LiveScene:
         else:
             work()
 
-    def _ramp_to(self, scene: Scene, over: float) -> None:
+    def _ramp_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
         """Posts the values of `scene`, if any differs."""
         samples = _samples(scene, over)
         rendering = rendered(scene)
@@ -128,33 +154,33 @@ class LiveScene:
         now = parameter_values(self._loop.rendered_scene) if self._values is None else self._values
         self._move_hand(scene, samples)
         if not np.array_equal(values, now):
-            self._posts.wait()
+            self._wait_for_turn()
             self._announce(samples, self._is_shaken_by(scene))
             self._loop.program.parameters.post_with(values, samples * scene.substeps, self._posts.add)
             self._correct_as(rendering, samples)
-            self._posts.send()
+            self._send(note)
         self.scene, self._loop.rendered_scene, self._values = scene, rendering.scene, values
 
-    def _replace(self, scene: Scene, samples: int) -> None:
+    def _replace(self, scene: Scene, samples: int, note: dict[str, Any]) -> None:
         """Compiles the program of `scene` and crossfades to it. Only the last lines hold the lock."""
         rendering = rendered(scene)
         after = rendering.scene
         require_in_time(after)
         program, is_shaken = compile_scene(after), self._is_shaken_by(scene)
-        self._posts.wait()
+        self._wait_for_turn()
         while self._loop.is_replacing:
             if self._is_over():
                 raise UsageError(OVER)
             time.sleep(_GLANCE_S)
         with self._writing:
-            self._posts.wait()
+            self._wait_for_turn()
             self._announce(samples, is_shaken)
             take_over_from(self._loop.program, self._loop.rendered_scene, program, after)
             self._loop.account_for(program, after)
             program.parameters.post(parameter_values(after), samples * scene.substeps)
             self._loop.follow_with(program, samples * scene.substeps, self._posts)
             self._correct_as(rendering, samples)
-            self._posts.send()
+            self._send(note)
             self._move_hand(scene, samples)
             self.scene, self._loop.rendered_scene, self._values = scene, after, None
 
@@ -191,6 +217,11 @@ class LiveScene:
             )
         if not self._unstable:
             require_not_less_stable(self.scene, scene)
+
+
+def document_of(scene: Scene) -> dict[str, Any]:
+    """Returns a scene as a document, with all its values."""
+    return scene.model_dump(mode="json", exclude_none=True)
 
 
 def first_fixed_difference(now: Scene, wanted: Scene) -> str:

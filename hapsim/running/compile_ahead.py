@@ -99,13 +99,17 @@ def _serve() -> list[tuple[Any, ...]]:
 
 
 def _posts() -> list[tuple[Any, ...]]:
-    from hapsim.cordis import parameters
-    from hapsim.loop import crossfade
+    from hapsim.cordis.parameters import PARAMETERS, post
 
-    return [
-        (parameters.post, new_record(parameters.PARAMETERS), np.zeros(0), 1),
-        (crossfade.post, new_record(crossfade.SCENE_SLOT), 0, 1, 0),
-    ]
+    return [(post, new_record(PARAMETERS), np.zeros(0), 1)]
+
+
+def _replay() -> list[tuple[Any, ...]]:
+    from firmware_protocol.decoder import DECODER
+    from hapsim.loop.exchange import LOOP
+    from hapsim.loop.replay import replay_rows
+
+    return [(replay_rows, new_record(LOOP), new_record(DECODER), np.zeros((0, 1), np.int64), True, True)]
 
 
 def _compile_modules(precision: str) -> None:
@@ -153,6 +157,7 @@ UNITS: dict[str, CompileUnit] = {
     "sound": CompileUnit(2, ("loop.sound:hear",)),
     "playback": CompileUnit(17, ("sound.resample:play",), calls_system=True),
     "changes": CompileUnit(8, ("cordis.parameters:move", "loop.crossfade:cross_fade"), _posts),
+    "replay": CompileUnit(40, entries=_replay, in_second_process=True),
     "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),
     "modules": CompileUnit(150, modules="double"),
     "modules in single precision": CompileUnit(148, modules="single", in_second_process=True),

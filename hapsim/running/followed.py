@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_protocol.description import Description
 from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
 from hapsim.progress import Progress
@@ -26,6 +27,7 @@ from hapsim.running.assemble import LoopMemory
 from hapsim.running.changes import OVER, LiveScene
 from hapsim.running.options import RunOptions
 from hapsim.running.parameters import Parameter, parameters_of
+from hapsim.running.recorded_run import run_of
 from hapsim.running.state import Event, EventKind, State, StateReader
 from hapsim.scene import Scene
 
@@ -37,6 +39,10 @@ class Followed:
 
     markers: list[Event]
     """Of `mark`."""
+    _noted_markers: int
+    """How many of them a record has."""
+    _description: Description
+    _in_python: bool
     _options: RunOptions
     _over: threading.Event
     """The loop has ended."""
@@ -159,10 +165,26 @@ class Followed:
         """Returns lateness, exchange time and age of the force of all ticks so far."""
         return outcome.statistics_of(self._loop)
 
+    def _take_notes(self) -> list[dict[str, Any]]:
+        """What is noted in a record: changes of the scene, and markers."""
+        new = self.markers[self._noted_markers :]
+        self._noted_markers += len(new)
+        return self._live.take_notes() + [{"marker": one.sentence, "sample": one.sample, "at": one.at} for one in new]
+
     def _begin_record(self, scene: Scene, path: Path) -> RecordFile:
         loop, io = self._loop, self._loop.record.io
         position, force = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
-        head = Head(scene.rate, position, force, scene.path or "", datetime.now(UTC).isoformat())
+        run = run_of(scene, loop, self._description, self._connection.behind_port, self._in_python, self._options)
+        head = Head(
+            scene.rate,
+            position,
+            force,
+            scene.path or "",
+            datetime.now(UTC).isoformat(),
+            velocity=loop.wire.velocity,
+            by_host=scene.device.clock == "host",
+            run=run,
+        )
 
         def report_so_far() -> tuple[Report, Statistics]:
             return outcome.report_of(scene, loop, "running"), outcome.statistics_of(loop)

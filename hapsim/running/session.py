@@ -96,7 +96,7 @@ class Session(Followed):
         self._failure: BaseException | None = None
         self._trace: Trace | None = None
         self._sent_before = b""  # to the device, until it was armed
-        self.markers = []
+        self.markers, self._noted_markers = [], 0
         self.grants: list[PrivilegeResult] = []
         """What the real-time set-up requested of the system, each granted or denied."""
         with contextlib.ExitStack() as stack:
@@ -106,7 +106,8 @@ class Session(Followed):
             self._live = LiveScene(scene, self._loop, self._over.is_set, self.gives_way, options.unstable)
             self._body = self._compiled_body()
             kept = max(options.history_s * scene.rate, min(scene.rate, _LAST_ROWS))
-            self._recorder = Recorder(self._loop.ring, options.keep, min(math.ceil(kept), _MOST_HISTORY))
+            kept = min(math.ceil(kept), _MOST_HISTORY)
+            self._recorder = Recorder(self._loop.ring, options.keep, kept, self._take_notes)
             self._state = StateReader(self._loop, scene.rate)
             self._to_file = threading.Lock()
             stack.callback(self._finish_record)

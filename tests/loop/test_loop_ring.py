@@ -11,15 +11,16 @@ import pytest
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.ring import BRIDGED, RING, UNSENT, Ring, mark_last, publish, push
+from hapsim.loop.exchange import STATE
+from hapsim.loop.ring import BRIDGED, RING, UNSENT, Ring, mark_last, publish, push, row_type
 
 CHANNELS, CAPACITY = 2, 4
 
 
 @entry
-def push_row(ring, sample, flags, io):
+def push_row(ring, state, flags, io):
     """As the loop does."""
-    push(ring, sample, 1000 * sample, flags, io)
+    push(ring, state, 1000 * state.sample, flags, io)
 
 
 @entry
@@ -34,7 +35,7 @@ def mark_row(ring, flag):
 
 @pytest.fixture
 def ring() -> Ring:
-    return Ring(new_record(RING), CHANNELS, CAPACITY, waits=False)
+    return Ring(new_record(RING), row_type(CHANNELS, velocity=True, by_host=True), CAPACITY, waits=False)
 
 
 @pytest.fixture
@@ -47,10 +48,18 @@ def write(ring: Ring) -> Callable[..., None]:
             io.position_counts[:CHANNELS] = sample, -sample
             io.force_counts[:CHANNELS] = 10 * sample, -10 * sample
             io.asked[:CHANNELS] = 0.1 * sample, -0.1 * sample
-            push_row(ring.record, sample, BRIDGED if sample % 2 else 0, io)
+            io.velocity_counts[:CHANNELS] = 7 * sample, -7 * sample
+            push_row(ring.record, state_at(sample), BRIDGED if sample % 2 else 0, io)
         publish_rows(ring.record)
 
     return rows
+
+
+def state_at(sample: int) -> Any:
+    state = new_record(STATE)
+    state.sample, state.sent_ns = sample, 1000 * sample - 5
+    state.asked_ns, state.tick_ns = 1000 * sample - 6, -(1 << 40)
+    return state
 
 
 def require_rows(rows: Any, samples: list[int]) -> None:
@@ -62,6 +71,10 @@ def require_rows(rows: Any, samples: list[int]) -> None:
     np.testing.assert_array_equal(rows["position_counts"], s[:, None] * sides)
     np.testing.assert_array_equal(rows["force_counts"], 10 * s[:, None] * sides)
     np.testing.assert_array_equal(rows["asked_force"], 0.1 * s[:, None] * sides)
+    np.testing.assert_array_equal(rows["velocity_counts"], 7 * s[:, None] * sides)
+    assert rows["sent_before_ns"].tolist() == [5] * len(samples)
+    assert rows["asked_before_ns"].tolist() == [6] * len(samples)
+    assert rows["tick_before_ns"].tolist() == [(1 << 31) - 1] * len(samples), "as long ago as the column can say"
 
 
 def test_a_full_ring_drops_and_counts_rows_and_keeps_those_before(ring: Ring, write: Callable[..., None]) -> None:
@@ -94,10 +107,10 @@ def test_it_overflows_across_its_end_as_before_it(ring: Ring, write: Callable[..
 def test_a_row_is_seen_once_it_is_published_and_carries_what_was_marked_until_then(ring: Ring) -> None:
     io = new_record(IO_BUFFER)
     for sample in (1, 2):
-        push_row(ring.record, sample, 0, io)
+        push_row(ring.record, state_at(sample), 0, io)
         mark_row(ring.record, UNSENT)
         assert ring.drain().size == 0
-    push_row(ring.record, 3, 0, io)
+    push_row(ring.record, state_at(3), 0, io)
     publish_rows(ring.record)
     mark_row(ring.record, UNSENT)  # too late: it is the reader's
     assert ring.drain()["flags"].tolist() == [UNSENT, UNSENT, 0]
@@ -106,7 +119,7 @@ def test_a_row_is_seen_once_it_is_published_and_carries_what_was_marked_until_th
 def test_rows_that_are_not_published_yet_take_up_room(ring: Ring, write: Callable[..., None]) -> None:
     io = new_record(IO_BUFFER)
     for sample in range(5):
-        push_row(ring.record, sample, 0, io)
+        push_row(ring.record, state_at(sample), 0, io)
     assert (ring.record.dropped, ring.drain().size) == (1, 0)
     publish_rows(ring.record)
     assert ring.drain()["sample"].tolist() == [0, 1, 2, 3]

@@ -1,0 +1,1 @@
+"""Recorded runs, run again without a device."""

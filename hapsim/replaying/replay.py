@@ -1,0 +1,266 @@
+"""A recorded run again: its positions and changes through its scene, or another, in virtual time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.decoder import new_decoder
+from hapsim.compiling.progress import Counted
+from hapsim.device.connection import Connection
+from hapsim.errors import UsageError
+from hapsim.loop.exchange import HOST_CLOCK
+from hapsim.loop.replay import VALUES, replay_rows
+from hapsim.loop.ring import BEFORE, VELOCITY
+from hapsim.recording.stream import StreamReader, is_stream
+from hapsim.running.assemble import LoopMemory, assemble_loop
+from hapsim.running.changes import LiveScene
+from hapsim.running.compile_ahead import compile_ahead
+from hapsim.running.recorded_run import description_of, options_of, versions_of_now
+from hapsim.scene import Scene, parse_scene
+from hapsim.sound.output import SoundOutput
+from hapsim.sound.wav import WavFile, require_writable_as_wav
+
+_AT_ONCE = 1 << 14  # rows
+_MOST_DRAWN = 1 << 20
+
+Rows = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first row of a replay that is not as it was recorded."""
+
+    tick: int
+    sample: int
+    what: str
+    """In words: the column, what was recorded, what came out."""
+
+
+class Record:
+    """A record that can be replayed."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises UsageError where it cannot be."""
+        if not path.is_file():
+            raise UsageError(f"{path}: found no file, expected a .trace that `hapsim run --record` wrote")
+        if not is_stream(path):
+            raise UsageError(f"{path}: found no .trace, expected one: `hapsim run SCENE --record FILE.trace` writes it")
+        self.path, self._reader = path, StreamReader(path)
+        run = self._reader.head.run
+        if run is None:
+            raise UsageError(f"{path}: an older hapsim recorded it, without its scene: it cannot be replayed")
+        if run["first_tick"]:
+            raise UsageError(
+                f"{path}: it was begun {run['first_tick']} samples after the run, and what the scene was like then is "
+                "not known: only a record from the beginning can be replayed (`hapsim run --record`)"
+            )
+        self.run: dict[str, Any] = run
+        try:
+            self.scene = parse_scene(json.dumps(run["scene"]), str(path))
+            self.description, self.options = description_of(run), options_of(run)
+            for _ in self.rows():
+                pass
+        except (KeyError, TypeError, ValueError) as error:
+            raise UsageError(f"{path}: the record is damaged: {error}") from error
+        self.notes = self._reader.notes
+        """Changes and markers, as they were noted."""
+
+    def rows(self) -> Iterator[Rows]:
+        """Its rows, in pieces."""
+        return self._reader.rows()
+
+    @property
+    def lost_rows(self) -> int:
+        """Rows that are missing."""
+        return int(self._reader.summary["report"].get("dropped_rows", 0))
+
+
+class Replay:
+    """A record through its scene, or through `scene`, which gets no changes."""
+
+    def __init__(self, record: Record, scene: Scene | None = None, sound_file: Path | None = None) -> None:
+        """Raises UsageError where `scene` cannot answer the record's positions."""
+        self.record, self.is_same = record, scene is None
+        self.scene = record.scene if scene is None else _as_recorded(record, scene)
+        connection = Connection(None, str(record.path), lambda: None, behind_port=record.run["behind_port"])  # type: ignore[arg-type]
+        self.loop: LoopMemory = assemble_loop(self.scene, connection, record.description, record.options)
+        self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
+        self._decoder = new_decoder(self.loop.wire, to_device=False)
+        self._flushes = not record.run["in_python"]
+        self._ticks, self.changes = 0, 0
+        self._sound = self._sound_output(sound_file)
+        compile_ahead(("replay",), Counted(lambda *_: None))
+
+    def pieces(self) -> Iterator[tuple[Rows, Rows]]:
+        """Yields pieces of the record, and the rows that come out, of `row_type`, one for each."""
+        changes = [note for note in self.record.notes if "tick" in note] if self.is_same else []
+        of, rest, before = self.loop.ring.of, self.loop.ring.drain(), 0
+        recorded: list[Rows] = []
+        pieces = (piece[at : at + _AT_ONCE] for piece in self.record.rows() for at in range(0, len(piece), _AT_ONCE))
+        following = next(pieces, None)
+        while (piece := following) is not None:
+            following = next(pieces, None)
+            self._run(piece, before, changes, following is None)
+            before = int(piece["flags"][-1])
+            recorded.append(piece)
+            rest = np.concatenate([rest, self.loop.ring.drain()])
+            known = np.concatenate(recorded)
+            yield known[: len(rest)], rest
+            recorded, rest = [known[len(rest) :]], np.empty(0, of)
+
+    def _run(self, piece: Rows, before: int, changes: list[dict[str, Any]], is_last: bool) -> None:
+        """Runs a piece, and makes each change before the row that took it."""
+        words = self._words(piece, before)
+        done = 0
+        while changes and changes[0]["tick"] < self._ticks + len(piece):
+            change = changes.pop(0)
+            at = max(change["tick"] - self._ticks, done)
+            self._exchange(words[done:at], False)
+            self._change(change)
+            done = at
+        self._exchange(words[done:], is_last)
+        self._ticks += len(piece)
+
+    def _exchange(self, words: NDArray[np.int64], is_last: bool) -> None:
+        most = len(words) if self._sound is None else self._most_heard
+        for at in range(0, max(len(words), 1), max(most, 1)):
+            piece = words[at : at + most]
+            replay_rows(self.loop.record, self._decoder, piece, self._flushes, is_last and at + most >= len(words))
+            if self._sound is not None:
+                self._sound.collect()
+
+    def close(self) -> None:
+        """Ends the sound file."""
+        if self._sound is not None:
+            self._sound.close()
+
+    def _sound_output(self, file: Path | None) -> SoundOutput | None:
+        if file is None:
+            return None
+        if self.loop.sound is None:
+            raise UsageError(f"{file}: found no pick-up in the scene, expected a part `sound`")
+        require_writable_as_wav(file, len(self.scene.sound), self.scene.step_rate)
+        self._most_heard = int(self.loop.sound.record.capacity) // (4 * self.scene.substeps)
+        output = SoundOutput(self.loop.sound)
+        output.file = WavFile(file, len(self.scene.sound), round(self.scene.step_rate), lambda _: None)
+        return output
+
+    def _change(self, change: dict[str, Any]) -> None:
+        self.changes += 1
+        if "set" in change:
+            self.live.set(change["set"], change["over"])
+        else:
+            wanted = parse_scene(json.dumps(change["adopt"]), "the adopted scene")
+            self.live.adopt(wanted.model_copy(update={"mock": self.live.scene.mock}), change["over"])
+
+    def _words(self, piece: Rows, before: int) -> NDArray[np.int64]:
+        """Rows as `replay_rows` takes them."""
+        channels, velocity = piece["position_counts"].shape[1], self.loop.wire.velocity
+        words = np.zeros((len(piece), VALUES + channels * (1 + velocity)), np.int64)
+        flags = piece["flags"].astype(np.int64)
+        words[:, :4] = np.transpose([piece["sample"], piece["time_ns"], flags, np.append(before, flags[:-1])])
+        for at, name in enumerate(BEFORE, 4):
+            words[:, at] = piece[name] if self.loop.control.clock == HOST_CLOCK else 0
+        words[:, VALUES : VALUES + channels] = piece["position_counts"]
+        if velocity:
+            words[:, VALUES + channels :] = piece[VELOCITY]
+        return words
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A replay beside its record. Forces are those that were sent, in N."""
+
+    ticks: int
+    changes: int
+    difference: Difference | None
+    """None where all rows are the same."""
+    why: str
+    """What differs beside the rows, as a sentence that follows; "" where nothing is known."""
+    rms_recorded: list[float]
+    rms_replayed: list[float]
+    rms_apart: list[float]
+    """By channel, of all samples."""
+    time_s: NDArray[np.float64]
+    position: NDArray[np.float64]
+    recorded: NDArray[np.float64]
+    replayed: NDArray[np.float64]
+    """(N,) s and (N, C) m and N, to be drawn; no rows where that was not asked for."""
+
+
+def compare(record: Record, scene: Scene | None, sound_file: Path | None, with_curves: bool) -> Comparison:
+    """Replays a record through its scene, or through `scene`. Raises UsageError where it cannot."""
+    replay = Replay(record, scene, sound_file)
+    io, used = replay.loop.record.io, slice(record.description.channels)
+    position_scale, force_scale = io.position_scale[used].copy(), io.force_scale[used].copy()
+    difference, ticks = None, 0
+    sums = np.zeros((3, force_scale.size))
+    curves: list[tuple[NDArray[Any], ...]] = []
+    for recorded, replayed in replay.pieces():
+        difference = difference or first_difference(recorded, replayed, ticks)
+        ticks += len(recorded)
+        forces = recorded["force_counts"] * force_scale, replayed["force_counts"] * force_scale
+        sums += [np.sum(one**2, axis=0) for one in (*forces, forces[0] - forces[1])]
+        if with_curves and ticks <= _MOST_DRAWN:
+            curves.append(
+                (recorded["sample"] / record.scene.rate, recorded["position_counts"] * position_scale, *forces)
+            )
+    replay.close()
+    if not ticks:
+        raise UsageError(f"{record.path}: it has no rows")
+    rms = np.sqrt(sums / ticks).tolist()
+    drawn = [np.concatenate(one) for one in zip(*curves, strict=True)] or [
+        np.zeros(0),
+        *np.zeros((3, 0, force_scale.size)),
+    ]
+    why = _why(record) if difference is not None and scene is None else ""
+    return Comparison(ticks, replay.changes, difference, why, *rms, *drawn)
+
+
+def _why(record: Record) -> str:
+    """What else is not as it was when a record was made."""
+    if record.lost_rows:
+        return f". {record.lost_rows} rows are missing from the record: its reader was too slow"
+    now = versions_of_now()
+    before = record.run["versions"]
+    other = [f"{name} {before[name]}, now {now[name]}" for name in before if before[name] != now.get(name)]
+    return f". It was recorded with {'; '.join(other)}" if other else ""
+
+
+def first_difference(recorded: Rows, replayed: Rows, first_tick: int) -> Difference | None:
+    """Returns where rows differ first, in anything but when they were taken."""
+    names = ("sample", "position_counts", "flags", "asked_force", "force_counts")
+    differs = np.zeros(len(recorded), bool)
+    for name in names:
+        one = recorded[name] != replayed[name]
+        differs |= one if one.ndim == 1 else one.any(axis=1)
+    if not differs.any():
+        return None
+    at = int(differs.argmax())
+    name = next(one for one in names if np.any(recorded[one][at] != replayed[one][at]))
+    return Difference(
+        first_tick + at,
+        int(recorded["sample"][at]),
+        f"{name}: recorded {recorded[name][at]}, replayed {replayed[name][at]}",
+    )
+
+
+def _as_recorded(record: Record, scene: Scene) -> Scene:
+    """Another scene on the record's device. Raises UsageError."""
+    before = record.scene
+    if scene.rate != before.rate:
+        raise UsageError(f"{scene.path}: found rate {scene.rate:g} Hz, expected the record's, {before.rate:g} Hz")
+    if scene.channels > record.description.channels:
+        raise UsageError(
+            f"{scene.path}: found {scene.channels} channels, expected the record's {record.description.channels} or fewer"
+        )
+    if scene.sensed_links and not before.sensed_links:
+        raise UsageError(f"{scene.path}: found damper: sensed, expected another: the record has no sensed velocities")
+    return scene.model_copy(update={"device": before.device})
