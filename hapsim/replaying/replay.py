@@ -259,7 +259,7 @@ def _as_recorded(record: Record, scene: Scene) -> Scene:
         raise UsageError(f"{scene.path}: found rate {scene.rate:g} Hz, expected the record's, {before.rate:g} Hz")
     if scene.channels > record.description.channels:
         raise UsageError(
-            f"{scene.path}: found {scene.channels} channels, expected the record's {record.description.channels} or fewer"
+            f"{scene.path}: found {scene.channels} channels, expected the {record.description.channels} recorded"
         )
     if scene.sensed_links and not before.sensed_links:
         raise UsageError(f"{scene.path}: found damper: sensed, expected another: the record has no sensed velocities")
