@@ -234,6 +234,7 @@ def test_what_is_in_a_matrix_changes_with_the_structure_only(monkeypatch: pytest
         values = parameter_values(runner.live.scene)
         assert values.size == 1 + 3 * 2 + 3  # the wall, three links to hands, the buffer
         assert {0.02, 111.0, 0.003} < set(values)
+        runner.go()
 
         stiffer = scene_of(IN_A_MATRIX | {"rest": IN_A_MATRIX["rest"] | {"stiffness": 320.0}}, scheme)
         before = runner.loop.program
