@@ -22,7 +22,7 @@ ORDER = (
     ("hapsim.recording",),
     ("hapsim.sound",),
     ("hapsim.running", "hapsim.bringup"),
-    ("hapsim.measuring", "hapsim.doctor", "hapsim.live"),
+    ("hapsim.measuring", "hapsim.doctor", "hapsim.live", "hapsim.replaying"),
     ("hapsim.speed_accuracy",),
     ("hapsim.chart",),
     ("hapsim.cli",),
