@@ -42,9 +42,10 @@ class LiveOptions:
     ] = None
 
     @contextlib.contextmanager
-    def serving(self, scene: Scene, gives_way: bool) -> Iterator[Hub | None]:
+    def serving(self, scene: Scene, name: str, gives_way: bool) -> Iterator[Hub | None]:
         """While open, serves the scene in the ways that were asked for. Gives the hub that the run has to keep up to
-        date; None where nothing was asked for. `gives_way`: the loop is compiled. Raises UsageError."""
+        date; None where nothing was asked for. `name`: what the command calls the scene. `gives_way`: the loop is
+        compiled. Raises UsageError."""
         page, osc = self._addresses()
         if page is None and osc is None:
             yield None
@@ -57,7 +58,7 @@ class LiveOptions:
         from hapsim.live.hub import Hub
         from hapsim.live.server import Server
 
-        hub = Hub(scene, self.record_dir)
+        hub = Hub(scene, self.record_dir, name)
         views = self._views(hub, page, osc)
         server = Server(views, _warn, gives_way)
         server.start()

@@ -151,7 +151,7 @@ def run(
     place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
     state, gives_way = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
     told, status, served = notifier.told_of_failures(), service.serving, live.serving
-    with told, status(state, port, gives_way), served(scene, gives_way) as hub, live_line(stderr()) as tell:
+    with told, status(state, port, gives_way), served(scene, place, gives_way) as hub, live_line(stderr()) as tell:
         reporter = _Reporter(tell, port or "", kind, WatchedFile(device.scene) if service.watch else None)
         lifetime = keep_running(
             scene,

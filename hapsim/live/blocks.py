@@ -6,9 +6,9 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hapsim.recording.feed import Samples
-from hapsim.running.session import Session
 
 SAMPLES, MODULES = 1, 2
 """Kinds of a block."""
@@ -34,8 +34,9 @@ def thinned(samples: Samples, every: int, before: int) -> Samples:
     return Samples(**{name: values[kept] for name, values in vars(samples).items()})
 
 
-def modules_block(session: Session, watched: Sequence[str]) -> bytes:
-    """Returns a block of one row: [0, position of each watched module in m]. Raises UsageError where there is none."""
-    (sample, places), scene = session.positions(watched), session.scene
-    row = np.concatenate([[0.0], places]).astype("<f4")
-    return HEAD.pack(MODULES, 1, row.size, scene.channels, sample, scene.period) + row.tobytes()
+def modules_block(glances: Sequence[tuple[int, NDArray[np.float64]]], channels: int, period: float) -> bytes:
+    """Returns a block with a row for each glance at watched modules, a sample's number and (modules,) positions in m:
+    [sample − first, position of each]."""
+    first = glances[0][0]
+    rows = np.array([[sample - first, *places] for sample, places in glances], "<f4")
+    return HEAD.pack(MODULES, *rows.shape, channels, first, period) + rows.tobytes()

@@ -39,9 +39,11 @@ class _Change(NamedTuple):
 class Hub:
     """The live model of a run. Its `observer` and `on_event` connect it to `keep_running`."""
 
-    def __init__(self, scene: Scene, record_dir: Path | None = None) -> None:
-        """`record_dir`: where records go that a view begins; None: none may be begun."""
+    def __init__(self, scene: Scene, record_dir: Path | None = None, name: str = "") -> None:
+        """`name`: the scene's, where it has no path. `record_dir`: where records go that a view begins; None: none may be begun."""
         self._scene, self.record_dir = scene, record_dir
+        self.name = Path(scene.path or name or "scene").name
+        """The scene's, without its directory."""
         self.session: Session | None = None
         """The one that runs."""
         self.events: deque[Event] = deque(maxlen=_MOST_EVENTS)
@@ -136,8 +138,7 @@ class Hub:
             return session.stop_recording()
         if self.record_dir is None:
             raise UsageError("no record can be begun from here: hapsim was started without --record-dir DIR")
-        name = Path(self.scene.path or "scene").stem
-        path = self.record_dir / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.trace"
+        path = self.record_dir / f"{Path(self.name).stem}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.trace"
         session.record(path)
         return path
 

@@ -42,6 +42,7 @@ GOING_AWAY, TRY_LATER = 1001, 1013
 _MOST_EVENTS = 1000  # that wait
 _MOST_ANSWERS = 32
 _BLOCK_VALUES = 1 << 17  # of one block
+_GLANCE_S = 2e-3  # between two at what is watched
 _CLOSING_S = 1.0
 
 
@@ -195,15 +196,11 @@ class Viewer:
                 session, sent = self._office.hub.session, 0
                 stream = None if session is None else session.stream(wanted.history)
                 continue
-            if session is not None and wanted.modules:
-                await self._send_modules(session, wanted)
             if session is not None and clock() >= counted:
                 counted = clock() + 1.0
                 await self._send(self._office.counters(session))
             due = max(due + 1.0 / wanted.rate, clock())
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout_at(due):
-                    await self._ending.wait()
+            await self._watch(session, wanted, due)
 
     async def _send_samples(self, session: Session, stream: Stream, wanted: Subscribe, sent: int) -> int:
         """Sends all samples that are there, in blocks; returns how many there were."""
@@ -226,9 +223,21 @@ class Viewer:
                 return count
             await asyncio.sleep(0)
 
-    async def _send_modules(self, session: Session, wanted: Subscribe) -> None:
-        with contextlib.suppress(UsageError):  # another scene may not have them
-            await self._send(modules_block(session, wanted.modules))
+    async def _watch(self, session: Session | None, wanted: Subscribe, due: float) -> None:
+        """Waits until `due` or the end, and sends where watched modules were meanwhile."""
+        clock, glances = asyncio.get_running_loop().time, list[Any]()
+        is_over = False
+        while not is_over:
+            if session is not None and wanted.modules:
+                with contextlib.suppress(UsageError):  # another scene may not have them
+                    glance = session.positions(wanted.modules)
+                    glances += [glance] if not glances or glance[0] > glances[-1][0] else []
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(min(due, clock() + _GLANCE_S) if wanted.modules else due):
+                    await self._ending.wait()
+            is_over = self._ending.is_set() or clock() >= due
+        if session is not None and glances:
+            await self._send(modules_block(glances, session.scene.channels, session.scene.period))
 
     # Sending
 

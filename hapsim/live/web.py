@@ -188,8 +188,8 @@ class WebView:
         return Model(
             id=id,
             version=hapsim.__version__,
-            scene=Path(scene.path or "scene").name,
-            title=Path(scene.path or "scene").stem.replace("_", " "),
+            scene=hub.name,
+            title=Path(hub.name).stem.replace("_", " "),
             rate_hz=scene.rate,
             phase=hub.phase,
             channels=_channels(scene),

@@ -175,7 +175,8 @@ def serving(
 def _end(served: Served, server: Server) -> None:
     """Follows the session to its end, as the run does."""
     while not served.is_over.is_set():
-        if served.session.wait(0.02) and not served.is_paused:
+        session = served.session
+        if session.wait(0.02) and not served.is_paused and session is served.session:
             break
     failure = None
     try:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from live_clients import SCENE
 
 selenium = pytest.importorskip("selenium.webdriver")
 if not (shutil.which("chromium") and shutil.which("chromedriver")):
@@ -15,6 +16,15 @@ if not (shutil.which("chromium") and shutil.which("chromedriver")):
 WAIT_S = 30
 SETTINGS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1280,1000")
 QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run")
+
+
+TWO_HANDS = (
+    SCENE
+    + """
+  right: {type: device, channel: 1}
+  other: {type: viscoelastic, between: [right, wall], stiffness: 800, damping: 3}
+"""
+)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +110,7 @@ def test_a_reload_keeps_the_last_minute(page: Page) -> None:
     page.until(lambda: "feel like" in page.text("felt"))
     seen = (
         "const done = arguments[0];"
-        "import('/panel.js').then(({scope}) => done([scope.count * scope.period, performance.now() / 1000]))"
+        "import('/panel.js').then(({samples}) => done([samples.count * samples.period, performance.now() / 1000]))"
     )
     page.until(lambda: page.browser.execute_async_script(seen)[0] > 0.0)
     shown_s, open_s = page.browser.execute_async_script(seen)
@@ -117,6 +127,76 @@ def test_the_mock_follows_a_dragged_handle(page: Page) -> None:
     page.until(lambda: session.state().position[0] > 2e-3)
     ActionChains(page.browser).release().perform()
     page.until(lambda: page.value("mock.hand.stiffness") == 0.0)
+
+
+def choose(page: Page, id: str, value: str) -> None:
+    script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event(arguments[2]))"
+    page.browser.execute_script(script, page.part(id), value, "input" if id == "level" else "change")
+
+
+def scope(page: Page, what: str) -> Any:
+    """The value of an expression in the page's `scope` and `samples`."""
+    script = f"const done = arguments[0]; import('/panel.js').then(({{scope, samples}}) => done({what}))"
+    return page.browser.execute_async_script(script)
+
+
+def test_a_single_shot_freezes_where_the_level_is_crossed(page: Page) -> None:
+    session = page.served.session
+    session.set({"mock.hand": {"stiffness": 500.0, "damping": 5.0, "position": -0.004}})
+    page.until(lambda: session.state().position[0] < -5e-4)
+    choose(page, "span", "0.2")
+    choose(page, "trigger", "single")
+    choose(page, "level", "0")
+    assert page.part("freeze").get_attribute("aria-pressed") == "false"
+    session.set({"mock.hand": {"position": 0.004}})
+    page.until(lambda: page.part("freeze").get_attribute("aria-pressed") == "true")
+    at = "Math.round(scope.frozenAt - 0.8 * scope.spanS / samples.period)"
+    beside = f"[-3, 3].map((way) => samples.columns[0][({at} + way) % samples.size])"
+    before, after = scope(page, beside)
+    assert before < 0.0 < after, "a fifth of the picture is before the crossing"
+    page.part("freeze").click()
+    assert page.part("freeze").get_attribute("aria-pressed") == "false", "and waits for the next one"
+
+
+def test_the_wheel_zooms_and_dragging_looks_back(page: Page) -> None:
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
+
+    page.until(lambda: scope(page, "samples.count") > 1500)
+    origin = ScrollOrigin.from_element(page.part("scope"))
+    ActionChains(page.browser).scroll_from_origin(origin, 0, -500).perform()
+    page.until(lambda: scope(page, "scope.spanS") < 1.0)
+    ActionChains(page.browser).move_to_element(page.part("scope")).click_and_hold().move_by_offset(
+        120, 0
+    ).release().perform()
+    page.until(lambda: scope(page, "scope.isFrozen && scope.frozenAt < samples.count - 100"))
+    ActionChains(page.browser).double_click(page.part("scope")).perform()
+    page.until(lambda: scope(page, "[scope.spanS, scope.isFrozen]") == [2, False])
+
+
+def test_a_module_is_watched_many_times_a_second(page: Page) -> None:
+    choose(page, "what", "module wall")
+    page.until(lambda: scope(page, "samples.rows") > 500)
+    page.served.session.set({"wall": {"position": 0.0015}})
+    page.until(
+        lambda: scope(page, "samples.places[(samples.rows - 1) % samples.places.length]") == pytest.approx(0.0015)
+    )
+    rows, apart = scope(page, "[samples.rows, samples.at[samples.rows - 1] - samples.at[samples.rows - 101]]")
+    assert apart < 100 / 0.1, f"100 of {rows} rows in {apart} samples: more than a hundred a second"
+
+
+def test_how_steady_it_runs_is_drawn(page: Page) -> None:
+    drawn = "[...arguments[0].getContext('2d').getImageData(0, 30, arguments[0].width, 40).data].some((one) => one > 0)"
+    for id in ("exchange", "lateness"):
+        page.until(lambda id=id: page.browser.execute_script(f"return {drawn}", page.part(id)))
+
+
+def test_each_hand_has_its_plane(browser: Any, serve: Callable[..., Any]) -> None:
+    served = serve(TWO_HANDS)
+    page = Page(browser, served)
+    assert page.text("felt").startswith("2000 ")
+    choose(page, "hand", "right")
+    page.until(lambda: page.text("felt").startswith("800 "))
 
 
 def test_the_space_bar_ends_the_run_wherever_the_focus_is(page: Page) -> None:

@@ -114,9 +114,13 @@ def test_watched_modules_come_in_the_order_asked_for(serve: Serve) -> None:
     with served.client() as client:
         assert "gut.0 to gut.7" in client.ask(type="subscribe", modules=["gut.8"])["reason"]
         assert "did you mean 'hand'" in client.ask(type="subscribe", modules=["hnd"])["reason"]
-        client.ask(type="subscribe", modules=["hand", "skin.2.3", "wall", "gut.0"])
+        client.ask(type="subscribe", modules=["hand", "skin.2.3", "wall", "gut.0"], rate=10)
+        client.block(kind=2)
         found = client.block(kind=2)
-    assert found.rows.shape == (1, 5)
+    assert found.rows.shape[0] > 1, "more than one a block"
+    assert found.rows.shape[1] == 5
+    assert found.rows[0, 0] == 0
+    assert np.all(np.diff(found.rows[:, 0]) > 0), "none twice"
     assert found.rows[0, 2:].tolist() == pytest.approx([0.002, 0.0, 0.001])
     assert found.first > 0
 

@@ -1,7 +1,7 @@
 // @ts-check
 /** A slider and a number box for each live parameter; words by choice. */
 
-import { short } from "./scope.js";
+import { short } from "./drawing.js";
 
 /**
  * @param {HTMLElement} place

@@ -3,8 +3,11 @@
 
 import { Connection } from "./connection.js";
 import { makeControls } from "./controls.js";
+import { line, prepared, short } from "./drawing.js";
+import { drawHistogram } from "./histogram.js";
 import { Plane } from "./plane.js";
-import { Scope, line, prepared, short } from "./scope.js";
+import { Samples } from "./samples.js";
+import { Scope } from "./scope.js";
 
 const HAND = { "mock.hand.stiffness": 200, "mock.hand.damping": 2 };
 const MOST_EVENTS = 200;
@@ -12,7 +15,8 @@ const MOST_EVENTS = 200;
 /** @param {string} id @returns {any} */
 const part = (id) => document.getElementById(id);
 const connection = new Connection();
-export const scope = new Scope(part("scope"));
+export const samples = new Samples();
+export const scope = new Scope(part("scope"), samples, showScope);
 const plane = new Plane(part("plane"), part("felt"), part("note"));
 /** @type {any} */
 let model = null;
@@ -22,36 +26,35 @@ let showValues = () => {};
 let wanted = null; // the newest prediction to ask for
 let isAsking = false;
 let isRecording = false;
+let watched = ""; // the module on the scope
 /** @type {any} */
 let counters = null;
 
 connection.addEventListener("open", begin);
 connection.addEventListener("closed", () => status("not connected: the run has ended, or hapsim cannot be reached", true));
-connection.addEventListener("samples", (event) => scope.add(/** @type {CustomEvent} */ (event).detail));
-connection.addEventListener("counters", (event) => (counters = /** @type {CustomEvent} */ (event).detail.progress));
+connection.addEventListener("samples", (event) => samples.add(/** @type {CustomEvent} */ (event).detail));
+connection.addEventListener("modules", (event) => samples.addModules(/** @type {CustomEvent} */ (event).detail));
+connection.addEventListener("counters", (event) => count(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("event", (event) => hear(/** @type {CustomEvent} */ (event).detail));
 
 async function begin() {
   await describe();
-  scope.clear();
-  await connection.ask({ type: "subscribe", rate: 60, history: 60 });
+  samples.clear();
+  await subscribe(60);
+}
+
+/** @param {number} history seconds of samples that come first */
+async function subscribe(history) {
+  samples.watch();
+  const answer = await connection.ask({ type: "subscribe", rate: 60, history, modules: watched ? [watched] : [] });
+  if (answer.type === "rejected") status(answer.reason, true);
 }
 
 async function describe() {
   model = await connection.ask({ type: "get" });
   document.title = `${model.title} · hapsim`;
   part("title").textContent = model.title;
-  plane.isRotary = model.channels[0]?.motion === "rotary";
-  const choices = model.channels.flatMap((/** @type {any} */ one) =>
-    ["position", "velocity", "force"].map((name, quantity) => {
-      const unit = [one.unit_position, `${one.unit_position}/s`, one.unit_force][quantity];
-      return new Option(model.channels.length > 1 ? `${name} of ${one.name}` : name, `${quantity} ${one.channel} ${unit}`);
-    }),
-  );
-  const chosen = part("what").selectedIndex;
-  part("what").replaceChildren(...choices);
-  part("what").selectedIndex = Math.max(0, Math.min(chosen, choices.length - 1));
-  choose();
+  offer();
   showValues = makeControls(part("parameters"), model.parameters, (values) => predict(values, false), apply);
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
@@ -61,9 +64,58 @@ async function describe() {
   predict({}, true);
 }
 
-function choose() {
+/** Fills the list of what the scope can show. */
+function offer() {
+  const channels = model.channels.flatMap((/** @type {any} */ one) =>
+    ["position", "velocity", "force"].map((name, quantity) => {
+      const unit = [one.unit_position, `${one.unit_position}/s`, one.unit_force][quantity];
+      return new Option(model.channels.length > 1 ? `${name} of ${one.name}` : name, `${quantity} ${one.channel} ${unit}`);
+    }),
+  );
+  const hands = model.channels.map((/** @type {any} */ one) => one.name);
+  const modules = model.modules
+    .filter((/** @type {any} */ one) => !hands.includes(one.name))
+    .map((/** @type {any} */ one) => new Option(one.masses === null ? one.name : `${one.name}, a mass of it`, `module ${one.name}`));
+  const chosen = part("what").value;
+  part("what").replaceChildren(...channels, ...modules);
+  part("what").value = [...channels, ...modules].some((one) => one.value === chosen) ? chosen : channels[0]?.value;
+  choose(false);
+}
+
+/** @param {boolean} [asks] whether what is watched may change */
+async function choose(asks = true) {
   const [quantity, channel, unit] = part("what").value.split(" ");
-  Object.assign(scope, { quantity: Number(quantity), channel: Number(channel), unit });
+  const module = quantity === "module" ? model.modules.find((/** @type {any} */ one) => one.name === channel) : null;
+  part("place").hidden = !module || module.masses === null;
+  if (!module) {
+    scope.what = { quantity: Number(quantity), channel: Number(channel) };
+    scope.unit = unit;
+    return;
+  }
+  const middle = module.columns ? `${Math.floor(module.masses / module.columns / 2)}.${Math.floor(module.columns / 2)}` : String(Math.floor(module.masses / 2));
+  if (part("place").dataset.of !== channel) [part("place").value, part("place").dataset.of] = [middle, channel];
+  const name = module.masses === null ? channel : `${channel}.${part("place").value}`;
+  [scope.what, scope.unit] = [null, model.channels[0]?.unit_position ?? "m"];
+  if (name === watched) return;
+  watched = name;
+  if (asks) await subscribe(0);
+}
+
+/** @param {any} message */
+function count(message) {
+  counters = message.progress;
+  drawHistogram(part("exchange"), "Exchange of position and force", message.exchange);
+  drawHistogram(part("lateness"), "Lateness", message.lateness);
+}
+
+function showScope() {
+  part("freeze").setAttribute("aria-pressed", String(scope.isFrozen));
+  const { mode, isRising } = scope.trigger;
+  part("freeze").textContent = scope.isFrozen ? (mode === "single" ? "Next one" : "Run on") : "Freeze";
+  part("trigger-how").hidden = mode === "off";
+  part("slope").textContent = isRising ? "↗" : "↘";
+  const spans = [...part("span").options].map((one) => Number(one.value));
+  part("span").selectedIndex = spans.indexOf(scope.spanS); // none where it is zoomed
 }
 
 /** Asks what the hand would feel; while an answer is awaited, the newest question waits. @param {any} values @param {boolean} isApplied */
@@ -75,13 +127,26 @@ async function predict(values, isApplied) {
     while (wanted) {
       const asked = wanted;
       wanted = null;
-      const answer = await connection.ask({ type: "predict", values: asked.values, plane: true });
-      if (answer.type === "predicted") plane.show(answer, asked.isApplied);
+      const answer = await connection.ask({ type: "predict", values: asked.values, hand: plane.hand, plane: true });
+      if (answer.type === "predicted") feel(answer, asked.isApplied);
       else status(answer.reason, true);
     }
   } finally {
     isAsking = false;
   }
+}
+
+/** @param {any} predicted @param {boolean} isApplied */
+function feel(predicted, isApplied) {
+  const names = predicted.hands.map((/** @type {any} */ one) => one.name), shown = [...part("hand").options].map((one) => one.value);
+  if (names.join() !== shown.join()) {
+    part("hand").replaceChildren(...names.map((/** @type {string} */ name) => new Option(name)));
+    part("hand-row").hidden = names.length < 2;
+    plane.hand = Math.min(plane.hand, Math.max(0, names.length - 1));
+    part("hand").selectedIndex = plane.hand;
+  }
+  plane.isRotary = model.channels[predicted.hands[plane.hand]?.channel ?? 0]?.motion === "rotary";
+  plane.show(predicted, isApplied);
 }
 
 /** @param {Record<string, any>} values */
@@ -129,12 +194,24 @@ function status(text, isBad = false) {
   part("status").classList.toggle("bad", isBad);
 }
 
-part("what").onchange = choose;
+part("what").onchange = part("place").onchange = () => choose();
 part("span").onchange = () => (scope.spanS = Number(part("span").value));
-part("freeze").onclick = () => {
-  scope.isFrozen = !scope.isFrozen;
-  part("freeze").setAttribute("aria-pressed", String(scope.isFrozen));
-  if (!scope.isFrozen) begin();
+part("freeze").onclick = () => scope.freeze(!scope.isFrozen);
+part("trigger").onchange = () => {
+  scope.trigger.mode = part("trigger").value;
+  scope.freeze(false);
+};
+part("slope").onclick = () => {
+  scope.trigger.isRising = !scope.trigger.isRising;
+  scope.freeze(false);
+};
+part("level").oninput = () => {
+  scope.trigger.level = Number(part("level").value);
+  scope.freeze(false);
+};
+part("hand").onchange = () => {
+  plane.hand = part("hand").selectedIndex;
+  predict({}, true);
 };
 part("marker").onclick = () => connection.ask({ type: "marker", text: "from the page" });
 part("stop").onclick = () => connection.ask({ type: "stop" });
@@ -143,7 +220,7 @@ part("record").onclick = async () => {
   if (answer.type === "rejected") status(answer.reason, true);
 };
 addEventListener("keydown", (event) => {
-  const isTyping = event.target instanceof HTMLInputElement && event.target.type === "number";
+  const isTyping = event.target instanceof HTMLInputElement && event.target.type !== "range";
   if (event.code === "Space") {
     event.preventDefault(); // it stops the force, whatever has the focus
     part("stop").click();
@@ -177,10 +254,17 @@ function release() {
 
 handle.onpointerdown = handle.onpointermove = drag;
 handle.onpointerup = handle.onpointercancel = release;
+handle.onkeydown = (event) => {
+  const way = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+  if (way === undefined) return;
+  dragged = Math.max(-reach, Math.min(reach, (dragged ?? 0) + 0.05 * way * reach));
+  isSent = false;
+};
+handle.onkeyup = handle.onblur = release;
 
 function drawHandle() {
   const { context, width, height, look } = prepared(handle);
-  const position = scope.count ? scope.columns[0][(scope.count - 1) % scope.size] : 0;
+  const position = samples.count ? samples.columns[0][(samples.count - 1) % samples.size] : 0;
   reach = Math.max(reach, Math.abs(position) * 1.1);
   const x = (/** @type {number} */ at) => width / 2 + (at / reach) * (width / 2 - 20), y = height / 2;
   context.strokeStyle = look.line;
@@ -204,7 +288,7 @@ function frame() {
       connection.ask({ type: "set", values: { ...HAND, "mock.hand.position": value } });
       isSent = true;
     }
-    scope.draw(model.channels.length);
+    scope.draw();
     plane.draw();
     if (model.has_mock) drawHandle();
     if (counters && connection.socket?.readyState === WebSocket.OPEN) {
