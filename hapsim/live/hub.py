@@ -40,7 +40,8 @@ class Hub:
     """The live model of a run. Its `observer` and `on_event` connect it to `keep_running`."""
 
     def __init__(self, scene: Scene, record_dir: Path | None = None, name: str = "") -> None:
-        """`name`: the scene's, where it has no path. `record_dir`: where records go that a view begins; None: none may be begun."""
+        """`name`: the scene's, where it has no path. `record_dir`: where records go that a view begins; None: none may
+        be begun."""
         self._scene, self.record_dir = scene, record_dir
         self.name = Path(scene.path or name or "scene").name
         """The scene's, without its directory."""

@@ -1,6 +1,6 @@
 """A running scene, watched and changed: what `set` costs, how soon a change is felt, and what views cost the loop.
 
-    tools/bench/panel [--only cost,latency,watched] [--seconds 10] [--rounds 5] [--streams osc]
+    tools/bench/panel [--only cost,latency,watched,frames] [--seconds 10] [--rounds 5] [--streams osc]
 
 * cost: µs that `Session.set` takes, by scene; each set has another value, in a loop that runs in real time.
 * latency: from just before a change is sent to the arrival of the first position that is answered with it, at 1 kHz
@@ -10,6 +10,8 @@
   (or, `--streams websocket`, over that) and a client that subscribes and does not read, taking turns: deadline misses,
   exchange time and wake-up latency. Between the two a run beside which another `hapsim run` is watched in this way: so
   much is due to programs that need the processors, and not to the views.
+* frames: the page of 16 channels at 4 kHz in Chromium, headless: time from one picture to the next, and what the page's
+  own code takes of it, while the scope shows 2 s and 60 s.
 """
 
 from __future__ import annotations
@@ -94,9 +96,9 @@ def latencies(trace: Trace, begun: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 @contextlib.contextmanager
-def served(directory: Path, *options: str) -> Iterator[tuple[str, int, list[Any]]]:
-    """`hapsim run` of the held scene: its WebSocket, its OSC port; its report, once it has ended."""
-    (directory / "held.yaml").write_text(HELD, encoding="utf-8")
+def served(directory: Path, *options: str, scene: str = HELD) -> Iterator[tuple[str, int, list[Any]]]:
+    """`hapsim run` of a scene: its WebSocket, its OSC port; its report, once it has ended."""
+    (directory / "held.yaml").write_text(scene, encoding="utf-8")
     with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as free:
         free.bind(("127.0.0.1", 0))
         osc = free.getsockname()[1]
@@ -229,6 +231,58 @@ def watched(seconds: float, rounds: int, streams: str) -> None:
         print(f"| {what}{', per million' if what == 'deadline misses' else ''} | {' | '.join(cells)} |", flush=True)
 
 
+def frames(seconds: float) -> None:
+    """Prints how often the page draws."""
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    for one in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1280,1000"):
+        options.add_argument(one)
+    with contextlib.ExitStack() as stack:
+        directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        url, _, _ = stack.enter_context(served(directory, scene=_many_channels()))
+        page = stack.enter_context(webdriver.Chrome(options, webdriver.ChromeService("/usr/bin/chromedriver")))
+        page.set_script_timeout(10 * seconds + 60)
+        page.get(origin_of(url))
+        print("| scope | picture to picture, ms, p50 | p99 | own code, ms, p50 | p99 | samples |")
+        print("|---|---|---|---|---|---|")
+        for span in (2, 60):
+            found = page.execute_async_script(_COUNT_FRAMES, span, 1000 * seconds)
+            cells = [f"{np.quantile(found[what], share):.1f}" for what in ("apart", "own") for share in (0.5, 0.99)]
+            print(f"| {span} s | {' | '.join(cells)} | {found['samples']} |", flush=True)
+
+
+_COUNT_FRAMES = """
+const [span, length, done] = arguments, apart = [], own = [], ask = window.requestAnimationFrame.bind(window);
+import("/panel.js").then(({scope, samples}) => {
+  scope.spanS = span;
+  window.requestAnimationFrame = (draw) => ask((at) => {
+    const begun = performance.now();
+    draw(at);
+    own.push(performance.now() - begun);
+  });
+  let before = performance.now(), end = before + length;
+  const look = (now) => {
+    apart.push(now - before);
+    before = now;
+    if (now < end) ask(look);
+    else { window.requestAnimationFrame = ask; done({apart: apart.slice(2), own, samples: samples.count}); }
+  };
+  ask(look);
+});
+"""
+
+
+def _many_channels() -> str:
+    links = "".join(
+        f"  hand{c}: {{type: device, channel: {c}}}\n"
+        f"  touch{c}: {{type: viscoelastic, between: [hand{c}, wall], stiffness: 500, damping: 2}}\n"
+        for c in range(16)
+    )
+    device = "device: {mass: 0.2, clock: device, friction: 1.0}\nmock: {hand: {stiffness: 100, damping: 1}}\n"
+    return f"version: 1\nrate: 4000\n{device}modules:\n  wall: {{type: ground}}\n{links}"
+
+
 def gently(work: Callable[..., None], *arguments: Any) -> threading.Thread:
     """Does this in a thread of low priority, as if on another machine; ends with the run where that ends early."""
 
@@ -300,6 +354,7 @@ def main() -> None:
             "cost": cost,
             "latency": lambda: latency(arguments.seconds),
             "watched": lambda: watched(arguments.seconds, arguments.rounds, arguments.streams),
+            "frames": lambda: frames(arguments.seconds),
         }[name]()
         print()
 
