@@ -35,7 +35,7 @@ class LiveOptions:
         str | None, option("HOST:PORT", "Serve them at this address [default: 127.0.0.1:7470]; others need a token.")
     ] = None
     record_dir: Annotated[Path | None, option("DIR", "Directory for records that are begun from the page.")] = None
-    osc: Annotated[bool, flag("--osc", "Answer OSC over UDP, for this machine alone.")] = False
+    osc: Annotated[bool, flag("--osc", "Answer OSC over UDP, and OSCQuery over TCP, for this machine alone.")] = False
     osc_at: Annotated[str | None, option("HOST:PORT", "Answer it at this address [default: 127.0.0.1:7471].")] = None
     osc_from: Annotated[
         list[str] | None, option("IP,…", "Addresses whose OSC is taken; required beyond this machine.")
@@ -86,8 +86,10 @@ class LiveOptions:
             views.append(WebView(hub, page, _warn))
         if osc is not None:
             from hapsim.live.osc import OscView
+            from hapsim.live.osc_query import OscQueryView
 
-            views.append(OscView(hub, osc, tuple(names(self.osc_from)), _warn))
+            view = OscView(hub, osc, tuple(names(self.osc_from)), _warn)
+            views += [view, OscQueryView(view)]
         return views
 
     def _addresses(self) -> tuple[Address | None, Address | None]:

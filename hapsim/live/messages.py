@@ -248,7 +248,7 @@ def schema() -> dict[str, Any]:
     return {**found, "anyOf": list(named.values()), "$defs": {**found["$defs"], **named}}
 
 
-def text_of(message: BaseModel) -> str:
+def text_of(message: BaseModel | dict[str, Any]) -> str:
     """Returns the JSON of a message; what is no number is null."""
     return to_json(message, inf_nan_mode="null", fallback=_plain).decode()
 

@@ -9,7 +9,7 @@ import itertools
 import os
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from typing import Any
 
@@ -20,7 +20,7 @@ from hapsim.live.osc_packets import Argument, Received, bundles_of, is_pattern, 
 from hapsim.running.parameters import Parameter
 from hapsim.running.state import Event
 
-_ROOT = "/hapsim/"
+ROOT = "/hapsim/"
 _OVER_S = 0.02  # of a change that names no ramp
 _FURTHEST_S, _MOST_WAITING = 60.0, 1000  # what is meant for later
 _RATE, _HIGHEST_RATE = 50.0, 1000.0  # Hz
@@ -80,9 +80,7 @@ class OscView(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
         """Takes a packet."""
-        ip = ipaddress.ip_address(addr[0])
-        ip = getattr(ip, "ipv4_mapped", None) or ip
-        if not (ip in self._senders if self._senders else ip.is_loopback):
+        if not self.takes_from(str(addr[0])):
             return
         try:
             messages = messages_of(data)
@@ -91,6 +89,12 @@ class OscView(asyncio.DatagramProtocol):
             return
         for due, group in itertools.groupby(messages, lambda message: message.due):
             self._make_at(due, [*group], addr)
+
+    def takes_from(self, address: str) -> bool:
+        """Whether this sender's packets are taken."""
+        ip: Any = ipaddress.ip_address(address.partition("%")[0])
+        ip = getattr(ip, "ipv4_mapped", None) or ip
+        return ip in self._senders if self._senders else bool(ip.is_loopback)
 
     def _make_at(self, due: float, messages: Sequence[Received], sender: tuple[Any, ...]) -> None:
         """Makes messages at their time. `due`: Unix time in s; what is over is made now."""
@@ -140,16 +144,17 @@ class OscView(asyncio.DatagramProtocol):
         """Returns the parameters that an address or a pattern names; None for a command. Raises UsageError."""
         if address in _COMMANDS:
             return None
-        known = self._known = self._known or self._parameters()
+        known = self._known = self._known or self.parameters()
         found = {one: known[one] for one in known if matches(address, one)} if is_pattern(address) else {}
         if not found and address not in known:
-            expected = f"{_ROOT}PART/FIELD of a live parameter, or {', '.join(sorted(_COMMANDS))}"
+            expected = f"{ROOT}PART/FIELD of a live parameter, or {', '.join(sorted(_COMMANDS))}"
             raise UsageError(f"{shown(address)}: found no such address, expected {expected}")
         return found or {address: known[address]}
 
-    def _parameters(self) -> dict[str, Parameter]:
+    def parameters(self) -> dict[str, Parameter]:
+        """Returns the parameters that have an address, by that."""
         found = self.hub.parameters.items()
-        return {_ROOT + name.replace(".", "/"): one for name, one in found if one.kind != "points"}
+        return {ROOT + name.replace(".", "/"): one for name, one in found if one.kind != "points"}
 
     def _set(self, values: dict[str, Any], over: float, sender: tuple[Any, ...]) -> None:
         if values:
@@ -170,8 +175,8 @@ class OscView(asyncio.DatagramProtocol):
 
     def _answer(self, asked: Sequence[str], sender: tuple[Any, ...]) -> None:
         """Sends the values of these addresses."""
-        known = self._parameters()
-        packets = [packet_of(one, _arguments(known[one].value)) for one in asked if one in known]
+        known = self.parameters()
+        packets = [packet_of(one, arguments_of(known[one].value)) for one in asked if one in known]
         for packet in packets if len(packets) == 1 else bundles_of(packets):
             self._send(packet, sender)
 
@@ -194,12 +199,12 @@ class OscView(asyncio.DatagramProtocol):
     def _subscribe(self, sender: tuple[Any, ...], port: int, rate: float) -> None:
         if not 0 < port < 65536 or not (rate == 0 or 0.01 <= rate <= _HIGHEST_RATE):
             expected = f"a port and at most {_HIGHEST_RATE:g} Hz, or 0 to end"
-            raise UsageError(f"{_ROOT}subscribe: found {port} and {rate:g}, expected {expected}")
+            raise UsageError(f"{ROOT}subscribe: found {port} and {rate:g}, expected {expected}")
         key = (str(sender[0]), port)
         if key in self.subscriptions:
             self.subscriptions[key].end()
         if rate and len(self.subscriptions) >= _MOST_SUBSCRIPTIONS:
-            raise UsageError(f"{_ROOT}subscribe: found {_MOST_SUBSCRIPTIONS} subscriptions already, expected fewer")
+            raise UsageError(f"{ROOT}subscribe: found {_MOST_SUBSCRIPTIONS} subscriptions already, expected fewer")
         if rate:
             self.subscriptions[key] = _Subscription(self, (sender[0], port, *sender[2:]), rate, key)
 
@@ -210,7 +215,7 @@ class OscView(asyncio.DatagramProtocol):
             self._second, self._answered = second, 0
         if self._answered < _MOST_ERRORS:
             self._answered += 1
-            self._send(packet_of(f"{_ROOT}error", [sentence]), sender)
+            self._send(packet_of(f"{ROOT}error", [sentence]), sender)
 
     def _send(self, packet: bytes, receiver: tuple[Any, ...]) -> None:
         if not self._transport.is_closing() and self._transport.get_write_buffer_size() < _MOST_UNSENT:
@@ -233,7 +238,7 @@ class _Subscription:
             self._socket.connect(receiver)
         except OSError as error:
             self._socket.close()
-            raise UsageError(f"{_ROOT}subscribe: {error.strerror}; expected a port that can be reached") from None
+            raise UsageError(f"{ROOT}subscribe: {error.strerror}; expected a port that can be reached") from None
         self._due = self.loop.time()
         self._timer = self.loop.call_soon(self._send)
 
@@ -246,13 +251,9 @@ class _Subscription:
     def _send(self) -> None:
         self._due = max(self._due + 1.0 / self._rate, self.loop.time())
         self._timer = self.loop.call_at(self._due, self._send)
-        state = self._view.hub.state()
-        if state is None:
-            return
-        vectors = {"position": state.position, "velocity": state.velocity, "force": state.force}
-        messages = [packet_of(_ROOT + name, [float(one) for one in values]) for name, values in vectors.items()]
+        messages = [packet_of(address, values) for address, values, *_ in read_only_values(self._view.hub)]
         try:
-            for bundle in bundles_of([*messages, packet_of(f"{_ROOT}ticks", [state.sample])]):
+            for bundle in bundles_of(messages):
                 self._socket.send(bundle)
         except ConnectionRefusedError:
             self.end()
@@ -260,10 +261,25 @@ class _Subscription:
             pass
 
 
+def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], str, str]]:
+    """Yields address, values, unit and description of what OSC streams; nothing while nothing runs."""
+    state = hub.state()
+    if state is None:
+        return
+
+    def unit(of_lines: str) -> str:
+        return hub.scene.units(f"0 {of_lines}").removeprefix("0 ")
+
+    yield f"{ROOT}position", [*map(float, state.position)], unit("m"), "Position of each channel"
+    yield f"{ROOT}velocity", [*map(float, state.velocity)], unit("m/s"), "Velocity of each channel"
+    yield f"{ROOT}force", [*map(float, state.force)], unit("N"), "Force on each channel"
+    yield f"{ROOT}ticks", [state.sample], "samples", "The device's count of samples"
+
+
 _COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
-    f"{_ROOT}subscribe": ((int, int | float), "PORT and RATE in Hz"),
-    f"{_ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
-    f"{_ROOT}stop": ((), "no arguments"),
+    f"{ROOT}subscribe": ((int, int | float), "PORT and RATE in Hz"),
+    f"{ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
+    f"{ROOT}stop": ((), "no arguments"),
 }
 """Addresses that are no parameters: the types of their arguments, of which the first is needed, and that in words."""
 
@@ -284,7 +300,8 @@ def _value(parameter: Parameter, message: Received) -> tuple[Any, float]:
     return plain if parameter.kind == "numbers" else plain[0], float(ramp[0]) if ramp else _OVER_S
 
 
-def _arguments(value: Any) -> list[Argument]:
+def arguments_of(value: Any) -> list[Argument]:
+    """Returns a parameter's value as OSC has it."""
     values = value if isinstance(value, tuple) else (value,)
     return [one if isinstance(one, str) else float(one) for one in values]
 

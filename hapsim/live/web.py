@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import mimetypes
 import os
-import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -14,12 +12,10 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.datastructures import Headers
+from websockets.asyncio.server import Server, ServerConnection
 from websockets.http11 import Request, Response
 
 import hapsim
-from hapsim.errors import UsageError
 from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, new_token, why_refused
 from hapsim.live.hub import Hub
 from hapsim.live.messages import (
@@ -33,6 +29,7 @@ from hapsim.live.messages import (
     ParameterMessage,
     text_of,
 )
+from hapsim.live.sockets import response, serve_at
 from hapsim.live.viewer import GOING_AWAY, TRY_LATER, Viewer
 from hapsim.loop.histogram import Histogram
 from hapsim.running.parameters import Parameter
@@ -41,18 +38,10 @@ from hapsim.running.state import Event
 from hapsim.scene import Scene
 
 MOST_CLIENTS = 16
-_MOST_CONNECTIONS = 64  # pages and half-open ones included
 _CLOSING_S = 2.0
-_SEND_BUFFER = 1 << 18  # bytes of one client
 _FOLDER = Path(__file__).with_name("page")
 SCHEMA = Path(__file__).with_name("messages.json")
 _TOGETHER_S = 1 / 60  # changes within it are one event
-_SECURITY = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-}
 
 
 class WebView:
@@ -68,7 +57,6 @@ class WebView:
         self._files |= {"/": _FOLDER / "index.html", "/schema.json": SCHEMA}
         self._viewers: dict[Viewer, asyncio.Task[Any] | None] = {}
         self._is_closing = False
-        self._connections = 0
         self._changed: dict[str, Any] = {}
         self._rejected_at = 0.0
         self._flush: asyncio.TimerHandle | None = None
@@ -84,22 +72,8 @@ class WebView:
     async def start(self, loop: asyncio.AbstractEventLoop) -> None:
         """Begins to listen. Raises UsageError where the port is taken or the address is another machine's."""
         self._loop = loop
-        listening = _listening(self.address)
-        self.address = self.address._replace(port=listening.getsockname()[1])  # 0: one that is free
-        logger = logging.Logger("hapsim.live", logging.CRITICAL + 1)  # a bad handshake is nobody's news
-        self._server: Server = await serve(
-            self._serve,
-            sock=listening,
-            process_request=self._process,
-            create_connection=self._connection_type(),
-            compression=None,
-            max_size=LONGEST,
-            max_queue=4,
-            close_timeout=1.0,
-            open_timeout=5.0,
-            logger=logger,
-            server_header=None,
-        )
+        self._server: Server
+        self._server, self.address = await serve_at(self.address, "--serve", self._process, self._serve, LONGEST)
         self._unlisten = self.hub.listen(lambda event: self._call(self._heard, event))
 
     async def close(self) -> None:
@@ -124,45 +98,27 @@ class WebView:
 
     # Connections
 
-    def _connection_type(self) -> type[ServerConnection]:
-        view = self
-
-        class Counted(ServerConnection):
-            """Hangs up where there are too many already, before it reads anything."""
-
-            def connection_made(self, transport: asyncio.BaseTransport) -> None:
-                super().connection_made(transport)
-                view._connections += 1
-                if view._connections > _MOST_CONNECTIONS:
-                    self.transport.abort()
-
-            def connection_lost(self, exc: Exception | None) -> None:
-                view._connections -= 1
-                super().connection_lost(exc)
-
-        return Counted
-
     def _process(self, _connection: ServerConnection, request: Request) -> Response | None:
         """Answers a request, unless it opens a WebSocket."""
         (path, _, query), headers = request.path.partition("?"), request.headers
         is_live = path == "/live"
         if why := why_refused(self.address, headers.get_all("Host"), headers.get_all("Origin"), needs_origin=is_live):
-            return _response(HTTPStatus.FORBIDDEN, why)
+            return response(HTTPStatus.FORBIDDEN, why)
         cookie = f"hapsim-{self.address.port}"
         if self._token and not has_token(self._token, cookie, query, headers.get_all("Cookie")):
-            return _response(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong: open the URL that hapsim printed")
+            return response(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong: open the URL that hapsim printed")
         if is_live and "Upgrade" in headers:
             return None
         file = self._files.get(path)
         if file is None:
-            return _response(HTTPStatus.NOT_FOUND, f"{path[:80]}: there is nothing here")
+            return response(HTTPStatus.NOT_FOUND, f"{path[:80]}: there is nothing here")
         own = {}
         if self._token and "token=" in query:
             own["Set-Cookie"] = f"{cookie}={self._token}; HttpOnly; SameSite=Lax; Path=/"
             own["Location"] = path
         kind = mimetypes.guess_type(file.name)[0] or "application/octet-stream"
         status = HTTPStatus.SEE_OTHER if own else HTTPStatus.OK
-        return _response(status, file.read_bytes(), f"{kind}; charset=utf-8", own)
+        return response(status, file.read_bytes(), f"{kind}; charset=utf-8", own)
 
     async def _serve(self, connection: ServerConnection) -> None:
         if self._is_closing or len(self._viewers) >= MOST_CLIENTS:
@@ -243,27 +199,6 @@ class WebView:
         text = text_of(message)
         for viewer in self._viewers:
             viewer.tell(text)
-
-
-def _listening(address: Address) -> socket.socket:
-    family = socket.AF_INET6 if ":" in address.ip else socket.AF_INET
-    try:
-        listening = socket.create_server((address.ip, address.port), family=family, backlog=_MOST_CONNECTIONS)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # the system's may grow to megabytes
-        return listening
-    except OSError as error:
-        raise UsageError(
-            f"--serve: {address} cannot be listened to: {os.strerror(error.errno or 0)}; name another address, or a "
-            "port that is free, with --serve-at HOST:PORT"
-        ) from error
-
-
-def _response(status: HTTPStatus, body: str | bytes, kind: str = "", own: dict[str, str] | None = None) -> Response:
-    body = body.encode() if isinstance(body, str) else body
-    headers = {"Content-Type": kind or "text/plain; charset=utf-8", "Content-Length": str(len(body))}
-    return Response(
-        status, status.phrase, Headers({**headers, "Connection": "close", **_SECURITY, **(own or {})}), body
-    )
 
 
 def _event(event: Event) -> EventMessage:

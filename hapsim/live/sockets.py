@@ -1,0 +1,94 @@
+"""What the views on TCP have in common: their sockets, how many connections they take, and how they answer requests."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+from collections.abc import Awaitable, Callable
+from http import HTTPStatus
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from hapsim.errors import UsageError
+from hapsim.live.access import Address
+
+_MOST_CONNECTIONS = 64  # pages and half-open ones included
+_SEND_BUFFER = 1 << 18  # bytes of one client
+_SECURITY = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+async def serve_at(
+    address: Address,
+    option: str,
+    process: Callable[[ServerConnection, Request], Response | None],
+    handle: Callable[[ServerConnection], Awaitable[None]],
+    longest: int,
+) -> tuple[Server, Address]:
+    """Serves requests and WebSockets. `option`: that asked for it. `process`: answers a request, or lets a WebSocket
+    open, which `handle` serves; `longest`: bytes of a message. Returns the server and where it listens (port 0: one
+    that is free). Raises UsageError where the port is taken or the address is another machine's."""
+    listening = _listening(address, option)
+    server = await serve(
+        handle,
+        sock=listening,
+        process_request=process,
+        create_connection=_limited_connection(),
+        compression=None,
+        max_size=longest,
+        max_queue=4,
+        close_timeout=1.0,
+        open_timeout=5.0,
+        logger=logging.Logger("hapsim.live", logging.CRITICAL + 1),  # a bad handshake is nobody's news
+        server_header=None,
+    )
+    return server, address._replace(port=listening.getsockname()[1])
+
+
+def response(status: HTTPStatus, body: str | bytes, kind: str = "", own: dict[str, str] | None = None) -> Response:
+    """Returns an answer. `kind`: its content type [default: plain text]; `own`: further headers."""
+    body = body.encode() if isinstance(body, str) else body
+    headers = {"Content-Type": kind or "text/plain; charset=utf-8", "Content-Length": str(len(body))}
+    return Response(
+        status, status.phrase, Headers({**headers, "Connection": "close", **_SECURITY, **(own or {})}), body
+    )
+
+
+def _limited_connection() -> type[ServerConnection]:
+    open_now: set[ServerConnection] = set()
+
+    class Limited(ServerConnection):
+        """Hangs up where there are too many already, before it reads anything."""
+
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            super().connection_made(transport)
+            open_now.add(self)
+            if len(open_now) > _MOST_CONNECTIONS:
+                self.transport.abort()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            open_now.discard(self)
+            super().connection_lost(exc)
+
+    return Limited
+
+
+def _listening(address: Address, option: str) -> socket.socket:
+    family = socket.AF_INET6 if ":" in address.ip else socket.AF_INET
+    try:
+        listening = socket.create_server((address.ip, address.port), family=family, backlog=_MOST_CONNECTIONS)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)  # the system's may grow to megabytes
+        return listening
+    except OSError as error:
+        raise UsageError(
+            f"{option}: {address} cannot be listened to: {os.strerror(error.errno or 0)}; name another address, or a "
+            f"port that is free, with {option}-at HOST:PORT"
+        ) from error
