@@ -191,15 +191,16 @@ class OscView(asyncio.DatagramProtocol):
                 if len(text) > _LONGEST_MARKER:
                     raise UsageError(f"{message.address}: found a longer text, expected {expected}")
                 self.hub.mark(text)
-            case [int(port), *rate]:
+            case [int() | float() as port, *rate]:  # Pd and Max have no other numbers than floats
                 self._subscribe(sender, port, float(rate[0]) if rate else _RATE)
             case _:
                 self.hub.stop()
 
-    def _subscribe(self, sender: tuple[Any, ...], port: int, rate: float) -> None:
-        if not 0 < port < 65536 or not (rate == 0 or 0.01 <= rate <= _HIGHEST_RATE):
+    def _subscribe(self, sender: tuple[Any, ...], number: float, rate: float) -> None:
+        port = int(number)
+        if port != number or not 0 < port < 65536 or not (rate == 0 or 0.01 <= rate <= _HIGHEST_RATE):
             expected = f"a port and at most {_HIGHEST_RATE:g} Hz, or 0 to end"
-            raise UsageError(f"{ROOT}subscribe: found {port} and {rate:g}, expected {expected}")
+            raise UsageError(f"{ROOT}subscribe: found {number:g} and {rate:g}, expected {expected}")
         key = (str(sender[0]), port)
         if key in self.subscriptions:
             self.subscriptions[key].end()
@@ -277,7 +278,7 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], str, str]]
 
 
 _COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
-    f"{ROOT}subscribe": ((int, int | float), "PORT and RATE in Hz"),
+    f"{ROOT}subscribe": ((int | float, int | float), "PORT and RATE in Hz"),
     f"{ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
     f"{ROOT}stop": ((), "no arguments"),
 }

@@ -59,12 +59,12 @@ class Client:
     """A program that speaks OSC to a view."""
 
     def __init__(self, view: OscView, ip: str = "127.0.0.1") -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket = socket.socket(socket.AF_INET6 if ":" in ip else socket.AF_INET, socket.SOCK_DGRAM)
         SOCKETS.append(self.socket)
         self.socket.bind((ip, 0))
         self.socket.settimeout(30)
         self.port = self.socket.getsockname()[1]
-        self._to = ("127.0.0.1", view.address.port)
+        self._to = (view.address.ip, view.address.port)
         self._heard: list[tuple[str, list[Any]]] = []
 
     def send(self, packet: bytes) -> None:
@@ -93,9 +93,9 @@ class Client:
 
 
 @contextlib.contextmanager
-def answering(hub: Any, senders: tuple[str, ...] = ()) -> Iterator[OscView]:
+def answering(hub: Any, senders: tuple[str, ...] = (), at: str = ":0") -> Iterator[OscView]:
     warnings: list[str] = []
-    view = OscView(hub, address_of("--osc-at", ":0", 0), senders, warnings.append)
+    view = OscView(hub, address_of("--osc-at", at, 0), senders, warnings.append)
     server = Server([view], warnings.append)
     server.start()
     try:
@@ -318,3 +318,41 @@ def test_osc_names_a_taken_port() -> None:
         hub: Any = Recorder()
         with pytest.raises(UsageError, match="--osc-at"):
             Server([OscView(hub, address, (), print)], print).start()
+
+
+def test_osc_answers_over_ipv6_too() -> None:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    with answering(Recorder(), at="[::1]:0") as view:
+        client = Client(view, "::1")
+        assert client.ask("/hapsim/touch/stiffness") == [200.0]
+        assert "no such address" in client.refused(message("/hapsim/tuch", 1.0).dgram)
+
+
+def test_osc_says_at_most_twenty_times_a_second_what_was_wrong(recorded: tuple[Recorder, Client]) -> None:
+    _, client = recorded
+    begun = time.monotonic()
+    for _ in range(100):
+        client.tell("/hapsim/nothing", 1.0)
+    client.tell("/hapsim/touch/stiffness")  # answered after all before it are judged
+    errors = 0
+    while isinstance(client.hear("/hapsim/error", "/hapsim/touch/stiffness")[0], str):
+        errors += 1
+    seconds = int(time.monotonic() - begun) + 2  # of the clock, that this may have touched
+    assert 20 <= errors <= min(20 * seconds, 99)
+
+
+def test_osc_goes_on_after_the_device_was_away(client: tuple[Any, Client, OscView]) -> None:
+    served, osc, _ = client
+    osc.tell("/hapsim/subscribe", osc.port, 100)
+    osc.hear("/hapsim/ticks")
+    osc.tell("/hapsim/touch/stiffness", 150.0)
+    assert osc.ask("/hapsim/touch/stiffness") == [150.0]
+    served.pause()
+    assert "nothing runs" in osc.refused(message("/hapsim/touch/stiffness", 170.0).dgram)
+    served.resume()
+    while osc.hear("/hapsim/ticks")[0] > 150:
+        pass
+    assert osc.ask("/hapsim/touch/stiffness") == [150.0]
