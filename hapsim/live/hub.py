@@ -27,7 +27,6 @@ NO_SESSION = "nothing runs at the moment: the device is not armed"
 
 _MOST_EVENTS = 500
 _MOST_WAITING = 10_000  # changes
-_LARGEST = 1e12  # in SI units; what is beyond is a mistake, and may be beyond what can be predicted
 
 
 class _Change(NamedTuple):
@@ -106,8 +105,6 @@ class Hub:
         with self._news:
             if self._is_over:
                 done.set_exception(UsageError(NO_SESSION))
-            elif beyond := [name for name, value in values.items() if _size(value) > _LARGEST]:
-                done.set_exception(UsageError(f"{beyond[0]}: expected numbers of at most {_LARGEST:g} in size"))
             elif len(self._waiting) >= _MOST_WAITING:
                 done.set_exception(UsageError(f"more than {_MOST_WAITING} changes wait already: send fewer"))
             else:
@@ -211,10 +208,3 @@ class Hub:
         for change in together:
             change.done.set_result(None)
         return True
-
-
-def _size(value: Any) -> float:
-    """The size of the largest number in a value."""
-    if isinstance(value, list | tuple):
-        return max(map(_size, value), default=0.0)
-    return abs(value) if isinstance(value, int | float) else 0.0

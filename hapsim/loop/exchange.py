@@ -65,6 +65,7 @@ CONTROL = np.dtype(
 STATE = np.dtype(
     [
         ("sample", np.int64),  # number of the newest position, counted from arming
+        ("gap", np.int64),  # samples from the one before to it
         ("ticks", np.int64),
         ("deadline_misses", np.int64),
         ("lost_frames", np.int64),
@@ -188,6 +189,7 @@ def take_frame(loop, decoder, now):
     publish_sound(loop.sound, now)
     if predictor.add != 0:
         call_add(predictor.add, (predictor.address, io.address))
+    state.gap = gap
     state.sample += gap
     note_taken(loop.posted, change, state.ticks)
     sound, stops = _answer(loop, gap, late, flags, now)

@@ -220,7 +220,9 @@ class Shaking(NamedTuple):
     @property
     def sentence(self) -> str:
         """Without a full stop."""
-        by = f"{self.growth:.3g}-fold" if self.growth >= 2.0 else f"by {100.0 * (self.growth - 1.0):.2g} %"
+        by = "beyond all numbers" if self.growth > 1e300 else f"{self.growth:.3g}-fold"
+        if self.growth < 2.0:
+            by = f"by {100.0 * (self.growth - 1.0):.2g} %"
         whose = f"the motion of {self.module}" if self.module else "a motion"
         return (
             f"{whose} grows {by} a sample; reduce the stiffness there, change its damping, add mass or raise the rate"
@@ -249,6 +251,8 @@ def found_to_shake(scene: Scene) -> Shaking | None:
         solution = solve(network)
     except NotWorkedOutError:
         return None
+    if np.isnan(solution.spectral_radius):
+        return Shaking(np.inf, "")
     if not solution.spectral_radius > _SURELY:
         return None
     if is_lone(scene, linear):  # judged by the formula, which resolves poles that rounding would place on the circle

@@ -45,6 +45,7 @@ OVER = "the run is over: nothing can be changed any more"
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _GLANCE_S = 1e-3
+_LARGEST = 1e12  # in SI units; what is beyond is a mistake, and may be beyond what can be predicted
 _MOST_STATES = 250  # of a scene that is judged in the thread of who changes it: some milliseconds
 _MAY_DIFFER = (("mock", "initial"), ("mock", "hand"))
 _NO_HAND = f"{MOCK_HAND}: the device is no mock of this process; a hand that holds a real device cannot be set"
@@ -205,6 +206,8 @@ class LiveScene:
         fixed = first_fixed_difference(self.scene, scene)
         if fixed:
             raise UsageError(f"{fixed} cannot change while the scene runs: stop it and start it anew")
+        for name, part in parts_of(scene).items():
+            _require_sizes(name, {key: getattr(part, key) for key in part.live})
         if self._loop.hand is None and not _agree(parts_of(self.scene)[MOCK_HAND], parts_of(scene)[MOCK_HAND]):
             raise UsageError(_NO_HAND)
         io = self._loop.record.io
@@ -307,6 +310,7 @@ def changed(scene: Scene, changes: Changes) -> Scene:
                 f"{name}: nothing of it can change while the scene runs, because it is in the matrix that scheme: "
                 f"{scene.scheme} makes once; under scheme: {one_of(without_matrices())} it can"
             )
+        _require_sizes(name, values)
         parts[name] = _part_with(name, parts[name], values)
     hand = parts.pop(MOCK_HAND)
     modules = {name: one for name, one in parts.items() if isinstance(one, Module)}
@@ -323,6 +327,19 @@ def changed(scene: Scene, changes: Changes) -> Scene:
     if MOCK_HAND in changes:
         made["mock"] = (scene.mock or Mock()).model_copy(update={"hand": hand})
     return scene.model_copy(update=made)
+
+
+def _require_sizes(name: str, values: Mapping[str, Any]) -> None:
+    for key, value in values.items():
+        if _size(value) > _LARGEST:
+            raise UsageError(f"{name}.{key}: expected numbers of at most {_LARGEST:g} in size")
+
+
+def _size(value: Any) -> float:
+    """The size of the largest number in a value."""
+    if isinstance(value, list | tuple):
+        return max(map(_size, value), default=0.0)
+    return abs(value) if isinstance(value, int | float) else 0.0
 
 
 def _part_with(name: str, module: LivePart, values: Mapping[str, Any]) -> LivePart:

@@ -60,7 +60,7 @@ class State:
     position: tuple[float, ...]
     """(C,) m."""
     velocity: tuple[float, ...]
-    """(C,) m/s: the backward difference of the last two positions."""
+    """(C,) m/s: the difference of the last two positions over the time between them."""
     force: tuple[float, ...]
     """(C,) N, that was sent last: 0 once the run is over."""
     modules: Mapping[str, float | NDArray[np.float64]]
@@ -83,7 +83,7 @@ class StateReader:
         io, state, used = self._loop.record.io, self._loop.state, slice(self._loop.wire.channels)
         for _ in range(_TRIES):  # until no sample came meanwhile
             sample, newest = int(state.sample), int(state.newest_ns)
-            here, before = io.measured[used].copy(), io.before[used].copy()
+            here, before, gap = io.measured[used].copy(), io.before[used].copy(), max(int(state.gap), 1)
             force = (io.force_counts * io.force_scale)[used]
             if sample == int(state.sample):
                 break
@@ -91,7 +91,7 @@ class StateReader:
             sample=sample,
             age_s=max(time.monotonic_ns() - newest, 0) * 1e-9 if newest else 0.0,
             position=tuple(here.tolist()),
-            velocity=tuple(((here - before) * self._rate).tolist()),
+            velocity=tuple(((here - before) * self._rate / gap).tolist()),
             force=tuple(force.tolist()),
             modules=self.modules(),
             progress=progress,

@@ -18,7 +18,7 @@ from hapsim.bringup.faults.in_memory import in_memory
 from hapsim.errors import DeviceError, GuardError, HapsimError
 from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 from hapsim.recording.trace import Trace
-from hapsim.running import run
+from hapsim.running import run, start
 from hapsim.scene import Scene
 
 TICKS, LIMIT = 200, 10.0
@@ -145,3 +145,20 @@ def test_a_sign_that_is_wrong_stays_below_the_force_limit(scene: Scene) -> None:
         trace, injector = through(scene, f"kind: invert, direction: {direction}, after_samples: 50")
         assert injector.witness.since_fault.largest <= LIMIT
         assert trace.report.limited_ticks > 0
+
+
+def test_the_velocity_behind_lost_positions_is_that_of_the_time_between() -> None:
+    scene = touched_scene(force_limit=LIMIT)
+    scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "device"})})
+    for seed in range(20):
+        injector = injector_of("kind: drop, direction: from_device, probability: 0.5, after_samples: 20", seed=seed)
+        with start(scene, duration=0.05, between=in_memory(injector, scene.period)) as session:
+            session.wait()
+            velocity = session.state().velocity
+        trace = session.trace
+        apart = trace.sample[-1] - trace.sample[-2]
+        moved = (trace.position[-1] - trace.position[-2]) * scene.rate
+        if apart > 1 and moved.any():
+            break
+    assert apart > 1
+    np.testing.assert_allclose(velocity, moved / apart)

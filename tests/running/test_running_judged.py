@@ -74,3 +74,27 @@ def test_a_damper_that_shakes_a_hand_without_a_spring_is_not_accepted() -> None:
         braked = scene.model_copy(update={"modules": Table({**scene.modules, "touch": touch})})
         assert is_surely_stable(braked) is is_stable
         assert (found_to_shake(braked) is None) is is_stable
+
+
+@pytest.mark.parametrize("stiffness", [1e6, 1e8, 1e10, 1e12])
+def test_what_grows_beyond_all_numbers_is_refused(stiffness: float) -> None:
+    scene = changes.changed(SCENES["plucked_string"], {"pick": {"stiffness": stiffness}})  # 48 substeps
+    shaking = found_to_shake(scene)
+    assert shaking is not None
+    assert shaking.growth > 1e50
+    assert "grows" in shaking.sentence
+
+
+@pytest.mark.parametrize("change", [{"touch": {"damping": 1e308}}, {"mock.hand": {"position": -1e13}}])
+def test_what_no_device_has_is_refused(change: Any) -> None:
+    scene = SCENES["first_touch"]
+    lockstep = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
+    (part, values), *_ = change.items()
+    with hapsim.start(lockstep) as session:
+        with pytest.raises(UsageError, match=rf"{part}\.{next(iter(values))}: expected numbers of at most 1e\+12"):
+            session.set(change)
+        if part in scene.modules:
+            touch = scene.modules[part].model_copy(update=values)
+            with pytest.raises(UsageError, match=r"expected numbers of at most 1e\+12"):
+                session.adopt(lockstep.model_copy(update={"modules": Table({**scene.modules, part: touch})}))
+        assert session.scene.modules == scene.modules

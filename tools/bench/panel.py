@@ -5,7 +5,8 @@
 * cost: µs that `Session.set` takes, by scene; each set has another value, in a loop that runs in real time.
 * latency: from just before a change is sent to the arrival of the first position that is answered with it, at 1 kHz
   over a pseudo-terminal. The wall moves on by 1 µm a change; force and position of a row say where it was. From Python
-  in the same process, over the WebSocket and over OSC of `hapsim run`, 50 and 1000 times per second.
+  in the same process, over the WebSocket and over OSC of `hapsim run`, 50 and 1000 times per second; and from Pd and
+  SuperCollider, which are sent each value, and set it, 50 and 200 times per second.
 * watched: `hapsim run` with and without a panel (60 blocks per second), two streams of 1000 changes per second over OSC
   (or, `--streams websocket`, over that) and a client that subscribes and does not read, taking turns: deadline misses,
   exchange time and wake-up latency. Between the two a run beside which another `hapsim run` is watched in this way: so
@@ -22,6 +23,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import statistics
@@ -167,8 +169,13 @@ def cost() -> None:
 def latency(seconds: float) -> None:
     """Prints how soon a change is felt."""
     print("| from | changes per second | p50, ms | p99 | most | never felt |\n|---|---|---|---|---|---|")
-    for way in ("Python", "WebSocket", "OSC"):
-        for rate in (50.0, 1000.0):
+    for way in (
+        "Python",
+        "WebSocket",
+        "OSC",
+        *(name for name, (command, _) in PROGRAMS.items() if shutil.which(command)),
+    ):
+        for rate in (50.0, 200.0 if way in PROGRAMS else 1000.0):
             with tempfile.TemporaryDirectory() as directory:
                 trace, begun = run_changed(way, rate, seconds, Path(directory))
             took = latencies(trace, begun)
@@ -186,7 +193,10 @@ def run_changed(way: str, rate: float, seconds: float, directory: Path) -> tuple
         return session.trace, begun
     file = directory / "run.trace"
     with served(directory, "--realtime", "--record", str(file)) as (url, osc, _):
-        if way == "OSC":
+        if way in PROGRAMS:
+            with relaying(way, osc, directory) as send:
+                begun = sent_at(send, rate, seconds)
+        elif way == "OSC":
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
                 out.connect(("127.0.0.1", osc))
                 begun = sent_at(lambda x: out.send(osc_message("/hapsim/wall/position", x, 0.0)), rate, seconds)
@@ -198,6 +208,54 @@ def run_changed(way: str, rate: float, seconds: float, directory: Path) -> tuple
                 )
         time.sleep(0.2)
     return hapsim.load_trace(file), begun
+
+
+PD = """\
+#N canvas 0 0 400 300 12;
+#X obj 10 10 loadbang;
+#X msg 10 40 connect 127.0.0.1 {osc};
+#X obj 150 10 netreceive -u -b {own};
+#X obj 150 40 oscparse;
+#X obj 150 70 list trim;
+#X obj 150 100 route moved;
+#X msg 150 130 \\$1 0;
+#X obj 150 160 oscformat hapsim wall position;
+#X obj 150 190 list prepend send;
+#X obj 150 220 list trim;
+#X obj 10 250 netsend -u -b;
+#X connect 0 0 1 0;
+#X connect 1 0 10 0;
+"""
+SCLANG = """\
+~to = NetAddr("127.0.0.1", {osc});
+thisProcess.openUDPPort({own});
+OSCdef(\\moved, {{ |message| ~to.sendMsg('/hapsim/wall/position', message[1], 0.0) }}, '/moved');
+"""
+PROGRAMS = {"Pd": ("pd", PD), "SuperCollider": ("sclang", SCLANG)}
+
+
+@contextlib.contextmanager
+def relaying(way: str, osc: int, directory: Path) -> Iterator[Callable[[float], object]]:
+    """A program that sets what it is sent; gives what sends it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        own = free.getsockname()[1]
+    command, text = PROGRAMS[way]
+    file = directory / f"relay.{'pd' if way == 'Pd' else 'scd'}"
+    chain = "".join(f"#X connect {i} 0 {i + 1} 0;\n" for i in range(2, 10)) if way == "Pd" else ""
+    file.write_text(text.format(osc=osc, own=own) + chain, "utf-8")
+    options = ["-nogui", "-noaudio", "-open", str(file)] if way == "Pd" else [str(file)]
+    environment = os.environ | {"QTWEBENGINE_DISABLE_SANDBOX": "1", "QT_QPA_PLATFORM": "offscreen"}
+    quiet = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with (
+        subprocess.Popen([command, *options], env=environment, **quiet) as process,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
+    ):
+        time.sleep(10.0)  # until it listens
+        try:
+            yield lambda x: out.sendto(osc_message("/moved", x), ("127.0.0.1", own))
+        finally:
+            process.kill()
 
 
 def watched(seconds: float, rounds: int, streams: str) -> None:

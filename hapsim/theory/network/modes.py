@@ -113,7 +113,8 @@ def snap_to_circle(matrix: Floats, poles: Complexes) -> Complexes:
 
     balanced = matrix_balance(matrix, permute=False)[0]
     size, digit = float(np.linalg.norm(balanced)), float(np.finfo(float).eps)
-    if radius.max() > 1.0 + math.sqrt(digit) * size:  # further than rounding moves a double pole
+    # Further than rounding moves a double pole; of enormous numbers it says nothing, and no pole is on the circle.
+    if radius.max() > 1.0 + min(math.sqrt(digit) * size, 1.0):
         return poles
     found, left, right = eig(balanced, left=True)
     reach = 2.0 * digit * size / np.abs((left.conj() * right).sum(axis=0))
