@@ -6,6 +6,7 @@ that was not worked out, or is marginal, is no reason to refuse (`hapsim.predict
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import get_args
 
@@ -61,6 +62,8 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
         require_writable_as_trace(Path(options.record))
     _require_sound(scene, options)
     shaken = surely_shaken_by(scene) if options.unstable is False else None
+    if shaken is not None and math.isinf(shaken.growth):
+        shaken = None  # numbers out of range: the guard of the force says which, in the first sample
     if shaken is not None:
         raise UsageError(f"not armed: the scene is predicted unstable: {shaken.sentence}")
 
