@@ -48,7 +48,8 @@ class Behind:
 
 def address_of(record: Any) -> int:
     """Returns the address of a record or an array, valid as long as that exists."""
-    return int(record.__array_interface__["data"][0])
+    array = record if isinstance(record, np.ndarray) else np.frombuffer(record, np.uint8)
+    return int(array.ctypes.data)
 
 
 def _words_of(value: Any) -> list[int]:

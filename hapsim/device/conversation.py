@@ -26,7 +26,7 @@ def describe(connection: Connection) -> Description:
     """Returns the device's description of itself. DeviceError where nothing answers, or not in version 1."""
     registers = np.zeros(schema.REGISTERS, np.int64)
     # A device that stays quiet may still be armed, by a host that died.
-    registers[schema.REG_VERSION] = _ask(connection, schema.REG_VERSION, _TRIES, disarm_in_every_format())
+    registers[schema.REG_VERSION] = _ask(connection, schema.REG_VERSION, _TRIES, disarm_in_every_format)
     registers[schema.REG_SCHEMA] = read_register(connection, schema.REG_SCHEMA)
     registers[schema.REG_CHANNELS] = read_register(connection, schema.REG_CHANNELS)
     _require_same_language(connection, registers)
@@ -164,7 +164,9 @@ def _describe_frame(register: int) -> bytes:
     return frame_to_device(SETUP, schema.DESCRIBE, register, 0, [0])
 
 
-def _ask(connection: Connection, register: int, tries: int = _TRIES_TO_ASK, when_quiet: bytes = b"") -> int:
+def _ask(
+    connection: Connection, register: int, tries: int = _TRIES_TO_ASK, when_quiet: Callable[[], bytes] = bytes
+) -> int:
     word = _exchange(connection, _describe_frame(register), schema.DESCRIPTION, register, tries, when_quiet)
     if word is not None:
         return word
@@ -187,14 +189,14 @@ def _exchange(
     kind: int,
     number: int,
     tries: int = _TRIES_TO_ASK,
-    when_quiet: bytes = b"",
+    when_quiet: Callable[[], bytes] = bytes,
     fits: Callable[[int], bool] = lambda _word: True,
 ) -> int | None:
-    """Sends a frame until an answer `fits`, and `when_quiet` before the third time. Returns the answer's word, or
-    None."""
+    """Sends a frame until an answer `fits`, and what `when_quiet` returns before the third time. Returns the answer's
+    word, or None."""
     for attempt in range(tries):
-        if attempt == 2 and when_quiet:
-            _send(connection, when_quiet)
+        if attempt == 2 and (release := when_quiet()):
+            _send(connection, release)
         _send(connection, frame)
         answer = _answer(connection, kind, number, _ANSWER_S, fits)
         if answer is not None:

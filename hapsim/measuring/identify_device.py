@@ -10,7 +10,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
@@ -29,6 +28,7 @@ from hapsim.measuring.limits import (
     require_device_point,
 )
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate
+from hapsim.one_thread import one_thread
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end as run
@@ -134,7 +134,7 @@ def identify_device(
         unstable=True,  # the band in which the force fades may be narrow: nothing is held there for long
     )
     pusher = _Pusher(scene, channel, bounds_of(scene, force, travel), run_scene)
-    with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost more than they save
+    with one_thread():
         pusher.find_home()
         rough = pusher.grow()
         pusher.record(rough, SECONDS if duration is None else duration)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, GuardError, UsageError
@@ -16,7 +16,7 @@ from hapsim.number_format import number
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
-from hapsim.running.run import run_to_end as run
+from hapsim.running.run import run_to_end
 from hapsim.scene import Scene, Spring, ViscoElastic
 from hapsim.scene.load import SceneSource, as_scene
 
@@ -63,27 +63,39 @@ def measure(
     hand can be measured at that position. Where the device fails, or stops by itself, and was recorded for long enough
     to identify something, the measurement is returned with the error as its `failure`.
     """
-    scene = as_scene(scene)
+    run = partial(run_to_end, transport=transport, on_progress=on_progress, stop_on_signals=stop_on_signals)
+    return measure_by(run, as_scene(scene), channel=channel, at=at, duration=duration, push=push)
+
+
+def measure_by(
+    run: Callable[..., Trace],
+    scene: Scene,
+    *,
+    channel: int = 0,
+    at: float | None = None,
+    duration: float | None = None,
+    push: float | None = None,
+) -> Measurement:
+    """Does what `measure` does, with `run(scene, duration=…, excitation=…)` for each of its runs."""
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero("newton", push=push)
     if duration is None:
         duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
     place = place_of(scene, channel, at)
-    options = {"transport": transport, "on_progress": on_progress, "stop_on_signals": stop_on_signals}
     if place is not None:
-        return _measure_at(scene, place, duration, push, options)
+        return _measure_at(run, scene, place, duration, push)
     excitation = _pushes(scene, channel, duration, push)
-    return _identified(scene, excitation, *_recorded(scene, excitation, duration, options))
+    return _identified(scene, excitation, *_recorded(run, scene, excitation, duration))
 
 
 def _recorded(
-    scene: Scene, excitation: Excitation, duration: float, options: dict[str, Any]
+    run: Callable[..., Trace], scene: Scene, excitation: Excitation, duration: float
 ) -> tuple[Trace, DeviceError | None]:
     """A run that pushes for `duration` seconds, and why it ended early. DeviceError where that was too early."""
     guided = excitation.ticks_before(scene.rate)
     try:
-        trace, failure = run(scene, duration=duration + guided / scene.rate, excitation=excitation, **options), None
+        trace, failure = run(scene, duration=duration + guided / scene.rate, excitation=excitation), None
     except (DeviceError, GuardError) as error:
         recorded = 0 if error.trace is None else error.trace.sample.size
         if excitation.guide is not None and 0 < recorded < guided:
@@ -109,7 +121,7 @@ def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: Dev
 
 
 def _measure_at(
-    scene: Scene, place: Place, duration: float, push: float | None, options: dict[str, Any]
+    run: Callable[..., Trace], scene: Scene, place: Place, duration: float, push: float | None
 ) -> Measurement:
     """The most certain of the runs in which the hand stayed in its region; with a `push` (N) the only one."""
     swing, most, best, least = place.first_swing(scene), place.largest_swing, None, math.inf
@@ -118,7 +130,7 @@ def _measure_at(
     clear = 0.0  # m, the largest swing within the region
     while len(attempts) < _MOST_RUNS:
         excitation = _pushes(scene, place.channel, duration, push, place, swing)
-        trace, failure = _recorded(scene, excitation, duration, options)
+        trace, failure = _recorded(run, scene, excitation, duration)
         guided = excitation.ticks_before(scene.rate)
         if trace.sample.size <= guided:
             raise UsageError("the run was stopped before the hand was at its place: nothing was measured")

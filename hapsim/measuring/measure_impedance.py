@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from hapsim.measuring.trace_quality import SeenRate, seen_rate
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation
-from hapsim.running.run import run_to_end as run
+from hapsim.running.run import run_to_end
 from hapsim.scene import Ground, Scene, ViscoElastic
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import INTERRUPTED
@@ -103,13 +104,24 @@ def measure_impedance(
 
     Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too little was recorded.
     """
-    scene = as_scene(scene)
+    run = partial(run_to_end, transport=transport, on_progress=on_progress, stop_on_signals=stop_on_signals)
+    return measure_impedance_by(run, as_scene(scene), duration=duration, travel=travel, push=push)
+
+
+def measure_impedance_by(
+    run: Callable[..., Trace],
+    scene: Scene,
+    *,
+    duration: float | None = None,
+    travel: float = TRAVEL_M,
+    push: float | None = None,
+) -> MeasuredImpedance:
+    """Does what `measure_impedance` does, with `run(scene, duration=…, excitation=…)` for each of its runs."""
     lines = lines_for(scene.rate)
     periods = _whole_periods(duration, lines)
     require_above_zero("metres", travel=travel)
     require_above_zero("newton", push=push)
-    options = {"transport": transport, "on_progress": on_progress, "stop_on_signals": stop_on_signals}
-    rig = _Rig(scene, lines, travel, push, options)
+    rig = _Rig(run, scene, lines, travel, push)
     done = _excite_each(rig, periods, may_repeat=duration is None)
     found = impedance_of([one.periods for one in done], lines.frequency, scene.rate, scene.device.delay, rig.converters)
     return MeasuredImpedance(
@@ -129,10 +141,12 @@ def measure_impedance(
 class _Rig:
     """A scene to excite, and by how much: at most `travel` (m) and `push` (N; None: a share of the force limit).
 
-    `options`: further arguments of `run`.
+    `run(scene, duration=…, excitation=…)` runs it.
     """
 
-    def __init__(self, scene: Scene, lines: Lines, travel: float, push: float | None, options: dict[str, Any]) -> None:
+    def __init__(
+        self, run: Callable[..., Trace], scene: Scene, lines: Lines, travel: float, push: float | None
+    ) -> None:
         self.channels = tuple(point.channel for point in scene.device_points.values())
         if not self.channels:
             raise UsageError("the scene has no device point: there is nothing at which an impedance could be measured")
@@ -140,16 +154,12 @@ class _Rig:
         limit = force_limit(scene)
         self._most = SHARE_OF_LIMIT * limit if push is None else min(push, limit)
         self._travel = min(travel, *(0.5 * (most - least) for least, most in scene.device.travels(scene.channels)))
-        self._scene, self._options = scene, options
+        self._run, self._scene = run, scene
 
     def excite(self, channel: int, forces: Floats, count: int) -> _Run:
         """Runs `count` periods of these forces (N, of one period) on a channel."""
-        trace = run(
-            self._scene,
-            duration=count * self.lines.period_s,
-            excitation=PeriodicExcitation(channel, forces),
-            **self._options,
-        )
+        pushes = PeriodicExcitation(channel, forces)
+        trace = self._run(self._scene, duration=count * self.lines.period_s, excitation=pushes)
         if not np.all(np.isfinite(trace.asked_force)):
             raise UsageError("the scene's force was not finite throughout: there is nothing to be measured")
         periods = periods_of(trace, self.lines, self.converters, senses=bool(self._scene.sensed_links))

@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.measuring.converters import Floats
 from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pair
-from hapsim.measuring.regression import Fit, Segment, fit
+from hapsim.measuring.regression import Fit, Regression, Segment
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
+from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
 
 _MOST_ROWS = 6000
@@ -126,7 +126,7 @@ def measure_trace(
     the scene's acts all the time, so that the hand rests where the scene asks for one, too. Raises UsageError where
     nothing moves.
     """
-    with threadpool_limits(1, user_api="blas"):  # on matrices this narrow further threads cost ten times what they save
+    with one_thread():
         segments, fits = _fitted(trace, channel, pressed)
         free = _longest_free_motion(segments)
         read = [(best, dominant_pair(best, others, free)) for best, others in fits]
@@ -317,9 +317,10 @@ def _fits(segments: list[Segment]) -> list[tuple[Fit, list[Fit]]]:
     how certain they look: every p that the record does not distinguish from the best is kept.
     """
     with_surplus = any(np.any(segment.surplus) for segment in segments)
+    regression = Regression(segments, _DRIFTS, with_surplus, ROUNDING)
 
     def attempts(*orders_and_drifts: tuple[int, float]) -> list[Fit]:
-        found = [fit(segments, order, drift, with_surplus, ROUNDING) for order, drift in orders_and_drifts]
+        found = [regression.fit(order, drift) for order, drift in orders_and_drifts]
         return sorted((one for one in found if one is not None), key=lambda one: one.criterion)
 
     profile = attempts(*((6, drift) for drift in _DRIFTS)) or attempts(*((3, drift) for drift in _DRIFTS))

@@ -78,7 +78,9 @@ def dominant_pair(fit: Fit, alternatives: list[Fit], motion: Floats) -> Poles:
 
 
 def _roots(fit: Fit) -> Complexes:
-    poles = np.roots(fit.polynomial).astype(complex)
+    companion = np.eye(fit.order, k=-1)
+    companion[0] = -fit.polynomial[1:]
+    poles = np.linalg.eigvals(companion).astype(complex)
     return poles[np.argsort(-np.abs(poles), kind="stable")]
 
 
@@ -112,17 +114,20 @@ def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Float
     unknown = np.ones(poles.size, bool), np.zeros(poles.size)
     if motion.size <= poles.size:
         return unknown
-    n = np.arange(min(motion.size, _LOOKED_AT))[:, None]
-    # A growing mode is written backwards from its end, so that no power overflows.
-    modes = np.where(np.abs(poles) > 1.0, poles, 1.0) ** (n - n[-1]) * np.where(np.abs(poles) > 1.0, 1.0, poles) ** n
+    size, grows = min(motion.size, _LOOKED_AT), np.abs(poles) > 1.0
     # Where the motion is counted from is not certain to the last count: what a constant explains is no mode.
-    modes = np.column_stack([modes, np.ones(n.size)])
-    modes /= np.linalg.norm(modes, axis=0)
+    modes = np.ones((poles.size + 1, size), complex)
+    ratios = poles.copy()
+    ratios[grows] = 1.0 / poles[grows]
+    modes[:-1, 1:] = ratios[:, None]
+    np.multiply.accumulate(modes, axis=1, out=modes)
+    modes[:-1][grows] = modes[:-1][grows, ::-1]  # a growing mode is written backwards from its end: no power overflows
+    modes = modes.T / np.linalg.norm(modes, axis=1)
     q, r = np.linalg.qr(modes)
     if np.min(np.abs(np.diag(r))) < 1e-15:
         return unknown
-    amplitude = np.linalg.solve(r, q.conj().T @ motion[: n.size])
-    left = motion[: n.size] - np.real(modes @ amplitude)
+    amplitude = np.linalg.solve(r, q.conj().T @ motion[:size])
+    left = motion[:size] - np.real(modes @ amplitude)
     energy = np.abs(amplitude) ** 2
     worse = energy / np.sum(np.abs(np.linalg.inv(r)) ** 2, axis=1)
     return np.asarray(worse > _CLEARLY * np.mean(left**2))[:-1], energy[:-1]

@@ -11,7 +11,7 @@ import numpy as np
 
 from hapsim.prediction.correction import CORRECTIONS, Rendering, felt_error, stable_masses
 from hapsim.prediction.linear import LinearScene, hand_of
-from hapsim.prediction.types import Felt, Robustness
+from hapsim.prediction.types import Felt, Limits, Robustness
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.correction import PredictedLoop, StatePredictor, as_read
@@ -111,11 +111,6 @@ def _of_element(configuration: Configuration, stiffness: float, damping: float) 
     element = stiffness, damping
     k, b = (float(value) for value in configuration.equivalent(*element))
     frequency, ratio = swing(configuration.mass, k if k > 0.0 else math.nan, b)
-    least, most = (float(value) for value in configuration.stable_damping(stiffness))
-    factor = math.inf
-    if stiffness != 0.0:
-        stiffest = float(configuration.stable_stiffness(damping)[1])
-        factor = stiffest / stiffness if stiffest > 0.0 else 0.0
     passive = None
     with contextlib.suppress(ValueError):  # the condition is not derived
         passive = bool(configuration.is_passive(*element))
@@ -134,8 +129,7 @@ def _of_element(configuration: Configuration, stiffness: float, damping: float) 
         spectral_radius=float(configuration.spectral_radius(*element)),
         poles=tuple(complex(pole) for pole in configuration.poles(*element)),
         passive=passive,
-        stiffness_factor=factor,
-        stable_damping=(least, most),
+        limits=Limits(configuration, stiffness, damping),
         linear_limit=float(configuration.linear_stiffness_limit(damping)),
         reason=str(configuration.why_no_equivalent(*element)),
     )

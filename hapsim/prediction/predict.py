@@ -339,12 +339,12 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
 def _link_margins(linear: LinearScene, margins: Margins, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
     """Where a hand's only link is all that holds it, its margin by the closed formula; not where the scene is unstable,
     which another hand may be to blame for."""
-    lone = {one.name: one.stiffness_factor for one in felt if len(links_of(linear, one.name)) == 1}
+    lone = {one.name: one.limits for one in felt if len(links_of(linear, one.name)) == 1}
     named: list[LinkMargin] = []
     stabilizing = margins.stabilizing or [Stabilizing(None, None)] * len(margins.links)
     for (name, link), margin, ranges in zip(linear.links.items(), margins.links, stabilizing, strict=False):
         hand = None if margins.stabilizing else next((end for end in link.between if end in lone), None)
-        factor = margin.stiffness_factor if hand is None else lone[hand]
+        factor = margin.stiffness_factor if hand is None else lone[hand].stiffness_factor
         named.append(LinkMargin(name, factor, margin.damping_factor, ranges.stiffness, ranges.damping))
     return tuple(named)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 from firmware_protocol.wire_time import WireTime
@@ -14,6 +15,30 @@ from hapsim.prediction.timing import WireOf
 from hapsim.theory import Configuration, Mode
 from hapsim.theory.correction import StatePredictor
 from hapsim.theory.network import ContinuousMode
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far K (N/m) and B (N·s/m) on a device are from the stability boundary: worked out when it is asked for, which
+    takes longer than all the rest of a prediction."""
+
+    configuration: Configuration
+    stiffness: float
+    damping: float
+
+    @cached_property
+    def stiffness_factor(self) -> float:
+        """As of `Felt`."""
+        if self.stiffness == 0.0:
+            return math.inf
+        stiffest = float(self.configuration.stable_stiffness(self.damping)[1])
+        return stiffest / self.stiffness if stiffest > 0.0 else 0.0
+
+    @cached_property
+    def stable_damping(self) -> tuple[float, float]:
+        """As of `Felt`."""
+        least, most = (float(value) for value in self.configuration.stable_damping(self.stiffness))
+        return least, most
 
 
 @dataclass(frozen=True)
@@ -39,16 +64,25 @@ class Felt:
     poles: tuple[complex, ...]
     passive: bool | None
     """Whether no hand can make it unstable (Colgate and Schenkel); None where the condition is not derived."""
-    stiffness_factor: float
-    """By how much K could grow before the loop becomes unstable, B as it is; infinity if never, below 1 if it is."""
-    stable_damping: tuple[float, float]
-    """N·s/m: from least to most B, with K as it is; NaN where no damping makes it stable."""
     linear_limit: float
     """N/m: the stiffness that the linear rule allows, (b0 + B)/(T/2 + delay T) (Gil et al.)."""
     reason: str
     """Why there is no equivalent, where there is none."""
+    limits: Limits
+    """How far the stiffness and the damping are from the stability boundary."""
     predictor: StatePredictor | None = None
     """Whose state the force answers, with a correction that predicts."""
+
+    @property
+    def stiffness_factor(self) -> float:
+        """By how much K could grow before the loop becomes unstable, B as it is; infinity if never, below 1 if it
+        is."""
+        return self.limits.stiffness_factor
+
+    @property
+    def stable_damping(self) -> tuple[float, float]:
+        """N·s/m: from least to most B, with K as it is; NaN where no damping makes it stable."""
+        return self.limits.stable_damping
 
 
 RegionKind = Literal["held", "free", "snap"]

@@ -174,7 +174,8 @@ DEVICE_UNITS: dict[Place, tuple[str, ...]] = {
 
 def compile_ahead(names: Iterable[str], counted: Counted, then: Callable[[], None] = lambda: None) -> None:
     """Compiles or loads these units. `counted` counts both processes; `then` compiles more here, before the wait for
-    the second process."""
+    the second process. What this process has loaded before costs nothing."""
+    names = [name for name in names if name not in _loaded]
     missing = [name for name in names if not UNITS[name].is_kept()]
     counted.expect(sum(UNITS[name].functions for name in missing))
     # What a second process compiles gets here only if it can be kept.
@@ -187,6 +188,10 @@ def compile_ahead(names: Iterable[str], counted: Counted, then: Callable[[], Non
         wait()
         for name in names:
             UNITS[name].compile()
+    _loaded.update(names)
+
+
+_loaded: set[str] = set()
 
 
 @contextlib.contextmanager

@@ -45,6 +45,7 @@ def missing(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = [*UNITS]
     of_unit = {unit: name for name, unit in UNITS.items()}
     monkeypatch.setattr(CompileUnit, "is_kept", lambda unit: of_unit[unit] not in names)
+    monkeypatch.setattr(ahead, "_loaded", set())
     return names
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -334,5 +334,15 @@ class Configuration:
         return bool(is_attainable(self._equation.plant.damping, self._equation.plant.stiffness))
 
     def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
+        """The leading pair and all poles for (n,) stiffnesses and dampings."""
+        one, other = np.asarray(K), np.asarray(B)
+        return _solved_at(self, float(one[0]), float(other[0])) if one.size == 1 else self._solve(one, other)
+
+    def _solve(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
         lead, poles = all_poles(self._equation, *self._normalised(K, B))
         return lead._replace(dominant=lead.dominant & self._own_swing_is_seen), poles
+
+
+@lru_cache(256)  # one element is asked for its k and b, its poles, its stability and why there is none
+def _solved_at(configuration: Configuration, K: float, B: float) -> tuple[LeadingPair, Complexes]:
+    return configuration._solve([K], [B])

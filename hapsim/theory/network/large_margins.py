@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
+from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.response import SceneMatrix, on_circle
-from hapsim.theory.network.sparse import one_thread
 
 OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
 WORK = 1.2e7  # points times places on the circle: some seconds

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
 from hapsim.theory.network.layout import damping_links
 from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
 from hapsim.theory.network.network import Network, acting_links, is_centred
 from hapsim.theory.network.response import Places, SceneMatrix
 from hapsim.theory.network.rest_poles import poles_at_rest
-from hapsim.theory.network.sparse import one_thread
 from hapsim.theory.network.state import is_large
 from hapsim.theory.network.transitions import LiftedTransition, Transition, sparse_transition
 from hapsim.theory.schemes import SCHEMES

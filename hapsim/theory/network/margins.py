@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Complexes, Indices
 from hapsim.theory.network.changed_link import LIMIT, ChangedLink, Range
 from hapsim.theory.network.crossings import Crossings
 from hapsim.theory.network.large_margins import margins_along_circle
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.network import Network, is_centred, margin_links, touches_channel
-from hapsim.theory.network.sparse import one_thread
 from hapsim.theory.network.state import state_size
 
 MOST_STATES = 300  # numbers in the state of a scene whose crossings are all worked out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,13 +82,3 @@ def factorised(matrix: Any, **how: Any) -> Solve | None:
         except RuntimeError:
             return None
     return solve
-
-
-def one_thread(where: bool = True) -> AbstractContextManager[Any]:
-    """One thread of linear algebra while this is entered, since several would wait for each other; not where False."""
-    if not where:
-        return nullcontext()
-    from threadpoolctl import threadpool_limits
-
-    limits: AbstractContextManager[Any] = threadpool_limits(1, user_api="blas")
-    return limits

@@ -1,0 +1,26 @@
+"""Linear algebra on one thread: for small matrices several threads would wait for each other, at twice the time and
+more."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from functools import cache
+from typing import Any
+
+
+def one_thread(where: bool = True) -> AbstractContextManager[Any]:
+    """Returns a context in which numpy's and scipy's linear algebra uses one thread; an empty one where `where` is
+    False."""
+    if not where:
+        return nullcontext()
+    limits: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
+    return limits
+
+
+@cache
+def _libraries() -> Any:
+    """Found once: a look through all that is loaded takes a millisecond."""
+    import scipy.linalg  # noqa: F401  its library has to be loaded to be found
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
