@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene as Scene
     from hapsim.scene import load_scene as load_scene
     from hapsim.scene import parse_scene as parse_scene
+    from hapsim.sweeping.sweep import sweep as sweep
 
 _HOME = {
     "DeviceIdentification": "hapsim.measuring.identify_device",
@@ -58,6 +59,7 @@ _HOME = {
     "run": "hapsim.running",
     "sessions": "hapsim.running",
     "start": "hapsim.running",
+    "sweep": "hapsim.sweeping.sweep",
 }
 __all__ = [
     "DeviceIdentification",
@@ -79,6 +81,7 @@ __all__ = [
     "run",
     "sessions",
     "start",
+    "sweep",
 ]
 __version__ = "0.1.0"
 

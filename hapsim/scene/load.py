@@ -1,5 +1,6 @@
 """Scene files -> `Scene`, or a `SceneError` that holds every fault of the file; and their JSON schema for editors."""
 
+import json
 import os
 from collections.abc import Iterable
 from dataclasses import replace
@@ -69,6 +70,16 @@ def parse_scene(text: str, name: str = "<scene>") -> Scene:
         units = _units(document.data)
         raise _FILE.failure(name, [replace(fault, sentence=_in_units(units, fault.sentence)) for fault in faults])
     return scene
+
+
+def scene_from_document(data: dict[str, Any]) -> Scene:
+    """The scene of a document, such as `Scene.model_dump` makes. SceneError, with each fault by its path in the
+    document, where it is none."""
+    try:
+        return Scene.model_validate(data)
+    except ValidationError:
+        _, issues = _validate(_FILE.document_of(json.dumps(data), "the scene"))
+        raise SceneError("; ".join(f"{'.'.join(map(str, one.path))}: {one.sentence}" for one in issues)) from None
 
 
 def _units(data: object) -> Units:

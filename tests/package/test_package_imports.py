@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 #: From those that stand on nothing to those that stand on all: a room imports itself, and rooms of lines above its own.
 ORDER = (
     ("hapsim", "hapsim.errors", "hapsim.number_format", "hapsim.progress", "hapsim.stopping", "firmware_protocol"),
-    ("hapsim.units", "hapsim.whole_file"),
+    ("hapsim.one_thread", "hapsim.units", "hapsim.whole_file"),
     ("hapsim.theory", "hapsim.scene", "hapsim.compiling"),
     ("hapsim.prediction", "hapsim.cordis"),
     ("hapsim.loop",),
@@ -23,7 +23,7 @@ ORDER = (
     ("hapsim.sound",),
     ("hapsim.running", "hapsim.bringup"),
     ("hapsim.measuring", "hapsim.doctor", "hapsim.live", "hapsim.replaying"),
-    ("hapsim.speed_accuracy",),
+    ("hapsim.speed_accuracy", "hapsim.sweeping"),
     ("hapsim.chart",),
     ("hapsim.cli",),
     ("hapsim.__main__",),

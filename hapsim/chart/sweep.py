@@ -1,0 +1,96 @@
+"""A sweep's variable over one or two of its parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hapsim.chart.figure import figure_to
+from hapsim.errors import UsageError
+from hapsim.scene.issue import did_you_mean
+
+if TYPE_CHECKING:
+    import xarray
+
+_DEVIATION = "measured_k_off"
+_LOGARITHMIC = 30.0  # a parameter whose values span more has a logarithmic axis
+
+
+@dataclass(frozen=True)
+class SweepChart:
+    """What is drawn: the values along one or two parameters, where the others are as the title says."""
+
+    values: xarray.DataArray
+    over: tuple[str, ...]
+    is_scattered: bool
+    """Whether the values are those of samples and not of a grid."""
+    title: str
+
+    def columns(self) -> dict[str, Any]:
+        """Returns what is drawn, row by row, by the names that a data file uses."""
+        frame = self.values.to_dataframe().reset_index()
+        return {name: frame[name].to_numpy() for name in (*self.over, str(self.values.name))}
+
+
+def sweep_chart(dataset: xarray.Dataset, variable: str | None, over: list[str]) -> SweepChart:
+    """Returns the chart of a variable over parameters [default: the first two]. UsageError for unknown names."""
+    if {"measured_k", "predicted_k"} <= {*dataset.data_vars}:
+        off = abs(dataset["measured_k"] / dataset["predicted_k"] - 1.0)
+        dataset = dataset.assign({_DEVIATION: off.assign_attrs(units="", description="how far measured k is off the predicted one")})
+    names = [str(name) for name in dataset.data_vars if dataset[name].dtype.kind == "f"]
+    if variable is None:
+        variable = next((one for one in (_DEVIATION, "predicted_k", "measured_k") if one in names), names[0])
+    parameters = [str(name) for name in dataset.coords if dataset[name].dtype.kind in "fi" and name != "point"]
+    for what, word, known in (("--draw", variable, names), *(("--over", one, parameters) for one in over)):
+        if word not in known:
+            raise UsageError(f"{what}: found '{word}', expected {', '.join(known)}{did_you_mean(word, known)}")
+    values = dataset[variable]
+    along = tuple(over[:2] or [one for one in parameters if dataset[one].dims[0] in values.dims][:2])
+    if not along:
+        raise UsageError("--picture: the sweep has no parameter that is a number")
+    if "point" in values.dims:
+        return SweepChart(values, along, True, "")
+    fixed = {one: values[one].size // 2 for one in map(str, values.dims) if one not in along}
+    there = values.isel(fixed).transpose(*reversed(along))
+    return SweepChart(there, along, False, ", ".join(f"{one} = {there[one].item()}" for one in fixed))
+
+
+def draw_sweep(chart: SweepChart, path: Path) -> None:
+    """Draws it to a file (.svg, .png or .pdf): a line over one parameter, colours over two."""
+    values, over = chart.values, chart.over
+    label = str(values.attrs.get("description", values.name))
+    unit = values.attrs.get("units", "")
+    label = f"{label} ({unit})" if unit else label
+    with figure_to(path, 6.4, 4.6) as figure:
+        axes = figure.subplots()
+        along = [values[one].values for one in over]
+        numbers = values.values.astype(float)
+        if len(over) == 1:
+            axes.plot(along[0], numbers, ".-" if not chart.is_scattered else ".", linewidth=1.0)
+            axes.set_ylabel(label)
+            axes.grid(True)
+        else:
+            norm = _norm(numbers)
+            if chart.is_scattered:
+                drawn: Any = axes.scatter(along[0], along[1], c=numbers, s=14, norm=norm)
+            else:
+                drawn = axes.pcolormesh(along[0], along[1], numbers, shading="nearest", norm=norm)
+            figure.colorbar(drawn, label=label)
+            axes.set_ylabel(over[1])
+        axes.set_xlabel(over[0])
+        for one, set_scale in zip(along, (axes.set_xscale, axes.set_yscale), strict=False):
+            if one.min() > 0.0 and one.max() / one.min() > _LOGARITHMIC:
+                set_scale("log")
+        axes.set_title(chart.title)
+
+
+def _norm(numbers: Any) -> Any:
+    """Logarithmic colours where the values are above 0 and span much."""
+    from matplotlib.colors import LogNorm
+
+    known = numbers[np.isfinite(numbers) & (numbers > 0.0)]
+    is_positive = known.size and known.size == np.isfinite(numbers).sum()
+    return LogNorm() if is_positive and known.max() / known.min() > _LOGARITHMIC else None

@@ -1,0 +1,172 @@
+"""`hapsim sweep`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hapsim.cli.live import live_words
+from hapsim.cli.options import Json, PictureOptions, SceneFile, flag, load, option, seconds
+from hapsim.cli.output import document, say, stderr, stdout, table
+from hapsim.errors import UsageError
+from hapsim.number_format import duration as in_words
+from hapsim.number_format import number, percent, plural
+
+if TYPE_CHECKING:
+    import xarray
+
+    from hapsim.sweeping.points import Points
+
+_MOST_SAID = 3  # failures
+_DEVIATION = 2  # digits
+
+
+def sweep(
+    scene: SceneFile,
+    parameters: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[PATH=VALUES …]",
+            help="touch.stiffness=log:100:10000:50, device.delay=0,0.5,1, rate=lin:500:2000:4",
+        ),
+    ] = None,
+    *,
+    out: Annotated[Path, option("FILE.nc", "Write the results: .nc (netCDF) or .zarr.")],
+    check: Annotated[bool, flag("--check", "Only predict.")] = False,
+    measure: Annotated[bool, flag("--measure", "Only measure, on the mock in virtual time.")] = False,
+    impedance: Annotated[bool, flag("--impedance", "Predict and measure impedances over frequency instead.")] = False,
+    samples: Annotated[int | None, option("N", "Take N samples of ranges such as lin:0:2 or log:100:10000.")] = None,
+    method: Annotated[str, option("KIND", "How samples are taken: lhs (Latin hypercube), random or sobol.")] = "lhs",
+    points: Annotated[Path | None, option("FILE.csv", "Take the points from a table with a row of names.")] = None,
+    seed: Annotated[int, option("N", "Seed of the samples.")] = 0,
+    channel: Annotated[int | None, typer.Option(help="Channel of the hand [default: the first]")] = None,
+    duration: Annotated[float | None, seconds("Duration of each measurement in seconds [default: about 2]")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Processes [default: all processors, if it takes long]")
+    ] = None,
+    scheduler: Annotated[
+        str | None, option("ADDRESS", "Let the workers of a dask.distributed scheduler do it, such as tcp://host:8786.")
+    ] = None,
+    draw: Annotated[
+        str | None, option("VARIABLE", "What --picture shows [default: how far measured k is off, or predicted k]")
+    ] = None,
+    over: Annotated[str | None, option("X,Y", "Over which parameters [default: the first two]")] = None,
+    pictures: PictureOptions,
+    json: Json = False,
+) -> None:
+    """Predict and measure a scene at thousands of points: every combination of values, or samples of ranges.
+
+    The results are one dataset for xarray. While it grows, each finished batch is kept in FILE.nc.parts: if the sweep
+    is interrupted or killed, the same command goes on with what is missing. A point of which something fails has NaN,
+    and the reason in the variable error.
+    """
+    from hapsim.sweeping.sweep import sweep as run_sweep
+
+    if check + measure + impedance > 1:
+        raise UsageError("--check, --measure and --impedance: found several, expected one of them or none")
+    kinds = ("predicted",) if check else ("measured",) if measure else ("impedance",) if impedance else None
+    pictures.require_writable()
+    loaded = load(scene)
+    chosen = _points(parameters or [], samples, method, points, seed)
+    with live_words(stderr()) as show:
+        dataset = run_sweep(
+            loaded,
+            chosen,
+            out=out,
+            quantities=kinds or ("predicted", "measured"),
+            channel=channel,
+            duration=duration,
+            jobs=jobs,
+            scheduler=scheduler,
+            on_progress=_Progress(show, out),
+        )
+    if pictures.wanted:
+        _draw(dataset, draw, over, pictures)
+    if json:
+        print(document({"scene": scene, "out": str(out), "points": len(chosen), **summary_of(dataset)}))
+    else:
+        _say(dataset, scene, out)
+        pictures.say_written()
+
+
+def _points(parameters: list[str], samples: int | None, method: str, table_of_points: Path | None, seed: int) -> Points:
+    from hapsim.sweeping.points import read_points, table
+
+    if table_of_points is None:
+        return read_points(parameters, samples, method, seed)
+    if parameters or samples is not None:
+        raise UsageError("--points: it names every point; leave out the parameters and --samples")
+    return table(table_of_points)
+
+
+class _Progress:
+    """Shows how many points are finished, and how long the others will take."""
+
+    def __init__(self, show: Any, out: Path) -> None:
+        self._show, self._out, self._first, self._begun = show, out, -1, time.monotonic()
+
+    def __call__(self, done: int, every: int) -> None:
+        if self._first < 0:
+            self._first = done
+            if done:
+                say(f"{self._out}: {done} of {every} points are there from before; going on")
+        left = ""
+        if done > self._first:
+            left = f" · {in_words((every - done) * (time.monotonic() - self._begun) / (done - self._first))} left"
+        self._show(f"swept {done} of {every} points{left if done < every else ''}")
+
+
+def _draw(dataset: xarray.Dataset, variable: str | None, over: str | None, pictures: PictureOptions) -> None:
+    from hapsim.chart.sweep import draw_sweep, sweep_chart
+
+    chart = sweep_chart(dataset, variable, over.split(",") if over else [])
+    pictures.write(chart.columns, lambda path: draw_sweep(chart, path))
+
+
+def summary_of(dataset: xarray.Dataset) -> dict[str, Any]:
+    """Returns what a sweep found, as JSON has it: of each variable the least, the median and the most."""
+    import numpy as np
+
+    found: dict[str, Any] = {}
+    for name, values in dataset.data_vars.items():
+        if values.dtype.kind == "f" and np.isfinite(values).any():
+            known = values.values[np.isfinite(values.values)]
+            found[str(name)] = {"least": known.min(), "median": float(np.median(known)), "most": known.max()}
+            found[str(name)]["unit"] = values.attrs.get("units", "")
+    deviations = {}
+    for what in ("k", "b"):
+        if {f"measured_{what}", f"predicted_{what}"} <= {*dataset.data_vars}:
+            off = abs(dataset[f"measured_{what}"] - dataset[f"predicted_{what}"]).values
+            scale = abs(dataset[f"predicted_{what}"]).values
+            share = (off / scale)[np.isfinite(off) & (scale > 0.0)]
+            if share.size:
+                deviations[what] = {"median": float(np.median(share)), "most": float(share.max())}
+    errors = [str(one) for one in dataset["error"].values.ravel() if one]
+    return {
+        "dimensions": dict(dataset.sizes),
+        "failed": len(errors),
+        "errors": errors[:_MOST_SAID],
+        "variables": found,
+        "measured_off_predicted": deviations,
+    }
+
+
+def _say(dataset: xarray.Dataset, scene: str, out: Path) -> None:
+    summary = summary_of(dataset)
+    rows = [
+        (f"{name}  {one['unit']}".rstrip(), *(number(one[what]) for what in ("least", "median", "most")))
+        for name, one in summary["variables"].items()
+    ]
+    if rows:
+        stdout().print(table(f"{scene} at {dataset['error'].size} points", ("<", "least", "median", "most"), rows))
+    for what, one in summary["measured_off_predicted"].items():
+        median, most = (percent(one[which], _DEVIATION) for which in ("median", "most"))
+        say(f"Measured {what} is off the predicted one by {most} at most, {median} in the median")
+    if summary["failed"]:
+        say(f"{plural(summary['failed'], 'point')} failed, with the reason in the variable error; first:")
+        for error in summary["errors"]:
+            say(f"  {error}")
+    say(f"Results: {out}")

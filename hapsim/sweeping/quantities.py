@@ -1,0 +1,158 @@
+"""What a sweep works out at each of its points: what is predicted, what is measured on the mock, the impedance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.errors import HapsimError
+from hapsim.measuring.measure import measure_by
+from hapsim.measuring.measure_impedance import measure_impedance_by
+from hapsim.measuring.multisine import lines_for
+from hapsim.one_thread import one_thread
+from hapsim.prediction import predict, predict_impedance
+from hapsim.running.in_memory import run_in_memory
+from hapsim.scene import Scene
+from hapsim.sweeping.points import Value
+from hapsim.sweeping.vary import Varied
+
+ERROR = "error"
+"""The variable of the sentences about points of which something failed."""
+FREQUENCY = "frequency_hz"
+"""The dimension of impedances."""
+
+Values = dict[str, Any]
+
+
+class Variable(NamedTuple):
+    """One number of each point."""
+
+    unit: str
+    description: str
+    of: Callable[[Any], float] = lambda _: math.nan
+
+    def called(self, how: str) -> Variable:
+        """Returns it with this word before its description."""
+        return self._replace(description=f"{how} {self.description}")
+
+
+_FELT = {
+    "k": Variable("N/m", "stiffness that the hand feels", lambda one: one.k),
+    "b": Variable("N·s/m", "damping that the hand feels, real friction included", lambda one: one.b),
+    "frequency_hz": Variable("Hz", "eigenfrequency", lambda one: one.frequency_hz),
+    "damping_ratio": Variable("", "damping ratio", lambda one: one.damping_ratio),
+}
+_OF_HAND = {f"predicted_{name}": one.called("predicted") for name, one in _FELT.items()} | {
+    "passive": Variable("", "1: no hand makes it unstable; 0: some do", lambda one: _truth(one.passive)),
+}
+_OF_SCENE = {
+    "stable": Variable("", "1: predicted stable; 0: unstable", lambda one: _truth(one.stable)),
+    "spectral_radius": Variable("", "largest modulus of a predicted pole", lambda one: one.spectral_radius),
+}
+_MEASURED = {f"measured_{name}": one.called("measured") for name, one in _FELT.items()} | {
+    "measured_k_uncertainty": Variable("N/m", "standard uncertainty of measured_k", lambda one: one.k_uncertainty),
+    "measured_b_uncertainty": Variable("N·s/m", "standard uncertainty of measured_b", lambda one: one.b_uncertainty),
+    "residual": Variable("m", "standard deviation of what the fit leaves of the position", lambda one: one.residual_m),
+}
+_IMPEDANCE = {
+    f"{how}_impedance_{part}": Variable("N·s/m", f"{name} part of the impedance that the scene renders, {how}")
+    for how in ("predicted", "measured")
+    for part, name in (("re", "real"), ("im", "imaginary"))
+}
+KINDS = {"predicted": _OF_HAND | _OF_SCENE, "measured": _MEASURED, "impedance": _IMPEDANCE}
+"""The variables of each kind of quantity, by name."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to work out at each point."""
+
+    document: dict[str, Any]
+    """The scene."""
+    kinds: tuple[str, ...]
+    """Of KINDS."""
+    channel: int = 0
+    duration: float | None = None
+    """Seconds of each measurement; None: those of `measure`."""
+    function: Callable[[Scene], Mapping[str, float]] | None = None
+    """Works out further numbers of a scene, by name."""
+
+    def at(self, scene: Scene) -> tuple[Values, str]:
+        """Returns the numbers of one scene by name, and a sentence about what failed, "" if nothing did."""
+        found: Values = {}
+        failures: list[str] = []
+        for kind, work in (*((kind, _WORK[kind]) for kind in self.kinds), ("function", _by_function)):
+            try:
+                found |= work(self, scene)
+            except HapsimError as error:
+                failures.append(f"{kind}: {error}")
+        return found, "; ".join(failures)
+
+
+def _predicted(task: Task, scene: Scene) -> Values:
+    prediction = predict(scene, with_margins=False)
+    hand = next((one for one in prediction.felt if one.channel == task.channel), None)
+    of_hand = {name: one.of(hand) for name, one in _OF_HAND.items()} if hand is not None else {}
+    return of_hand | {name: one.of(prediction) for name, one in _OF_SCENE.items()}
+
+
+def _measured(task: Task, scene: Scene) -> Values:
+    measurement = measure_by(run_in_memory, scene, channel=task.channel, duration=task.duration)
+    return {name: one.of(measurement) for name, one in _MEASURED.items()}
+
+
+def _impedances(task: Task, scene: Scene) -> Values:
+    measured = measure_impedance_by(run_in_memory, scene, duration=task.duration)
+    predicted = predict_impedance(scene, measured.frequency)
+    at = measured.channels.index(task.channel)
+    found: Values = {}
+    for how, impedance in (("predicted", predicted.rendered), ("measured", measured.rendered.value)):
+        found[f"{how}_impedance_re"] = impedance[:, at, at].real
+        found[f"{how}_impedance_im"] = impedance[:, at, at].imag
+    return found
+
+
+def _by_function(task: Task, scene: Scene) -> Values:
+    return {} if task.function is None else {name: float(one) for name, one in task.function(scene).items()}
+
+
+_WORK: dict[str, Callable[[Task, Scene], Values]] = {
+    "predicted": _predicted,
+    "measured": _measured,
+    "impedance": _impedances,
+}
+
+
+def frequencies(task: Task) -> NDArray[np.float64]:
+    """Returns the frequencies (n,) in Hz of the task's impedances."""
+    return lines_for(float(task.document["rate"])).frequency
+
+
+def work(task: Task, points: Sequence[Mapping[str, Value]]) -> dict[str, NDArray[Any]]:
+    """Returns the numbers of these points, by name: (n,) arrays, of impedances (n, f), with NaN where there is none;
+    and ERROR. Their bits do not depend on which points are worked out together, or where."""
+    varied, found, errors = Varied(Scene.model_validate(task.document)), [], []
+    with one_thread():
+        for values in points:
+            try:
+                numbers, error = task.at(varied.scene(values))
+            except HapsimError as failure:
+                numbers, error = {}, str(failure)
+            found.append(numbers)
+            errors.append(error)
+    names = dict.fromkeys(name for numbers in found for name in numbers)
+    columns = {name: np.array([numbers.get(name, _none_of(task, name)) for numbers in found], float) for name in names}
+    return columns | {ERROR: np.array(errors)}
+
+
+def _none_of(task: Task, name: str) -> Any:
+    return np.full(frequencies(task).size, np.nan) if name in _IMPEDANCE else np.nan
+
+
+def _truth(value: bool | None) -> float:
+    return math.nan if value is None else float(value)

@@ -1,0 +1,237 @@
+"""sweep: a scene at every point of a grid, of random samples or of a table, as one xarray Dataset.
+
+Batches of about a tenth of a second go to an executor; each that comes back is kept (`parts.py`), so that a sweep that
+was killed goes on with what is missing. The Dataset is put together at the end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.errors import UsageError
+from hapsim.measuring.limits import require_above_zero, require_device_point
+from hapsim.running.recorded_run import versions_of_now
+from hapsim.scene import Scene
+from hapsim.scene.load import SceneSource, as_scene
+from hapsim.sweeping.executors import executor_of
+from hapsim.sweeping.parts import Parts
+from hapsim.sweeping.points import Points, grid
+from hapsim.sweeping.quantities import ERROR, FREQUENCY, KINDS, Task, frequencies, work
+from hapsim.sweeping.vary import Varied
+
+if TYPE_CHECKING:
+    import xarray
+
+ENDINGS = (".nc", ".zarr")
+_BATCH_S = 0.1
+_WAITING = 2  # batches that a worker finds when it has done one
+_LONG_S = 10.0  # what takes longer is worth starting processes
+_PILOTS = 3  # points that say how long one takes
+
+
+def sweep(
+    scene: SceneSource,
+    points: Points | Mapping[str, Any],
+    *,
+    out: str | Path | None = None,
+    quantities: tuple[str, ...] = ("predicted", "measured"),
+    function: Callable[[Scene], Mapping[str, float]] | None = None,
+    channel: int | None = None,
+    duration: float | None = None,
+    jobs: int | None = 1,
+    scheduler: str | None = None,
+    on_progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> xarray.Dataset:
+    """Works out every point of a sweep on the mock, in virtual time, and returns the results.
+
+    Args:
+        scene: a Scene, or the path of a scene file. Its clock and port do not count.
+        points: the values of each parameter by its path, `{"touch.stiffness": [500, 1000], "device.delay": [0, 1]}`,
+            which make a grid; or Points, such as of `hapsim.sweeping.points.samples`.
+        out: a .nc or .zarr to write. While it grows, OUT.parts has what is finished: the same call goes on with what
+            is missing.
+        quantities: "predicted", "measured" (k and b), "impedance"; none for `function` alone.
+        function: returns further numbers of a scene by name. With several jobs it has to be a module's.
+        channel: of the hand [default: the first].
+        duration: seconds of each measurement.
+        jobs: processes; None: all processors, where it takes longer than some seconds. A script that asks for more than
+            one keeps its own work below `if __name__ == "__main__"`.
+        scheduler: address of a dask.distributed scheduler, whose workers do it instead.
+        on_progress: called with the finished points and all points.
+
+    A point of which something fails has NaN, and the reason in the variable `error`. Dimensions are named by path; of
+    samples and tables there is one, `point`. Raises UsageError for what cannot be swept, and where `out` exists.
+    """
+    _require_xarray()
+    scene = as_scene(scene)
+    points = points if isinstance(points, Points) else grid(points)
+    task = _task(scene, points, quantities, channel, duration, function)
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"jobs: found {jobs}, expected 1 or more")
+    with contextlib.ExitStack() as stack:
+        if out is None:
+            out = Path(stack.enter_context(tempfile.TemporaryDirectory()), "sweep.nc")
+            dataset = _run(task, points, out, jobs, scheduler, on_progress)
+        else:
+            out = Path(out)
+            if out.suffix not in ENDINGS:
+                raise UsageError(f"{out}: found the ending '{out.suffix}', expected {' or '.join(ENDINGS)}")
+            dataset = _run(task, points, out, jobs, scheduler, on_progress)
+    return dataset
+
+
+def _task(
+    scene: Scene,
+    points: Points,
+    quantities: tuple[str, ...],
+    channel: int | None,
+    duration: float | None,
+    function: Callable[[Scene], Mapping[str, float]] | None,
+) -> Task:
+    """What to do at each point. Raises UsageError where it cannot be done at any."""
+    if not quantities and function is None:
+        raise UsageError("quantities: found none, expected some, or a function")
+    if unknown := [one for one in quantities if one not in KINDS]:
+        raise UsageError(f"quantities: found '{unknown[0]}', expected {', '.join(KINDS)}")
+    if "impedance" in quantities and "rate" in points.columns:
+        raise UsageError("rate: impedances at several rates have no frequencies in common: sweep each rate by itself")
+    require_above_zero("seconds", duration=duration)
+    device = scene.device.model_copy(update={"clock": "lockstep", "port": None})
+    varied = Varied(scene.model_copy(update={"device": device}))
+    varied.require(points.columns)
+    first = next(iter(scene.device_points.values()), None)
+    if channel is None and first is not None:
+        channel = first.channel
+    require_device_point(scene, 0 if channel is None else channel)
+    return Task(varied.document, tuple(quantities), channel or 0, duration, function)
+
+
+def _run(
+    task: Task,
+    points: Points,
+    out: Path,
+    jobs: int | None,
+    scheduler: str | None,
+    on_progress: Callable[[int, int], None],
+) -> xarray.Dataset:
+    parts = Parts(out, _manifest(task, points))
+    try:
+        missing, count = parts.missing(len(points)), len(points)
+        on_progress(count - missing.size, count)
+        done = count - missing.size
+        for numbers, columns in _finished(task, points, missing, jobs, scheduler):
+            parts.add(numbers, columns)
+            done += numbers.size
+            on_progress(done, count)
+        dataset = dataset_of(task, points, parts)
+        write(dataset, out)
+    except BaseException:
+        parts.close()
+        raise
+    parts.remove()
+    return dataset
+
+
+def _finished(
+    task: Task, points: Points, missing: NDArray[np.int64], jobs: int | None, scheduler: str | None
+) -> Iterator[tuple[NDArray[np.int64], dict[str, NDArray[Any]]]]:
+    """Yields the numbers and the results of each batch when it is done."""
+    if not missing.size:
+        return
+    pilots, rest = missing[:_PILOTS], missing[_PILOTS:]
+    yield pilots, work(task, [points[i] for i in pilots])  # what is compiled is compiled here
+    if not rest.size:
+        return
+    begun = time.perf_counter()
+    work(task, [points[i] for i in pilots])
+    each_s = (time.perf_counter() - begun) / pilots.size
+    if jobs is None:
+        jobs = (os.cpu_count() or 1) if each_s * rest.size > _LONG_S else 1
+    with executor_of(jobs, scheduler, task, points[int(pilots[0])]) as (executor, at_once):
+        size = max(1, min(round(_BATCH_S / each_s), rest.size // (4 * at_once)))  # all end at about the same time
+        batches = iter([rest[at : at + size] for at in range(0, rest.size, size)])
+        under_way: dict[Future[Any], NDArray[np.int64]] = {}
+        while True:
+            while len(under_way) < _WAITING * at_once and (batch := next(batches, None)) is not None:
+                under_way[executor.submit(work, task, [points[i] for i in batch])] = batch
+            if not under_way:
+                return
+            finished, _ = wait(under_way, return_when=FIRST_COMPLETED)
+            for future in finished:
+                yield under_way.pop(future), future.result()
+
+
+def _manifest(task: Task, points: Points) -> dict[str, Any]:
+    """What has to be the same where a sweep goes on."""
+    columns = hashlib.sha256(json.dumps(points.columns).encode()).hexdigest()
+    function = task.function
+    return {
+        "scene": task.document,
+        "points": {"sizes": points.sizes, "sha256": columns},
+        "quantities": list(task.kinds),
+        "channel": task.channel,
+        "duration": task.duration,
+        "function": None
+        if function is None
+        else f"{function.__module__}.{getattr(function, '__qualname__', function)}",
+        "versions": versions_of_now(),
+    }
+
+
+def dataset_of(task: Task, points: Points, parts: Parts) -> xarray.Dataset:
+    """Returns the results as a Dataset, with units and descriptions."""
+    import xarray
+
+    variables = {name: one for kind in task.kinds for name, one in KINDS[kind].items()}
+    columns = parts.together(len(points), variables)
+    shape, units = tuple(points.sizes.values()), Scene.model_validate(task.document).units_of(task.channel)
+    coordinates: dict[str, Any] = {}
+    for path, values in points.columns.items():
+        coordinates[path] = points.axis(path) if points.is_grid else (tuple(points.sizes), values)
+    found: dict[str, Any] = {}
+    for name, column in columns.items():
+        about = {}
+        if name in variables:
+            about = {"units": str(units(variables[name].unit)), "description": variables[name].description}
+        dimensions = (*points.sizes, FREQUENCY)[: len(shape) + column.ndim - 1]
+        found[name] = dimensions, column.reshape(*shape, *column.shape[1:]), about
+    if "impedance" in task.kinds:
+        coordinates[FREQUENCY] = FREQUENCY, frequencies(task), {"units": "Hz"}
+    described = {key: json.dumps(value) for key, value in _manifest(task, points).items() if key != "points"}
+    found[ERROR][2]["description"] = "what failed, empty where nothing did"
+    return xarray.Dataset(found, coordinates, {"title": "hapsim sweep", **described})
+
+
+def write(dataset: xarray.Dataset, out: Path) -> None:
+    """Writes a Dataset, whole or not at all. UsageError where it cannot be written."""
+    beside = out.with_name(f"{out.name}.parts") / f"whole{out.suffix}"
+    try:
+        if out.suffix == ".zarr":
+            dataset.to_zarr(beside, mode="w", consolidated=False)
+        else:
+            dataset.to_netcdf(beside, engine="h5netcdf")
+        beside.replace(out)
+    except OSError as error:
+        raise UsageError(
+            f"{out}: cannot be written: {error.strerror or error}. The results are in {beside.parent}"
+        ) from error
+
+
+def _require_xarray() -> None:
+    try:
+        import h5netcdf  # noqa: F401
+        import xarray  # noqa: F401
+    except ImportError as error:
+        raise UsageError(f"a sweep needs xarray and h5netcdf ({error}); install hapsim[sweep]") from error
