@@ -133,7 +133,8 @@ class StreamReader:
         self._path = path
         with path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
-                raise UsageError(f"{path}: not a trace that hapsim wrote")
+                wanted = "expected a .trace, as `hapsim run SCENE --record FILE.trace` writes it"
+                raise UsageError(f"{path}: not a trace that hapsim wrote; {wanted}")
             kind, _, payload = _next_chunk(stream) or (b"", 0, b"")
             if kind != _HEAD:
                 raise UsageError(f"{path}: the trace was cut off, or damaged, before its first row")
@@ -185,8 +186,6 @@ def open_record(path: Path) -> StreamReader:
     if not path.is_file():
         raise UsageError(f"{path}: found no file, expected a .trace that `hapsim run --record` wrote")
     try:
-        if not is_stream(path):
-            raise UsageError(f"{path}: found no .trace, expected one: `hapsim run SCENE --record FILE.trace` writes it")
         reader = StreamReader(path)
         for _ in reader.rows():
             pass

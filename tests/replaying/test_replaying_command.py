@@ -98,7 +98,7 @@ def test_what_cannot_be_replayed_is_refused_with_the_reason(hapsim: Hapsim, tmp_
     slow = tmp_path / "slow.yaml"
     slow.write_text(SCENE.replace("rate: 1000", "rate: 500"), "utf-8")
     for words, why in (
-        ((tmp_path / "a.npz",), "found no .trace, expected one"),
+        ((tmp_path / "a.npz",), "not a trace that hapsim wrote; expected a .trace"),
         ((tmp_path / "none.trace",), "found no file"),
         ((late,), "it was begun"),
         ((older,), "an older hapsim recorded it"),
