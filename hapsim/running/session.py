@@ -369,10 +369,9 @@ class Session(Followed):
         file = self._recorder.file
         if file is None:
             return
-        if file.path.suffix == ".trace":
-            file.take_notes([{"prediction": prediction_of(self._recorded_scene)}])
+        notes = [{"prediction": prediction_of(self._recorded_scene)}] if file.path.suffix == ".trace" else []
         trace = self._trace or outcome.trace_of(self.scene, self._loop, self._recorder, endings.STOPPED)
-        self._trace = replace(trace, report=file.finish(trace.report, trace.statistics))
+        self._trace = replace(trace, report=file.finish(trace.report, trace.statistics, notes))
 
     def _finish_sound(self, output: SoundOutput) -> None:
         output.close()
