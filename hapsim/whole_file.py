@@ -19,7 +19,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     Where no other file can take its place, as of a device or in a directory that cannot be written, it is `path`.
     """
     place = Path(os.path.realpath(path))
-    beside = place.with_name(f".{place.name}.{os.getpid()}")
+    beside = place.with_name(f".{os.getpid()}.{place.name}")
     is_replaced = not place.exists() or (place.is_file() and os.access(place.parent, os.W_OK))
     try:
         yield beside if is_replaced else place

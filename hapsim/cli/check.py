@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.markup import escape
@@ -28,6 +28,7 @@ from hapsim.prediction import (
     robustness_of,
     warnings_about,
 )
+from hapsim.prediction.felt import felt_document
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
 from hapsim.prediction.linear import late_by_mean, with_device
 from hapsim.units import InUnits
@@ -306,12 +307,3 @@ def felt_on(prediction: Prediction, channel: int | None) -> Felt | None:
     """Returns the prediction for one channel (None: the scene's first), where the hand there is a system of its
     own."""
     return next((felt for felt in prediction.felt if channel in (None, felt.channel)), None)
-
-
-def felt_document(felt: Felt) -> dict[str, Any]:
-    """Returns what one hand feels, as a JSON document: k (N/m), b (N·s/m), its configuration and robustness."""
-    values = asdict(replace(felt, predictor=None))
-    configuration = values.pop("configuration")
-    values.pop("predictor")
-    hand = {name: configuration[name] for name in ("mass", "friction", "delay", "hold", "sampling", "damper", "cutoff")}
-    return values | hand | {"device_stiffness": configuration["stiffness"]} | robustness_of(felt)._asdict()

@@ -128,6 +128,7 @@ class Commands(_Commands):
         "doctor": ("doctor:doctor", "Examine how steady this machine is for a haptic loop."),
         "probe": ("probe:probe", "Test a device's firmware against the protocol, check by check."),
         "replay": ("replay:replay", "Run a record again, through its scene or another, without a device."),
+        "export": ("export:export", "Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."),
         "sweep": ("sweep:sweep", "Predict and measure a scene at thousands of points; the results are one dataset."),
         "frames": ("frames:frames", "Decode the frames of a capture, a report file or a serial port."),
         "faults": ("faults:faults", "Inject faults: relay between host and device and apply a script."),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -13,24 +14,32 @@ from hapsim.cli.live import live_line
 from hapsim.cli.options import Json, SceneFile, flag, load, option
 from hapsim.cli.output import complain, document, stderr, stdout, table
 
+Link = Annotated[Path | None, option("PATH", "Also give the port this name (a link).")]
+
 
 def mock(
     scene: SceneFile,
-    link: Annotated[Path | None, option("PATH", "Also give the port this name (a link).")] = None,
+    link: Link = None,
     realtime: Annotated[
         bool, flag("--realtime", "Keep time as hardware does: before every program, where permitted.")
     ] = False,
     json: Json = False,
 ) -> None:
     """Serve the scene's mock device on a pseudo-terminal until Ctrl-C, and print its path."""
+    from hapsim.device.mock.assemble import assemble_mock
+
+    serve(partial(assemble_mock, load(scene)), link, realtime, json)
+
+
+def serve(assemble: Callable[[], Any], link: Path | None, realtime: bool, json: bool) -> None:
+    """Serves the MOCK that `assemble` returns until Ctrl-C, and prints its path."""
     from hapsim.device.mock.terminal import serve_until_stopped
 
     def announce(path: str) -> None:
         print(document({"port": path}) if json else path, flush=True)
 
-    loaded = load(scene)
     with live_line(stderr()) as tell:
-        serve_until_stopped(loaded, link, announce, tell, realtime)
+        serve_until_stopped(assemble, link, announce, tell, realtime)
 
 
 def ports(json: Json = False) -> None:

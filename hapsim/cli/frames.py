@@ -22,12 +22,12 @@ from firmware_protocol.frames import SETUP, Format
 from hapsim.bringup.capture import REASONS, Capture, Decoded, Refused
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Baud, Json, flag, option, seconds
-from hapsim.cli.output import complain, failure_document, plain, say, speak_in, stderr
+from hapsim.cli.output import complain, failure_document, say, speak_in, stderr
 from hapsim.cli.streams import output_ended
 from hapsim.device.port_name import leads_to
 from hapsim.device.serial_port import open_portable_port
 from hapsim.errors import DeviceError, UsageError
-from hapsim.number_format import number, plural
+from hapsim.number_format import number, plain, plural
 from hapsim.recording.report_file import is_report, read_report
 from hapsim.stopping import stopping_on_signals
 from hapsim.units import Units

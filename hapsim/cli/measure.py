@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 import typer
 from rich.markup import escape
 
-from hapsim.cli.check import felt_document, felt_on, prediction_document
+from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import show_assumptions, show_wire
 from hapsim.cli.live import live_line
 from hapsim.cli.options import (
@@ -36,6 +36,7 @@ from hapsim.measuring.measure import measure as measure_scene
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, percent, relative_difference, rounded
 from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
+from hapsim.prediction.felt import felt_document
 from hapsim.prediction.other_mass import masses_with, oscillation_at
 
 if TYPE_CHECKING:

@@ -8,7 +8,6 @@ each event and what it is about; the next one, or the last line of all, counts i
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import sys
@@ -20,6 +19,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
+from hapsim.number_format import plain
 from hapsim.units import LINEAR, Units
 
 if TYPE_CHECKING:
@@ -49,19 +49,6 @@ def failure_document(failure: HapsimError | None) -> dict[str, Any]:
 def pick(source: Any, *names: str) -> dict[str, Any]:
     """Returns attributes of an object by their names; None for each if there is no object."""
     return {name: None if source is None else getattr(source, name) for name in names}
-
-
-def plain(value: Any) -> Any:
-    """Returns only what JSON has: complex numbers as [re, im], infinities and NaN as null."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, complex):
-        value = value.real, value.imag
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def stdout() -> Console:

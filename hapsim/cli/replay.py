@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hapsim.cli.device import Link, serve
 from hapsim.cli.options import Json, PictureOptions, RecordOptions, flag, load, option, say_written
-from hapsim.cli.output import document, say, speak_in
-from hapsim.errors import RecordError
+from hapsim.cli.output import complain, document, say, speak_in
+from hapsim.errors import RecordError, UsageError
 from hapsim.number_format import number, plural
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ def replay(
     *,
     sound_file: Annotated[Path | None, option("FILE.wav", "Write what the scene's pick-ups hear.")] = None,
     overwrite: Annotated[bool, flag("--overwrite", "Replace a file that exists.")] = False,
+    device: Annotated[
+        bool, flag("--device", "Serve the record as a device on a pseudo-terminal until Ctrl-C, and print its path.")
+    ] = False,
+    link: Link = None,
     pictures: PictureOptions,
     json: Json = False,
 ) -> None:
@@ -34,6 +39,9 @@ def replay(
     that differs. With another scene it computes what that scene would have answered to the same hand. It opens no
     port.
     """
+    if device or link is not None:
+        _serve(record, link, json, device and scene is None and sound_file is None and not pictures.wanted)
+        return
     from hapsim.replaying.replay import Record, compare
 
     pictures.require_writable()
@@ -53,6 +61,17 @@ def replay(
         say_written("Sound", sound_file)
     if scene is None and found.difference is not None:
         raise RecordError(f"{record}: the replay differs from sample {found.difference.sample} on")
+
+
+def _serve(record: Path, link: Path | None, json: bool, is_alone: bool) -> None:
+    """`is_alone`: whether --device has nothing beside it but --link and --json."""
+    from hapsim.replaying.record_device import device_of
+
+    if not is_alone:
+        raise UsageError("--device serves the record alone: it goes with --link and --json, and --link goes with it")
+    served = device_of(record)
+    serve(served.assemble, link, False, json)
+    complain(f"{plural(served.forces, 'force')} taken since it was last armed", "served", "info")
 
 
 def _draw(found: Comparison, pictures: PictureOptions, title: str) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -133,3 +134,12 @@ def _of_element(configuration: Configuration, stiffness: float, damping: float) 
         linear_limit=float(configuration.linear_stiffness_limit(damping)),
         reason=str(configuration.why_no_equivalent(*element)),
     )
+
+
+def felt_document(felt: Felt) -> dict[str, Any]:
+    """Returns what one hand feels, as a JSON document: k (N/m), b (N·s/m), its configuration and robustness."""
+    values = asdict(replace(felt, predictor=None))
+    configuration = values.pop("configuration")
+    values.pop("predictor")
+    hand = {name: configuration[name] for name in ("mass", "friction", "delay", "hold", "sampling", "damper", "cutoff")}
+    return values | hand | {"device_stiffness": configuration["stiffness"]} | robustness_of(felt)._asdict()

@@ -7,7 +7,7 @@ import os
 import threading
 import weakref
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from hapsim.loop.ring import Ring
 from hapsim.recording.background_file import BackgroundFile, in_words, lock
 from hapsim.recording.feed import Stream
 from hapsim.recording.report import Report, Statistics, summary_document
-from hapsim.recording.stream import Head, StreamWriter
+from hapsim.recording.stream import Head, StreamWriter, open_record
 from hapsim.recording.trace import convert
 
 
@@ -107,17 +107,19 @@ class RecordFile(BackgroundFile):
             raise UsageError(f"{path}: the trace cannot be written: {in_words(error)}") from error
         self._start()
 
-    def finish(self, report: Report, statistics: Statistics) -> Report:
-        """The run is over: writes what waits, the report and the histograms, and the file that was asked for. Returns
-        the report, with the count of rows that were not written."""
+    def finish(self, report: Report, statistics: Statistics, notes: Iterable[dict[str, Any]] = ()) -> Report:
+        """The run is over: writes what waits, the last notes, the report and the histograms, and the file that was
+        asked for. Returns the report, with the count of rows that were not written."""
         self._join()
         report = replace(report, unrecorded_rows=self.unwritten)
         try:
+            for note in notes:
+                self._writer.write_note(note)
             self._writer.write_summary(summary_document(report, statistics, True))
             if self._part != self._path:  # under its own name the file is whole, or the older file stays
                 whole = self._part.with_name(f"{self._part.name}.whole")
                 try:
-                    convert(self._part, whole, self._path.suffix)
+                    convert(open_record(self._part), whole, self._path.suffix)
                     os.replace(whole, self._path)
                 finally:
                     whole.unlink(missing_ok=True)

@@ -6,9 +6,10 @@
 
 The check is a CRC-32 (zlib's) of everything else in the chunk. HEAD, the first: a JSON document (version, channels,
 the fields of `Head`, and the report before the first row). ROWS: `count` rows of `Head.rows`. NOTE: a JSON document,
-what happened beside the rows: a marker, or a change of the scene and the first tick with it. TOLD, about once a second
-and at the end: a JSON document, the report and the histograms so far; `finished` is true in the last one of a run that
-came to its end. A reader stops at the first chunk that is not whole.
+what happened beside the rows: a marker, or a change of the scene and the first tick with it; at the end of a run, what
+was predicted of its scene. TOLD, about once a second and at the end: a JSON document, the report and the histograms so
+far; `finished` is true in the last one of a run that came to its end. A reader stops at the first chunk that is not
+whole.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -56,7 +57,7 @@ class Head(NamedTuple):
     by_host: bool = False
     """Whether the host paced, and its rows have when forces left."""
     run: dict[str, Any] | None = None
-    """What was run (`hapsim.running.replayed`); None where the record cannot be replayed."""
+    """What was run (`hapsim.running.recorded_run`); None where the record cannot be replayed."""
 
     @property
     def rows(self) -> np.dtype[Any]:
@@ -132,7 +133,8 @@ class StreamReader:
         self._path = path
         with path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
-                raise UsageError(f"{path}: not a trace that hapsim wrote")
+                wanted = "expected a .trace, as `hapsim run SCENE --record FILE.trace` writes it"
+                raise UsageError(f"{path}: not a trace that hapsim wrote; {wanted}")
             kind, _, payload = _next_chunk(stream) or (b"", 0, b"")
             if kind != _HEAD:
                 raise UsageError(f"{path}: the trace was cut off, or damaged, before its first row")
@@ -150,11 +152,15 @@ class StreamReader:
         """The last report and histograms in the file, once the rows were read."""
         self.is_finished = False
         """Whether the run came to its end and nothing of its record is missing, once the rows were read."""
+        self.count = 0
+        """The number of its rows, once they were read."""
+        self.on_rows: Callable[[int], None] = lambda _: None
+        """Called with the number of rows read so far."""
 
     def rows(self) -> Iterator[NDArray[Any]]:
         """The rows of every whole chunk up to the first that is not."""
         kind, of = b"", self.head.rows
-        self.notes = []
+        self.notes, self.count = [], 0
         with self._path.open("rb") as stream:
             end = stream.seek(self._begin)
             while chunk := _next_chunk(stream):
@@ -162,7 +168,9 @@ class StreamReader:
                 if kind == _ROWS:
                     if len(payload) != count * of.itemsize:
                         break
+                    self.count += count
                     yield np.frombuffer(payload, of)
+                    self.on_rows(self.count)
                 elif kind == _NOTE:
                     self.notes.append(json.loads(payload))
                 elif kind == _TOLD:
@@ -170,6 +178,22 @@ class StreamReader:
                 end = stream.tell()
             is_all = end == stream.seek(0, os.SEEK_END)
         self.is_finished = bool(self.summary["finished"]) and kind == _TOLD and is_all
+
+
+def open_record(path: Path) -> StreamReader:
+    """Returns a reader that has read all rows once, so that their count, the notes and the summary are known.
+    UsageError where the file is no record, or damaged."""
+    if not path.is_file():
+        raise UsageError(f"{path}: found no file, expected a .trace that `hapsim run --record` wrote")
+    try:
+        reader = StreamReader(path)
+        for _ in reader.rows():
+            pass
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise UsageError(f"{path}: the record is damaged: {error}") from error
+    return reader
 
 
 def is_stream(path: Path) -> bool:

@@ -120,15 +120,13 @@ def columns_of(rows: NDArray[Any]) -> dict[str, Any]:
     return {name: np.ascontiguousarray(rows[name]) for name in ROWS}
 
 
-def convert(stream: Path, file: Path, ending: str) -> None:
-    """Writes a stream as a .npz or .csv, with no more than a chunk of its rows in memory. OSError where it cannot be
-    written, UsageError where `stream` is none."""
-    reader = StreamReader(stream)
+def convert(reader: StreamReader, file: Path, ending: str) -> None:
+    """Writes a record, as `open_record` returns it, as a .npz or .csv, with no more than a chunk of its rows in memory.
+    OSError where it cannot be written."""
     if ending == ".csv":
         _write_csv(file, reader.head, reader.rows())
     else:
-        count = sum(len(rows) for rows in reader.rows())
-        _write_npz(file, reader.head, reader.rows, count, reader.summary)
+        _write_npz(file, reader.head, reader.rows, reader.count, reader.summary)
 
 
 def _write_csv(file: Path, head: Head, pieces: Iterable[NDArray[Any]]) -> None:

@@ -18,7 +18,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.replay import VALUES, replay_rows
 from hapsim.loop.ring import BEFORE, VELOCITY
-from hapsim.recording.stream import StreamReader, is_stream
+from hapsim.recording.stream import open_record
 from hapsim.running.assemble import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
@@ -48,12 +48,8 @@ class Record:
 
     def __init__(self, path: Path) -> None:
         """Raises UsageError where it cannot be."""
-        if not path.is_file():
-            raise UsageError(f"{path}: found no file, expected a .trace that `hapsim run --record` wrote")
-        if not is_stream(path):
-            raise UsageError(f"{path}: found no .trace, expected one: `hapsim run SCENE --record FILE.trace` writes it")
-        self.path, self._reader = path, StreamReader(path)
-        run = self._reader.head.run
+        self.path, self.reader = path, open_record(path)
+        run = self.reader.head.run
         if run is None:
             raise UsageError(f"{path}: an older hapsim recorded it, without its scene: it cannot be replayed")
         if run["first_tick"]:
@@ -65,28 +61,29 @@ class Record:
         try:
             self.scene = parse_scene(json.dumps(run["scene"]), str(path))
             self.description, self.options = description_of(run), options_of(run)
-            for _ in self.rows():
-                pass
         except (KeyError, TypeError, ValueError) as error:
             raise UsageError(f"{path}: the record is damaged: {error}") from error
-        self.notes = self._reader.notes
+        self.notes = self.reader.notes
         """Changes and markers, as they were noted."""
 
     def rows(self) -> Iterator[Rows]:
         """Its rows, in pieces."""
-        return self._reader.rows()
+        return self.reader.rows()
 
     @property
     def lost_rows(self) -> int:
         """Rows that are missing."""
-        return int(self._reader.summary["report"].get("dropped_rows", 0))
+        return int(self.reader.summary["report"].get("dropped_rows", 0))
 
 
 class Replay:
     """A record through its scene, or through `scene`, which gets no changes."""
 
-    def __init__(self, record: Record, scene: Scene | None = None, sound_file: Path | None = None) -> None:
-        """Raises UsageError where `scene` cannot answer the record's positions."""
+    def __init__(
+        self, record: Record, scene: Scene | None = None, sound_file: Path | None = None, pick_up: str | None = None
+    ) -> None:
+        """`pick_up`: the only one in the sound file [default: all]. Raises UsageError where `scene` cannot answer the
+        record's positions."""
         self.record, self.is_same = record, scene is None
         self.scene = record.scene if scene is None else _as_recorded(record, scene)
         connection = Connection(None, str(record.path), lambda: None, behind_port=record.run["behind_port"])  # type: ignore[arg-type]
@@ -95,7 +92,7 @@ class Replay:
         self._decoder = new_decoder(self.loop.wire, to_device=False)
         self._flushes = not record.run["in_python"]
         self._ticks, self.changes = 0, 0
-        self._sound = self._sound_output(sound_file)
+        self._sound = self._sound_output(sound_file, pick_up)
         compile_ahead(("replay",), Counted(lambda *_: None))
 
     def pieces(self) -> Iterator[tuple[Rows, Rows]]:
@@ -137,19 +134,22 @@ class Replay:
                 self._sound.collect()
 
     def close(self) -> None:
-        """Ends the sound file."""
+        """Ends the sound file. Raises UsageError where it is not whole."""
         if self._sound is not None:
             self._sound.close()
+            if self._sound.file is not None and self._sound.file.problem:
+                raise UsageError(self._sound.file.problem)
 
-    def _sound_output(self, file: Path | None) -> SoundOutput | None:
+    def _sound_output(self, file: Path | None, pick_up: str | None) -> SoundOutput | None:
         if file is None:
             return None
         if self.loop.sound is None:
             raise UsageError(f"{file}: found no pick-up in the scene, expected a part `sound`")
-        require_writable_as_wav(file, len(self.scene.sound), self.scene.step_rate)
+        heard = [name for name in self.scene.sound if pick_up in (None, name)]
+        require_writable_as_wav(file, len(heard), self.scene.step_rate)
         self._most_heard = int(self.loop.sound.record.capacity) // (4 * self.scene.substeps)
-        output = SoundOutput(self.loop.sound)
-        output.file = WavFile(file, len(self.scene.sound), round(self.scene.step_rate), lambda _: None)
+        output = SoundOutput(self.loop.sound, [list(self.scene.sound).index(name) for name in heard])
+        output.file = WavFile(file, len(heard), round(self.scene.step_rate), lambda _: None)
         return output
 
     def _change(self, change: dict[str, Any]) -> None:

@@ -52,6 +52,8 @@ class Followed:
     _loop: LoopMemory
     _live: LiveScene
     _recorder: Recorder
+    _recorded_scene: Scene
+    """As it was when the record began."""
     _state: StateReader
     _to_file: threading.Lock
 
@@ -173,6 +175,7 @@ class Followed:
 
     def _begin_record(self, scene: Scene, path: Path) -> RecordFile:
         loop, io = self._loop, self._loop.record.io
+        self._recorded_scene = scene
         position, force = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
         run = run_of(scene, loop, self._description, self._connection.behind_port, self._in_python, self._options)
         head = Head(

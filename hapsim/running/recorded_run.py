@@ -7,6 +7,9 @@ from importlib.metadata import version
 from typing import Any, cast
 
 from firmware_protocol.description import Description
+from hapsim.number_format import plain
+from hapsim.prediction import predict
+from hapsim.prediction.felt import felt_document
 from hapsim.running.assemble import LoopMemory
 from hapsim.running.changes import document_of
 from hapsim.running.options import Excitation, Guide, PeriodicExcitation, RunOptions
@@ -30,6 +33,19 @@ def run_of(
         "excitation": _document_of_pushes(options.excitation),
         "versions": versions_of_now(),
     }
+
+
+def prediction_of(scene: Scene) -> dict[str, Any]:
+    """Returns what is predicted of a scene, for a record: `stable`, `spectral_radius`, `poles` and `device_points` as
+    `hapsim check --json` prints them; `error` where it cannot be predicted."""
+    try:
+        found = predict(scene, with_margins=False)
+    except Exception as error:  # a record does not depend on it
+        return {"error": str(error) or type(error).__name__}
+    hands = {felt.name: felt_document(felt) for felt in found.felt}
+    whole = {"stable": found.stable, "spectral_radius": found.spectral_radius, "poles": found.poles}
+    document: dict[str, Any] = plain(whole | {"device_points": hands})
+    return document
 
 
 def versions_of_now() -> dict[str, str]:

@@ -44,6 +44,7 @@ from hapsim.running.changes import Changes, LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
 from hapsim.running.followed import Followed
 from hapsim.running.options import RunOptions
+from hapsim.running.recorded_run import prediction_of
 from hapsim.running.requirements import (
     PACING,
     require_compatible,
@@ -368,8 +369,9 @@ class Session(Followed):
         file = self._recorder.file
         if file is None:
             return
+        notes = [{"prediction": prediction_of(self._recorded_scene)}] if file.path.suffix == ".trace" else []
         trace = self._trace or outcome.trace_of(self.scene, self._loop, self._recorder, endings.STOPPED)
-        self._trace = replace(trace, report=file.finish(trace.report, trace.statistics))
+        self._trace = replace(trace, report=file.finish(trace.report, trace.statistics, notes))
 
     def _finish_sound(self, output: SoundOutput) -> None:
         output.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from typing import Any
 
 from hapsim.loop.histogram import histogram_of
@@ -14,8 +15,10 @@ from hapsim.sound.wav import WavFile
 class SoundOutput:
     """The readers of a ring. `file`, `playback`: set where there is one."""
 
-    def __init__(self, ring: SoundRing) -> None:
+    def __init__(self, ring: SoundRing, in_file: Sequence[int] | None = None) -> None:
+        """`in_file`: which pick-ups the file gets [default: all]."""
         self._ring, self._lock = ring, threading.Lock()
+        self._in_file = slice(None) if in_file is None else list(in_file)
         self.file: WavFile | None = None
         self.playback: Playback | None = None
         self._is_over = False
@@ -24,7 +27,7 @@ class SoundOutput:
         """Empties the ring into the file, and looks after the card; from any thread."""
         with self._lock:
             if self.file is not None and (frames := self._ring.drain()).size:
-                self.file.put(frames, patient=bool(self._ring.record.waits))
+                self.file.put(frames[:, self._in_file], patient=bool(self._ring.record.waits))
         if self.playback is not None:
             self.playback.look()
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import hapsim
 from hapsim.recording.stream import MAGIC, StreamReader
 from hapsim.recording.trace import load_trace
 from hapsim.running import start
@@ -71,11 +72,11 @@ def test_another_scene_answers_the_same_hand(hapsim: Hapsim, tmp_path: Path) -> 
 
 def test_the_first_sample_that_differs_is_named(hapsim: Hapsim, tmp_path: Path) -> None:
     record = recorded(tmp_path / "a.trace")
-    _rewrite(record, lambda head: head["run"]["scene"]["modules"]["touch"].update(stiffness=2001.0))
+    rewrite(record, lambda head: head["run"]["scene"]["modules"]["touch"].update(stiffness=2001.0))
     answer = hapsim("replay", record)
     assert answer.status == 2
     assert "sample 1 is the first that differs. asked_force: recorded [" in answer.out.replace("\n    ", " ")
-    _rewrite(record, lambda head: head["run"]["versions"].update(numba="0.1"))
+    rewrite(record, lambda head: head["run"]["versions"].update(numba="0.1"))
     assert "It was recorded with numba 0.1, now" in hapsim("replay", record).out.replace("\n    ", " ")
 
 
@@ -92,12 +93,12 @@ def test_what_cannot_be_replayed_is_refused_with_the_reason(hapsim: Hapsim, tmp_
         (damaged, lambda head: head["run"].pop("description")),
     ):
         copy.write_bytes(whole.read_bytes())
-        _rewrite(copy, change)
+        rewrite(copy, change)
     cut.write_bytes(whole.read_bytes()[: len(MAGIC) + 40])
     slow = tmp_path / "slow.yaml"
     slow.write_text(SCENE.replace("rate: 1000", "rate: 500"), "utf-8")
     for words, why in (
-        ((tmp_path / "a.npz",), "found no .trace, expected one"),
+        ((tmp_path / "a.npz",), "not a trace that hapsim wrote; expected a .trace"),
         ((tmp_path / "none.trace",), "found no file"),
         ((late,), "it was begun"),
         ((older,), "an older hapsim recorded it"),
@@ -128,14 +129,18 @@ def test_a_record_has_markers_and_changes(tmp_path: Path) -> None:
             pass
     reader = StreamReader(tmp_path / "a.trace")
     rows = sum(len(piece) for piece in reader.rows())
+    predicted = reader.notes.pop()
     marker, change, adopted = sorted(reader.notes, key=lambda note: note.get("tick", -1))
     assert marker["marker"] == "before"
     assert change["set"] == {"touch": {"stiffness": 1000.0}}
     assert list(adopted["adopt"]["modules"]) == ["hand", "wall", "touch", "tie", "gut"]
     assert 0 <= change["tick"] <= adopted["tick"] <= rows
+    felt = hapsim.predict(parse_scene(SCENE)).felt[0]
+    of_hand = predicted["prediction"]["device_points"]["hand"]
+    assert (of_hand["k"], of_hand["b"]) == (felt.k, felt.b), "of the scene that the run began with"
 
 
-def _rewrite(record: Path, change: Callable[[dict[str, Any]], object]) -> None:
+def rewrite(record: Path, change: Callable[[dict[str, Any]], object]) -> None:
     """Changes the head of a record."""
     data, begin = record.read_bytes(), len(MAGIC)
     kind, count, size, _ = struct.unpack_from("<4sIII", data, begin)

@@ -40,19 +40,27 @@ def assemble_mock(scene: Scene) -> Any:
     """Returns the MOCK of the scene's `device` and `mock`. UsageError where in virtual time no force gets through its
     wire."""
     description = describe_mock(scene)
-    mock = new_record(MOCK)
-    mock.channels = scene.channels
+    mock = described_mock(description)
     _set_bodies(mock, scene)
     _set_converters(mock, scene, description)
     _set_wire(mock, scene)
     _set_grips(mock, scene)
-    mock.force_scale[: scene.channels] = description.force_scale
-    mock.force_limit[: scene.channels] = description.force_limit
+    return mock
+
+
+def described_mock(description: Description) -> Any:
+    """Returns a MOCK that describes itself so and speaks in the formats of its channels, without bodies and
+    converters."""
+    mock, channels = new_record(MOCK), description.channels
+    mock.channels = channels
+    mock.force_scale[:channels] = description.force_scale
+    mock.force_limit[:channels] = description.force_limit
     mock.registers[:] = to_registers(description)
+    mock.grips["sample"] = -1
     for formats, to_device in ((mock.heard, True), (mock.spoken, False)):
         formats.setup = framing_of(SETUP, to_device)
-        formats.armed = framing_of(armed_format(scene.channels), to_device)
-        formats.armed_with_velocity = framing_of(armed_format(scene.channels, velocity=True), to_device)
+        formats.armed = framing_of(armed_format(channels), to_device)
+        formats.armed_with_velocity = framing_of(armed_format(channels, velocity=True), to_device)
     mock.decoder.framing = framing_of(SETUP, to_device=True)
     return mock
 
@@ -111,7 +119,6 @@ def _set_wire(mock: Any, scene: Scene) -> None:
 
 
 def _set_grips(mock: Any, scene: Scene) -> None:
-    mock.grips["sample"] = -1
     for grip, (second, mass) in zip(mock.grips, scene.mock_device.grips, strict=False):
         grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
 

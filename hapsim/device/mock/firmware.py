@@ -105,6 +105,7 @@ MOCK = np.dtype(
         ("byte_ns", np.float64),  # of a byte on the wire, in real time
         ("turnaround_ns", np.float64),  # before the first byte of an answer
         ("hand", np.uint64),  # address of a LIVE_HAND; 0: the hand has not changed yet
+        ("recorded", np.uint64),  # address of a RECORDED, whose positions it sends in place of its own; 0: none
         ("address", np.uint64),  # of this record
         ("called", CALLED),
     ],
@@ -119,7 +120,7 @@ call_event = function_at(types.void(types.uint64, types.int64))
 """Call the events from compiled code, with the mock's address and the time in ns."""
 
 _call_read = function_at(types.int64(types.uint64, types.uint64, types.int64, types.int64))
-_call_say = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
+call_say = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
 
 
 @native(types.int64, types.uint64, types.uint64, types.int64, types.int64)
@@ -147,7 +148,7 @@ def _take_bytes(mock, data, stop, now):
             return
         kind, armed = mock.decoder.type, mock.board.state == schema.ARMED
         if kind == schema.DISARM:
-            _disarm(mock, schema.IDLE)
+            disarm(mock, schema.IDLE)
             _say_status(mock, mock.spoken.setup)
         elif kind == schema.FORCE and armed:
             call_event(mock.called.take_force, (mock.address, now))
@@ -295,7 +296,7 @@ def _armed(mock, formats):
 
 @inlined
 def _say(mock, framing, kind, number):
-    _call_say(mock.called.say, (mock.address, address_in_memory(framing), kind, number))
+    call_say(mock.called.say, (mock.address, address_in_memory(framing), kind, number))
 
 
 @helper
@@ -348,7 +349,7 @@ def _arm(mock, now):
     if board.fault != schema.NO_FAULT:
         _say_status(mock, mock.spoken.setup)
         return
-    _disarm(mock, schema.ARMED)
+    disarm(mock, schema.ARMED)
     board.pacing = pacing
     board.velocity = 1 if velocity else 0
     board.watchdog = decoder.number
@@ -372,7 +373,7 @@ def _arm(mock, now):
 
 
 @helper
-def _disarm(mock, state):
+def disarm(mock, state):
     """Sets every force to zero, at once, and listens for the setup format."""
     mock.board.state = state
     mock.commands[: mock.depth] = 0.0
@@ -385,7 +386,7 @@ def _fail(mock, fault):
     mock.board.fault = fault
     mock.board.state = schema.LATCHED
     _say_status(mock, _armed(mock, mock.spoken))
-    _disarm(mock, schema.LATCHED)
+    disarm(mock, schema.LATCHED)
 
 
 def take_bytes(mock: Any, data: NDArray[np.uint8], stop: int, now: int) -> None:
@@ -417,8 +418,7 @@ FUNCTIONS = {
 def prepare(mock: Any) -> None:
     """Sets the addresses in a mock that stays where it is, before its first event."""
     mock.address = address_of(mock)
-    for name, function in FUNCTIONS.items():
-        mock.called[name] = function.address()
+    for name, function in (FUNCTIONS | {"take_force": FUNCTIONS["act_on_force"]}).items():
+        if not mock.called[name]:  # else another stands before it
+            mock.called[name] = function.address()
     mock.called.move = move_of(mock.initial[: mock.channels])
-    if not mock.called.take_force:
-        mock.called.take_force = mock.called.act_on_force

@@ -17,7 +17,6 @@ from typing import Any
 
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
-from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import prepare
 from hapsim.device.mock.serve import new_service, serve
 from hapsim.device.mock.wire import transmitter_transport, uart_transport
@@ -26,7 +25,6 @@ from hapsim.errors import DeviceError
 from hapsim.loop.realtime.scheduling import no_timer_slack, scheduled_fifo
 from hapsim.loop.system import require_linux
 from hapsim.progress import Progress
-from hapsim.scene import Scene
 from hapsim.stopping import STOPS
 
 
@@ -83,13 +81,13 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
 
 
 def serve_until_stopped(
-    scene: Scene,
+    assemble: Callable[[], Any],
     link: Path | None,
     announce: Callable[[str], None],
     tell: Callable[[Progress], None],
     as_hardware: bool = False,
 ) -> None:
-    """Serves the scene's mock until SIGINT, SIGTERM or SIGHUP; calls `announce(path)` once it answers.
+    """Serves the MOCK that `assemble` returns until SIGINT, SIGTERM or SIGHUP; calls `announce(path)` once it answers.
 
     `link`: another name for the port, a symbolic link removed at the end. UsageError where that name is taken.
     `as_hardware`: see `serving`.
@@ -102,7 +100,7 @@ def serve_until_stopped(
         signal.signal(number, lambda _number, _frame: stops.put(None))
     with (
         on_compilation(Counted(lambda name, share: tell(Progress("compiling", name, share=share))).add),
-        serving(assemble_mock(scene), as_hardware) as path,
+        serving(assemble(), as_hardware) as path,
         linked(link, path) as name,
     ):
         if not stops.empty():

@@ -1,0 +1,98 @@
+"""A record as a device: the mock's firmware with recorded positions in place of those of its bodies.
+
+Forces are taken and counted, and move nothing. A position that was lost is not sent. Behind the last one the device
+releases and says that it is idle; when it is armed again, it begins anew.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from firmware_protocol import schema
+from firmware_protocol.compiled import new_record
+from firmware_protocol.description import Description
+from hapsim.compiling.native import address_of, array_at, native, record_at
+from hapsim.device.mock.assemble import described_mock
+from hapsim.device.mock.firmware import FUNCTIONS, call_say, disarm, mock_at
+from hapsim.device.mock.sampler import set_timing
+
+_STILL_KG = 1e12  # of the bodies behind the record: what no force moves
+
+RECORDED = np.dtype(
+    [
+        ("samples", np.uint64),  # address of the rows' sample numbers
+        ("words", np.uint64),  # and of their counts, `width` a row: positions, then velocities
+        ("rows", np.int64),
+        ("width", np.int64),
+        ("next", np.int64),  # the row that is sent next
+        ("put_frame", np.uint64),
+    ],
+    align=True,
+)
+_recorded_at, _samples_at, _words_at = record_at(RECORDED), array_at(np.int64), array_at(np.int32)
+
+
+class RecordedDevice:
+    """A device that sends recorded positions. It has to live as long as its mock."""
+
+    def __init__(
+        self, description: Description, samples: NDArray[np.int64], counts: NDArray[np.int32], period_s: float
+    ) -> None:
+        """`description`: what it says of itself; `samples`: (N,) numbers, counted from arming; `counts`: (N, C)
+        positions as on the wire, or (N, 2 C) with velocities; `period_s`: from sample to sample, where it paces."""
+        self.description, self.period_s = description, period_s
+        self._samples, self._counts = samples, counts
+        self._record = new_record(RECORDED)
+        self.mock: Any = None
+        """MOCK, once assembled."""
+
+    @property
+    def forces(self) -> int:
+        """Forces that it has taken since it was last armed."""
+        return 0 if self.mock is None else int(self.mock.registers[schema.REG_ACCEPTED])
+
+    def assemble(self) -> Any:
+        """Returns its MOCK."""
+        record, channels = self._record, self.description.channels
+        record.samples, record.words = self._samples.ctypes.data, self._counts.ctypes.data
+        record.rows, record.width = self._counts.shape
+        record.put_frame = FUNCTIONS["say"].address()
+        self.mock = mock = described_mock(self.description)
+        mock.bodies["mass"][:channels] = mock.initial["mass"][:channels] = _STILL_KG
+        for converter in mock.converters[:channels]:
+            mock.depth = set_timing(converter, "zoh", "ideal", 1.0)
+        mock.converters["period"] = self.period_s
+        mock.converters["quantum"][:channels] = self.description.position_scale
+        mock.converters["velocity_quantum"][:channels] = self.description.velocity_scale or 0.0
+        mock.recorded = address_of(record)
+        mock.called.say = say_recorded.address()
+        return mock
+
+
+@native(types.void, types.uint64, types.uint64, types.int64, types.int64)
+def say_recorded(mock, framing, kind, number):
+    """Stands before the function that puts a frame into the outbox."""
+    address, mock = mock, mock_at(mock)
+    recorded, n = _recorded_at(mock.recorded), mock.board.n
+    if kind in (schema.POSITION, schema.POSITION_HELD):
+        samples = _samples_at(recorded.samples, recorded.rows)
+        if n == 0:
+            recorded.next = 0
+        while recorded.next < recorded.rows and samples[recorded.next] < n:
+            recorded.next += 1
+        if recorded.next == recorded.rows:
+            kind = schema.STATUS
+            mock.counts[:] = 0
+            mock.counts[0] = schema.IDLE | (schema.NO_FAULT << 8)
+            disarm(mock, schema.IDLE)
+        elif samples[recorded.next] > n:
+            return
+        else:
+            words = _words_at(recorded.words, recorded.rows * recorded.width)
+            for i in range(recorded.width):
+                mock.counts[i] = words[recorded.next * recorded.width + i]
+    call_say(recorded.put_frame, (address, framing, kind, number))

@@ -1,0 +1,59 @@
+"""A record as HDF5: a dataset for each column, with its unit; the rest of the record as texts in the group `record`.
+
+The datasets are plain arrays with dimension scales, `time` and `channel`, by which xarray names their dimensions.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from hapsim.loop import ring
+from hapsim.replaying.columns import Columns
+
+FLAGS = ("LATE_FORCE", "UNSENT", "LIMITED", "BRIDGED", "OFF_GRID", "SLEWED", "WITHHELD", "FADED")
+
+
+def write_hdf5(path: Path, columns: Columns) -> None:
+    """Writes the record. OSError where it cannot be written."""
+    with h5py.File(path, "w") as file:
+        file["channel"] = np.arange(columns.channels)
+        file["channel"].attrs.update(units="1", description="of the device")
+        for column in columns.all:
+            shape = (columns.count, columns.channels) if column.by_channel else (columns.count,)
+            made = file.create_dataset(column.name, shape, column.dtype)
+            made.attrs.update(units=columns.units_text(column), description=column.description)
+        file["flags"].attrs["flag_masks"] = np.array([getattr(ring, name) for name in FLAGS], "u1")
+        file["flags"].attrs["flag_meanings"] = " ".join(FLAGS).lower()
+        for name in ("time", "channel"):
+            file[name].make_scale(name)
+        for column in columns.all:
+            for at, name in enumerate(("time", "channel")[: file[column.name].ndim]):
+                if name != column.name:
+                    file[column.name].dims[at].attach_scale(file[name])
+        first = 0
+        for values in columns.pieces():
+            after = first + len(values["time"])
+            for name, one in values.items():
+                file[name][first:after] = one
+            first = after
+        _write_texts(file, columns)
+
+
+def _write_texts(file: Any, columns: Columns) -> None:
+    head = columns.reader.head
+    file.attrs.update(rate_hz=columns.rate, begun=head.begun, ending=columns.ending)
+    group = file.create_group("record")
+    for name, document in columns.documents.items():
+        group[name] = document if isinstance(document, str) else json.dumps(document)
+    for name, (at, unit), entries in (
+        ("change", ("row", "first row with it"), columns.changes),
+        ("marker", ("sample", "at which it was set"), columns.markers),
+    ):
+        group[name] = np.array([text for _, text in entries], h5py.string_dtype())
+        group[f"{name}_{at}"] = np.array([place for place, _ in entries], np.int64)
+        group[f"{name}_{at}"].attrs.update(units="1", description=unit)

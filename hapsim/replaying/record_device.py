@@ -1,0 +1,45 @@
+"""A record as a device on a pseudo-terminal: `hapsim replay --device`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hapsim.device.mock.recorded import RecordedDevice
+from hapsim.errors import UsageError
+from hapsim.loop.ring import VELOCITY
+from hapsim.recording.stream import open_record
+from hapsim.running.recorded_run import description_of
+from hapsim.scene import parse_scene
+
+
+def device_of(path: Path) -> RecordedDevice:
+    """Returns the device of a record: it describes itself as the recorded one did, and sends the positions that it
+    sent, at its rate. UsageError where the record does not have that."""
+    reader = open_record(path)
+    run, report = reader.head.run, reader.summary["report"]
+    if run is None:
+        raise UsageError(f"{path}: an older hapsim recorded it, without its device: it cannot be served")
+    if not reader.count:
+        raise UsageError(f"{path}: found a record without rows, expected some: the run ended before its first")
+    rows = np.concatenate([piece[["sample", "time_ns"]] for piece in reader.rows()])
+    has_velocity = VELOCITY in (reader.head.rows.names or ())
+    counts = np.concatenate(
+        [np.hstack([piece["position_counts"], *([piece[VELOCITY]] if has_velocity else [])]) for piece in reader.rows()]
+    )
+    try:
+        description, scene = description_of(run), parse_scene(json.dumps(run["scene"]), str(path))
+    except (KeyError, TypeError) as error:
+        raise UsageError(f"{path}: the record is damaged: {error}") from error
+    for c, origin in enumerate(scene.device.origins(scene.channels)):  # rows count from there
+        counts[:, c] += round((origin or 0.0) / description.position_scale[c])
+    if not has_velocity:
+        description = replace(description, velocity_scale=())
+    samples = rows["sample"] - (rows["sample"][0] if run["first_tick"] else 0)
+    period = 1.0 / description.rate_hz
+    if report["timed_by_device"] and len(rows) > 1:
+        period = 1e-9 * float(rows["time_ns"][-1] - rows["time_ns"][0]) / float(samples[-1] - samples[0])
+    return RecordedDevice(description, np.ascontiguousarray(samples), counts, period)

@@ -1,0 +1,225 @@
+"""`hapsim export`: each kind of file, opened by the programs that it is for, has the record's values and units."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pandas
+import pytest
+import soundfile
+import xarray
+from mcap.reader import make_reader
+from test_replaying_command import SCENE, SOUND, recorded, rewrite
+
+from hapsim.recording.stream import MAGIC
+from hapsim.recording.trace import load_trace
+from hapsim.replaying.columns import ages
+from hapsim.running import Session, start
+from hapsim.scene import parse_scene
+
+Hapsim = Callable[..., Any]
+
+TWO = """
+version: 1
+rate: 1000
+device: {clock: lockstep, mass: 0.002, force_limit: 10, motion: [rotary, linear]}
+mock: {initial: {velocity: [0.5, 0.1]}, misses: 0.1, seed: 3}
+modules:
+  knob: {type: device, channel: 0}
+  hand: {type: device, channel: 1}
+  wall: {type: ground}
+  turn: {type: viscoelastic, between: [knob, wall], stiffness: 2, damping: 0.005}
+  touch: {type: viscoelastic, between: [hand, wall], stiffness: 2, damping: 0.005, damper: sensed}
+"""
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a rotary and a linear channel, with late forces, a marker and a change."""
+    path = tmp_path_factory.mktemp("record") / "two.trace"
+
+    def change(session: Session) -> None:
+        session.mark("here")
+        session.set({"turn": {"stiffness": 1.5}}, over=0.01)
+
+    with start(parse_scene(TWO), duration=3.0, record=path, on_arming=change) as session:
+        session.wait()
+    return path
+
+
+def test_hdf5_is_read_by_h5py_xarray_and_pandas(hapsim: Hapsim, record: Path, tmp_path: Path) -> None:
+    assert hapsim("export", record, tmp_path / "a.h5").out.endswith("a.h5: 3000 rows of 2 channels\n")
+    trace = load_trace(record)
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert np.array_equal(file["position"], trace.position)
+        assert np.array_equal(file["force"], trace.force)
+        assert np.array_equal(file["asked_force"], trace.asked_force)
+        assert np.array_equal(file["flags"], trace.flags)
+        assert np.array_equal(file["sample"], trace.sample)
+        assert np.array_equal(file["arrival"], trace.time_ns)
+        assert np.array_equal(file["time"], trace.sample / 1000.0)
+        assert {name: file[name].attrs["units"] for name in ("time", "position", "sensed_velocity", "force")} == {
+            "time": "s",
+            "position": "rad, m",
+            "sensed_velocity": "rad/s, m/s",
+            "force": "N·m, N",
+        }
+        assert all(one.attrs["description"] for one in file.values() if isinstance(one, h5py.Dataset))
+        texts = {name: one.asstr()[()] for name, one in file["record"].items() if one.dtype.kind == "O"}
+        assert parse_scene(texts["scene"]).rate == 1000.0
+        assert json.loads(texts["device"])["name"] == "hapsim mock"
+        assert json.loads(texts["versions"])["hapsim"]
+        assert json.loads(texts["prediction"])["device_points"].keys() == {"knob", "hand"}
+        assert list(texts["marker"]) == ["here"]
+        assert json.loads(texts["change"][0])["set"] == {"turn": {"stiffness": 1.5}}
+        assert 0 <= file["record/change_row"][0] < 3000
+    with xarray.open_dataset(tmp_path / "a.h5", engine="h5netcdf") as dataset:
+        assert dataset.force.dims == ("time", "channel")
+        assert dataset.sizes == {"time": 3000, "channel": 2}
+        assert float(dataset.force.sel(time=0.1, channel=1)) == trace.force[100, 1]
+        table = dataset.to_dataframe()
+    assert isinstance(table, pandas.DataFrame)
+    assert table.loc[(0.1, 0), "position"] == trace.position[100, 0]
+
+
+def test_age_and_lost_follow_from_the_rows(hapsim: Hapsim, record: Path, tmp_path: Path) -> None:
+    hapsim("export", record, tmp_path / "a.h5")
+    trace = load_trace(record)
+    with h5py.File(tmp_path / "a.h5") as file:
+        age = np.array(file["age"])
+        assert not np.array(file["lost"]).any()
+        moved = np.diff(trace.position, axis=0, prepend=trace.position[:1]) * 1000.0
+        assert np.allclose(file["velocity"], moved, rtol=1e-12, atol=1e-12)
+        sensed = np.array(file["sensed_velocity"])
+        assert np.allclose(sensed[0], [0.5, 0.1], atol=1e-9), "the device's, which has moved before"
+        assert np.abs(sensed[1:] - moved[1:]).max() < 0.02
+    counted, statistics = np.unique(age, return_counts=True), trace.statistics.age
+    assert counted[1].tolist() == statistics.counts[statistics.counts > 0].tolist(), "as the loop counted them"
+    assert counted[0][-1] == statistics.maximum >= 3, "no force was late twice"
+    assert ages(np.array([1, 1, 0, 1], np.uint8), 4).tolist() == [5, 6, 1, 2], "goes on from the piece before"
+
+
+def test_mcap_is_read_by_its_own_reader(hapsim: Hapsim, record: Path, tmp_path: Path) -> None:
+    hapsim("export", record, tmp_path / "a.mcap")
+    trace = load_trace(record)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file)
+        messages = [(schema, channel.topic, message) for schema, channel, message in reader.iter_messages()]
+        metadata = {one.name: one.metadata for one in reader.iter_metadata()}
+    assert parse_scene(metadata["record"]["scene"]).rate == 1000.0
+    rows = [json.loads(message.data) for _, topic, message in messages if topic == "/hapsim/samples"]
+    assert [row["force_1"] for row in rows] == trace.force[:, 1].tolist()
+    assert [row["position_0"] for row in rows] == trace.position[:, 0].tolist()
+    assert all(isinstance(value, (int, float)) for value in rows[0].values())
+    schema = next(json.loads(schema.data) for schema, topic, _ in messages if topic == "/hapsim/samples")
+    assert schema["properties"].keys() == rows[0].keys()
+    assert [schema["properties"][f"force_{c}"]["description"][-5:] for c in (0, 1)] == ["(N·m)", "r (N)"]
+    times = [message.log_time for _, topic, message in messages if topic == "/hapsim/samples"]
+    assert np.abs(np.diff(times) - 1e6).max() < 1000, "ns"
+    texts = {topic: json.loads(message.data)["text"] for _, topic, message in messages if topic != "/hapsim/samples"}
+    assert texts["/hapsim/markers"] == "here"
+    assert "1.5" in texts["/hapsim/changes"]
+
+
+def test_tables_are_those_of_a_recorded_csv_and_npz(hapsim: Hapsim, record: Path, tmp_path: Path) -> None:
+    hapsim("export", record, tmp_path / "a.csv")
+    hapsim("export", record, tmp_path / "a.npz")
+    trace = load_trace(record)
+    assert np.array_equal(load_trace(tmp_path / "a.npz").force_counts, trace.force_counts)
+    table = pandas.read_csv(tmp_path / "a.csv")
+    assert np.allclose(table["force_N[1]"], trace.force[:, 1], rtol=1e-11)
+
+
+def test_a_wav_has_one_column_at_a_stated_level(hapsim: Hapsim, record: Path, tmp_path: Path) -> None:
+    answer = hapsim("export", record, tmp_path / "a.wav", "--column", "force.0", "--json")
+    frames, rate = soundfile.read(tmp_path / "a.wav")
+    force = load_trace(record).force[:, 0]
+    assert (rate, answer.document["full_scale"]) == (1000, np.abs(force).max())
+    assert answer.document["full_scale_unit"] == "N·m"
+    assert np.abs(frames * answer.document["full_scale"] - force).max() < np.abs(force).max() * 2.0**-22
+
+
+def test_a_wav_holds_the_value_where_positions_were_lost(hapsim: Hapsim, tmp_path: Path) -> None:
+    trace = load_trace(recorded(tmp_path / "a.trace"))
+    kept = np.r_[0:50, 53:300]
+    names = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
+    hapsim_trace = type(trace)(**(vars(trace) | {name: getattr(trace, name)[kept] for name in names}))
+    hapsim_trace.save(tmp_path / "lost.trace")
+    hapsim("export", tmp_path / "lost.trace", tmp_path / "a.wav", "--column", "position.0")
+    frames, _ = soundfile.read(tmp_path / "a.wav")
+    assert frames.size == 300
+    expected = np.concatenate([trace.position[:50, 0], [trace.position[49, 0]] * 3, trace.position[53:, 0]])
+    assert np.abs(frames * np.abs(expected).max() - expected).max() < 1e-7
+    hapsim("export", tmp_path / "lost.trace", tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert np.flatnonzero(file["lost"]).tolist() == [50]
+        assert file["lost"][50] == 3
+
+
+def test_a_pick_up_is_heard_as_in_the_run(hapsim: Hapsim, tmp_path: Path) -> None:
+    scene = SCENE + SOUND + "  wood: {from: gut.1, of: position, gain: 2}\n"
+    path = recorded(tmp_path / "a.trace", scene, sound_file=tmp_path / "a.wav")
+    for channel, name in enumerate(("air", "wood")):
+        assert hapsim("export", path, tmp_path / f"{name}.wav", "--column", name).status == 0
+        heard, _ = soundfile.read(tmp_path / f"{name}.wav", dtype="int32")
+        both, _ = soundfile.read(tmp_path / "a.wav", dtype="int32")
+        assert heard.any()
+        assert np.array_equal(heard, both[:, channel])
+
+
+def test_what_is_left_of_a_record_is_exported_with_a_warning(hapsim: Hapsim, tmp_path: Path) -> None:
+    whole = recorded(tmp_path / "a.trace").read_bytes()
+    part, older, damaged = (tmp_path / name for name in ("a.npz.part", "older.trace", "damaged.trace"))
+    part.write_bytes(whole[: whole.rindex(b"TOLD") + 30])
+    older.write_bytes(whole)
+    rewrite(older, lambda head: (head.pop("run"), head.update(version=1)))
+    at = whole.index(b"ROWS")
+    damaged.write_bytes(whole[: at + 100] + b"x" + whole[at + 101 :])
+    for path, rows, why in (
+        (part, 300, "cut off or damaged: it stops after 300 rows"),
+        (older, 300, "an older hapsim recorded it: without its scene"),
+    ):
+        answer = hapsim("export", path, tmp_path / f"{path.name}.h5")
+        assert answer.status == 0
+        assert why in " ".join(answer.err.split())
+        with h5py.File(tmp_path / f"{path.name}.h5") as file:
+            assert file["force"].shape == (rows, 1)
+            assert ("scene" in file["record"]) == (path is part), "a part has a prediction, too"
+    assert "without rows" in hapsim("export", damaged, tmp_path / "d.h5").sentence
+
+
+def test_what_cannot_be_exported_is_refused_with_the_reason(
+    hapsim: Hapsim, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = recorded(tmp_path / "a.trace", SCENE + SOUND)
+    cut, empty, there = (tmp_path / name for name in ("cut.trace", "empty.trace", "there.h5"))
+    cut.write_bytes(whole.read_bytes()[: len(MAGIC) + 40])
+    empty.touch()
+    there.write_text("mine", "utf-8")
+    for words, why in (
+        ((tmp_path / "none.trace", "a.h5"), "found no file"),
+        ((cut, "a.h5"), "cut off, or damaged, before its first row"),
+        ((empty, "a.h5"), "not a trace that hapsim wrote; expected a .trace"),
+        ((whole, "a.txt"), "found the ending '.txt', expected .h5, .csv, .npz, .wav or .mcap"),
+        ((whole, "no/a.h5"), "there is no directory"),
+        ((whole, "there.h5"), "the file exists; --overwrite replaces it"),
+        ((whole, "a.wav"), "--column goes with a .wav"),
+        ((whole, "a.h5", "--column", "force.0"), "--column goes with a .wav"),
+        ((whole, "a.wav", "--column", "force.1"), "found 'force.1', expected position.0, velocity.0, force.0,"),
+        ((whole, "a.wav", "--column", "gut"), "asked_force.0 or air"),
+    ):
+        record, out, *others = words
+        answer = hapsim("export", record, tmp_path / out, *others)
+        assert answer.status == 2, words
+        assert why in " ".join(answer.sentence.split()), words
+    assert there.read_text("utf-8") == "mine"
+    assert hapsim("export", whole, there, "--overwrite").status == 0
+    assert h5py.is_hdf5(there)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.trace", "cut.trace", "empty.trace", "there.h5"]
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    assert "pip install 'hapsim[record]'" in hapsim("export", whole, tmp_path / "b.mcap").sentence
