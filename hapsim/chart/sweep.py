@@ -39,7 +39,9 @@ def sweep_chart(dataset: xarray.Dataset, variable: str | None, over: list[str]) 
     """Returns the chart of a variable over parameters [default: the first two]. UsageError for unknown names."""
     if {"measured_k", "predicted_k"} <= {*dataset.data_vars}:
         off = abs(dataset["measured_k"] / dataset["predicted_k"] - 1.0)
-        dataset = dataset.assign({_DEVIATION: off.assign_attrs(units="", description="how far measured k is off the predicted one")})
+        dataset = dataset.assign(
+            {_DEVIATION: off.assign_attrs(units="", description="how far measured k is off the predicted one")}
+        )
     names = [str(name) for name in dataset.data_vars if dataset[name].dtype.kind == "f"]
     if variable is None:
         variable = next((one for one in (_DEVIATION, "predicted_k", "measured_k") if one in names), names[0])

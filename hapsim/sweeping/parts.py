@@ -40,8 +40,12 @@ class Parts:
             self._lock = os.open(self.directory / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
         except OSError as error:
             raise UsageError(f"{self.directory}: cannot be written: {error.strerror}") from error
-        lock(self._lock, self.directory, "sweep")
-        self._check(manifest)
+        try:
+            lock(self._lock, self.directory, "sweep")
+            self._check(manifest)
+        except UsageError:
+            self.close()
+            raise
 
     def _check(self, manifest: dict[str, Any]) -> None:
         path = self.directory / _MANIFEST

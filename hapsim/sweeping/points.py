@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,8 +73,10 @@ def grid(axes: Mapping[str, Iterable[Value]]) -> Points:
     """Returns every combination of these values. UsageError where one is no value, or there are none."""
     values = {path: [_value(path, one) for one in several] for path, several in axes.items()}
     sizes = {path: len(several) for path, several in values.items()}
-    if not values or not all(sizes.values()) or math.prod(sizes.values()) > _MOST:
-        raise UsageError(f"found {math.prod(sizes.values())} points, expected 1 to {_MOST}")
+    if not values:
+        raise UsageError("found no parameter to sweep, expected some, such as touch.stiffness=log:100:10000:50")
+    if not 1 <= (count := math.prod(sizes.values())) <= _MOST:
+        raise UsageError(f"found {count} points, expected 1 to {_MOST}")
     for path, several in values.items():
         if len(set(several)) < len(several):
             raise UsageError(f"{path}: found a value twice, expected each once")
@@ -93,8 +96,8 @@ def samples(ranges: Mapping[str, Range], count: int, method: Method = "lhs", see
         from scipy.stats import qmc
 
         make = {"lhs": qmc.LatinHypercube, "sobol": qmc.Sobol}[method]
-        with np.testing.suppress_warnings() as quiet:  # that a Sobol sequence is best at a power of two
-            quiet.filter(UserWarning)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that a Sobol sequence is best at a power of two
             shares = make(dimensions, rng=np.random.default_rng(seed)).random(count)
     columns: dict[str, list[Value]] = {path: [*one.at(shares[:, i])] for i, (path, one) in enumerate(ranges.items())}
     return Points({POINT: count}, columns)

@@ -1,0 +1,161 @@
+"""`hapsim sweep`: killed and resumed, on a cluster, with pictures; what it refuses."""
+
+from __future__ import annotations
+
+import os
+import random
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+
+import hapsim as package
+
+KILLS = int(os.environ.get("HAPSIM_POINTS", "2"))  # HAPSIM_POINTS=10 in half a minute
+WORDS = ("touch.stiffness=log:100:4000:25", "device.delay=0,0.5,1", "--duration", "0.5")
+
+
+def results(file: Path) -> xarray.Dataset:
+    with xarray.open_dataset(file, engine="h5netcdf") as opened:
+        return opened.load()
+
+
+def test_a_sweep_that_is_killed_and_started_again_equals_one_that_was_not(
+    start_hapsim: Callable[..., Any], scene: Path, tmp_path: Path
+) -> None:
+    whole, out, choose = tmp_path / "whole.nc", tmp_path / "out.nc", random.Random(7)
+    assert start_hapsim("sweep", scene, *WORDS, "--out", whole, "--jobs", 1).wait(120) == 0
+    parts, kept = tmp_path / "out.nc.parts", 0
+    for _ in range(KILLS):
+        killed = start_hapsim("sweep", scene, *WORDS, "--out", out, "--jobs", choose.choice((1, 2)))
+        give_up = time.monotonic() + 60
+        while len(list(parts.glob("*.npz"))) <= kept and killed.poll() is None and time.monotonic() < give_up:
+            time.sleep(0.01)
+        time.sleep(choose.uniform(0.0, 0.2))
+        killed.kill()
+        kept = len(list(parts.glob("*.npz")))
+    last = start_hapsim("sweep", scene, *WORDS, "--out", out, "--jobs", 1)
+    assert last.wait(120) == 0, last.err
+    assert results(out).identical(results(whole))
+    assert not parts.exists()
+
+
+@contextmanager
+def cluster(workers: int) -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed: hapsim[dask]")
+    import dask
+
+    with (
+        dask.config.set({"distributed.worker.profile.enabled": False, "distributed.admin.tick.limit": "60s"}),
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, dashboard_address=None, host="127.0.0.1", silence_logs=50
+        ) as found,
+    ):
+        yield found
+
+
+@pytest.mark.filterwarnings("ignore")  # of dask, of its event loop and of what it imports
+def test_the_workers_of_a_cluster_find_the_same_though_one_is_killed_and_one_joins(scene: Path) -> None:
+    axes = {"touch.stiffness": np.geomspace(100, 4000, 40), "device.delay": [0.0, 0.5, 1.0]}
+    here = package.sweep(scene, axes, duration=0.5)
+    with cluster(2) as found:
+        happened: list[str] = []
+
+        def disturb(done: int, every: int) -> None:
+            if not happened and every > done > 10:
+                found.workers[0].process.process.kill()
+                happened.append("killed")
+            elif happened == ["killed"] and done > 30:
+                found.scale(3)
+                happened.append("joined")
+
+        there = package.sweep(scene, axes, duration=0.5, scheduler=found.scheduler_address, on_progress=disturb)
+    assert happened == ["killed", "joined"]
+    assert there.identical(here)
+
+
+def test_the_command_writes_a_dataset_a_picture_and_what_it_found(
+    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
+) -> None:
+    out, picture, data = tmp_path / "a.nc", tmp_path / "a.png", tmp_path / "a.csv"
+    words = ("sweep", scene, "touch.stiffness=500,1000,2000", "device.delay=0,1", "--duration", 0.5, "--out", out)
+    answer = hapsim(*words, "--picture", picture, "--data", data, "--draw", "predicted_b", "--json")
+    assert answer.status == 0, answer.err
+    assert answer.document["dimensions"] == {"touch.stiffness": 3, "device.delay": 2}
+    assert answer.document["failed"] == 0
+    assert answer.document["variables"]["measured_k"]["unit"] == "N/m"
+    assert answer.document["measured_off_predicted"]["k"]["most"] < 1e-6
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    heading, *rows = data.read_text("utf-8").splitlines()
+    assert heading == "touch.stiffness,device.delay,predicted_b"
+    assert len(rows) == 6
+    expected = float(results(out)["predicted_b"].sel({"touch.stiffness": 500.0, "device.delay": 1.0}))
+    assert f"500.0,1.0,{expected!r}" in rows
+
+
+def test_samples_and_tables_are_drawn_and_told_for_people(
+    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "points.csv").write_text("touch.stiffness,device.delay\n500,0\n-3,1\n", encoding="utf-8")
+    table = ("--points", tmp_path / "points.csv", "--out", tmp_path / "a.nc", "--picture", tmp_path / "a.svg")
+    answer = hapsim("sweep", scene, *table, "--check")
+    assert answer.status == 0
+    assert "1 point failed" in answer.out + answer.err
+    assert "found -3" in answer.out + answer.err
+    samples = ("touch.stiffness=log:100:1000", "--samples", 8, "--out", tmp_path / "b.nc", "--check", "--over", "rate")
+    refused = hapsim("sweep", scene, *samples, "--picture", tmp_path / "b.svg")
+    assert "expected touch.stiffness" in refused.sentence
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("touch.stifness=1,2",), "did you mean 'touch.stiffness'"),
+        (("touch.stiffness=1,2", "--check", "--measure"), "found several"),
+        (("touch.stiffness=1,2", "--out", "x.txt"), "expected .nc or .zarr"),
+        (("touch.stiffness=1,2", "--channel", "3"), "channel 3"),
+        (("touch.stiffness=1,2", "--points", "missing.csv"), "leave out the parameters"),
+        (("--points", "missing.csv"), "missing.csv: cannot be read"),
+        (("touch.stiffness=1,2", "--picture", "x.bmp"), "x.bmp"),
+        ((), "no parameter"),
+    ],
+)
+def test_what_cannot_be_swept_is_answered_with_a_sentence(
+    hapsim: Callable[..., Any],
+    scene: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = () if "--out" in words else ("--out", "a.nc")
+    answer = hapsim("sweep", scene, *words, *out)
+    assert answer.status == 2
+    assert said in answer.sentence
+    assert not list(tmp_path.glob("*.nc*"))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_an_unreachable_scheduler_is_named(hapsim: Callable[..., Any], scene: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="dask.distributed is not installed: hapsim[dask]")
+    words = ("touch.stiffness=lin:100:200:8", "--check", "--scheduler", "tcp://127.0.0.1:9", "--out", tmp_path / "a.nc")
+    answer = hapsim("sweep", scene, *words)
+    assert answer.status == 2
+    assert "tcp://127.0.0.1:9: cannot be reached" in answer.sentence
+    assert list((tmp_path / "a.nc.parts").glob("*.npz"))  # what was found until then
+
+
+def test_what_is_not_installed_is_named(
+    hapsim: Callable[..., Any], scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "h5netcdf", None)
+    answer = hapsim("sweep", scene, "touch.stiffness=1,2", "--out", tmp_path / "a.nc")
+    assert answer.status == 2
+    assert "install hapsim[sweep]" in answer.sentence

@@ -1,0 +1,140 @@
+"""Points of a sweep: what is asked for in words, and what a scene becomes with their values."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hapsim.errors import SceneError, UsageError
+from hapsim.scene import load_scene
+from hapsim.sweeping.points import METHODS, grid, read_points, table
+from hapsim.sweeping.vary import Varied
+
+
+def test_words_make_a_grid_in_the_order_of_its_last_dimension() -> None:
+    points = read_points(["touch.stiffness=log:100:10000:3", "device.correction=none,poles"], None, "lhs", 0)
+    assert points.sizes == {"touch.stiffness": 3, "device.correction": 2}
+    assert [points[i] for i in (0, 1, 5)] == [
+        {"touch.stiffness": 100.0, "device.correction": "none"},
+        {"touch.stiffness": 100.0, "device.correction": "poles"},
+        {"touch.stiffness": 10000.0, "device.correction": "poles"},
+    ]
+    assert points.axis("touch.stiffness") == pytest.approx([100.0, 1000.0, 10000.0])
+    assert points.axis("device.correction") == ["none", "poles"]
+
+
+@given(st.lists(st.integers(1, 4), min_size=1, max_size=4))
+def test_the_axes_of_a_grid_give_its_points_back(sizes: list[int]) -> None:
+    points = grid({f"a{i}": [float(one) for one in range(size)] for i, size in enumerate(sizes)})
+    shape = tuple(points.sizes.values())
+    for number in range(len(points)):
+        where = np.unravel_index(number, shape)
+        assert [points.axis(path)[i] for path, i in zip(points.sizes, where, strict=True)] == [*points[number].values()]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_samples_fill_their_ranges_and_are_the_same_for_a_seed(method: str) -> None:
+    words = ["touch.stiffness=log:100:10000", "device.delay=lin:0:2"]
+    one, again, other = (read_points(words, 64, method, seed) for seed in (1, 1, 2))
+    assert one == again != other
+    delay, stiffness = np.array(one.columns["device.delay"], float), np.array(one.columns["touch.stiffness"], float)
+    assert 0.0 <= delay.min() < 0.2
+    assert 1.8 < delay.max() <= 2.0
+    assert 100.0 <= stiffness.min() < stiffness.max() <= 10000.0
+    assert 0.3 < np.mean(stiffness < 1000.0) < 0.7  # half of them in each decade
+
+
+def test_a_latin_hypercube_has_one_sample_in_each_row_and_column() -> None:
+    points = read_points(["a.b=lin:0:10", "c.d=lin:0:10"], 10, "lhs", 3)
+    for column in points.columns.values():
+        assert sorted(math.floor(one) for one in column) == [*range(10)]  # type: ignore[arg-type]
+
+
+def test_a_table_names_its_points(tmp_path: Path) -> None:
+    file = tmp_path / "points.csv"
+    file.write_text("touch.stiffness, device.hold\n100,zoh\n2e3, impulse\n", encoding="utf-8")
+    points = table(file)
+    assert points.sizes == {"point": 2}
+    assert points[1] == {"touch.stiffness": 2000.0, "device.hold": "impulse"}
+
+
+@pytest.mark.parametrize(
+    ("words", "samples", "said"),
+    [
+        (["touch.stiffness"], None, "expected PATH=VALUES"),
+        (["touch.stiffness=log:0:10:5"], None, "above 0"),
+        (["touch.stiffness=log:1:10:0"], None, "0 values"),
+        (["touch.stiffness=log:1:ten:4"], None, "log:1:ten:4"),
+        (["touch.stiffness=exp:1:10:4"], None, "exp:1:10:4"),
+        (["touch.stiffness=1,nan"], None, "finite"),
+        (["touch.stiffness=1,1"], None, "twice"),
+        (["touch.stiffness=1", "touch.stiffness=2"], None, "twice"),
+        (["touch.stiffness=lin:1:10"], None, "--samples"),
+        (["touch.stiffness=1,2"], 5, "range"),
+        ([], None, "no parameter"),
+        (["a.b=lin:0:1:10000", "c.d=lin:0:1:10000"], None, "100000000 points"),
+    ],
+)
+def test_what_names_no_points_is_answered_with_a_sentence(words: list[str], samples: int | None, said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        read_points(words, samples, "lhs", 0)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("", "no rows"), ("a.b\n", "rows"), ("a.b,c.d\n1\n", "row 2"), ("a,a\n1,2", "names")]
+)
+def test_a_table_that_is_none_is_answered_with_a_sentence(tmp_path: Path, text: str, said: str) -> None:
+    file = tmp_path / "points.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError) as caught:
+        table(file)
+    assert said in str(caught.value)
+
+
+def test_values_go_to_their_places_and_nothing_else_changes() -> None:
+    scene = load_scene("first_touch")
+    varied = Varied(scene)
+    assert varied.scene({}) == scene
+    values = {
+        "touch.stiffness": 700.0,
+        "device.delay": 0.5,
+        "mock.initial.velocity": 0.2,
+        "rate": 2000.0,
+        "substeps": 4.0,
+    }
+    changed = varied.scene(values)
+    assert changed.modules["touch"].stiffness == 700.0  # type: ignore[union-attr]
+    assert (changed.device.delay, changed.rate, changed.substeps) == (0.5, 2000.0, 4)
+    assert changed.mock is not None
+    assert changed.mock.initial.velocity == 0.2
+    assert varied.scene({"touch.stiffness": 2000.0}) == scene  # the values before left nothing behind
+
+
+def test_every_path_of_the_shipped_scenes_can_be_set_to_its_value() -> None:
+    for name in ("four_keys", "plucked_string", "knob_24"):
+        scene = load_scene(name)
+        varied = Varied(scene)
+        document = varied.document
+        for path in varied.known:
+            part: object = document
+            for key in varied._keys(path):
+                part = part.get(key) if isinstance(part, dict) else None
+            if isinstance(part, float | str):
+                assert varied.scene({path: part}) == scene, path
+
+
+def test_a_path_that_is_none_gets_a_suggestion_and_a_value_that_is_none_a_sentence() -> None:
+    varied = Varied(load_scene("first_touch"))
+    with pytest.raises(UsageError, match=r"did you mean 'touch\.stiffness'"):
+        varied.require(["touch.stifness"])
+    for other in ("device.port", "device.clock", "touch.type", "nothing.at.all", ""):
+        with pytest.raises(UsageError):
+            varied.require([other])
+    with pytest.raises(SceneError, match=r"modules\.touch\.stiffness: found -1"):
+        varied.scene({"touch.stiffness": -1.0})

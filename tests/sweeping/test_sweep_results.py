@@ -1,0 +1,180 @@
+"""Results of a sweep: equal to those of single commands, to the bit, however and wherever they are worked out."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+
+import hapsim
+from hapsim.errors import UsageError
+from hapsim.scene import Scene
+from hapsim.sweeping import sweep as room
+from hapsim.sweeping.vary import Varied
+
+AXES = {"touch.stiffness": [300.0, 2000.0, 5000.0], "device.delay": [0.0, 0.37, 1.0]}
+DURATION = 0.5
+
+
+def in_lockstep(file: Path, values: dict[str, Any]) -> Scene:
+    scene = hapsim.load_scene(file)
+    scene = scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
+    return Varied(scene).scene(values)
+
+
+def test_each_point_is_what_predict_and_measure_say_of_its_scene(scene: Path) -> None:
+    found = hapsim.sweep(scene, AXES, duration=DURATION)
+    assert found.sizes == {"touch.stiffness": 3, "device.delay": 3}
+    assert not found["error"].values.any()
+    for stiffness in AXES["touch.stiffness"]:
+        for delay in AXES["device.delay"]:
+            one = found.sel({"touch.stiffness": stiffness, "device.delay": delay})
+            of_point = in_lockstep(scene, {"touch.stiffness": stiffness, "device.delay": delay})
+            prediction, measured = hapsim.predict(of_point), hapsim.measure(of_point, duration=DURATION)
+            assert one["predicted_k"] == prediction.felt[0].k
+            assert one["predicted_b"] == prediction.felt[0].b
+            assert one["stable"] == prediction.stable
+            assert one["spectral_radius"] == prediction.spectral_radius
+            assert one["measured_k"] == measured.k
+            assert one["measured_b_uncertainty"] == measured.b_uncertainty
+    assert found["measured_k"].attrs == {"units": "N/m", "description": "measured stiffness that the hand feels"}
+
+
+def test_measured_agrees_with_predicted_wherever_samples_fall(scene: Path, figures: Any) -> None:
+    from hapsim.sweeping.points import read_points
+
+    words = [
+        "touch.stiffness=log:200:6000",
+        "touch.damping=lin:0:8",
+        "device.delay=lin:0:1.5",
+        "device.mass=lin:0.1:0.5",
+    ]
+    found = hapsim.sweep(scene, read_points(words, 40, "sobol", 5), duration=DURATION)
+    assert found.sizes == {"point": 40}
+    off = abs(found["measured_k"] / found["predicted_k"] - 1.0).where(found["predicted_damping_ratio"] < 1.0)
+    figures.most("measured k off predicted k in a sweep, relative", float(off.max()))
+    assert off.max() < 1e-5
+    assert int(np.isfinite(off).sum()) > 30
+
+
+def double_stiffness(scene: Scene) -> dict[str, float]:
+    """A function for a sweep."""
+    if scene.device.delay > 0.9:
+        raise UsageError("too late")
+    return {"doubled": 2.0 * scene.modules["touch"].stiffness}  # type: ignore[union-attr]
+
+
+def test_a_function_adds_its_numbers_and_its_failures_are_sentences(scene: Path) -> None:
+    found = hapsim.sweep(scene, AXES, quantities=(), function=double_stiffness)
+    assert found["doubled"].values[:, :2].tolist() == [[600.0] * 2, [4000.0] * 2, [10000.0] * 2]
+    assert np.isnan(found["doubled"].values[:, 2]).all()
+    assert found["error"].values[:, 2].tolist() == ["function: too late"] * 3
+    assert not found["error"].values[:, :2].any()
+
+
+def test_impedances_have_a_dimension_of_frequency(scene: Path) -> None:
+    found = hapsim.sweep(scene, {"touch.stiffness": [500.0, 1000.0]}, quantities=("impedance",), duration=4.0)
+    assert found["measured_impedance_re"].dims == ("touch.stiffness", "frequency_hz")
+    for part in ("re", "im"):
+        predicted, measured = (found[f"{how}_impedance_{part}"] for how in ("predicted", "measured"))
+        assert float(abs(measured - predicted).max()) < 2e-3 * float(abs(predicted).max())
+    with pytest.raises(UsageError, match="sweep each rate by itself"):
+        hapsim.sweep(scene, {"rate": [1000.0, 2000.0]}, quantities=("impedance",))
+
+
+def test_a_point_that_fails_has_its_reason_and_the_others_their_numbers(scene: Path) -> None:
+    axes = {"touch.stiffness": [-1.0, 500.0, 1e9], "mock.quantum": [1e-9, 10.0]}
+    found = hapsim.sweep(scene, axes, duration=DURATION)
+    errors = found["error"].values
+    assert errors[0, 0].startswith("modules.touch.stiffness: found -1, expected a number >= 0")
+    assert errors[1, 0] == ""
+    assert found["measured_k"].values[1, 0] == pytest.approx(found["predicted_k"].values[1, 0], rel=1e-6)
+    assert errors[1, 1].startswith("measured: ")  # a count of ten metres shows no motion
+    assert np.isnan(found["measured_k"].values[1, 1])
+    assert np.isfinite(found["predicted_k"].values[1, 1])
+    assert found["stable"].values[2, 0] == 0.0
+
+
+def test_two_processes_find_what_one_finds_to_the_bit(scene: Path, tmp_path: Path) -> None:
+    axes = {"touch.stiffness": np.geomspace(100, 5000, 9), "device.delay": [0.0, 1.0], "mock.noise": [0.0, 1e-6]}
+    one = hapsim.sweep(scene, axes, duration=DURATION, out=tmp_path / "one.nc")
+    two = hapsim.sweep(scene, axes, duration=DURATION, out=tmp_path / "two.nc", jobs=2)
+    assert two.identical(one)
+    for name in ("one.nc", "two.nc"):
+        with xarray.open_dataset(tmp_path / name, engine="h5netcdf") as again:
+            assert again.load().drop_attrs().equals(one.drop_attrs())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.nc", "touch.yaml", "two.nc"]
+
+
+def test_a_zarr_has_the_same(scene: Path, tmp_path: Path) -> None:
+    found = hapsim.sweep(scene, {"touch.stiffness": [500.0, 900.0]}, quantities=("predicted",), out=tmp_path / "a.zarr")
+    again = xarray.open_zarr(tmp_path / "a.zarr", consolidated=False).load()
+    assert again.drop_attrs().equals(found.drop_attrs())
+
+
+def test_a_sweep_goes_on_with_what_is_missing_and_repeats_nothing(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    axes, out = {"touch.stiffness": np.linspace(100, 5000, 30)}, tmp_path / "a.nc"
+    whole = hapsim.sweep(scene, axes, duration=DURATION)
+    done = 0
+
+    def stop_after(most: int) -> Any:
+        def progress(now: int, _every: int) -> None:
+            nonlocal done
+            done = now
+            if now >= most:
+                raise KeyboardInterrupt
+
+        return progress
+
+    for most in (5, 12, 20):
+        with pytest.raises(KeyboardInterrupt):
+            hapsim.sweep(scene, axes, duration=DURATION, out=out, on_progress=stop_after(most))
+        assert not out.exists()
+    before, worked = done, []
+    true_work = room.work
+
+    def count(task: Any, points: Any) -> Any:
+        worked.extend(points)
+        return true_work(task, points)
+
+    monkeypatch.setattr(room, "work", count)
+    assert hapsim.sweep(scene, axes, duration=DURATION, out=out).identical(whole)
+    assert 30 - before <= len(worked) <= 30 - before + 3  # three are worked out once more, to find how long one takes
+
+
+def test_another_sweep_s_results_and_finished_ones_are_left_alone(scene: Path, tmp_path: Path) -> None:
+    out, axes = tmp_path / "a.nc", {"touch.stiffness": [100.0, 200.0]}
+
+    def interrupt(done: int, _every: int) -> None:
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        hapsim.sweep(scene, axes, quantities=("predicted",), out=out, on_progress=interrupt)
+    with pytest.raises(UsageError, match=r"a\.nc\.parts: .* another sweep, which differs in: points"):
+        hapsim.sweep(scene, {"touch.stiffness": [100.0, 300.0]}, quantities=("predicted",), out=out)
+    with pytest.raises(UsageError, match="differs in: quantities, duration"):
+        hapsim.sweep(scene, axes, out=out, duration=DURATION)
+    part = next((tmp_path / "a.nc.parts").glob("*.npz"))
+    kept = part.read_bytes()
+    part.write_bytes(kept[: len(kept) // 2])
+    with pytest.raises(UsageError, match="damaged"):
+        hapsim.sweep(scene, axes, quantities=("predicted",), out=out)
+    part.write_bytes(kept)
+    hapsim.sweep(scene, axes, quantities=("predicted",), out=out)
+    whole = out.read_bytes()
+    with pytest.raises(UsageError, match="it exists"):
+        hapsim.sweep(scene, axes, quantities=("predicted",), out=out)
+    assert out.read_bytes() == whole
+
+
+def test_attributes_say_what_was_swept(scene: Path) -> None:
+    found = hapsim.sweep(scene, {"touch.stiffness": [500.0]}, quantities=("predicted",))
+    assert json.loads(found.attrs["scene"])["modules"]["touch"]["damping"] == 5.0
+    assert json.loads(found.attrs["versions"]).keys() >= {"hapsim", "numpy", "processor"}
