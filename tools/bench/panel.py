@@ -98,8 +98,8 @@ def latencies(trace: Trace, begun: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 @contextlib.contextmanager
-def served(directory: Path, *options: str, scene: str = HELD) -> Iterator[tuple[str, int, list[Any]]]:
-    """`hapsim run` of a scene: its WebSocket, its OSC port; its report, once it has ended."""
+def served(directory: Path, *options: str, scene: str = HELD) -> Iterator[tuple[str, int, list[Any], int]]:
+    """`hapsim run` of a scene: its WebSocket, its OSC port; its report, once it has ended; its process."""
     (directory / "held.yaml").write_text(scene, encoding="utf-8")
     with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as free:
         free.bind(("127.0.0.1", 0))
@@ -117,7 +117,7 @@ def served(directory: Path, *options: str, scene: str = HELD) -> Iterator[tuple[
             while json.loads(ask(client, {"type": "get"}))["phase"] != "running":
                 time.sleep(0.05)
         try:
-            yield url, osc, report
+            yield url, osc, report, process.pid
         finally:
             process.send_signal(signal.SIGINT)
         assert process.stdout is not None
@@ -192,7 +192,7 @@ def run_changed(way: str, rate: float, seconds: float, directory: Path) -> tuple
             time.sleep(0.2)
         return session.trace, begun
     file = directory / "run.trace"
-    with served(directory, "--realtime", "--record", str(file)) as (url, osc, _):
+    with served(directory, "--realtime", "--record", str(file)) as (url, osc, *_):
         if way in PROGRAMS:
             with relaying(way, osc, directory) as send:
                 begun = sent_at(send, rate, seconds)
@@ -264,9 +264,9 @@ def watched(seconds: float, rounds: int, streams: str) -> None:
     for number, how in enumerate([*found] * rounds):
         with contextlib.ExitStack() as stack:
             directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            url, osc, report = stack.enter_context(served(directory, "--realtime"))
+            url, osc, report, _ = stack.enter_context(served(directory, "--realtime"))
             if how == "beside":
-                url, osc, _ = stack.enter_context(served(directory))
+                url, osc, *_ = stack.enter_context(served(directory))
             if how == "alone":
                 time.sleep(seconds)
             else:
@@ -298,7 +298,7 @@ def frames(seconds: float) -> None:
         options.add_argument(one)
     with contextlib.ExitStack() as stack:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        url, _, _ = stack.enter_context(served(directory, scene=_many_channels()))
+        url, *_ = stack.enter_context(served(directory, scene=_many_channels()))
         page = stack.enter_context(webdriver.Chrome(options, webdriver.ChromeService("/usr/bin/chromedriver")))
         page.set_script_timeout(10 * seconds + 60)
         page.get(origin_of(url))
