@@ -84,6 +84,14 @@ def grid(axes: Mapping[str, Iterable[Value]]) -> Points:
     return Points(sizes, {path: list(column) for path, column in zip(values, columns, strict=True)})
 
 
+def listed(points: Sequence[Mapping[str, Value]]) -> Points:
+    """Returns points that are listed one by one, all with the same paths. UsageError where they are not."""
+    paths = list(points[0]) if points else []
+    if not paths or any(list(one) != paths for one in points):
+        raise UsageError("points: expected one or more, each with a value for the same paths")
+    return Points({POINT: len(points)}, {path: [_value(path, one[path]) for one in points] for path in paths})
+
+
 def samples(ranges: Mapping[str, Range], count: int, method: Method = "lhs", seed: int = 0) -> Points:
     """Returns `count` points of these ranges, always the same for a seed: a Latin hypercube ("lhs"), independent ones
     ("random") or Sobol's sequence ("sobol")."""

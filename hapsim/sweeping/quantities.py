@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.errors import HapsimError
+from hapsim.errors import HapsimError, UsageError
 from hapsim.measuring.measure import measure_by
 from hapsim.measuring.measure_impedance import measure_impedance_by
 from hapsim.measuring.multisine import lines_for
@@ -118,7 +118,10 @@ def _impedances(task: Task, scene: Scene) -> Values:
 
 
 def _by_function(task: Task, scene: Scene) -> Values:
-    return {} if task.function is None else {name: float(one) for name, one in task.function(scene).items()}
+    found = {} if task.function is None else {name: float(one) for name, one in task.function(scene).items()}
+    if taken := found.keys() & {ERROR, FREQUENCY, *(name for kind in KINDS.values() for name in kind)}:
+        raise UsageError(f"the function returns {min(taken)}, a name that sweeps use: expected another")
+    return found
 
 
 _WORK: dict[str, Callable[[Task, Scene], Values]] = {

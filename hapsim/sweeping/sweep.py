@@ -12,7 +12,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,7 @@ from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.sweeping.executors import executor_of
 from hapsim.sweeping.parts import Parts
-from hapsim.sweeping.points import Points, grid
+from hapsim.sweeping.points import Points, grid, listed
 from hapsim.sweeping.quantities import ERROR, FREQUENCY, KINDS, Task, frequencies, work
 from hapsim.sweeping.vary import Varied
 
@@ -43,7 +43,7 @@ _PILOTS = 3  # points that say how long one takes
 
 def sweep(
     scene: SceneSource,
-    points: Points | Mapping[str, Any],
+    points: Points | Mapping[str, Any] | Sequence[Mapping[str, Any]],
     *,
     out: str | Path | None = None,
     quantities: tuple[str, ...] = ("predicted", "measured"),
@@ -59,7 +59,7 @@ def sweep(
     Args:
         scene: a Scene, or the path of a scene file. Its clock and port do not count.
         points: the values of each parameter by its path, `{"touch.stiffness": [500, 1000], "device.delay": [0, 1]}`,
-            which make a grid; or Points, such as of `hapsim.sweeping.points.samples`.
+            which make a grid; or a list of points, each such as `{"touch.stiffness": 500, "device.delay": 1}`.
         out: a .nc or .zarr to write. While it grows, OUT.parts has what is finished: the same call goes on with what
             is missing.
         quantities: "predicted", "measured" (k and b), "impedance"; none for `function` alone.
@@ -76,7 +76,8 @@ def sweep(
     """
     _require_xarray()
     scene = as_scene(scene)
-    points = points if isinstance(points, Points) else grid(points)
+    if not isinstance(points, Points):
+        points = grid(points) if isinstance(points, Mapping) else listed(points)
     task = _task(scene, points, quantities, channel, duration, function)
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs: found {jobs}, expected 1 or more")
@@ -183,9 +184,7 @@ def _manifest(task: Task, points: Points) -> dict[str, Any]:
         "quantities": list(task.kinds),
         "channel": task.channel,
         "duration": task.duration,
-        "function": None
-        if function is None
-        else f"{function.__module__}.{getattr(function, '__qualname__', function)}",
+        "function": function and getattr(function, "__qualname__", repr(function)),
         "versions": versions_of_now(),
     }
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hapsim.errors import SceneError, UsageError
 from hapsim.scene import load_scene
-from hapsim.sweeping.points import METHODS, grid, read_points, table
+from hapsim.sweeping.points import METHODS, grid, listed, read_points, table
 from hapsim.sweeping.vary import Varied
 
 
@@ -84,6 +84,15 @@ def test_what_names_no_points_is_answered_with_a_sentence(words: list[str], samp
     with pytest.raises(UsageError) as caught:
         read_points(words, samples, "lhs", 0)
     assert said in str(caught.value)
+
+
+def test_points_may_be_listed() -> None:
+    points = listed([{"rate": 1000, "scheme": "rk4"}, {"rate": 500.0, "scheme": "exact"}])
+    assert points.sizes == {"point": 2}
+    assert points[1] == {"rate": 500.0, "scheme": "exact"}
+    for wrong in ([], [{}], [{"rate": 1.0}, {"scheme": "rk4"}]):
+        with pytest.raises(UsageError, match="the same paths"):
+            listed(wrong)
 
 
 @pytest.mark.parametrize(

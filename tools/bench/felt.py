@@ -20,13 +20,14 @@ that follow each other otherwise; the measurement that states the least uncertai
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import os
 import statistics
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -190,22 +191,42 @@ def stays(trace: hapsim.Trace) -> bool:
     return bool(last.size and last.min() < 0.1 * FORCE_LIMIT and last.max() < FORCE_LIMIT)
 
 
-def _measure_one(task: tuple[str, str, float, float]) -> Cell:
-    name, condition, kappa, ratio = task
+def cell_of(name: str, condition: str, scene: Scene) -> dict[str, float]:
+    """What is measured where a scene asks for this stiffness and damping."""
+    touch = scene.links["touch"]
+    assert isinstance(touch, ViscoElastic)
+    kappa, ratio = touch.stiffness / (MASS * RATE**2), 0.5 * touch.damping / math.sqrt(touch.stiffness * MASS)
     contender = next(one for one in CONTENDERS if one.name == name)
-    return measured(kappa, ratio, contender, CONDITIONS[condition])
+    cell = measured(kappa, ratio, contender, CONDITIONS[condition])._asdict()
+    return {f"cell_{field}": value for field, value in cell.items()}
 
 
 def measure_all(columns: int, rows: int, conditions: list[str], names: list[str], processes: int) -> dict[str, Any]:
     """Every cell of every condition with some corrections, as the document that is kept."""
-    tasks = [(one, name, *at) for name in conditions for one in names for at in plane(columns, rows)]
-    cells: dict[str, dict[str, list[list[Any]]]] = {name: {one: [] for one in names} for name in conditions}
-    measured(0.01, 0.5, CONTENDERS[-1], {})  # compiles what all of them need
-    with ProcessPoolExecutor(processes) as pool:
-        for done, (task, cell) in enumerate(zip(tasks, pool.map(_measure_one, tasks, chunksize=8), strict=True), 1):
-            cells[task[1]][task[0]].append([_kept(value) for value in cell])
-            if done % 100 == 0 or done == len(tasks):
-                print(f"\r{done} of {len(tasks)} runs: {task[1]}, {task[0]}   ", end="", file=sys.stderr, flush=True)
+    wanted = (desired(*at) for at in plane(columns, rows))
+    points = [{"touch.stiffness": k, "touch.damping": b} for k, b in wanted]
+    carrier = scene_of(0.01, 0.5, CONTENDERS[0], {})
+    cells: dict[str, dict[str, list[list[Any]]]] = {condition: {} for condition in conditions}
+    for condition, name in itertools.product(conditions, names):
+        say = f"{condition}, {name}"
+        found = hapsim.sweep(
+            carrier,
+            points,
+            quantities=(),
+            function=partial(cell_of, name, condition),
+            jobs=processes,
+            on_progress=lambda done, _, say=say: print(f"\r{say}: {done}   ", end="", file=sys.stderr, flush=True),
+        )
+        if failed := [one for one in found["error"].values if one]:
+            raise RuntimeError(failed[0])
+        columns_of = zip(*(found[f"cell_{field}"].values for field in FIELDS), strict=True)
+        cells[condition][name] = [
+            [
+                bool(value) if field == "stable" else _kept(float(value))
+                for field, value in zip(FIELDS, cell, strict=True)
+            ]
+            for cell in columns_of
+        ]
     print(file=sys.stderr)
     about = {"order": "damping ratio after damping ratio, then the next K T²/m", "fields": FIELDS}
     return {"columns": columns, "rows": rows, **about, "cells": cells}
