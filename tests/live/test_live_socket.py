@@ -3,7 +3,10 @@ schema."""
 
 from __future__ import annotations
 
+import gc
 import json
+import time
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +15,7 @@ import pytest
 from live_clients import SCENE, SCHEMA, Served
 from websockets.exceptions import ConnectionClosed
 
+from hapsim.live import server
 from hapsim.live.messages import schema
 from hapsim.recording.trace import load_trace
 
@@ -210,3 +214,27 @@ def test_a_message_beyond_every_limit_closes_the_connection(shared: Served) -> N
             client.next()
         assert client.closed[0] == 1009
     assert not shared.warnings
+
+
+class _Circle:
+    """Refers to itself: only a collector finds it."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+def test_what_clients_leave_is_collected_where_the_collector_is_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So it is with real-time privileges: a run that is watched for days would grow with every client."""
+    monkeypatch.setattr(server, "_COLLECT_S", 0.01)
+    running = server.Server([], lambda _: None)
+    gc.disable()
+    try:
+        running.start()
+        left = weakref.ref(_Circle())
+        give_up = time.monotonic() + 60.0
+        while left() is not None:
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+    finally:
+        gc.enable()
+        running.close()
