@@ -197,8 +197,8 @@ def cell_of(name: str, condition: str, scene: Scene) -> dict[str, float]:
     assert isinstance(touch, ViscoElastic)
     kappa, ratio = touch.stiffness / (MASS * RATE**2), 0.5 * touch.damping / math.sqrt(touch.stiffness * MASS)
     contender = next(one for one in CONTENDERS if one.name == name)
-    cell = measured(kappa, ratio, contender, CONDITIONS[condition])._asdict()
-    return {f"cell_{field}": value for field, value in cell.items()}
+    cell = measured(kappa, ratio, contender, CONDITIONS[condition])
+    return {f"cell_{field}": value for field, value in zip(FIELDS, cell, strict=True)}
 
 
 def measure_all(columns: int, rows: int, conditions: list[str], names: list[str], processes: int) -> dict[str, Any]:
