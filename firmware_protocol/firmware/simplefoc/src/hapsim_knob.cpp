@@ -17,13 +17,15 @@ static const uint32_t STALLED_TICKS = 5; /* without a round of the FOC: it holds
 static FOCMotor *motor;
 static Stream *port;
 static float target_per_count;
-static int64_t origin, newest; /* of the angle, in counts: loop() alone */
+static int64_t origin, newest;       /* of the angle, in counts: loop() alone */
+static uint32_t ticks_without_round; /* with the state machine: so the tick or a byte */
 
 /* Shared, a word each. */
 static int32_t wanted = RELEASED; /* the torque, to loop() */
 static int32_t shaft;             /* from loop(): counts, */
 static uint32_t rounds;           /* how often it came round, */
-static uint32_t fault;            /* and what is wrong: until armed again */
+static uint32_t fault;            /* what is wrong with the motor or the angle now, */
+static uint32_t jumped;           /* and whether the angle has jumped since arming */
 
 /* Sequentially consistent, each: `due` and `busy` are read behind a write of the other one. */
 template <typename Word> static Word read_word(const Word &word) {
@@ -89,35 +91,30 @@ static int64_t angle_in_counts(float within) {
     return motor->sensor_direction == Direction::CCW ? -counts : counts;
 }
 
-static void read_shaft() {
+static bool is_ready() {
+    return motor->motor_status == FOCMotorStatus::motor_ready && target_per_count > 0;
+}
+
+/* The fault of now. */
+static uint32_t read_shaft() {
     const float within = motor->sensor->getMechanicalAngle();
-    if (!(fabsf(within) < 6.3f)) { /* NaN too */
-        write_word(fault, HAPSIM_HARDWARE);
-        return;
+    if (!is_ready() || !(fabsf(within) < 6.3f)) { /* NaN too */
+        return HAPSIM_HARDWARE;
     }
     const int64_t before = newest;
     newest = angle_in_counts(within);
     if (newest - before > HAPSIM_KNOB_LARGEST_STEP || before - newest > HAPSIM_KNOB_LARGEST_STEP) {
-        write_word(fault, HAPSIM_HARDWARE);
+        write_word(jumped, 1);
     }
-    if (newest - origin != (int32_t)(newest - origin)) {
-        write_word(fault, HAPSIM_POSITION_OUT_OF_RANGE);
-        return;
-    }
-    write_word(shaft, (int32_t)(newest - origin));
-}
-
-static bool is_sound() {
-    if (motor->motor_status != FOCMotorStatus::motor_ready || target_per_count <= 0) {
-        write_word(fault, HAPSIM_HARDWARE);
-    }
-    return read_word(fault) == HAPSIM_NO_FAULT;
+    const int64_t counts = newest - origin;
+    write_word(shaft, (int32_t)counts);
+    return counts == (int32_t)counts ? HAPSIM_NO_FAULT : HAPSIM_POSITION_OUT_OF_RANGE;
 }
 
 /* The torque first, so that this round puts it out; the sensor is read in loopFOC, in every state. */
 static void run_foc() {
     const int32_t counts = read_word(wanted);
-    const bool on = is_sound() && counts != RELEASED;
+    const bool on = fault == HAPSIM_NO_FAULT && !read_word(jumped) && counts != RELEASED;
     if (on && !motor->enabled) {
         motor->enable();
     } else if (!on && motor->enabled) {
@@ -125,7 +122,7 @@ static void run_foc() {
     }
     motor->move(on ? (float)counts * target_per_count : 0.0f);
     motor->loopFOC();
-    read_shaft();
+    write_word(fault, read_shaft());
     write_word(rounds, rounds + 1);
 }
 
@@ -153,37 +150,35 @@ bool hapsim_knob_begin(FOCMotor &a_motor, Stream &a_port, float target_per_nm) {
     target_per_count = within ? per_count : 0;
     motor->sensor->update();
     origin = newest = angle_in_counts(motor->sensor->getMechanicalAngle());
+    fault = read_shaft();
     hapsim_device_init();
     hapsim_platform_begin(HAPSIM_BOARD_PERIOD_TICKS);
-    return is_sound();
+    return is_ready();
 }
 
 uint32_t hapsim_port_now(void) {
     return micros();
 }
 
-/* By the tick, and by nothing else. */
-static uint32_t ticks_without_round() {
-    static uint32_t seen, ticks;
-    const uint32_t now = read_word(rounds);
-    ticks = now == seen ? ticks + 1 : 0;
-    seen = now;
-    return ticks;
+/* A loop() that died cannot disable the driver: the tick latches, and no longer puts off the reset that can. */
+static bool loop_runs() {
+    return ticks_without_round < STALLED_TICKS;
 }
 
-/* A loop() that died cannot disable the driver; the reset does. */
 void hapsim_port_feed_watchdog(void) {
-    if (ticks_without_round() < STALLED_TICKS) {
+    static uint32_t seen;
+    const uint32_t now = read_word(rounds);
+    ticks_without_round = now == seen ? ticks_without_round + 1 : 0;
+    seen = now;
+    if (loop_runs()) {
         hapsim_platform_feed_watchdog();
-    } else {
-        write_word(fault, HAPSIM_HARDWARE);
     }
 }
 
 uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
     (void)velocity;
     counts[0] = read_word(shaft);
-    return (uint8_t)read_word(fault);
+    return (uint8_t)(read_word(jumped) || !loop_runs() ? (uint32_t)HAPSIM_HARDWARE : read_word(fault));
 }
 
 void hapsim_port_put_forces(const int32_t *counts) {
@@ -197,7 +192,7 @@ bool hapsim_port_write(const uint8_t *bytes, size_t count) {
 void hapsim_port_begin(void) {
     hapsim_platform_restart(HAPSIM_BOARD_PERIOD_TICKS);
     write_word(due, 0);
-    write_word(fault, HAPSIM_NO_FAULT);
+    write_word(jumped, 0);
 }
 
 /* The state machine has one visitor at a time already. */
