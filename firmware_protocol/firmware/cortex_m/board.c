@@ -15,16 +15,10 @@
 #define TICK_US 1000u
 
 void on_systick(void);
-void on_timer1(void);
 
 static simulated_mass mass;
 static int32_t force;
 static uint32_t ticks;
-
-/* Wakes the main loop, and that is all. */
-void on_timer1(void) {
-    TIMER1->interrupts = 1;
-}
 
 void on_systick(void) {
     ticks++;
@@ -85,13 +79,13 @@ static bool take_byte(void) {
 }
 
 int main(void) {
-    start_hardware(HAPSIM_BOARD_PERIOD_TICKS);
+    start_hardware();
     note_force(0, 0); /* as it came out of the reset */
     hapsim_device_init();
     for (;;) {
         while (take_byte()) {
         }
-        TIMER1->control = hapsim_device_look() ? 9 : 0; /* counts, interrupts */
+        wake_often(hapsim_device_look());
         rest();
 #ifdef HAPSIM_BROKEN_TICK /* half a second after arming the tick dies: the hardware watchdog has to see it */
         if (hapsim_device_register(HAPSIM_REG_ACCEPTED) > 500) {

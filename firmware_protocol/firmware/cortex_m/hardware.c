@@ -3,11 +3,13 @@
 
 #include "mps2.h"
 
+#define CYCLES_PER_US 25u
 #define BYTES_PRIORITY 0x40u
 #define WATCHDOG_PERIODS 30u /* to its first warning; as long again to the reset */
 
 void on_uart0_received(void);
 void on_uart0_sent(void);
+void on_timer1(void);
 
 /* One context writes `end`, the other one `start`; both count on and on. */
 typedef struct {
@@ -36,6 +38,11 @@ static void send_next(void) {
 void on_uart0_sent(void) {
     UART0->interrupts = UART_SENT;
     send_next();
+}
+
+/* Wakes the main loop, and that is all. */
+void on_timer1(void) {
+    TIMER1->interrupts = 1;
 }
 
 void keep_out(uint32_t priority) {
@@ -113,7 +120,17 @@ void feed_watchdog(void) {
     WATCHDOG_LOCK = 0;
 }
 
-void start_hardware(uint32_t period) {
+uint32_t now_us(void) {
+    return ~TIMER0->value / CYCLES_PER_US;
+}
+
+void wake_often(bool often) {
+    TIMER1->control = often ? 9 : 0; /* counts, interrupts */
+}
+
+void start_hardware(void) {
+    const uint32_t period = 1000 * CYCLES_PER_US;
+
     UART0->divider = 16;
     UART0->control = UART_SENDS | UART_RECEIVES | UART_SENT_INTERRUPTS | UART_INTERRUPTS;
     TIMER0->reload = 0xffffffffu;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
 /* The MPS2 board as its two firmwares use it: UART, SysTick, a clock, the watchdog, and a log of the forces. A firmware
- * has on_systick, the tick, and on_timer1, which may wake its main loop; the rest of the interrupts is here. */
+ * has on_systick, the tick; the rest of the interrupts is here. */
 #ifndef HARDWARE_H
 #define HARDWARE_H
 
@@ -10,8 +10,11 @@
 
 enum { RING = 256, NOTHING_CAME = -1, BYTES_WERE_LOST = -2 }; /* RING: a power of two, above the longest frame */
 
-/* SysTick comes every `period` cycles from now on. */
-void start_hardware(uint32_t period);
+/* SysTick comes once a millisecond from now on. */
+void start_hardware(void);
+
+/* Of a clock that runs free. */
+uint32_t now_us(void);
 
 /* The next tick comes a whole period from now. */
 void begin_period(void);
@@ -29,6 +32,9 @@ int next_byte(void);
 /* Bytes that send_bytes takes at once. It is called by the tick, or while the tick is held off. */
 size_t room_to_send(void);
 void send_bytes(const uint8_t *bytes, size_t count);
+
+/* Whether a second timer wakes the main loop twice in a period. */
+void wake_often(bool often);
 
 /* Sleeps until the next interrupt, unless a byte came after it was looked for. */
 void rest(void);

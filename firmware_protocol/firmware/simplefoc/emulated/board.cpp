@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* The sketch of examples/knob on the emulated Cortex-M3. Its motor turns simulated_mass.c: 1 nm there are 0.1 urad here.
+/* The sketch of examples/knob on the emulated Cortex-M3, and as a Linux process. Its motor turns simulated_mass.c: 1 nm there are 0.1 urad here.
  *
  *     torque = K (U - K speed) / R         R, K: of nobody's motor, in the range of small gimbal motors
  *
@@ -15,10 +15,9 @@
 #include "hapsim_platform.h"
 extern "C" {
 #include "hardware.h"
-#include "mps2.h"
 #include "simulated_mass.h"
 void on_systick(void);
-void on_timer1(void);
+int run_board(void);
 [[noreturn]] void __cxa_pure_virtual(void);
 }
 
@@ -26,7 +25,6 @@ static const double RESISTANCE = 10, TORQUE_CONSTANT = 0.03;      /* ohm, N m/A 
 static const double TURN = 6.283185307179586;
 static const double RAD = 1e-7 / (1 << 24);                       /* of simulated_mass.h's unit of position */
 static const double NM_PER_COUNT = 6e-11;                         /* 1.2e-5 kg m^2 in place of its 0.2 kg */
-static const uint32_t CYCLES_PER_US = 25;
 
 static simulated_mass rotor;
 static volatile uint32_t ticks;
@@ -40,11 +38,6 @@ HardwareSerial Serial;
 void __cxa_pure_virtual(void) {
     for (;;) {
     }
-}
-
-/* Wakes the main loop, and that is all. */
-void on_timer1(void) {
-    TIMER1->interrupts = 1;
 }
 
 void on_systick(void) {
@@ -67,7 +60,7 @@ void hapsim_platform_feed_watchdog() {
 }
 
 unsigned long micros() {
-    return ~TIMER0->value / CYCLES_PER_US;
+    return now_us();
 }
 
 int HardwareSerial::available() {
@@ -146,11 +139,10 @@ void BLDCMotor::loopFOC() {
     sensor->update();
 }
 
-int main() {
-    start_hardware(25000);
+int run_board(void) {
+    start_hardware();
     note_force(0, 0); /* as it came out of the reset */
     setup();
-    TIMER1->control = 9;
     for (;;) {
         loop();
         rest();
