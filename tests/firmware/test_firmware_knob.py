@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +17,7 @@ from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
+SMARTKNOB = Path(__file__).parents[2] / "configs" / "boards" / "smartknob.yaml"
 HARNESS = Path(__file__).parent / "harness"
 ARM = f"bytes {frame_to_device(SETUP, schema.ARM, 100, schema.PACED_BY_DEVICE, [schema.SCHEMA_HASH]).hex()}"
 DISARM = f"bytes {frame_to_device(armed_format(1), schema.DISARM, 0, 0, [0]).hex()}"
@@ -107,6 +110,26 @@ def position_of(frame: str) -> int:
     while at < 7:
         stuffed[at], at = 0, at + stuffed[at]
     return int.from_bytes(stuffed[3:7], "little", signed=True)
+
+
+def test_a_first_touch_of_the_emulated_knob_feels_as_predicted(
+    start_board: Callable[..., Any], start_hapsim: Callable[..., Any], tmp_path: Path
+) -> None:
+    """The friction that the scene declares is the rotor's, 6e-5 N·m·s/rad, and K²/R of the voltage drive, 9e-5."""
+    scene = tmp_path / "knob.yaml"
+    scene.write_text(SMARTKNOB.read_text("utf-8").replace("delay: 2.25", "delay: 1"), "utf-8")
+    words = ("measure", scene, "--port", start_board("simplefoc").port, "--at", 0, "--json")
+    for _ in range(6):  # a machine that is busy with other tests may hold host or board up
+        measuring = start_hapsim(*words)
+        measuring.wait()
+        document = json.loads(measuring.out)
+        if document.get("measured", {}).get("k") is not None:
+            break
+    predicted, measured = document["predicted"], document["measured"]
+    for name, resolved in (("k", 0.1), ("b", 0.2)):  # 14 bits a turn
+        uncertainty = measured[f"{name}_uncertainty"]
+        assert uncertainty < resolved * predicted[name]
+        assert measured[name] == pytest.approx(predicted[name], abs=3 * uncertainty)
 
 
 def test_timer_and_loop_share_words_and_the_state_machine_alone(compile_knob: Callable[..., Path]) -> None:

@@ -43,10 +43,10 @@ NOT_SEEN = {
     "linux": {"wrong_sensing": SENSES},
     "avr": {"wrong_sensing": SENSES},
     "cortex_m": {"wrong_sensing": SENSES},
-    "simplefoc": {"velocities": "no velocity is sensed (register 38)"},
+    "simplefoc_cortex_m": {"velocities": "no velocity is sensed (register 38)"},
 }
 # QEMU's clock stands still while it emulates what an interrupt does: its rate is this machine's, 0.85 kHz or so.
-OF_THE_EMULATOR = {"cortex_m": {"rate_kept"}, "simplefoc": {"rate_kept"}}
+OF_THE_EMULATOR = {"cortex_m": {"rate_kept"}, "simplefoc_cortex_m": {"rate_kept"}}
 
 
 @pytest.fixture(autouse=True)
@@ -104,7 +104,7 @@ def test_a_sound_device_passes_every_check_that_can_be_seen_of_it(name: str, req
     with contextlib.ExitStack() as stack:
         start_board = request.getfixturevalue("start_board") if name != "mock" else None
         start = (lambda: start_board(name).port) if start_board else (lambda: stack.enter_context(mock_port()))
-        checks = judged(start, expected, LEAVE_OF_THE_KNOB if name == "simplefoc" else LEAVE)
+        checks = judged(start, expected, LEAVE_OF_THE_KNOB if name == "simplefoc_cortex_m" else LEAVE)
     others = {check.name: (check.result, check.found) for check in checks.values() if not expected(check)}
     if others and is_overloaded() and {result for result, _ in others.values()} == {"not seen"}:
         pytest.skip(f"this machine has too much else to do to see {', '.join(others)} of {name}")
