@@ -115,7 +115,7 @@ def position_of(frame: str) -> int:
 def test_a_first_touch_of_the_emulated_knob_feels_as_predicted(
     start_board: Callable[..., Any], start_hapsim: Callable[..., Any], tmp_path: Path
 ) -> None:
-    """The friction that the scene declares is the rotor's, 6e-5 N·m·s/rad, and K²/R of the voltage drive, 9e-5."""
+    """The friction that the scene declares is the rotor's, 6e-5 N·m·s/rad, and K²/R = 8.5e-5 of the voltage drive."""
     scene = tmp_path / "knob.yaml"
     scene.write_text(SMARTKNOB.read_text("utf-8").replace("delay: 2.25", "delay: 1"), "utf-8")
     words = ("measure", scene, "--port", start_board("simplefoc").port, "--at", 0, "--json")

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* The few calls of SimpleFOC 2.3 and 2.4 that a knob uses, with their names, types and order of things. What a motor does
- * with its voltage, and an MT6701 senses, is the emulated board's. */
+/* The few calls of SimpleFOC 2.3 and 2.4 that a knob uses, with their names, types and order of things. What a motor
+ * does with its voltage, and an MT6701 senses, is the emulated board's. */
 #ifndef SIMPLEFOC_H
 #define SIMPLEFOC_H
 
@@ -51,9 +51,9 @@ protected:
     float getSensorAngle() override;
 };
 
-class BLDCDriver6PWM {
+class BLDCDriver3PWM {
 public:
-    BLDCDriver6PWM(int, int, int, int, int, int) {}
+    BLDCDriver3PWM(int, int, int, int, int, int) {}
     int init() {
         return 1;
     }
@@ -86,7 +86,7 @@ public:
 class BLDCMotor : public FOCMotor {
 public:
     explicit BLDCMotor(int) {}
-    void linkDriver(BLDCDriver6PWM *) {}
+    void linkDriver(BLDCDriver3PWM *) {}
     int init() override;
     int initFOC() override;
     void enable() override;

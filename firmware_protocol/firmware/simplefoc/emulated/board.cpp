@@ -1,11 +1,12 @@
 /* SPDX-License-Identifier: MIT */
-/* The sketch of examples/knob on the emulated Cortex-M3, and as a Linux process. Its motor turns simulated_mass.c: 1 nm there are 0.1 urad here.
+/* The sketch of examples/knob on the emulated Cortex-M3, and as a Linux process. Its motor turns simulated_mass.c: 1 nm
+ * there are 0.1 urad here.
  *
- *     torque = K (U - K speed) / R         R, K: of nobody's motor, in the range of small gimbal motors
+ *     torque = K (U - K speed) / R         R: as the firmware of a NanoD++ has it; K: a guess
  *
- * The rotor moves once a tick, in the first round of the FOC after it, by the whole sample that follows: with the voltage
- * that this round puts out, which is held that long. So a position at a tick is that of the tick, and what an FOC loop
- * adds to the delay on a real board is not in it. */
+ * The rotor moves once a tick, in the first round of the FOC after it, by the whole sample that follows: with the
+ * voltage that this round puts out, which is held that long. So a position at a tick is that of the tick, and the delay
+ * that an FOC loop adds on a real board is not in it. */
 #include <Arduino.h>
 #include <SimpleFOC.h>
 #include <math.h>
@@ -21,7 +22,7 @@ int run_board(void);
 [[noreturn]] void __cxa_pure_virtual(void);
 }
 
-static const double RESISTANCE = 10, TORQUE_CONSTANT = 0.03;      /* ohm, N m/A = V s/rad */
+static const double RESISTANCE = 2.645, TORQUE_CONSTANT = 0.015; /* ohm, N m/A = V s/rad */
 static const double TURN = 6.283185307179586;
 static const double RAD = 1e-7 / (1 << 24);                       /* of simulated_mass.h's unit of position */
 static const double NM_PER_COUNT = 6e-11;                         /* 1.2e-5 kg m^2 in place of its 0.2 kg */

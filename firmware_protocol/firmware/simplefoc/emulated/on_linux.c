@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* hardware.h as a Linux process on a pseudo-terminal that it makes: `simplefoc [LOG]` prints the port's path. One thread:
- * the tick comes where the main loop rests, and its clock is made of its ticks. */
+/* hardware.h as a Linux process on a pseudo-terminal that it makes: `simplefoc [LOG]` prints the port's path. One
+ * thread: the tick comes where the main loop rests, and its clock is made of its ticks. */
 #define _GNU_SOURCE
 #include "hardware.h"
 #include "terminal.h"

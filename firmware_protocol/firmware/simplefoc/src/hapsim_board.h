@@ -15,7 +15,7 @@
 /* A whole turn in counts, and 2 pi divided by it: as an MT6701 or an AS5047 resolves. */
 #define HAPSIM_KNOB_TURN 16384
 #define HAPSIM_BOARD_POSITION_SCALE {HAPSIM_F64(0x3f3921fb, 0x54442d18)} /* 0.0003834951969714103 rad per count */
-#define HAPSIM_BOARD_VELOCITY_SCALE {HAPSIM_F64(0, 0)} /* SimpleFOC derives velocities, and filters them: none is sensed */
+#define HAPSIM_BOARD_VELOCITY_SCALE {HAPSIM_F64(0, 0)} /* SimpleFOC derives velocities, it senses none */
 
 #define HAPSIM_KNOB_NM_PER_COUNT 1e-8f
 #define HAPSIM_BOARD_FORCE_SCALE {HAPSIM_F64(0x3e45798e, 0xe2308c3a)} /* 1e-8 N m per count: the same */

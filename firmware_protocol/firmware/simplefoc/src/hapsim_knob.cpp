@@ -12,7 +12,7 @@ extern "C" {
 
 static const int32_t RELEASED = INT32_MIN; /* the driver is disabled; no torque within the limit has this count */
 static const int32_t limit_counts[] = HAPSIM_BOARD_FORCE_LIMIT_COUNTS;
-static const uint32_t STALLED_TICKS = 5; /* without a round of the FOC: it holds a torque, but no longer turns it along */
+static const uint32_t STALLED_TICKS = 5; /* without a round of the FOC: the field stands still */
 
 static FOCMotor *motor;
 static Stream *port;
@@ -84,7 +84,7 @@ static void enter_with(int byte) {
     do_due_ticks();
 }
 
-/* SimpleFOC's angle within the turn is exact, its sum of turns a float. A positive torque turns it up: so initFOC found. */
+/* SimpleFOC's angle within the turn is exact; its angle over turns is a float. initFOC found the direction. */
 static int64_t angle_in_counts(float within) {
     const int64_t turns = motor->sensor->getFullRotations();
     const int64_t counts = turns * HAPSIM_KNOB_TURN + lroundf(within * (HAPSIM_KNOB_TURN / 6.283185307f));
@@ -149,7 +149,8 @@ bool hapsim_knob_begin(FOCMotor &a_motor, Stream &a_port, float target_per_nm) {
     const bool within = per_count > 0 && (float)limit_counts[0] * per_count <= largest_target(); /* NaN is not */
     target_per_count = within ? per_count : 0;
     motor->sensor->update();
-    origin = newest = angle_in_counts(motor->sensor->getMechanicalAngle());
+    const float start = motor->sensor->getMechanicalAngle();
+    origin = newest = isfinite(start) ? angle_in_counts(start) : 0;
     fault = read_shaft();
     hapsim_device_init();
     hapsim_platform_begin(HAPSIM_BOARD_PERIOD_TICKS);
