@@ -8,6 +8,7 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <stdio.h>
+#include <string.h>
 #include <sys/ioctl.h>
 #include <sys/prctl.h>
 #include <time.h>
@@ -21,6 +22,8 @@ void on_systick(void);
 static int port, log_file = -1;
 static int64_t due;
 static uint32_t ticks;
+static uint8_t unsent[RING];
+static size_t unsent_from, unsent_to;
 
 static int64_t now_ns(void) {
     struct timespec now;
@@ -51,18 +54,23 @@ int next_byte(void) {
     return read(port, &byte, 1) == 1 ? byte : NOTHING_CAME;
 }
 
-/* A terminal that takes a frame in part takes the rest of it soon; a full one is found full before. */
+/* What a terminal took in part goes first: half a frame is none. */
 size_t room_to_send(void) {
-    struct pollfd ready = {port, POLLOUT, 0};
-    return poll(&ready, 1, 0) == 1 && (ready.revents & POLLOUT) ? RING : 0;
+    while (unsent_from < unsent_to) {
+        const ssize_t sent = write(port, unsent + unsent_from, unsent_to - unsent_from);
+        if (sent <= 0) {
+            return 0;
+        }
+        unsent_from += (size_t)sent;
+    }
+    return RING;
 }
 
 void send_bytes(const uint8_t *bytes, size_t count) {
-    while (count > 0) {
-        const ssize_t sent = write(port, bytes, count);
-        bytes += sent > 0 ? sent : 0;
-        count -= sent > 0 ? (size_t)sent : 0;
-    }
+    memcpy(unsent, bytes, count);
+    unsent_from = 0;
+    unsent_to = count;
+    (void)room_to_send();
 }
 
 void rest(void) {
