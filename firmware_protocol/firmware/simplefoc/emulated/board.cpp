@@ -30,7 +30,8 @@ static const double NM_PER_COUNT = 6e-11;                         /* 1.2e-5 kg m
 static simulated_mass rotor;
 static volatile uint32_t ticks;
 static uint32_t moved;
-static float applied; /* V; 0 too where the driver is disabled */
+static float applied; /* V */
+static bool drives;   /* the driver: else no current flows, and nothing brakes */
 static float sensed;  /* rad */
 static bool runs;
 
@@ -83,7 +84,8 @@ size_t HardwareSerial::write(const uint8_t *bytes, size_t count) {
 }
 
 /* Logged where it changes, as a torque at standstill in counts of the wire. */
-static void apply(float volts) {
+static void apply(bool enable, float volts) {
+    drives = enable;
     if (volts != applied) {
         applied = volts;
         note_force(ticks * 1000, (int32_t)lround(volts * TORQUE_CONSTANT / RESISTANCE / HAPSIM_KNOB_NM_PER_COUNT));
@@ -94,7 +96,7 @@ static void apply(float volts) {
 static void move_rotor() {
     const int64_t turn = (int64_t)(TURN / RAD);
     for (; moved != ticks; moved++) {
-        const double current = (applied - TORQUE_CONSTANT * (double)rotor.velocity * RAD * 1000) / RESISTANCE;
+        const double current = !drives ? 0 : (applied - TORQUE_CONSTANT * (double)rotor.velocity * RAD * 1000) / RESISTANCE;
         simulated_mass_move(&rotor, (int32_t)(TORQUE_CONSTANT * current / NM_PER_COUNT));
         const int64_t within = (rotor.position % turn + turn) % turn;
         sensed = (float)((double)(within * 16384 / turn) * (TURN / 16384));
@@ -118,12 +120,12 @@ int BLDCMotor::initFOC() {
 
 void BLDCMotor::enable() {
     enabled = 1;
-    apply(0);
+    apply(true, 0);
 }
 
 void BLDCMotor::disable() {
     enabled = 0;
-    apply(0);
+    apply(false, 0);
 }
 
 void BLDCMotor::move(float new_target) {
@@ -134,7 +136,7 @@ void BLDCMotor::move(float new_target) {
 
 void BLDCMotor::loopFOC() {
     if (enabled) {
-        apply(target);
+        apply(true, target);
     }
     move_rotor();
     sensor->update();
