@@ -18,7 +18,7 @@ static BLDCMotor motor(7);
 static bool wrong_angle, wrong_torque, over;
 static unsigned fed, forces;
 
-/* The host: arms, and answers each position as it comes. Written to by whoever has the state machine, read by loop(). */
+/* The host: arms, and answers each position as it comes. The side in the state machine writes to it, loop() reads. */
 static uint8_t to_device[64];
 static int to_read, end_read;
 static uint32_t heard = UINT32_MAX;

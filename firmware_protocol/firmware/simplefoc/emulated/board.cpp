@@ -96,7 +96,8 @@ static void apply(bool enable, float volts) {
 static void move_rotor() {
     const int64_t turn = (int64_t)(TURN / RAD);
     for (; moved != ticks; moved++) {
-        const double current = !drives ? 0 : (applied - TORQUE_CONSTANT * (double)rotor.velocity * RAD * 1000) / RESISTANCE;
+        const double back_emf = TORQUE_CONSTANT * (double)rotor.velocity * RAD * 1000;
+        const double current = drives ? (applied - back_emf) / RESISTANCE : 0;
         simulated_mass_move(&rotor, (int32_t)(TORQUE_CONSTANT * current / NM_PER_COUNT));
         const int64_t within = (rotor.position % turn + turn) % turn;
         sensed = (float)((double)(within * 16384 / turn) * (TURN / 16384));

@@ -56,7 +56,7 @@ static void leave() {
     write_word(busy, 0);
 }
 
-/* Whoever finds the state machine taken has written `due` before, and whoever leaves it reads `due` after. */
+/* A side that finds the state machine taken has written `due` before; the side that leaves it reads `due` after. */
 static void do_due_ticks() {
     while (read_word(due) && try_enter()) {
         if (take_word(due, 0)) {
