@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -123,9 +124,11 @@ def test_a_first_touch_of_the_emulated_knob_feels_as_predicted(
         measuring = start_hapsim(*words)
         measuring.wait()
         document = json.loads(measuring.out)
-        if document.get("measured", {}).get("k") is not None:
+        if (document.get("measured") or {}).get("k") is not None:
             break
-    predicted, measured = document["predicted"], document["measured"]
+    predicted, measured = document["predicted"], document["measured"] or {}
+    if measured.get("k") is None and os.getloadavg()[0] > 2 * (os.cpu_count() or 1):
+        pytest.skip("this machine has too much else to do to see a swing of the knob")
     for name, resolved in (("k", 0.1), ("b", 0.2)):  # 14 bits a turn
         uncertainty = measured[f"{name}_uncertainty"]
         assert uncertainty < resolved * predicted[name]
