@@ -29,6 +29,8 @@ RUNNERS = {
     "linux": ("linux", "gcc libc6-dev"),
     "avr": ("run_avr", "gcc libc6-dev gcc-avr avr-libc libsimavr-dev"),
     "cortex_m": ("on_terminal", "gcc libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
+    "simplefoc": ("simplefoc", "g++ libc6-dev"),
+    "simplefoc_cortex_m": ("on_terminal", "g++ libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,7 +15,7 @@ import pytest
 import firmware_protocol
 from firmware_protocol import schema
 from firmware_protocol.description import to_registers
-from firmware_protocol.sessions import LIMIT, STATES
+from firmware_protocol.sessions import DEVICES, LIMIT, STATES
 from hapsim.device.mock.assemble import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import OUTBOX_BYTES, look_at_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
@@ -22,6 +23,8 @@ from hapsim.scene import Scene
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 HARNESS = Path(__file__).parent / "harness"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
+
+SANITIZED = ("-fsanitize=address,undefined",)
 
 Run = Callable[[list[str]], list[str]]
 
@@ -37,23 +40,75 @@ def harness(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Callable
             programs[name] = tmp_path_factory.mktemp(name) / "harness"
             _compile_harness(compiler, device, core, programs[name])
 
-        def run(lines: list[str]) -> list[str]:
-            text = "\n".join(lines) + "\n"
-            ran = subprocess.run([programs[name]], input=text, capture_output=True, text=True, check=True)
-            return ran.stdout.splitlines()
-
-        return run
+        return lambda lines: _answers(programs[name], lines)
 
     return program
 
 
+def _answers(program: Path, lines: list[str]) -> list[str]:
+    text = "\n".join(lines) + "\n"
+    ran = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    return ran.stdout.splitlines()
+
+
 def _compile_harness(compiler: str, device: dict[str, Any], core: Path, to: Path) -> None:
-    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity")
-    defined = [f"-DHARNESS_{key.upper()}={int(device[key])}" for key in keys]
     sources = [str(HARNESS / "harness.c"), str(core)]
-    command = [compiler, *STRICT, "-fsanitize=address,undefined", f"-I{FIRMWARE}", f"-I{HARNESS}", *defined]
-    built = subprocess.run([*command, *sources, "-o", str(to)], capture_output=True, text=True, check=False)
+    command = [compiler, *STRICT, *SANITIZED, f"-I{FIRMWARE}", f"-I{HARNESS}", *_defined(device)]
+    _run([*command, *sources, "-o", str(to)])
+
+
+def _defined(device: dict[str, Any]) -> list[str]:
+    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity")
+    return [f"-DHARNESS_{key.upper()}={int(device[key])}" for key in keys]
+
+
+def _run(command: list[str]) -> None:
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
+
+
+# What the harness calls of the state machine; with the knob for its board, a sketch's loop() and timer do it.
+KNOB_CALLS = {f"hapsim_device_{name}": f"knob_{name}" for name in ("init", "take_byte", "tick", "look")}
+
+
+@pytest.fixture(scope="session")
+def compile_knob(compiler: str, built: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """The Arduino library as it was assembled, but for the harness's constants, with one of the harness's programs."""
+    cpp = shutil.which("g++")
+    if cpp is None:
+        pytest.skip("no g++ on this machine (Debian: g++)")
+
+    def compiled(program: str, sanitized: tuple[str, ...], *more: str) -> Path:
+        here = tmp_path_factory.mktemp("knob")
+        library = shutil.copytree(built / "hapsim_knob" / "src", here / "src")
+        shutil.copy(HARNESS / "hapsim_board.h", library)
+        included = [f"-I{path}" for path in (library, library / "device", FIRMWARE / "simplefoc" / "emulated", HARNESS)]
+        words = ["-g", *sanitized, *_defined(DEVICES["plain"]), *more, *included]
+        calls = [f"-D{name}={instead}" for name, instead in KNOB_CALLS.items()]
+        in_c = [compiler, *STRICT, *words, "-c"]
+        objects = [str(here / "device.o"), str(here / "harness.o")]
+        _run([*in_c, str(library / "device" / "hapsim_device.c"), "-o", objects[0]])
+        if program == "knob":
+            _run([*in_c, "-DHARNESS_KNOB", *calls, str(HARNESS / "harness.c"), "-o", objects[1]])
+        sources = [*map(str, library.glob("*.cpp")), str(HARNESS / f"{program}.cpp")]
+        strict = ["-Wall", "-Wextra", "-Werror", "-O2"]
+        _run([cpp, *strict, *words, *sources, *objects[: 1 + (program == "knob")], "-o", str(here / program)])
+        return here / program
+
+    return compiled
+
+
+@pytest.fixture(scope="session")
+def knob(compile_knob: Callable[..., Path]) -> Callable[..., Run]:
+    """The harness with the knob for its board, compiled with further words: runs lines through it."""
+    programs: dict[tuple[str, ...], Path] = {}
+
+    def program(*more: str) -> Run:
+        if more not in programs:
+            programs[more] = compile_knob("knob", SANITIZED, *more)
+        return lambda lines: _answers(programs[more], lines)
+
+    return program
 
 
 _PERIOD_NS = 1_000_000

@@ -49,16 +49,14 @@ def test_every_session_quotes_its_section() -> None:
         assert quote in sections[entry["section"]], f"section {entry['section']} does not say: {entry['says']}"
 
 
-@pytest.mark.parametrize("entry", TOLD, ids=NAMES)
-def test_the_firmware_does_as_the_session_says(entry: dict[str, Any], harness: Callable[..., Any]) -> None:
-    device = {"name": entry["device"]} | DEVICES[entry["device"]]
+def played(entry: dict[str, Any], run: Callable[[list[str]], list[str]]) -> None:
     lines, wanted = [], []
     for step in entry["steps"]:
         done = lines_of(step)
         registers = step.get("registers", {})
         lines += done + [f"register {number}" for number in registers]
         wanted.append((len(done), step, registers))
-    answers = iter(harness(device)(lines))
+    answers = iter(run(lines))
     for at, (count, step, registers) in enumerate(wanted):
         said = ""
         for _ in range(count):
@@ -67,6 +65,23 @@ def test_the_firmware_does_as_the_session_says(entry: dict[str, Any], harness: C
         outcome = (STATES[int(state)], said, [int(word) for word in force])
         assert outcome == (step["state"], step["out"], step["force"]), f"step {at}: {step}"
         assert {number: int(next(answers)) for number in registers} == registers, f"step {at}: {step}"
+
+
+@pytest.mark.parametrize("entry", TOLD, ids=NAMES)
+def test_the_firmware_does_as_the_session_says(entry: dict[str, Any], harness: Callable[..., Any]) -> None:
+    played(entry, harness({"name": entry["device"]} | DEVICES[entry["device"]]))
+
+
+def asks_for_velocities(entry: dict[str, Any]) -> bool:
+    return any(any(step.get("velocity", ())) for step in entry["steps"])
+
+
+@pytest.mark.parametrize("entry", TOLD, ids=NAMES)
+def test_a_knob_of_simplefoc_does_as_the_session_says(entry: dict[str, Any], knob: Callable[..., Any]) -> None:
+    """From its port to its motor, with the order of loop() and timer that a sketch has."""
+    if entry["device"] != "plain" or asks_for_velocities(entry):
+        pytest.skip("a knob has one channel, senses no velocity, and holds its torque")
+    played(entry, knob())
 
 
 def test_the_hardware_watchdog_is_fed_by_the_tick_and_by_nothing_else(harness: Callable[..., Any]) -> None:

@@ -19,7 +19,7 @@ PLAYED = [
 ]
 NAMES = [name for name in EVERY if name not in PLAYED]
 FORETOLD = re.compile(
-    r"#     k = (?P<k>[\d.]+) N/m, b = (?P<b>[\d.]+) N·s/m, "
+    r"#     k = (?P<k>[\d.]+) (?:N/m|N·m/rad), b = (?P<b>[\d.]+) (?:N·s/m|N·m·s/rad), "
     r"ringing at (?P<hertz>[\d.]+) Hz with damping ratio (?P<ratio>[\d.]+)\.$",
     re.MULTILINE,
 )
@@ -99,3 +99,20 @@ def test_the_unstable_neighbours_that_the_comments_name_are_unstable(name: str, 
 def test_the_scene_with_a_sensor_says_what_it_would_be_without() -> None:
     predicted = predict(with_touch("sensed_velocity", damper="backward"))
     assert f"k = {predicted.k:.2f} N/m and b = {predicted.b:.4f} N·s/m" in text_of("sensed_velocity")
+
+
+@pytest.mark.parametrize("mass", [2e-6, 1.2e-5, 1e-4])
+@pytest.mark.parametrize("friction", [0.0, 1.45e-4])
+def test_the_first_scene_of_a_smartknob_is_stable_for_any_knob(mass: float, friction: float) -> None:
+    """No mass and no friction of one is published."""
+    scene = load_scene(FOLDER / "boards" / "smartknob.yaml")
+    told = FORETOLD.search(text_of("boards/smartknob"))
+    assert told
+    predicted = predict(scene)
+    assert predicted.k == pytest.approx(float(told["k"]), abs=0.000005)
+    assert predicted.b == pytest.approx(float(told["b"]), abs=0.0000005)
+    assert predicted.damping_ratio == pytest.approx(float(told["ratio"]), abs=0.0005)
+    knob = scene.device.model_copy(update={"mass": mass, "friction": friction})
+    other = predict(scene.model_copy(update={"device": knob}))
+    assert other.stable
+    assert min(margin.stiffness_factor for margin in other.margins) > 1.5

@@ -9,6 +9,9 @@ void on_uart0_sent(void);
 void on_timer1(void);
 void reset(void);
 
+typedef void (*vector)(void);
+
+extern const vector constructors_begin, constructors_end; /* of C++ */
 extern uint32_t data_begin, data_end, data_in_flash, bss_begin, bss_end, stack_top;
 
 void reset(void) {
@@ -19,6 +22,9 @@ void reset(void) {
     for (uint32_t *to = &bss_begin; to < &bss_end;) {
         *to++ = 0;
     }
+    for (const vector *constructor = &constructors_begin; constructor < &constructors_end; constructor++) {
+        (*constructor)();
+    }
     main();
 }
 
@@ -28,7 +34,6 @@ static void stay(void) {
     }
 }
 
-typedef void (*vector)(void);
 typedef struct {
     uint32_t *stack;
     vector handlers[31];

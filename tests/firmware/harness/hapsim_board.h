@@ -29,4 +29,11 @@
 #define HAPSIM_BOARD_VELOCITY_SCALE EACH(NONE)
 #endif
 
+#define HAPSIM_KNOB_TURN 16384
+#define HAPSIM_KNOB_NM_PER_COUNT 1.0f
+#ifndef HAPSIM_KNOB_LARGEST_STEP
+#define HAPSIM_KNOB_LARGEST_STEP (1ll << 60) /* sessions place it anywhere */
+#endif
+#define HAPSIM_KNOB_TIMER TIM6
+
 #endif

@@ -17,14 +17,23 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-static uint32_t now;
-static int32_t measured[2 * HAPSIM_BOARD_CHANNELS], put_out[HAPSIM_BOARD_CHANNELS];
-static uint8_t found = HAPSIM_NO_FAULT;
-static bool room = true;
-static unsigned fed, held_off;
-static uint8_t said[4096];
-static size_t said_bytes;
+#ifdef HARNESS_KNOB /* then knob.cpp is the board, and obeys some more lines */
+#define SHARED
+void knob_obey(const char *line);
+#else
+#define SHARED static
+static unsigned held_off;
+#endif
 
+SHARED uint32_t now;
+SHARED int32_t measured[2 * HAPSIM_BOARD_CHANNELS], put_out[HAPSIM_BOARD_CHANNELS];
+SHARED uint8_t found = HAPSIM_NO_FAULT;
+SHARED bool room = true;
+SHARED unsigned fed;
+SHARED uint8_t said[4096];
+SHARED size_t said_bytes;
+
+#ifndef HARNESS_KNOB
 uint32_t hapsim_port_now(void) {
     return now;
 }
@@ -64,6 +73,7 @@ void hapsim_port_let_tick(void) {
         abort();
     }
 }
+#endif
 
 static void take_bytes(const char *hex) {
     unsigned value;
@@ -112,6 +122,9 @@ static void obey(char *line) {
     } else if (strncmp(line, "room", 4) == 0) {
         room = strtoul(rest, NULL, 10) != 0;
     }
+#ifdef HARNESS_KNOB
+    knob_obey(line);
+#endif
 }
 
 int main(void) {
