@@ -103,7 +103,7 @@ def probe_pushing(probing: Probing) -> None:
     """Always goes on."""
     leave = probing.leave
     if leave is None:
-        probing.leave_out(STEP, "not allowed to push: --push N allows at most N newton to either side")
+        probing.leave_out(STEP, "not allowed to push: --push F allows pushes to either side of at most F newton")
         return
     session = probing.arm_by_device(STEP, min(probing.longest_watchdog, 500))
     if session is None:
