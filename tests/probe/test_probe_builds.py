@@ -38,7 +38,7 @@ TIMED = STEPS[STEPS.index("arming") :]
 SENSES = "the device senses velocity on every channel: nothing to refuse"
 UNSENSED = "no velocity is sensed (register 38)"
 PUSHED = ("sign", "delay", "mass", "time_to_live", "limit_cut", "host_time_to_live")
-NOT_PUSHED = "not allowed to push: --push N allows at most N N·m to either side"
+NOT_PUSHED = "not allowed to push: --push F allows pushes to either side of at most F N·m"
 NOT_SEEN = {
     "mock": {
         "lockstep": "declared; whether there is a motor cannot be seen on the wire",
