@@ -212,7 +212,7 @@ def test_the_schema_hash_is_the_one_that_boards_in_the_field_have() -> None:
 
 def test_every_number_of_the_schema_module_that_goes_on_the_wire_is_in_the_schema_text() -> None:
     # A meaning that the text leaves out could change without changing the hash.
-    later = {"REG_ROTARY", "REG_BRIDGE"}  # registers that came after the hash was fixed: they read 0 on a board from before
+    later = {"REG_ROTARY", "REG_BRIDGE"}  # they came after the hash was fixed, and read 0 on a board from before
     registers = [name for name in vars(schema) if name.startswith("REG_") and name not in later]
     names = [*registers, *NAMES, "PACED_BY_DEVICE", "PACED_BY_HOST", "LOCKSTEP", "IDLE", "ARMED", "LATCHED"]
     names += ["HOST_QUIET", "POSITION_OUT_OF_RANGE", "WRONG_SCHEMA", "WRONG_PACING", "WRONG_WATCHDOG", "HARDWARE"]

@@ -19,7 +19,9 @@
 #define TORQUES 2
 #define FRAME 10
 #define ANSWER 9
-#define ANSWER_MS 50 /* USB takes 1 to 2; another program may hold this one up */
+#ifndef HAPI_ANSWER_MS
+#define HAPI_ANSWER_MS 20 /* USB takes 1 to 2; what a force may live without the next is about as long */
+#endif
 #define SILENCE_MS 20
 
 /* No command of hAPI, so each is passed over where a command is due. Four of them are 3.9e-37 as a torque, and any number
@@ -93,7 +95,7 @@ hapi_result hapi_exchange(int port, const hapi_wiring *wiring, const double torq
     if (before < 0 || !send(port, frame, FRAME)) {
         return HAPI_GONE;
     }
-    const int got = receive(port, answer, ANSWER, sizeof answer, ANSWER_MS);
+    const int got = receive(port, answer, ANSWER, sizeof answer, HAPI_ANSWER_MS);
     if (got <= 0) {
         return got < 0 ? HAPI_GONE : HAPI_SILENT;
     }

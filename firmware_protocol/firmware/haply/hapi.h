@@ -32,7 +32,7 @@ bool hapi_set_up(int port, const hapi_wiring *wiring, const float degrees[2]);
 typedef enum { HAPI_ANSWERED, HAPI_SILENT, HAPI_GARBLED, HAPI_NOT_SET_UP, HAPI_GONE } hapi_result;
 
 /* Puts torques (N m) of arm 0 and 1 out and reads their angles (degrees). HAPI_GARBLED: bytes came that are no answer, or
- * more than one; `degrees` is then as it was. Waits 50 ms at most. */
+ * more than one; `degrees` is then as it was. Waits HAPI_ANSWER_MS at most. */
 hapi_result hapi_exchange(int port, const hapi_wiring *wiring, const double torque[2], double degrees[2]);
 
 /* Brings both ends into step: bytes that are no command, and within a frame no torque, then silence, then what came
