@@ -17,6 +17,7 @@
 #include <fcntl.h>
 #include <math.h>
 #include <poll.h>
+#include <sched.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/types.h>
@@ -32,6 +33,7 @@
 #define JUMP_DEGREES 5.0     /* and as much again in each ms: no hand turns a motor at 5000 degrees/s */
 #define DEGREES_PER_MS 5.0
 #define IDLE_TICKS 10        /* unarmed, from exchange to exchange */
+#define TRIES_AT_START 20
 #define TRIES 3
 #define LAST_WORDS_MS 1000   /* for the host to read the STATUS, before its port goes */
 
@@ -176,6 +178,7 @@ static void before_tick(void) {
 static void watch(int beats, pid_t bridge) {
     struct pollfd next = {beats, POLLIN, 0};
     char some[64];
+    (void)sched_setscheduler(0, SCHED_FIFO, &(struct sched_param){.sched_priority = 1}); /* where that is granted */
     for (;;) {
         const int came = poll(&next, 1, GUARD_MS);
         if ((came > 0 && read(beats, some, sizeof some) > 0) || (came < 0 && errno == EINTR)) {
@@ -234,9 +237,12 @@ static int begin(int count, char **words) {
         fprintf(stderr, "no guard process is to be had: %s\n", strerror(errno));
         return 3;
     }
-    hapi_find_back(board);
-    (void)hapi_set_up(board, &model->wiring, model->wiring.at_start);
-    const char *why = attempt((const double[]){0, 0});
+    const char *why = "";
+    for (int tries = 0; why != NULL && tries < TRIES_AT_START; tries++) {
+        hapi_find_back(board);
+        (void)hapi_set_up(board, &model->wiring, model->wiring.at_start);
+        why = attempt((const double[]){0, 0});
+    }
     if (why != NULL || fault) {
         fprintf(stderr, "%s: %s. Expected a Haply board with hAPI's firmware, powered\n", path,
                 why != NULL ? why : "impossible angles");

@@ -11,6 +11,7 @@
 #include <fcntl.h>
 #include <math.h>
 #include <poll.h>
+#include <sched.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -239,6 +240,7 @@ int main(int count, char **words) {
         }
         *keys[k].value = atof(words[i] + length + 1);
     }
+    (void)sched_setscheduler(0, SCHED_FIFO, &(struct sched_param){.sched_priority = 2}); /* a board waits for no program */
     log_file = fopen(words[1], "w");
     port = open_terminal(path, sizeof path);
     tip = (motion){{set.x, set.y}, {0, 0}};
