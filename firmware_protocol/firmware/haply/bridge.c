@@ -178,7 +178,6 @@ static void before_tick(void) {
 static void watch(int beats, pid_t bridge) {
     struct pollfd next = {beats, POLLIN, 0};
     char some[64];
-    (void)sched_setscheduler(0, SCHED_FIFO, &(struct sched_param){.sched_priority = 1}); /* where that is granted */
     for (;;) {
         const int came = poll(&next, 1, GUARD_MS);
         if ((came > 0 && read(beats, some, sizeof some) > 0) || (came < 0 && errno == EINTR)) {
@@ -206,6 +205,8 @@ static bool start_guard(void) {
     if (pipe2(ends_of_pipe, O_CLOEXEC) != 0) {
         return false;
     }
+    /* Both before other programs, where that is granted: a process that is killed takes processor time to end, too. */
+    (void)sched_setscheduler(0, SCHED_FIFO, &(struct sched_param){.sched_priority = 1});
     signal(SIGCHLD, guard_died);
     signal(SIGPIPE, SIG_IGN); /* a beat that no guard takes must not end the bridge before its torque */
     const pid_t child = fork();
