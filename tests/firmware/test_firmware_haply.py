@@ -19,6 +19,7 @@ from bridged import Bridged, Pushing
 from scipy.optimize import brentq
 
 from hapsim.bringup.probe import STEPS, Leave, judge, open_wire, steps_of
+from hapsim.scene import load_scene
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="bridges stand on pseudo-terminals of Linux")
 
@@ -194,3 +195,11 @@ def test_a_measurement_agrees_with_the_prediction(
     predicted, measured = document["predicted"], document["measured"]
     assert measured["k"] == pytest.approx(predicted["k"], rel=1e-4, abs=5 * measured["k_uncertainty"])
     assert measured["b"] == pytest.approx(predicted["b"], rel=1e-3, abs=5 * measured["b_uncertainty"])
+
+
+def test_the_first_scene_asks_for_no_more_than_the_motors_give_at_its_pose(library: ctypes.CDLL) -> None:
+    device = load_scene(Path(__file__).parents[2] / "configs" / "boards" / "haply.yaml").device
+    pose = forward(library, "v3", inverse("v3", device.mass_at))  # type: ignore[arg-type]
+    for direction in np.linspace(0.0, 2.0 * math.pi, 72):
+        force = (device.force_limit * math.cos(direction), device.force_limit * math.sin(direction))
+        assert not torques(library, pose, force, LIMIT)[1]  # type: ignore[arg-type]
