@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import math
 import random
-import statistics
 import tempfile
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from tests.firmware.bridged import Bridged
 
 BUILT = Path(__file__).parents[2] / "build" / "haply_mock"
 PUSHED_N, SECONDS, INERTIA = 0.9, 2.0, 5e-5
+ATTEMPTS = 3
 LINKS = f"inertia={INERTIA}"
 CASES = {
     "virtual, fine counts": ("period=0.001",),
@@ -98,9 +98,8 @@ def pushed_far(scene: hapsim.Scene, channel: int) -> hapsim.Measurement:
 
 
 def spread(values: list[float]) -> str:
-    """Median, and the largest, of magnitudes in per cent."""
-    sizes = [100.0 * abs(one) for one in values]
-    return f"{statistics.median(sizes):.2g} %, {max(sizes):.2g} %"
+    """Median, nine in ten, and the largest, of magnitudes in per cent."""
+    return ", ".join(f"{one:.2g}" for one in np.quantile(np.abs(values), (0.5, 0.9, 1.0)) * 100.0) + " %"
 
 
 def main() -> None:
@@ -108,14 +107,17 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=50)
     parser.add_argument("--only", nargs="*", default=list(CASES), help="cases whose name has one of these words")
     options = parser.parse_args()
-    print("| case | measured | k off by, median and most | b off by, median and most |\n|---|---|---|---|")
+    print("| case | measured | k off by: median, 9 in 10, most | b off by: median, 9 in 10, most |\n|---|---|---|---|")
     for case in (case for case in CASES if any(word in case for word in options.only)):
         found: list[tuple[float, float]] = []
         for seed in range(options.scenes):
-            try:
-                found.append(off(seed, case, seed % 2))
-            except HapsimError as error:
-                print(f"<!-- scene {seed}: {error} -->")
+            for left in reversed(range(ATTEMPTS)):
+                try:
+                    found.append(off(seed, case, seed % 2))
+                    break
+                except (HapsimError, AssertionError) as error:  # this machine held mock, bridge or host up
+                    if not left:
+                        print(f"<!-- scene {seed}: {str(error)[:120]} -->")
         found = [one for one in found if math.isfinite(one[0])]
         cells = [spread([one[i] for one in found]) if found else "" for i in (0, 1)]
         print(f"| {case} | {len(found)} of {options.scenes} | {cells[0]} | {cells[1]} |", flush=True)
