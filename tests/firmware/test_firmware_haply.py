@@ -134,7 +134,7 @@ def test_what_the_host_reads_is_where_the_end_point_is(start_bridged: Callable[.
         bridged = start_bridged("x=0.03", "y=0.08", *options, model=model)
         host = Pushing(bridged.port, (0, 0))
         assert host.run(3)
-        assert host.session.samples[-1].counts == pytest.approx((30_000_000, 80_000_000), abs=200)  # f32 degrees: 24 nm
+        assert host.session.samples[-1].counts == pytest.approx((300_000, 800_000), abs=2)
         host.close()
 
 
@@ -142,12 +142,12 @@ def test_a_positive_force_accelerates_towards_larger_positions(start_bridged: Ca
     for channel in (0, 1):
         host = Pushing(start_bridged("friction=0").port, (20_000_000 * (channel == 0), 20_000_000 * (channel == 1)))
         assert host.run(20)
-        at = np.array([sample.counts for sample in host.session.samples]) * 1e-9
+        at = np.array([sample.counts for sample in host.session.samples]) * 1e-7
         moved = at[-1] - at[0]
         # 0.2 N on 0.1 kg; the mock moves by 1 ms with each frame of torques, and the first one ends a sample at rest.
         pushed_s = 1e-3 * (len(at) - 2)
-        assert moved[channel] == pytest.approx(0.5 * 2.0 * pushed_s**2, rel=1e-3)
-        assert abs(moved[1 - channel]) < 1e-3 * abs(moved[channel])
+        assert moved[channel] == pytest.approx(0.5 * 2.0 * pushed_s**2, rel=2e-3)
+        assert abs(moved[1 - channel]) < 2e-3 * abs(moved[channel])
         host.close()
 
 

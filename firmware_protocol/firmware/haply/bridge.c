@@ -24,11 +24,12 @@
 #include <unistd.h>
 
 #define FORCE_SCALE 1e-8
-#define POSITION_SCALE 1e-9
+#define POSITION_SCALE 1e-7
 #define MS 1000000ll
 #ifndef GUARD_MS
 #define GUARD_MS 500         /* without a tick; other programs may hold this process up for long */
 #endif
+#define GUARD_GONE 2         /* in process_stopped: why */
 #define TICKS_A_BEAT 32
 #define JUMP_DEGREES 5.0     /* and as much again in each ms: no hand turns a motor at 5000 degrees/s */
 #define DEGREES_PER_MS 5.0
@@ -149,7 +150,7 @@ void hapsim_port_put_forces(const int32_t *counts) {
 void hapsim_port_feed_watchdog(void) {
     static unsigned ticks;
     if (++ticks % TICKS_A_BEAT == 0 && write(beat, "", 1) < 0 && errno != EAGAIN) {
-        process_stopped = 2;
+        process_stopped = GUARD_GONE;
     }
 }
 
@@ -195,7 +196,7 @@ static void watch(int beats, pid_t bridge) {
 
 static void guard_died(int number) {
     (void)number;
-    process_stopped = 2;
+    process_stopped = GUARD_GONE;
 }
 
 /* In a session of its own, so that what ends the bridge (a closed terminal, Ctrl-C) does not end it. */
@@ -259,10 +260,10 @@ int main(int count, char **words) {
     int status = begin(count, words);
     if (status == 0) {
         process_serve(before_tick);
-        if (process_stopped == 2) {
+        if (process_stopped == GUARD_GONE) {
             fprintf(stderr, "%s: the guard of this bridge ended, so it ends too, with zero torque\n", path);
         }
-        status = ends || process_stopped == 2 ? 3 : 0;
+        status = ends || process_stopped == GUARD_GONE ? 3 : 0;
     }
     if (board >= 0) {
         signal(SIGCHLD, SIG_DFL);

@@ -12,12 +12,13 @@
 #define HAPSIM_BOARD_BRIDGE 1 /* the motors are behind another protocol, and what is promised ends at this process */
 #define HAPSIM_BOARD_RATE HAPSIM_F64(0x408f4000, 0x00000000) /* 1000 Hz */
 
-#define HAPSIM_BOARD_NM HAPSIM_F64(0x3e112e0b, 0xe826d695)    /* 1e-9 m per count */
-#define HAPSIM_BOARD_10_NN HAPSIM_F64(0x3e45798e, 0xe2308c3a) /* 1e-8 N per count */
-#define HAPSIM_BOARD_5_N HAPSIM_F64(0x40140000, 0x00000000)   /* more than the motors give in most poses */
+/* hAPI's angles are f32 degrees, 24 nm at the end point; the encoders' counts are 40 to 90 um. */
+#define HAPSIM_BOARD_100_NM HAPSIM_F64(0x3e7ad7f2, 0x9abcaf48) /* 1e-7 m per count */
+#define HAPSIM_BOARD_10_NN HAPSIM_F64(0x3e45798e, 0xe2308c3a)  /* 1e-8 N per count */
+#define HAPSIM_BOARD_5_N HAPSIM_F64(0x40140000, 0x00000000)    /* more than the motors give in most poses */
 #define HAPSIM_BOARD_NONE HAPSIM_F64(0, 0)
 
-#define HAPSIM_BOARD_POSITION_SCALE {HAPSIM_BOARD_NM, HAPSIM_BOARD_NM}
+#define HAPSIM_BOARD_POSITION_SCALE {HAPSIM_BOARD_100_NM, HAPSIM_BOARD_100_NM}
 #define HAPSIM_BOARD_VELOCITY_SCALE {HAPSIM_BOARD_NONE, HAPSIM_BOARD_NONE}
 #define HAPSIM_BOARD_FORCE_SCALE {HAPSIM_BOARD_10_NN, HAPSIM_BOARD_10_NN}
 #define HAPSIM_BOARD_FORCE_LIMIT {HAPSIM_BOARD_5_N, HAPSIM_BOARD_5_N}
