@@ -57,8 +57,7 @@ def test_a_fault_of_the_board_or_its_wire_ends_in_zero_torque(fault: str, start_
         assert again.run(20)
         again.close()
     said = bridged.said.read_text("utf-8")
-    assert FAULTS[fault] in said
-    assert said.count("\n") == 2, said  # the greeting, and one sentence
+    assert said.count(FAULTS[fault]) == 1, said
 
 
 def test_a_silent_host_leaves_no_torque(start_bridged: Start) -> None:
