@@ -224,6 +224,12 @@ def test_a_register_that_cannot_be_is_named(
     assert words in checks[name].found
 
 
+def test_a_bridge_passes_and_says_where_guards_end(new_bench: NewBench) -> None:
+    checks = judged(new_bench(registers={14: 1}), "registers")
+    assert failed(checks) == set(), told(checks)
+    assert (checks["bridge"].result, checks["bridge"].found[:11]) == ("not seen", "1: a bridge")
+
+
 def test_what_was_not_reached_is_not_seen(new_bench: NewBench) -> None:
     checks = judged(new_bench(registers={1: 0x12345678}))
     assert {check.result for check in checks.values() if check.step not in STEPS[:2]} == {"not seen"}
