@@ -3,9 +3,9 @@
     tools/bench/haply [--scenes 50] [--only WORDS ...]
 
 Random springs of 50 to 400 N/m on 0.05 to 0.2 kg, paced by the host at 1 kHz, measured as `hapsim measure` does; on
-coarse counts, which that refuses, pushed as far as 0.9 N. `virtual`: the mock moves by 1 ms with each exchange; else as
-the machine's clock goes. `links`: each motor turns 5e-5 kg m² beside the mass, and the scene declares what x and y
-weigh at (19, 100) mm; there, and elsewhere.
+coarse counts, for which its pushes are small, pushed as far as 0.9 N. `virtual`: the mock moves by 1 ms with each
+exchange; else as the machine's clock goes. `links`: each motor turns 5e-5 kg m² beside the mass, and the scene declares
+what x and y weigh at (19, 100) mm; there, and elsewhere.
 """
 
 from __future__ import annotations
