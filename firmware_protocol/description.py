@@ -31,6 +31,8 @@ class Description:
     """(m/s) per count; empty where the device senses no velocity."""
     rotary: int = 0
     """Bit c: channel c turns, in rad and N·m. 0: not declared."""
+    bridge: int = 0
+    """1: the actuators are behind another protocol; what this one promises ends there."""
     version: int = schema.VERSION
     schema_hash: int = schema.SCHEMA_HASH
 
@@ -61,6 +63,7 @@ _WORDS = {
     "pacings": schema.REG_PACINGS,
     "max_watchdog_samples": schema.REG_MAX_WATCHDOG,
     "rotary": schema.REG_ROTARY,
+    "bridge": schema.REG_BRIDGE,
 }
 _PER_CHANNEL = {
     "position_scale": schema.REG_POSITION_SCALE,
@@ -98,9 +101,9 @@ def to_registers(description: Description) -> NDArray[np.int64]:
 
 def registers_of_a_description(channels: int) -> list[int]:
     """Returns the registers that a host reads once it knows the number of channels."""
-    wanted = [schema.REG_PACINGS, schema.REG_RATE, schema.REG_RATE + 1, schema.REG_MAX_WATCHDOG, schema.REG_ROTARY]
+    wanted = [schema.REG_PACINGS, schema.REG_RATE, schema.REG_RATE + 1, schema.REG_MAX_WATCHDOG]
     scales = range(schema.REG_CHANNEL, schema.REG_CHANNEL + channels * schema.CHANNEL_WORDS)
-    return [*wanted, *range(_NAME.start, _NAME.stop), *scales]
+    return [*wanted, schema.REG_ROTARY, schema.REG_BRIDGE, *range(_NAME.start, _NAME.stop), *scales]
 
 
 def from_registers(registers: NDArray[np.int64]) -> Description:

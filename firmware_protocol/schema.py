@@ -42,6 +42,7 @@ FAULTS = {
 REG_VERSION, REG_SCHEMA, REG_CHANNELS, REG_PACINGS, REG_RATE = range(5)
 REG_MAX_WATCHDOG, REG_FAULT, REG_ACCEPTED, REG_REJECTED, REG_HELD, REG_EXPIRED, REG_LIMITED = range(6, 13)
 REG_ROTARY = 13  # a bit for each channel; not in SCHEMA, whose hash boards in the field have: there it reads 0
+REG_BRIDGE = 14  # 1: guards end at a bridge to another protocol; not in SCHEMA either
 REG_NAME, NAME_WORDS = 16, 4
 REG_CHANNEL, CHANNEL_WORDS = 32, 8  # CHANNEL_WORDS of them for each channel, with these inside:
 REG_POSITION_SCALE, REG_FORCE_SCALE, REG_FORCE_LIMIT, REG_VELOCITY_SCALE = range(0, CHANNEL_WORDS, 2)

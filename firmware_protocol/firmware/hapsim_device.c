@@ -13,6 +13,9 @@
 #ifndef HAPSIM_BOARD_ROTARY
 #define HAPSIM_BOARD_ROTARY 0 /* bit c: channel c turns; 0: not declared */
 #endif
+#ifndef HAPSIM_BOARD_BRIDGE
+#define HAPSIM_BOARD_BRIDGE 0 /* 1: the actuators are behind another protocol */
+#endif
 #if HAPSIM_BOARD_PACINGS & ~3
 #error "HAPSIM_BOARD_PACINGS: bit 0 (device) and bit 1 (host); lockstep is not for a device with a motor"
 #endif
@@ -335,6 +338,7 @@ uint32_t hapsim_device_register(uint16_t number) {
     case HAPSIM_REG_EXPIRED: return device.expired;
     case HAPSIM_REG_LIMITED: return device.limited;
     case HAPSIM_REG_ROTARY: return HAPSIM_BOARD_ROTARY;
+    case HAPSIM_REG_BRIDGE: return HAPSIM_BOARD_BRIDGE;
     default: return 0;
     }
 }

@@ -234,7 +234,7 @@ def _named(*names: str, prefix: str = "") -> dict[int, str]:
 
 _TYPES = _named("DESCRIBE", "ARM", "FORCE", "DISARM", "DESCRIPTION", "POSITION", "POSITION_HELD", "STATUS")
 _REGISTERS = _named("VERSION", "SCHEMA", "CHANNELS", "PACINGS", "RATE", "MAX_WATCHDOG", "FAULT", prefix="REG_")
-_REGISTERS |= _named("ACCEPTED", "REJECTED", "HELD", "EXPIRED", "LIMITED", "ROTARY", prefix="REG_")
+_REGISTERS |= _named("ACCEPTED", "REJECTED", "HELD", "EXPIRED", "LIMITED", "ROTARY", "BRIDGE", prefix="REG_")
 _REGISTERS |= {schema.REG_RATE + 1: "RATE, high word"}
 _OF_CHANNEL = ("position_scale", "force_scale", "force_limit", "velocity_scale")
 _PACINGS = {schema.PACED_BY_DEVICE: "device", schema.PACED_BY_HOST: "host", schema.LOCKSTEP: "lockstep"}

@@ -39,6 +39,7 @@ from hapsim.prediction.timing import wire_of, wire_time_of, with_wire_delay
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Region
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.quantity import per_channel
 from hapsim.theory import (
     Margins,
     Network,
@@ -109,12 +110,23 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
         margins_method=margins.method,
         wire_time=wire_time_of(scene),
         wire_of=wire_of(scene),
-        assumptions=tuple(map(scene.units, (*linear.assumptions, *([instead] if instead else [])))),
+        assumptions=tuple(map(scene.units, (*linear.assumptions, *([instead] if instead else []), *_near_pose(scene)))),
         rendering=None if rendering.kind is None else rendering,
         desired=_desired(rendering, felt, here),
         desired_modes=_desired_modes(rendering),
         by_its_scheme=not instead,
     )
+
+
+def _near_pose(scene: Scene) -> list[str]:
+    """Returns where the device's mass and friction hold, in a sentence; none where that is everywhere."""
+    if scene.device.mass_at is None:
+        return []
+    pose = ", ".join(f"{one:g}" for one in per_channel(scene.device.mass_at, scene.channels))
+    return [
+        f"k and b hold near {pose} m (device.mass_at): elsewhere the device has another mass and friction, and a force "
+        "on one channel moves another too"
+    ]
 
 
 def _require_within_numbers(scene: Scene) -> None:

@@ -42,6 +42,12 @@ MASS = quantity(_MASS, "kg", above=0, per_channel=True)
 SPANNED_MASS = quantity(_MASS, "kg", above=0, per_channel=True, spans=True)
 FRICTION = quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
 STIFFNESS = quantity("Spring in the device itself, at rest at position 0", "N/m", least=0, per_channel=True)
+MASS_AT = quantity(
+    "Device's own position, on each channel, at which mass and friction are as stated: a linkage has others elsewhere",
+    "m",
+    per_channel=True,
+    left_out="they are the same everywhere",
+)
 DELAY = quantity(
     "From sampling the position to the force's change, any real number", "sample periods", least=0, most=1000
 )
@@ -100,6 +106,7 @@ class Device(Part):
     motion: Annotated[Motion | tuple[Motion, ...], word_per_channel(MOTION, MOTIONS)] = "linear"
     mass: Annotated[SpanPerChannel, SPANNED_MASS]
     friction: Annotated[PerChannel, FRICTION] = 0.0
+    mass_at: Annotated[PerChannel | None, MASS_AT] = None
     stiffness: Annotated[PerChannel, STIFFNESS] = 0.0
     delay: Annotated[float, DELAY] = 1.0
     hold: Hold = Field(default="zoh", description=HOLD)

@@ -473,3 +473,18 @@ def test_the_sound_is_rendered_and_each_gain_named(hapsim: Hapsim, scene_file: S
     assert ", 20 of them in a sample, " in told
     peaks = hapsim("check", path, "--explain", "--json").document["sound_peaks"]
     assert peaks == {"loud": pytest.approx(0.1, rel=1e-3), "still": 0.0}
+
+
+def test_a_linkage_s_figures_are_said_to_hold_near_its_pose(hapsim: Hapsim, checked: Checked, tmp_path: Path) -> None:
+    path = tmp_path / "linkage.yaml"
+    text = (CONFIGS / "boards" / "haply.yaml").read_text("utf-8")
+    path.write_text(text, "utf-8")
+    said = "k and b hold near 0.019, 0.1 m (device.mass_at): elsewhere the device has another mass"
+    assert said in unwrapped(hapsim("check", path).out)
+    assert said in checked(path)["assumptions"][0]
+    path.write_text(text.replace("mass_at: [0.019, 0.1]", "mass_at: 0.05"), "utf-8")
+    assert "near 0.05, 0.05 m" in checked(path)["assumptions"][0]
+    path.write_text(re.sub("mass_at: .*", "", text), "utf-8")
+    assert checked(path)["assumptions"] == []
+    path.write_text(text.replace("mass_at: [0.019, 0.1]", "mass_at: [0.1]"), "utf-8")
+    assert "mass_at: found 1 number, expected 2" in hapsim("check", path).err

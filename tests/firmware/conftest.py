@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,10 @@ from firmware_protocol.sessions import DEVICES, LIMIT, STATES
 from hapsim.device.mock.assemble import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import OUTBOX_BYTES, look_at_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from bridged import Bridged
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 HARNESS = Path(__file__).parent / "harness"
@@ -222,3 +227,25 @@ def mock_player() -> type[MockPlayer]:
 def built_to_die(once: Any) -> Path:
     """The boards, with a tick that dies half a second after arming."""
     return once("dying", [str(FIRMWARE / "build")], {"DEFINES": "-DHAPSIM_BROKEN_TICK"})
+
+
+@pytest.fixture(scope="session")
+def built_haply_mock(once: Any) -> Path:
+    """Where the mock of a Haply board, a patient bridge, and the bridge's kinematics as a library were built."""
+    return once("haply_mock", [str(Path(__file__).parent / "haply_mock" / "build_mock")], {})
+
+
+@pytest.fixture
+def start_bridged(built_haply_mock: Path, tmp_path: Path) -> Iterator[Callable[..., Bridged]]:
+    """Starts a mock of a Haply board with these options, and a bridge in front of it; stops both when the test ends."""
+    started: list[Bridged] = []
+
+    def start(*options: str, model: str = "v3") -> Bridged:
+        to = tmp_path / f"haply{len(started)}"
+        to.mkdir()
+        started.append(Bridged(built_haply_mock, to, options, model))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.stop()

@@ -211,7 +211,8 @@ def test_a_device_that_moves_by_itself_is_not_pushed(new_bench: NewBench) -> Non
         ({37: 0x7FF80000}, "force_limit", "nan"),
         ({45: 0, 44: 0}, "force_limit", "0"),
         ({46: 0, 47: 0}, "velocity_scale", "0"),
-        ({14: 1}, "unknown_registers", "register 14"),
+        ({15: 1}, "unknown_registers", "register 15"),
+        ({14: 2}, "bridge", "2: neither 0 nor 1"),
         ({13: 4}, "rotary", "0x4: channel 0 linear"),
     ],
 )
@@ -221,6 +222,12 @@ def test_a_register_that_cannot_be_is_named(
     checks = judged(new_bench(channels=2, registers=registers), "registers")
     assert failed(checks) == {name}, told(checks)
     assert words in checks[name].found
+
+
+def test_a_bridge_passes_and_says_where_guards_end(new_bench: NewBench) -> None:
+    checks = judged(new_bench(registers={14: 1}), "registers")
+    assert failed(checks) == set(), told(checks)
+    assert (checks["bridge"].result, checks["bridge"].found[:11]) == ("not seen", "1: a bridge")
 
 
 def test_what_was_not_reached_is_not_seen(new_bench: NewBench) -> None:

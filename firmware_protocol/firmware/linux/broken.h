@@ -23,7 +23,7 @@
 #endif
 
 #ifdef HAPSIM_BROKEN_TRANSMITTER /* waits where it should drop */
-#define BROKEN_WAIT(port) (poll(&(struct pollfd){(port), POLLOUT, 0}, 1, 100), !stopped)
+#define BROKEN_WAIT(port) (poll(&(struct pollfd){(port), POLLOUT, 0}, 1, 100), !process_stopped)
 #else
 #define BROKEN_WAIT(port) ((void)(port), false)
 #endif

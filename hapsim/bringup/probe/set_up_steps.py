@@ -19,7 +19,7 @@ _TRIES = 12  # together three seconds: a board that the opening of its port rese
 _QUIET_S = 0.2
 _NOISE = bytes(1 + (7 * i) % 255 for i in range(300))
 _UNKNOWN_TYPES = (0x0, *range(0x5, 0x10))
-_NO_REGISTERS = (14, 15, 20, 31, schema.REGISTERS, 1000, 4095)
+_NO_REGISTERS = (15, 20, 31, schema.REGISTERS, 1000, 4095)
 _FLIPS = (
     (0, 0x01, "the COBS code"),
     (1, 0x40, "the type"),
@@ -182,6 +182,7 @@ def probe_registers(probing: Probing) -> bool:
     named = ", ".join(f"channel {c} {motion}" for c, motion in enumerate(probing.device.motions))
     rotary = probing.device.rotary
     probing.judge("rotary", rotary < 1 << channels, f"0x{rotary:x}: {named}" if rotary else "0: not declared")
+    _judge_bridge(probing, int(registers[schema.REG_BRIDGE]))
     _judge_scales(probing)
     needed = ("pacings", "max_watchdog", "rate", "position_scale", "force_scale", "force_limit", "velocity_scale")
     return not any(map(probing.has_failed, needed))
@@ -210,6 +211,14 @@ def _judge_pacings(probing: Probing, pacings: int) -> None:
         probing.not_seen("lockstep", "declared; whether there is a motor cannot be seen on the wire", look_at)
     else:
         probing.judge("lockstep", True, "not declared")
+
+
+def _judge_bridge(probing: Probing, word: int) -> None:
+    if word == 1:
+        found = "1: a bridge; what the device does when the bridge ends or its cable is pulled cannot be seen here"
+        probing.not_seen("bridge", found, "the bridge's page; keep a hand near the device's power")
+    else:
+        probing.judge("bridge", word == 0, f"{word}: {'not declared' if word == 0 else 'neither 0 nor 1'}")
 
 
 def _judge_scales(probing: Probing) -> None:
