@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,9 +11,9 @@ from hapsim.cli.live import at_work
 from hapsim.cli.options import Json, RecordOptions, flag, option
 from hapsim.cli.output import document, say, stderr, warn
 from hapsim.number_format import number, plural
-
-if TYPE_CHECKING:
-    from hapsim.replaying.columns import Columns
+from hapsim.replaying.columns import Columns
+from hapsim.replaying.export import export as write
+from hapsim.replaying.export import require_exportable
 
 
 def export(
@@ -27,10 +27,6 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."""
-    from hapsim.replaying.columns import Columns
-    from hapsim.replaying.export import export as write
-    from hapsim.replaying.export import require_exportable
-
     require_exportable(out, column)
     RecordOptions(overwrite=overwrite).require_free(out)
     with at_work(stderr(), f"reading {record}") as show:
@@ -60,11 +56,9 @@ def export(
 
 def _missing(columns: Columns) -> list[str]:
     """Returns what the record lacks, as sentences."""
-    rows = plural(columns.count, "row")
-    dropped = int(columns.report.get("dropped_rows", 0))
-    lacks = {
-        f"the run goes on, or the record is cut off or damaged: it has {rows}": not columns.reader.is_finished,
-        f"{plural(dropped, 'row')} missing: the reader of the loop was too slow": dropped > 0,
-        "an older hapsim recorded it: without its scene, changes and prediction": columns.scene is None,
-    }
-    return [sentence for sentence, is_so in lacks.items() if is_so]
+    rows, dropped = plural(columns.count, "row"), int(columns.report["dropped_rows"])
+    unfinished = f"the run goes on, or the record is cut off or damaged: it has {rows}"
+    slow = f"{plural(dropped, 'row')} missing: the reader of the loop was too slow"
+    older = "an older hapsim recorded it: without its scene, changes and prediction"
+    is_so = (not columns.reader.is_finished, dropped > 0, columns.scene is None)
+    return [sentence for sentence, applies in zip((unfinished, slow, older), is_so, strict=True) if applies]

@@ -25,9 +25,8 @@ def device_of(path: Path) -> RecordedDevice:
         raise UsageError(f"{path}: an older hapsim recorded it, without its device: it cannot be served")
     rows = np.concatenate([piece[["sample", "time_ns"]] for piece in reader.rows()])
     has_velocity = VELOCITY in (reader.head.rows.names or ())
-    counts = np.concatenate(
-        [np.hstack([piece["position_counts"], *([piece[VELOCITY]] if has_velocity else [])]) for piece in reader.rows()]
-    )
+    words = ["position_counts", *[VELOCITY] * has_velocity]
+    counts = np.concatenate([np.hstack([piece[name] for name in words]) for piece in reader.rows()])
     try:
         description, scene = description_of(run), parse_scene(json.dumps(run["scene"]), str(path))
     except (KeyError, TypeError) as error:

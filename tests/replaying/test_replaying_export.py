@@ -69,6 +69,7 @@ def test_hdf5_is_read_by_h5py_xarray_and_pandas(hapsim: Hapsim, record: Path, tm
             "sensed_velocity": "rad/s, m/s",
             "force": "N·m, N",
         }
+        assert [scale.keys() for scale in file["force"].dims] == [["time"], ["channel"]]
         assert all(one.attrs["description"] for one in file.values() if isinstance(one, h5py.Dataset))
         texts = {name: one.asstr()[()] for name, one in file["record"].items() if one.dtype.kind == "O"}
         assert parse_scene(texts["scene"]).rate == 1000.0
