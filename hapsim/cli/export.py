@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -11,10 +11,9 @@ from hapsim.cli.live import at_work
 from hapsim.cli.options import Json, RecordOptions, flag, option
 from hapsim.cli.output import document, say, stderr, warn
 from hapsim.number_format import number, plural
-
-if TYPE_CHECKING:
-    from hapsim.replaying.columns import Columns
-    from hapsim.replaying.export import Exported
+from hapsim.replaying.columns import Columns
+from hapsim.replaying.export import export as write
+from hapsim.replaying.export import require_exportable
 
 
 def export(
@@ -28,42 +27,38 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."""
-    from hapsim.replaying.export import export as write
-    from hapsim.replaying.export import require_exportable
-
     require_exportable(out, column)
     RecordOptions(overwrite=overwrite).require_free(out)
-    with at_work(stderr(), f"exporting {record}") as show:
-        columns, written = write(record, out, column, lambda share: show(f"exporting {record}: {100.0 * share:.0f} %"))
+    with at_work(stderr(), f"reading {record}") as show:
+        columns = Columns(record)
+        full_scale, unit = write(columns, out, column, lambda share: show(f"exporting {record}: {100.0 * share:.0f} %"))
     missing = _missing(columns)
     if json:
-        print(document(_document(columns, written) | {"record": str(record), "file": str(out), "missing": missing}))
+        about = {
+            "record": str(record),
+            "file": str(out),
+            "rows": columns.count,
+            "channels": columns.channels,
+            "columns": {column.name: columns.units_text(column) for column in columns.all},
+            "changes": len(columns.changes),
+            "markers": len(columns.markers),
+            "full_scale": full_scale or None,
+            "full_scale_unit": unit or None,
+            "missing": missing,
+        }
+        print(document(about))
         return
     for sentence in missing:
         warn(f"{record}: {sentence}", "incomplete")
-    scale = f"; 1.0 is {number(written.full_scale)} {written.unit}".rstrip() if written.full_scale else ""
-    say(f"{out}: {plural(written.rows, 'row')} of {plural(columns.channels, 'channel')}{scale}")
+    scale = f"; full scale is {number(full_scale)} {unit}".rstrip() if full_scale else ""
+    say(f"{out}: {plural(columns.count, 'row')} of {plural(columns.channels, 'channel')}{scale}")
 
 
 def _missing(columns: Columns) -> list[str]:
     """Returns what the record lacks, as sentences."""
-    sentences = []
-    if not columns.reader.is_finished:
-        sentences.append(f"the record is cut off or damaged: it stops after {plural(columns.count, 'row')}")
-    if columns.dropped:
-        sentences.append(f"{plural(columns.dropped, 'row')} are missing: the reader of the loop was too slow")
-    if not columns.run:
-        sentences.append("an older hapsim recorded it: without its scene, changes and prediction")
-    return sentences
-
-
-def _document(columns: Columns, written: Exported) -> dict[str, Any]:
-    return {
-        "rows": written.rows,
-        "channels": columns.channels,
-        "columns": {column.name: columns.units_text(column) for column in columns.all},
-        "changes": len(columns.changes),
-        "markers": len(columns.markers),
-        "full_scale": written.full_scale,
-        "full_scale_unit": written.unit or None,
-    }
+    rows, dropped = plural(columns.count, "row"), int(columns.report["dropped_rows"])
+    unfinished = f"the run goes on, or the record is cut off or damaged: it has {rows}"
+    slow = f"{plural(dropped, 'row')} missing: the reader of the loop was too slow"
+    older = "an older hapsim recorded it: without its scene, changes and prediction"
+    is_so = (not columns.reader.is_finished, dropped > 0, columns.scene is None)
+    return [sentence for sentence, applies in zip((unfinished, slow, older), is_so, strict=True) if applies]

@@ -20,7 +20,7 @@ from hapsim.loop.ring import Ring
 from hapsim.recording.background_file import BackgroundFile, in_words, lock
 from hapsim.recording.feed import Stream
 from hapsim.recording.report import Report, Statistics, summary_document
-from hapsim.recording.stream import Head, StreamWriter, open_record
+from hapsim.recording.stream import Head, StreamReader, StreamWriter
 from hapsim.recording.trace import convert
 
 
@@ -119,7 +119,7 @@ class RecordFile(BackgroundFile):
             if self._part != self._path:  # under its own name the file is whole, or the older file stays
                 whole = self._part.with_name(f"{self._part.name}.whole")
                 try:
-                    convert(open_record(self._part), whole, self._path.suffix)
+                    convert(StreamReader(self._part), whole, self._path.suffix)
                     os.replace(whole, self._path)
                 finally:
                     whole.unlink(missing_ok=True)

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.ring import row_type
+from hapsim.recording.report import read_summary
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
 VERSION = 2
@@ -154,6 +155,7 @@ class StreamReader:
         """Whether the run came to its end and nothing of its record is missing, once the rows were read."""
         self.count = 0
         """The number of its rows, once they were read."""
+        self._end: int | None = None  # where reading stops in a file that still grows
         self.on_rows: Callable[[int], None] = lambda _: None
         """Called with the number of rows read so far."""
 
@@ -163,7 +165,7 @@ class StreamReader:
         self.notes, self.count = [], 0
         with self._path.open("rb") as stream:
             end = stream.seek(self._begin)
-            while chunk := _next_chunk(stream):
+            while end != self._end and (chunk := _next_chunk(stream)):
                 kind, count, payload = chunk
                 if kind == _ROWS:
                     if len(payload) != count * of.itemsize:
@@ -177,22 +179,26 @@ class StreamReader:
                     self.summary = json.loads(payload)
                 end = stream.tell()
             is_all = end == stream.seek(0, os.SEEK_END)
+            self._end = end
         self.is_finished = bool(self.summary["finished"]) and kind == _TOLD and is_all
 
 
 def open_record(path: Path) -> StreamReader:
     """Returns a reader that has read all rows once, so that their count, the notes and the summary are known.
-    UsageError where the file is no record, or damaged."""
+    UsageError where the file is no record, is damaged, or has no rows."""
     if not path.is_file():
         raise UsageError(f"{path}: found no file, expected a .trace that `hapsim run --record` wrote")
     try:
         reader = StreamReader(path)
         for _ in reader.rows():
             pass
+        read_summary(reader.summary)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
     except (KeyError, TypeError, ValueError) as error:
         raise UsageError(f"{path}: the record is damaged: {error}") from error
+    if not reader.count:
+        raise UsageError(f"{path}: found a record without rows, expected some: the run ended before its first")
     return reader
 
 

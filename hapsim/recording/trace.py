@@ -121,12 +121,13 @@ def columns_of(rows: NDArray[Any]) -> dict[str, Any]:
 
 
 def convert(reader: StreamReader, file: Path, ending: str) -> None:
-    """Writes a record, as `open_record` returns it, as a .npz or .csv, with no more than a chunk of its rows in memory.
-    OSError where it cannot be written."""
+    """Writes a record as a .npz or .csv, with no more than a chunk of its rows in memory. OSError where it cannot be
+    written."""
     if ending == ".csv":
         _write_csv(file, reader.head, reader.rows())
     else:
-        _write_npz(file, reader.head, reader.rows, reader.count, reader.summary)
+        count = sum(len(rows) for rows in reader.rows())
+        _write_npz(file, reader.head, reader.rows, count, reader.summary)
 
 
 def _write_csv(file: Path, head: Head, pieces: Iterable[NDArray[Any]]) -> None:

@@ -12,13 +12,13 @@ import yaml
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.loop.ring import BEFORE, LATE_FORCE, VELOCITY
+from hapsim.loop.ring import LATE_FORCE, VELOCITY
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.recording.feed import Scales
 from hapsim.recording.stream import open_record
 from hapsim.running.recorded_run import prediction_of
-from hapsim.scene import parse_scene
-from hapsim.units import MOTIONS, Units
+from hapsim.scene import Scene, parse_scene
+from hapsim.units import Units
 
 
 class Column(NamedTuple):
@@ -37,28 +37,38 @@ class Columns:
 
     def __init__(self, path: Path) -> None:
         """Reads it once. UsageError where it is no record, is damaged, or has no rows."""
-        self.reader = open_record(path)
-        head, report = self.reader.head, self.reader.summary.get("report", {})
-        if not self.reader.count:
-            raise UsageError(f"{path}: found a record without rows, expected some: the run ended before its first")
-        self.path, self.count, self.channels, self.rate = path, self.reader.count, head.channels, head.rate_hz
-        self.notes, self.run = self.reader.notes, head.run or {}
-        motions = [*report.get("motion", ()), *MOTIONS[:1] * head.channels]
-        self._units = [Units([motion]) for motion in motions[: head.channels]]
-        self.dropped = int(report.get("dropped_rows", 0))
-        """Rows that the recorder did not get."""
-        self.ending = str(report.get("ending", "")) if self.reader.is_finished else "the record stops here"
-        names = head.rows.names or ()
-        self.velocity_scale = (
-            np.array(self.run["description"]["velocity_scale"][: head.channels]) if VELOCITY in names else None
-        )
-        self.before = [name for name in BEFORE if name in names]
-        self.all = [column for column in _COLUMNS if self._has(column.name)]
-
-    def _has(self, name: str) -> bool:
-        if name == "sensed_velocity":
-            return self.velocity_scale is not None
-        return name in self.before or name not in BEFORE
+        self.path, self.reader = path, open_record(path)
+        self.head, self.report = self.reader.head, self.reader.summary["report"]
+        self.count, self.channels = self.reader.count, self.head.channels
+        motions = [*self.report.get("motion", ()), *["linear"] * self.channels]
+        self._units = [Units([motion]) for motion in motions[: self.channels]]
+        self.has_velocity = VELOCITY in (self.head.rows.names or ())
+        self.all = [column for column in _COLUMNS if self.has_velocity or column.name != "sensed_velocity"]
+        notes, run = self.reader.notes, self.head.run
+        self.markers = [(note["sample"], note["marker"]) for note in notes if "marker" in note]
+        """Of each marker: the sample at which it was set, and its text."""
+        self.documents: dict[str, Any] = {"report": self.report}
+        """What the record says of its run, by name: the scene as YAML, the rest for JSON."""
+        self.changes: list[tuple[int, str]] = []
+        """Of each change of the scene: the first row with it, and what changed, as JSON."""
+        self.scene: Scene | None = None
+        """None in an older record, which has neither documents nor changes."""
+        if run is None:
+            return
+        try:
+            self.scene = scene = parse_scene(json.dumps(run["scene"]), str(path))
+            predicted = [note["prediction"] for note in notes if "prediction" in note]  # not where it was cut off
+            self.documents |= {name: run[name] for name in ("options", "excitation", "versions")} | {
+                "scene": yaml.safe_dump(run["scene"], sort_keys=False, allow_unicode=True),
+                "device": run["description"],
+                "prediction": predicted[0] if predicted else prediction_of(scene),
+            }
+            for note in notes:
+                if "tick" in note:
+                    changed = {key: value for key, value in note.items() if key != "tick"}
+                    self.changes.append((note["tick"] - run["first_tick"], json.dumps(changed)))
+        except KeyError as error:
+            raise UsageError(f"{path}: the record is damaged: {error}") from error
 
     def units_of(self, column: Column) -> list[str]:
         """Returns the unit of each number that the column has in a row."""
@@ -71,22 +81,20 @@ class Columns:
         each = self.units_of(column)
         return ", ".join(each if len({*each}) > 1 else each[:1])
 
-    def names_of(self, column: Column) -> list[str]:
-        """Returns a name for each number that the column has in a row: "position_0"."""
-        return [f"{column.name}_{c}" for c in range(self.channels)] if column.by_channel else [column.name]
+    def names_of(self, column: Column, before: str = "_") -> list[str]:
+        """Returns a name for each number that the column has in a row: "position_0"; `before`: before a channel."""
+        return [f"{column.name}{before}{c}" for c in range(self.channels)] if column.by_channel else [column.name]
 
     def pieces(self) -> Iterator[dict[str, NDArray[Any]]]:
         """Yields the values of the rows by the names of their columns, some thousands at a time."""
-        head = self.reader.head
-        scales = Scales(head.rate_hz, np.array(head.position_scale), np.array(head.force_scale))
-        longest = time_to_live_samples(head.rate_hz) + 2
+        rate = self.head.rate_hz
+        scales = Scales(rate, np.array(self.head.position_scale), np.array(self.head.force_scale))
         age, before = 0, None
         for rows in self.reader.rows():
             samples = scales.samples(rows)
             age_of_each = ages(rows["flags"], age)
-            age = int(age_of_each[-1])
             values = {
-                "time": samples.sample / head.rate_hz,
+                "time": samples.sample / rate,
                 "sample": samples.sample,
                 "arrival": samples.time_ns,
                 "position": samples.position,
@@ -94,41 +102,13 @@ class Columns:
                 "force": samples.force,
                 "asked_force": rows["asked_force"],
                 "flags": samples.flags,
-                "age": np.minimum(age_of_each, longest),
+                "age": np.minimum(age_of_each, time_to_live_samples(rate) + 2),
                 "lost": np.diff(samples.sample, prepend=samples.sample[0] - 1 if before is None else before) - 1,
             }
-            before = samples.sample[-1]
-            if self.velocity_scale is not None:
-                values["sensed_velocity"] = rows[VELOCITY] * self.velocity_scale
-            yield values | {name: rows[name] for name in self.before}
-
-    def _prediction(self) -> dict[str, Any]:
-        """What was predicted of its scene; a record that was cut off does not have it."""
-        for note in self.notes:
-            if "prediction" in note:
-                return dict(note["prediction"])
-        return prediction_of(parse_scene(json.dumps(self.run["scene"]), str(self.path)))
-
-    @property
-    def documents(self) -> dict[str, Any]:
-        """What the record says of its run, by name: the scene as YAML, the rest for JSON. Less in an older record."""
-        known: dict[str, Any] = {}
-        if self.run:
-            scene = yaml.safe_dump(self.run["scene"], sort_keys=False, allow_unicode=True)
-            known = {name: self.run[name] for name in ("options", "excitation", "versions")}
-            known |= {"scene": scene, "device": self.run["description"], "prediction": self._prediction()}
-        return known | {"report": self.reader.summary.get("report", {})}
-
-    @property
-    def changes(self) -> list[tuple[int, str]]:
-        """Of each change of the scene: the first row with it, and what changed, as JSON."""
-        noted = [(note["tick"] - self.run["first_tick"], note) for note in self.notes if "tick" in note]
-        return [(row, json.dumps({key: note[key] for key in note if key != "tick"})) for row, note in noted]
-
-    @property
-    def markers(self) -> list[tuple[int, str]]:
-        """Of each marker: the sample at which it was set, and its text."""
-        return [(note["sample"], note["marker"]) for note in self.notes if "marker" in note]
+            if self.has_velocity:
+                values["sensed_velocity"] = rows[VELOCITY] * np.array(self.documents["device"]["velocity_scale"])
+            age, before = int(age_of_each[-1]), samples.sample[-1]
+            yield values
 
 
 def ages(flags: NDArray[np.uint8], before: int) -> NDArray[np.int64]:
@@ -150,13 +130,5 @@ _COLUMNS = (
     Column("asked_force", "N", "of the scene's modules, before excitation, limits and rounding", "f8", True),
     Column("flags", "1", "what happened to the force: a sum of flag_masks", "u1"),
     Column("age", "1", "samples from the position that the acting force answers to its change, at most", "u2"),
-    Column("lost", "1", "positions before this one that never arrived", "i4"),
-    *(
-        Column(name, "ns", f"time before the position's arrival {what}", "i4")
-        for name, what in zip(
-            BEFORE,
-            ("that the loop woke up", "that it asked for the position", "that the last force had left"),
-            strict=True,
-        )
-    ),
+    Column("lost", "1", "samples before this one that have no row: their positions never arrived", "i4"),
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +22,6 @@ _PACKAGES = {".h5": "h5py", ".mcap": "mcap"}
 _ENDINGS = (".h5", ".csv", ".npz", ".wav", ".mcap")
 
 
-class Exported(NamedTuple):
-    """What was written."""
-
-    rows: int
-    full_scale: float | None = None
-    """Of a .wav: the value of a sample of 1.0, in `unit`."""
-    unit: str = ""
-
-
 def require_exportable(out: Path, column: str | None) -> None:
     """Raises UsageError where no record can be exported to `out`, before it is read. `column`: of a .wav."""
     if out.suffix not in _ENDINGS:
@@ -47,14 +37,16 @@ def require_exportable(out: Path, column: str | None) -> None:
     require_writable(out)
 
 
-def export(record: Path, out: Path, column: str | None, tell: Callable[[float], None]) -> tuple[Columns, Exported]:
-    """Writes `record` as `out`, in constant memory. `column`: of a .wav, such as position.0, or a pick-up; `tell`: is
-    called with the share of the rows that were read. Raises UsageError."""
-    columns = Columns(record)
+def export(columns: Columns, out: Path, column: str | None, tell: Callable[[float], None]) -> tuple[float, str]:
+    """Writes a record as `out`, in constant memory. Returns what a .wav has at full scale, and its unit.
+
+    `column`: of a .wav, such as position.0, or a pick-up. `tell`: is called with the share of the rows that were read.
+    Raises UsageError.
+    """
     columns.reader.on_rows = lambda rows: tell(rows / columns.count)
-    if column is not None:
-        return columns, _write_sound(columns, out, column)
     with whole_file(out) as file:
+        if column is not None:
+            return _write_sound(file, columns, column)
         if out.suffix == ".h5":
             from hapsim.replaying.hdf5_file import write_hdf5
 
@@ -65,49 +57,44 @@ def export(record: Path, out: Path, column: str | None, tell: Callable[[float], 
             write_mcap(file, columns)
         else:
             convert(columns.reader, file, out.suffix)
-    return columns, Exported(columns.count)
+    return 0.0, ""
 
 
-def _write_sound(columns: Columns, out: Path, wanted: str) -> Exported:
-    each = {
-        f"{column.name}.{c}": (column, c)
-        for column in columns.all
-        if column.by_channel
-        for c in range(columns.channels)
-    }
-    pick_ups = [*columns.run.get("scene", {}).get("sound", {})]
+def _write_sound(file: Path, columns: Columns, wanted: str) -> tuple[float, str]:
+    """Returns full scale and its unit."""
+    of_channels = [column for column in columns.all if column.by_channel]
+    each = {name: column for column in of_channels for name in columns.names_of(column, ".")}
+    pick_ups = [*columns.scene.sound] if columns.scene else []
     if wanted in pick_ups:
-        return _write_pick_up(columns, out, wanted)
+        _write_pick_up(file, columns, wanted)
+        return 1.0, ""
     if wanted not in each:
         raise UsageError(f"--column: found '{wanted}', expected {one_of([*each, *pick_ups])}")
-    require_writable_as_wav(out, 1, columns.rate)
-    column, channel = each[wanted]
+    column, channel, rate = each[wanted], int(wanted.rpartition(".")[2]), columns.head.rate_hz
+    require_writable_as_wav(file, 1, rate)
 
     def values() -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
         for piece in columns.pieces():
             yield np.nan_to_num(piece[column.name][:, channel], posinf=0.0, neginf=0.0), piece["lost"]
 
     full_scale = max(float(np.abs(one).max()) for one, _ in values()) or 1.0
-    with whole_file(out) as file:
-        wav, before = WavFile(file, 1, round(columns.rate), lambda _: None), 0.0
-        for one, lost in values():
-            held = np.column_stack([np.append(before, one[:-1]), one]).ravel()
-            times = np.column_stack([lost, np.ones_like(lost)]).ravel()
-            wav.put((np.repeat(held, times) / full_scale).astype(np.float32)[:, None], patient=True)
-            before = one[-1]
-        wav.finish()
-        if wav.problem:
-            raise UsageError(wav.problem)
-    return Exported(columns.count, full_scale, columns.units_of(column)[channel])
+    wav, before = WavFile(file, 1, round(rate), lambda _: None), 0.0
+    for one, lost in values():  # a value that was lost is the one before it
+        held = np.column_stack([np.append(before, one[:-1]), one]).ravel()
+        times = np.column_stack([lost, np.ones_like(lost)]).ravel()
+        wav.put((np.repeat(held, times) / full_scale).astype(np.float32)[:, None], patient=True)
+        before = one[-1]
+    wav.finish()
+    if wav.problem:
+        raise UsageError(wav.problem)
+    return full_scale, columns.units_of(column)[channel]
 
 
-def _write_pick_up(columns: Columns, out: Path, name: str) -> Exported:
-    """The levels are those of `run --sound-file`."""
+def _write_pick_up(file: Path, columns: Columns, name: str) -> None:
+    """At the level of `run --sound-file`."""
     record = Record(columns.path)
     record.reader.on_rows = columns.reader.on_rows
-    with whole_file(out) as file:
-        replay = Replay(record, None, file, name)
-        for _ in replay.pieces():
-            pass
-        replay.close()
-    return Exported(columns.count, 1.0, "")
+    replay = Replay(record, None, file, name)
+    for _ in replay.pieces():
+        pass
+    replay.close()

@@ -23,18 +23,18 @@ def write_hdf5(path: Path, columns: Columns) -> None:
     with h5py.File(path, "w") as file:
         file["channel"] = np.arange(columns.channels)
         file["channel"].attrs.update(units="1", description="of the device")
+        file["channel"].make_scale("channel")
         for column in columns.all:
-            shape = (columns.count, columns.channels) if column.by_channel else (columns.count,)
+            shape = (columns.count, columns.channels)[: 1 + column.by_channel]
             made = file.create_dataset(column.name, shape, column.dtype)
             made.attrs.update(units=columns.units_text(column), description=column.description)
+            if column.name == "time":  # the first
+                made.make_scale("time")
+                continue
+            for at, name in enumerate(("time", "channel")[: made.ndim]):
+                made.dims[at].attach_scale(file[name])
         file["flags"].attrs["flag_masks"] = np.array([getattr(ring, name) for name in FLAGS], "u1")
         file["flags"].attrs["flag_meanings"] = " ".join(FLAGS).lower()
-        for name in ("time", "channel"):
-            file[name].make_scale(name)
-        for column in columns.all:
-            for at, name in enumerate(("time", "channel")[: file[column.name].ndim]):
-                if name != column.name:
-                    file[column.name].dims[at].attach_scale(file[name])
         first = 0
         for values in columns.pieces():
             after = first + len(values["time"])
@@ -45,15 +45,10 @@ def write_hdf5(path: Path, columns: Columns) -> None:
 
 
 def _write_texts(file: Any, columns: Columns) -> None:
-    head = columns.reader.head
-    file.attrs.update(rate_hz=columns.rate, begun=head.begun, ending=columns.ending)
+    file.attrs.update(rate_hz=columns.head.rate_hz, begun=columns.head.begun, ending=columns.report["ending"])
     group = file.create_group("record")
     for name, document in columns.documents.items():
         group[name] = document if isinstance(document, str) else json.dumps(document)
-    for name, (at, unit), entries in (
-        ("change", ("row", "first row with it"), columns.changes),
-        ("marker", ("sample", "at which it was set"), columns.markers),
-    ):
+    for name, at, entries in (("change", "row", columns.changes), ("marker", "sample", columns.markers)):
         group[name] = np.array([text for _, text in entries], h5py.string_dtype())
         group[f"{name}_{at}"] = np.array([place for place, _ in entries], np.int64)
-        group[f"{name}_{at}"].attrs.update(units="1", description=unit)

@@ -21,7 +21,7 @@ _TEXT = {"text": {"type": "string"}}
 
 def write_mcap(path: Path, columns: Columns) -> None:
     """Writes the record. OSError where it cannot be written."""
-    begun = columns.reader.head.begun
+    begun, rate = columns.head.begun, columns.head.rate_hz
     begun_ns = round(datetime.fromisoformat(begun).timestamp() * 1e9) if begun else 0
     fields = {
         name: {"type": "number", "description": f"{column.description} ({unit})"}
@@ -33,24 +33,24 @@ def write_mcap(path: Path, columns: Columns) -> None:
         writer.start("", "hapsim")
         samples = _channel(writer, "samples", fields)
         changes, markers = (_channel(writer, name, _TEXT) for name in ("changes", "markers"))
+        first_row, first_sample = 0, int(next(columns.pieces())["sample"][0])
 
-        def add(channel: int, seconds: float, message: dict[str, Any]) -> None:
-            at = begun_ns + round(seconds * 1e9)
+        def add(channel: int, sample: int, message: dict[str, Any]) -> None:
+            at = begun_ns + round((sample - first_sample) * 1e9 / rate)
             writer.add_message(channel, at, json.dumps(message).encode(), at)
 
-        for sample, text in columns.markers:
-            add(markers, sample / columns.rate, {"text": text})
-        first = 0
         for values in columns.pieces():
             for row, text in columns.changes:
-                if first <= row < first + len(values["time"]):
-                    add(changes, values["time"][row - first], {"text": text})
-            first += len(values["time"])
+                if first_row <= row < first_row + len(values["time"]):
+                    add(changes, int(values["sample"][row - first_row]), {"text": text})
+            first_row += len(values["time"])
             finite = np.isfinite(values["asked_force"]).all()
             each = [one for column in columns.all for one in np.atleast_2d(values[column.name].T).tolist()]
             for row_values in zip(*each, strict=True):
                 message = dict(zip(fields, row_values, strict=True))
-                add(samples, message["time"], message if finite else plain(message))
+                add(samples, message["sample"], message if finite else plain(message))
+        for sample, text in columns.markers:
+            add(markers, sample, {"text": text})
         texts = columns.documents.items()
         writer.add_metadata("record", {name: one if isinstance(one, str) else json.dumps(one) for name, one in texts})
         writer.finish()

@@ -23,13 +23,10 @@ def device_of(path: Path) -> RecordedDevice:
     run, report = reader.head.run, reader.summary["report"]
     if run is None:
         raise UsageError(f"{path}: an older hapsim recorded it, without its device: it cannot be served")
-    if not reader.count:
-        raise UsageError(f"{path}: found a record without rows, expected some: the run ended before its first")
-    rows = np.concatenate([piece[["sample", "time_ns"]] for piece in reader.rows()])
+    samples, time_ns = (np.concatenate([piece[name] for piece in reader.rows()]) for name in ("sample", "time_ns"))
     has_velocity = VELOCITY in (reader.head.rows.names or ())
-    counts = np.concatenate(
-        [np.hstack([piece["position_counts"], *([piece[VELOCITY]] if has_velocity else [])]) for piece in reader.rows()]
-    )
+    words = ["position_counts", *[VELOCITY] * has_velocity]
+    counts = np.concatenate([np.hstack([piece[name] for name in words]) for piece in reader.rows()])
     try:
         description, scene = description_of(run), parse_scene(json.dumps(run["scene"]), str(path))
     except (KeyError, TypeError) as error:
@@ -38,8 +35,8 @@ def device_of(path: Path) -> RecordedDevice:
         counts[:, c] += round((origin or 0.0) / description.position_scale[c])
     if not has_velocity:
         description = replace(description, velocity_scale=())
-    samples = rows["sample"] - (rows["sample"][0] if run["first_tick"] else 0)
+    samples -= samples[0] if run["first_tick"] else 0
     period = 1.0 / description.rate_hz
-    if report["timed_by_device"] and len(rows) > 1:
-        period = 1e-9 * float(rows["time_ns"][-1] - rows["time_ns"][0]) / float(samples[-1] - samples[0])
-    return RecordedDevice(description, np.ascontiguousarray(samples), counts, period)
+    if report["timed_by_device"] and len(samples) > 1:
+        period = 1e-9 * float(time_ns[-1] - time_ns[0]) / float(samples[-1] - samples[0])
+    return RecordedDevice(description, samples, counts, period)

@@ -213,8 +213,6 @@ def compare(record: Record, scene: Scene | None, sound_file: Path | None, with_c
                 (recorded["sample"] / record.scene.rate, recorded["position_counts"] * position_scale, *forces)
             )
     replay.close()
-    if not ticks:
-        raise UsageError(f"{record.path}: it has no rows")
     rms = np.sqrt(sums / ticks).tolist()
     drawn = [np.concatenate(one) for one in zip(*curves, strict=True)] or [
         np.zeros(0),

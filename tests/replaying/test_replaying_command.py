@@ -140,6 +140,17 @@ def test_a_record_has_markers_and_changes(tmp_path: Path) -> None:
     assert (of_hand["k"], of_hand["b"]) == (felt.k, felt.b), "of the scene that the run began with"
 
 
+def test_a_record_of_a_scene_that_cannot_be_predicted_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def predict(*_: object, **__: object) -> None:
+        raise ArithmeticError("too large")
+
+    monkeypatch.setattr("hapsim.running.recorded_run.predict", predict)
+    reader = StreamReader(recorded(tmp_path / "a.trace"))
+    assert sum(len(rows) for rows in reader.rows()) == 300
+    assert reader.is_finished
+    assert reader.notes[-1] == {"prediction": {"error": "too large"}}
+
+
 def rewrite(record: Path, change: Callable[[dict[str, Any]], object]) -> None:
     """Changes the head of a record."""
     data, begin = record.read_bytes(), len(MAGIC)

@@ -18,7 +18,7 @@ from test_replaying_command import SCENE, SOUND, recorded, rewrite
 
 from hapsim.recording.stream import MAGIC
 from hapsim.recording.trace import load_trace
-from hapsim.replaying.columns import ages
+from hapsim.replaying.columns import Columns, ages
 from hapsim.running import Session, start
 from hapsim.scene import parse_scene
 
@@ -69,6 +69,7 @@ def test_hdf5_is_read_by_h5py_xarray_and_pandas(hapsim: Hapsim, record: Path, tm
             "sensed_velocity": "rad/s, m/s",
             "force": "N·m, N",
         }
+        assert [scale.keys() for scale in file["force"].dims] == [["time"], ["channel"]]
         assert all(one.attrs["description"] for one in file.values() if isinstance(one, h5py.Dataset))
         texts = {name: one.asstr()[()] for name, one in file["record"].items() if one.dtype.kind == "O"}
         assert parse_scene(texts["scene"]).rate == 1000.0
@@ -174,14 +175,14 @@ def test_a_pick_up_is_heard_as_in_the_run(hapsim: Hapsim, tmp_path: Path) -> Non
 
 def test_what_is_left_of_a_record_is_exported_with_a_warning(hapsim: Hapsim, tmp_path: Path) -> None:
     whole = recorded(tmp_path / "a.trace").read_bytes()
-    part, older, damaged = (tmp_path / name for name in ("a.npz.part", "older.trace", "damaged.trace"))
+    part, older, damaged, grows = (tmp_path / f"{name}.trace" for name in ("a.part", "older", "damaged", "grows"))
     part.write_bytes(whole[: whole.rindex(b"TOLD") + 30])
     older.write_bytes(whole)
     rewrite(older, lambda head: (head.pop("run"), head.update(version=1)))
     at = whole.index(b"ROWS")
     damaged.write_bytes(whole[: at + 100] + b"x" + whole[at + 101 :])
     for path, rows, why in (
-        (part, 300, "cut off or damaged: it stops after 300 rows"),
+        (part, 300, "the record is cut off or damaged: it has 300 rows"),
         (older, 300, "an older hapsim recorded it: without its scene"),
     ):
         answer = hapsim("export", path, tmp_path / f"{path.name}.h5")
@@ -191,6 +192,15 @@ def test_what_is_left_of_a_record_is_exported_with_a_warning(hapsim: Hapsim, tmp
             assert file["force"].shape == (rows, 1)
             assert ("scene" in file["record"]) == (path is part), "a part has a prediction, too"
     assert "without rows" in hapsim("export", damaged, tmp_path / "d.h5").sentence
+    damaged.write_bytes(whole)
+    rewrite(damaged, lambda head: head["run"].pop("description"))
+    assert "the record is damaged: 'description'" in hapsim("export", damaged, tmp_path / "d.h5").sentence
+    so_far = whole[: whole.rindex(b"NOTE")]
+    grows.write_bytes(so_far)
+    columns = Columns(grows)
+    grows.write_bytes(so_far + whole[whole.index(b"ROWS") :])
+    assert len(load_trace(grows).sample) == 600
+    assert sum(len(values["time"]) for values in columns.pieces()) == 300, "rows that come meanwhile do not count"
 
 
 def test_what_cannot_be_exported_is_refused_with_the_reason(
