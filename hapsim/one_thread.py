@@ -3,6 +3,7 @@ more."""
 
 from __future__ import annotations
 
+import sys
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 from typing import Any
@@ -13,14 +14,14 @@ def one_thread(where: bool = True) -> AbstractContextManager[Any]:
     False."""
     if not where:
         return nullcontext()
-    limits: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
+    libraries = _libraries("scipy.linalg" in sys.modules)
+    limits: AbstractContextManager[Any] = libraries.limit(limits=1, user_api="blas")
     return limits
 
 
 @cache
-def _libraries() -> Any:
-    """Found once: a look through all that is loaded takes a millisecond."""
-    import scipy.linalg  # noqa: F401  its library has to be loaded to be found
+def _libraries(_with_scipy: bool) -> Any:
+    """Found once, and again once scipy has loaded its own: a look through all that is loaded takes a millisecond."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

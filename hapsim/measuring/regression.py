@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from scipy.linalg import lapack
 
 from hapsim.measuring.converters import Floats
 
@@ -101,7 +100,7 @@ class Regression:
             return None
         at = self._drifts.index(drift)
         factors = [one.factor(order, at, drift) for one in usable]
-        factor = factors[0] if len(factors) == 1 else _factor(np.asfortranarray(np.vstack(factors)))
+        factor = factors[0] if len(factors) == 1 else _factor(np.vstack(factors))
         if len(factor) < factor.shape[1]:
             return None
         scale = np.sqrt(np.einsum("ij,ij->j", factor, factor)[:-1])
@@ -174,9 +173,10 @@ class _Basis:
 
 
 def _factor(table: Floats) -> Floats:
-    """R of a table's QR decomposition, by Householder's reflections; the table is overwritten."""
-    factor, *_ = lapack.dgeqrf(table, overwrite_a=True)
-    return np.asarray(factor[: table.shape[1]] * _upper(*factor[: table.shape[1]].shape))
+    """R of a table's QR decomposition, by Householder's reflections."""
+    reflections, _ = np.linalg.qr(table, mode="raw")
+    factor = reflections.T[: table.shape[1]]
+    return np.asarray(factor * _upper(*factor.shape))
 
 
 @cache
