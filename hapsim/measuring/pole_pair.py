@@ -116,21 +116,22 @@ def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Float
         return unknown
     size, grows = min(motion.size, _LOOKED_AT), np.abs(poles) > 1.0
     # Where the motion is counted from is not certain to the last count: what a constant explains is no mode.
-    modes = np.ones((poles.size + 1, size), complex)
+    modes = np.ones((poles.size + 2, size), complex)
     ratios = poles.copy()
     ratios[grows] = 1.0 / poles[grows]
-    modes[:-1, 1:] = ratios[:, None]
-    np.multiply.accumulate(modes, axis=1, out=modes)
-    modes[:-1][grows] = modes[:-1][grows, ::-1]  # a growing mode is written backwards from its end: no power overflows
-    modes = modes.T / np.linalg.norm(modes, axis=1)
-    q, r = np.linalg.qr(modes)
+    modes[:-2, 1:] = ratios[:, None]
+    np.multiply.accumulate(modes[:-2], axis=1, out=modes[:-2])
+    modes[:-2][grows] = modes[:-2][grows, ::-1]  # a growing mode is written backwards from its end: no power overflows
+    modes[:-1] /= np.linalg.norm(modes[:-1], axis=1)[:, None]
+    modes[-1] = motion[:size]
+    factor = np.linalg.qr(modes.T, mode="r")
+    r, left = factor[:-1, :-1], factor[-1, -1]
     if np.min(np.abs(np.diag(r))) < 1e-15:
         return unknown
-    amplitude = np.linalg.solve(r, q.conj().T @ motion[:size])
-    left = motion[:size] - np.real(modes @ amplitude)
-    energy = np.abs(amplitude) ** 2
-    worse = energy / np.sum(np.abs(np.linalg.inv(r)) ** 2, axis=1)
-    return np.asarray(worse > _CLEARLY * np.mean(left**2))[:-1], energy[:-1]
+    inverse = np.linalg.inv(r)
+    energy = np.abs(inverse @ factor[:-1, -1]) ** 2
+    worse = energy / np.sum(np.abs(inverse) ** 2, axis=1)
+    return np.asarray(worse > _CLEARLY * np.abs(left) ** 2 / size)[:-1], energy[:-1]
 
 
 def _spread_of_sum_and_product(fit: Fit, total: float, product: float, rest: Complexes) -> Floats:
