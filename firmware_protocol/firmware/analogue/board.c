@@ -164,9 +164,10 @@ void board_start(void) {
     ADCSRB = _BV(ADTS2) | _BV(ADTS0); /* compare match B of timer 1 */
     ADCSRA = _BV(ADEN) | _BV(ADATE) | PRESCALER;
     choose(0);
-    read_sensors(); /* position 0 of a sawtooth is where the device powers up: what is read now is no step */
     for (uint8_t c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
         odd[c] = 2;
+        last[c] = -16384; /* of no sensor: the first reading is where it is, the second one how far it went */
     }
+    read_sensors();
     read_sensors();
 }

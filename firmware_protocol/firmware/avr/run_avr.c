@@ -36,6 +36,9 @@
 #define SLICE_US 100
 #define BYTES_PER_SLICE 32 /* more than arrive in one at 2 Mbaud: the wire is never short of them */
 #define MOST_BEHIND_US 1000
+/* Where every answer is waited for, the host sees the same whenever the chip runs: it may be ahead, and catches up. */
+#define MOST_AHEAD_US 1000
+#define CATCHES_UP_US 5000
 #define GPIOR0 0x3e
 #define GPIOR1 0x4a
 
@@ -120,8 +123,8 @@ static size_t send_frame(size_t at, size_t length, bool *begun) {
     return sent > 0 ? (size_t)sent : 0;
 }
 
-/* A host that does not listen loses frames here, not pieces of them: the wire tears nothing. */
-static void send_bytes(void) {
+/* Whether there was a frame. A host that does not listen loses frames here, not pieces of them: the wire tears nothing. */
+static bool send_bytes(void) {
     static bool begun;
     size_t at = 0, kept = 0;
     const uint8_t *end;
@@ -137,6 +140,7 @@ static void send_bytes(void) {
     unsent_bytes -= at;
     memmove(unsent + kept, unsent + at, unsent_bytes);
     unsent_bytes += kept;
+    return at > 0;
 }
 
 static void receive_bytes(void) {
@@ -197,6 +201,7 @@ static void connect_pins(void) {
 static int run(void) {
     avr_cycle_count_t target = avr->cycle;
     int64_t due = now_us();
+    const int64_t most_behind = patience_ms > 0 ? CATCHES_UP_US : MOST_BEHIND_US;
     while (!stopped) {
         target += SLICE_US * CYCLES_PER_US;
         due += SLICE_US;
@@ -210,14 +215,14 @@ static int run(void) {
                 return 1;
             }
         }
-        if (unsent_bytes > 0 && patience_ms > 0) {
-            send_bytes();
+        if (send_bytes() && patience_ms > 0) {
             (void)poll(&(struct pollfd){port, POLLIN, 0}, 1, patience_ms);
         }
-        send_bytes();
-        wait_until(due);
-        if (now_us() > due + MOST_BEHIND_US) {
-            due = now_us() - MOST_BEHIND_US;
+        if (due > now_us() + (patience_ms > 0 ? MOST_AHEAD_US : 0)) {
+            wait_until(due);
+        }
+        if (now_us() > due + most_behind) {
+            due = now_us() - most_behind;
         }
         receive_bytes();
     }
