@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: MIT */
 /* Runs the AVR firmware on simavr: `run_avr FIRMWARE.hex [LOG [NAME=NUMBER ...]]` joins UART 0 to a pseudo-terminal, prints
  * its path, and keeps the emulated clock at real time until it is stopped. An analogue board's motors and sensors are those
- * of analogue/plant.c, with these properties; `patience=20` waits up to 20 ms for the host to answer what it was sent, so
- * that a machine which is busy slows the emulated clock and loses no force.
+ * of analogue/plant.c, with these properties. `lockstep=1` stops the emulated clock after each position until the host has
+ * answered, and goes on as fast as it can: virtual time, for a scene with `clock: lockstep` (lockstep.h).
  *
  * The emulated clock never runs ahead of it. Where this machine was held up for longer than a sample, that time is lost:
  * a burst of samples would be of no use. LOG: each force put out, be it the same again, a line of two hexadecimal
@@ -11,6 +11,7 @@
 #define _GNU_SOURCE
 #include "chip.h"
 #include "cycles.h"
+#include "lockstep.h"
 #ifdef HAPSIM_ANALOGUE
 #include "plant.h"
 #endif
@@ -36,14 +37,12 @@
 #define SLICE_US 100
 #define BYTES_PER_SLICE 32 /* more than arrive in one at 2 Mbaud: the wire is never short of them */
 #define MOST_BEHIND_US 1000
-/* Where every answer is waited for, the host sees the same whenever the chip runs: it may be ahead, and catches up. */
-#define MOST_AHEAD_US 1000
-#define CATCHES_UP_US 5000
+#define GIVES_UP_MS 10000 /* waiting for an answer in lockstep */
 #define GPIOR0 0x3e
 #define GPIOR1 0x4a
 
 static avr_t *avr;
-static int port, log_file = -1, patience_ms;
+static int port, log_file = -1, lockstep;
 static uint8_t unsent[4096];
 static size_t unsent_bytes;
 static void (*reset_chip)(avr_t *);
@@ -123,13 +122,15 @@ static size_t send_frame(size_t at, size_t length, bool *begun) {
     return sent > 0 ? (size_t)sent : 0;
 }
 
-/* Whether there was a frame. A host that does not listen loses frames here, not pieces of them: the wire tears nothing. */
+/* Whether there was a position. A host that does not listen loses frames here, not pieces of them: the wire tears nothing. */
 static bool send_bytes(void) {
     static bool begun;
+    bool position = false;
     size_t at = 0, kept = 0;
     const uint8_t *end;
     while ((end = memchr(unsent + at, 0, unsent_bytes - at)) != NULL) {
         const size_t length = (size_t)(end - unsent) + 1 - at;
+        position |= lockstep && offer_lockstep(unsent + at, length);
         if (kept == 0) {
             const size_t sent = send_frame(at, length, &begun);
             kept = length - sent; /* the rest comes first the next time; whole frames behind it are dropped */
@@ -140,13 +141,16 @@ static bool send_bytes(void) {
     unsent_bytes -= at;
     memmove(unsent + kept, unsent + at, unsent_bytes);
     unsent_bytes += kept;
-    return at > 0;
+    return position;
 }
 
 static void receive_bytes(void) {
     uint8_t bytes[BYTES_PER_SLICE];
     const size_t room = wire_room();
     const ssize_t count = read(port, bytes, room < sizeof bytes ? room : sizeof bytes);
+    if (lockstep && count > 0) {
+        take_lockstep(bytes, (size_t)count);
+    }
     put_on_wire(bytes, count > 0 ? (size_t)count : 0);
 }
 
@@ -201,7 +205,6 @@ static void connect_pins(void) {
 static int run(void) {
     avr_cycle_count_t target = avr->cycle;
     int64_t due = now_us();
-    const int64_t most_behind = patience_ms > 0 ? CATCHES_UP_US : MOST_BEHIND_US;
     while (!stopped) {
         target += SLICE_US * CYCLES_PER_US;
         due += SLICE_US;
@@ -215,14 +218,13 @@ static int run(void) {
                 return 1;
             }
         }
-        if (send_bytes() && patience_ms > 0) {
-            (void)poll(&(struct pollfd){port, POLLIN, 0}, 1, patience_ms);
+        if (send_bytes()) {
+            (void)poll(&(struct pollfd){port, POLLIN, 0}, 1, GIVES_UP_MS);
+            due = now_us() - MOST_BEHIND_US; /* the sample that follows waits for nothing */
         }
-        if (due > now_us() + (patience_ms > 0 ? MOST_AHEAD_US : 0)) {
-            wait_until(due);
-        }
-        if (now_us() > due + most_behind) {
-            due = now_us() - most_behind;
+        wait_until(due);
+        if (now_us() > due + MOST_BEHIND_US) {
+            due = now_us() - MOST_BEHIND_US;
         }
         receive_bytes();
     }
@@ -232,8 +234,8 @@ static int run(void) {
 int main(int count, char **words) {
     char path[64];
     for (int i = 3; i < count; i++) {
-        if (sscanf(words[i], "patience=%d", &patience_ms) != 1 && !set_plant(words[i])) {
-            fprintf(stderr, "%s: expected patience=MILLISECONDS or, of an analogue board, one of its properties:\n", words[i]);
+        if (sscanf(words[i], "lockstep=%d", &lockstep) != 1 && !set_plant(words[i])) {
+            fprintf(stderr, "%s: expected lockstep=1 or, of an analogue board, one of its properties:\n", words[i]);
             tell_plant();
             return 2;
         }
