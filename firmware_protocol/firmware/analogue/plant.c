@@ -21,12 +21,18 @@
 #define HZ 16e6
 #define STEP 160u       /* cycles, 10 us: the longest of the motion's */
 #define PWM_PERIOD 256u
+#define LATE 6          /* cycles: simavr moves a pin between two instructions */
 #define COMPARE_B 12u   /* vector of timer 1 */
 
 typedef struct {
     char pwm_port, pwm, direction_port, direction;
+    uint8_t compare; /* register of its timer */
 } pins;
-#define MOTOR(timer, output, port, bit, to_port, to_bit) {#port[0], bit, #to_port[0], to_bit}
+#define COMPARE_0A 0x47
+#define COMPARE_0B 0x48
+#define COMPARE_2A 0xb3
+#define COMPARE_2B 0xb4
+#define MOTOR(timer, output, port, bit, to_port, to_bit) {#port[0], bit, #to_port[0], to_bit, COMPARE_##timer##output}
 static const pins motors[HAPSIM_BOARD_CHANNELS] = MOTORS;
 static const uint8_t sensors[HAPSIM_BOARD_CHANNELS] = SENSORS;
 
@@ -129,6 +135,12 @@ static int32_t signed_duty(const channel *one, int32_t size) {
     return one->forward ? size : -size;
 }
 
+/* Of the pulse that was seen: as long as the timer makes it, where that is no longer than simavr allows to tell. */
+static int32_t length_of(const channel *one) {
+    const int32_t seen = (int32_t)(chip->cycle - one->edge), set = chip->data[motors[one - channels].compare] + 1;
+    return abs(seen - set) <= LATE ? set : seen;
+}
+
 /* Moves all up to now. A pin that has not changed for a period gives no pulses, or one without end. */
 static void move_on(void) {
     const uint64_t until = chip->cycle;
@@ -153,7 +165,7 @@ static void on_pwm(avr_irq_t *irq, uint32_t high, void *which) {
     }
     move_on();
     const bool ends = active(one);
-    const int32_t length = (int32_t)(chip->cycle - one->edge);
+    const int32_t length = length_of(one);
     one->high = high != 0;
     one->edge = chip->cycle;
     if (ends && length <= (int32_t)PWM_PERIOD) {
