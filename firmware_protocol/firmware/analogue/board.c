@@ -95,8 +95,7 @@ static void follow(uint8_t c, int16_t reading) {
 #ifdef TOOTH
     step = (int16_t)(step > TOOTH / 2 ? step - TOOTH : step < -TOOTH / 2 ? step + TOOTH : step);
 #endif
-    const int16_t most = (int16_t)(FASTEST * (odd[c] + 1));
-    if (reading < LOWEST || reading > HIGHEST || step > most || step < -most) {
+    if (reading < LOWEST || reading > HIGHEST || step > FASTEST || step < -FASTEST) {
         odd[c]++;
         if (odd[c] < 2) {
             return;

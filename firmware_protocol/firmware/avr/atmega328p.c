@@ -4,9 +4,9 @@
  * off for longer than two bytes last, which the receiver keeps itself: the tick's interrupt lets others in at once. */
 #include "atmega328p.h"
 
-#include "hapsim_board.h"
 #include "hapsim_device.h"
 #include "hapsim_port.h"
+#include <hapsim_board.h> /* of the board that is built, not the one beside this file */
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
