@@ -155,11 +155,9 @@ void board_start(void) {
         drive_zero(&motors[c]);
         DIRECTIONS(motors[c].pwm_port) |= motors[c].pwm;
         DIRECTIONS(motors[c].direction_port) |= motors[c].direction;
+        *motors[c].control |= _BV(WGM01) | _BV(WGM00); /* of timer 0 and of timer 2 alike: fast PWM, */
+        *(motors[c].control + 1) = _BV(CS00);          /* without a prescaler */
     }
-    TCCR0A |= _BV(WGM01) | _BV(WGM00);
-    TCCR2A |= _BV(WGM21) | _BV(WGM20);
-    TCCR0B = _BV(CS00);
-    TCCR2B = _BV(CS20);
     ADCSRB = _BV(ADTS2) | _BV(ADTS0); /* compare match B of timer 1 */
     ADCSRA = _BV(ADEN) | _BV(ADATE) | PRESCALER;
     choose(0);

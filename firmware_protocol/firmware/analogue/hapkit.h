@@ -7,7 +7,9 @@
 #ifndef HAPSIM_BAUD
 #define HAPSIM_BAUD 500000ul /* see PORTING.md: 115200 on a genuine Uno */
 #endif
+#ifndef RATE
 #define RATE (HAPSIM_BAUD < 250000 ? 400 : 1000)
+#endif
 #define HAPSIM_BOARD_ROTARY 0
 
 /* Timer 0 B (D5) drives the bridge's enable pin, port B 0 (D8) its direction, which is high for a positive force. The
