@@ -7,7 +7,9 @@
 #ifndef HAPSIM_BAUD
 #define HAPSIM_BAUD 1000000ul
 #endif
+#ifndef RATE
 #define RATE (HAPSIM_BAUD < 500000 ? 250 : 1000)
+#endif
 #define HAPSIM_BOARD_ROTARY 0
 
 #define MOTORS {MOTOR(0, B, D, 5, D, 4), MOTOR(0, A, D, 6, D, 7)}
