@@ -180,8 +180,11 @@ class _Pusher:
         declared = Plant(scene.device.masses(scene.channels)[self._channel], 0.0, 0.0, scene.device.delay)
         full = drive_for(declared, bounds, scene.rate, pace=1.0, tightness=0.5)
         steepest = _MAY_BE_LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
-        seen = _COUNTS_OF_DAMPING * full.damping * scene.rate * self._count_m  # below, rounding shakes the device
-        gentle = replace(full, force=min(full.force, max(seen, _FIRST_MOVES * bounds.travel / steepest)))
+        force = _FIRST_MOVES * bounds.travel / steepest
+        if scene.device.port is not None:  # whose guard ends a run that rounding shakes at the limit of its force
+            clear = _COUNTS_OF_DAMPING * full.damping * scene.rate * self._count_m
+            force = max(force, min(clear, 0.5 * _FIRST_TRAVEL * bounds.travel / (steepest / _MAY_BE_LIGHTER)))
+        gentle = replace(full, force=min(full.force, force))
         duration = max(_GENTLE_HALVES * full.half, _GENTLE_TICKS) / scene.rate
         drive, trace = self._far_enough(gentle, duration, steepest, _FIRST_TRAVEL * bounds.travel, _MOST_ATTEMPTS)
         if self._stopped:

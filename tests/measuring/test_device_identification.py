@@ -17,7 +17,6 @@ import hapsim
 from hapsim.errors import DeviceError, GuardError, HapsimError, UsageError
 from hapsim.loop.endings import TIMED_OUT
 from hapsim.measuring import identify_device as room
-from hapsim.measuring.device_excitation import Drive, scene_of
 from hapsim.measuring.device_misfit import binned
 
 # A few in the ordinary suite; HAPSIM_POINTS=50 takes fifty, for longer.
@@ -123,20 +122,23 @@ def test_noise_and_counts_are_uncertainty_and_the_device_stays_within_its_travel
     assert found.noise_m == pytest.approx(noise, rel=0.2)
 
 
-def test_the_gentlest_push_is_clear_of_the_force_that_a_count_of_the_position_makes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Else the damper shakes the device at the limit of that push, and a port's guard ends it."""
-    pushed: list[Drive] = []
+def test_the_gentlest_push_behind_a_port_is_clear_of_the_force_that_a_count_makes() -> None:
+    """Else the damper shakes the device at the limit of that push, and the port's guard ends it."""
+    scene, count_m = ONE.scene(), 1e-5
+    scene = scene.model_copy(update={"device": scene.device.model_copy(update={"port": "/dev/ttyACM0"})})
 
-    def spied(scene: hapsim.Scene, bounds: Any, channel: int, drive: Drive | None, home: float) -> hapsim.Scene:
-        pushed.extend([] if drive is None else [drive])
-        return scene_of(scene, bounds, channel, drive, home)
+    class RunError(Exception):
+        pass
 
-    monkeypatch.setattr(room, "scene_of", spied)
-    hapsim.identify_device(mocked(quantum=2.4e-5), duration=1.0)
-    assert pushed[0].force > pushed[0].damping * 2.4e-5 * ONE.scene().rate
-    assert pushed[0].force < pushed[-1].force
+    def run_scene(pushed: hapsim.Scene, **_: Any) -> Any:
+        raise RunError(pushed)
+
+    pusher = room._Pusher(scene, 0, room.bounds_of(scene, force=0.5), run_scene)
+    pusher._count_m = count_m
+    with pytest.raises(RunError) as caught:
+        pusher.grow()
+    pushed = caught.value.args[0]
+    assert pushed.device.force_limit > 2.0 * pushed.modules["spring"].damping * scene.rate * count_m
 
 
 def test_noise_that_hides_the_motion_is_named_with_the_travel_that_would_do() -> None:
