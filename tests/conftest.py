@@ -25,9 +25,14 @@ from hapsim import cli
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 
 # What is there where a board can be run on this machine, and the Debian packages that bring what it takes.
+ON_SIMAVR = "gcc libc6-dev gcc-avr avr-libc libsimavr-dev"
 RUNNERS = {
     "linux": ("linux", "gcc libc6-dev"),
-    "avr": ("run_avr", "gcc libc6-dev gcc-avr avr-libc libsimavr-dev"),
+    "avr": ("run_avr", ON_SIMAVR),
+    **{
+        name: (f"run_{name}", "gcc libc6-dev gcc-avr avr-libc libsimavr-dev")
+        for name in ("hapkit", "firefader", "faders4")
+    },
     "cortex_m": ("on_terminal", "gcc libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
     "simplefoc": ("simplefoc", "g++ libc6-dev"),
     "simplefoc_cortex_m": ("on_terminal", "g++ libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
@@ -209,10 +214,10 @@ def built_broken(once: Any) -> Path:
 class Board:
     """A board that runs: its port, and what it says of the force that it puts out."""
 
-    def __init__(self, command: list[str | Path], built: Path, log: Path) -> None:
+    def __init__(self, command: list[str | Path], built: Path, log: Path, properties: tuple[str, ...] = ()) -> None:
         self.log = log
         self.process = subprocess.Popen(
-            [*command, log],
+            [*command, log, *properties],
             env=os.environ | {"HAPSIM_FIRMWARE": str(built)},
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -257,13 +262,14 @@ def boards() -> Iterator[list[Board]]:
 
 @pytest.fixture
 def start_board(built: Path, boards: list[Board], tmp_path: Path) -> Callable[..., Board]:
-    """Starts a board by its name, from `built` or from elsewhere; skips where this machine lacks what it takes."""
+    """Starts a board by its name, from `built` or from elsewhere, with its properties; skips where this machine lacks
+    what it takes."""
 
-    def start(name: str, where: Path = built) -> Board:
+    def start(name: str, where: Path = built, *properties: str) -> Board:
         needed, packages = RUNNERS[name]
         if not (where / needed).exists():
             pytest.skip(f"{name} was not built on this machine (Debian: {packages})")
-        boards.append(Board([FIRMWARE / "board", name], where, tmp_path / f"{name}.log"))
+        boards.append(Board([FIRMWARE / "board", name], where, tmp_path / f"{name}.log", properties))
         return boards[-1]
 
     return start

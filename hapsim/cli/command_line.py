@@ -24,7 +24,7 @@ from hapsim.cli.output import complain, document, log_as_json, speak_in, spoken
 from hapsim.cli.streams import output_failure, standing_streams
 from hapsim.errors import HapsimError, UsageError, refused_by_system
 from hapsim.scene.issue import as_argument
-from hapsim.scene.shipped import shipped_scenes, shipped_scripts
+from hapsim.scene.shipped import shipped_boards, shipped_scenes, shipped_scripts
 from hapsim.stopping import end_interrupted, was_interrupted
 from hapsim.units import LINEAR
 
@@ -104,6 +104,7 @@ def _ports() -> list[str]:
 
 _WORDS = {
     "--from": _offered(shipped_scenes),
+    "--board": _offered(shipped_boards),
     "SCENE": _offered(shipped_scenes, ".yaml"),
     "SCRIPT": _offered(shipped_scripts, ".yaml"),
     "PORT": (_of_port := _offered(_ports)),

@@ -6,7 +6,6 @@ import cmath
 import math
 from collections.abc import Iterator
 from dataclasses import asdict
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 
@@ -16,6 +15,7 @@ from rich.markup import escape
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import show_assumptions, show_wire
 from hapsim.cli.live import live_line
+from hapsim.cli.measure_remarks import attempts, dry_friction
 from hapsim.cli.options import (
     DeviceOptions,
     ExcitationOptions,
@@ -286,7 +286,12 @@ def show_measurement(
             "check --explain` lists the modes."
         )
     reasons = () if measurement.left_region else _other_device(felt, measurement, prediction, of_mass)
-    for sentence in (*_attempts(measurement), *_limits(measurement), *reasons):
+    for sentence in (
+        *attempts(measurement),
+        *_limits(measurement),
+        *dry_friction(scene, measurement, channel),
+        *reasons,
+    ):
         out.print(sentence)
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
@@ -297,24 +302,6 @@ def show_measurement(
     show_assumptions(out, prediction.assumptions)
     if others := ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel):
         out.print(f"Other hands of this scene: {others}.")
-
-
-def _attempts(measurement: Measurement) -> Iterator[str]:
-    """Yields what became of each run at a position before the one that is printed, and of that one if the hand left
-    its region."""
-    for one, following in pairwise(measurement.attempts):
-        why = f"the hand left its region ({one.left})" if one.left else _unsure(one.uncertainty)
-        yield f"With pushes of {number(one.push_n, 3)} N {why}; repeated with {number(following.push_n, 3)} N."
-    if measurement.left_region:
-        yield (
-            f"[yellow]With pushes of {number(measurement.push_n or 0.0, 3)} N the hand left its region[/yellow] "
-            f"({measurement.left_region}): what is measured mixes several slopes, and says nothing of the device. "
-            "Without --push, hapsim finds a push that stays in the region."
-        )
-
-
-def _unsure(share: float) -> str:
-    return f"k or b was uncertain by {percent(share, 2)}" if math.isfinite(share) else "nothing was clear of the noise"
 
 
 def _limits(measurement: Measurement) -> Iterator[str]:

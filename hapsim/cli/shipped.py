@@ -15,26 +15,45 @@ from hapsim.cli.options import Json
 from hapsim.cli.output import document, say
 from hapsim.errors import UsageError
 from hapsim.scene.issue import as_argument
-from hapsim.scene.shipped import SCENES, shipped_scene, shipped_scene_path, shipped_scenes
+from hapsim.scene.shipped import (
+    SCENES,
+    shipped_board,
+    shipped_boards,
+    shipped_scene,
+    shipped_scene_path,
+    shipped_scenes,
+)
 from hapsim.whole_file import whole_file
 
 
 def new(
     path: Annotated[Path, typer.Argument(help="Where to write it.")] = Path("scene.yaml"),
     from_: Annotated[
-        str, typer.Option("--from", metavar="NAME", help="Copy this scene; `hapsim scenes` lists them.")
-    ] = "first_touch",
+        str | None,
+        typer.Option(
+            "--from", metavar="NAME", help="Copy this scene; `hapsim scenes` lists them [default: first_touch]"
+        ),
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option("--board", metavar="NAME", help="Copy the first scene of this device, such as hapkit."),
+    ] = None,
 ) -> None:
     """Write a first scene to begin with."""
 
-    if shipped_scene_path(from_) is None:
+    if from_ is not None and board is not None:
+        raise UsageError("--from and --board: each names a scene to copy, expected one of them")
+    if board is not None and board not in shipped_boards():
+        raise UsageError(f"--board: found {board!r}, expected one of {', '.join(shipped_boards())}")
+    if from_ is not None and shipped_scene_path(from_) is None:
         raise UsageError(f"--from: found {from_!r}, expected one of {', '.join(shipped_scenes())}")
     if os.path.lexists(path):
         raise UsageError(f"{path}: the file exists and is not replaced; name another")
     if not path.resolve().parent.is_dir():
         raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
     with whole_file(path) as file:
-        file.write_text(shipped_scene(from_), encoding="utf-8")
+        text = shipped_scene(from_ or "first_touch") if board is None else shipped_board(board)
+        file.write_text(text, encoding="utf-8")
     say(f"Wrote {path}. Next:")
     for command in ("check", "measure"):
         print(

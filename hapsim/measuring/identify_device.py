@@ -43,6 +43,7 @@ SECONDS = 6.0
 _LISTEN_S, _LISTEN_TICKS = 0.1, 64
 _GENTLE_HALVES, _GENTLE_TICKS = 12, 384
 _MAY_BE_LIGHTER = 10.0  # the mass, than declared
+_COUNTS_OF_DAMPING = 1.5  # steps of the damper's force, by a count of the position, that the gentlest push is at least
 _FIRST_MOVES, _FIRST_TRAVEL = 0.07, 0.2  # of the travel, at first: wired the wrong way it runs away
 _MOVES = 0.35  # of the travel: enough for a fit
 _MEANT = 0.6  # of the travel
@@ -179,7 +180,11 @@ class _Pusher:
         declared = Plant(scene.device.masses(scene.channels)[self._channel], 0.0, 0.0, scene.device.delay)
         full = drive_for(declared, bounds, scene.rate, pace=1.0, tightness=0.5)
         steepest = _MAY_BE_LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
-        gentle = replace(full, force=min(full.force, _FIRST_MOVES * bounds.travel / steepest))
+        force = _FIRST_MOVES * bounds.travel / steepest
+        if scene.device.port is not None:  # whose guard ends a run that rounding shakes at the limit of its force
+            clear = _COUNTS_OF_DAMPING * full.damping * scene.rate * self._count_m
+            force = max(force, min(clear, 0.5 * _FIRST_TRAVEL * bounds.travel / (steepest / _MAY_BE_LIGHTER)))
+        gentle = replace(full, force=min(full.force, force))
         duration = max(_GENTLE_HALVES * full.half, _GENTLE_TICKS) / scene.rate
         drive, trace = self._far_enough(gentle, duration, steepest, _FIRST_TRAVEL * bounds.travel, _MOST_ATTEMPTS)
         if self._stopped:

@@ -22,6 +22,7 @@ from hapsim.recording.trace import Trace
 _MOST_ROWS = 6000
 _FAINT_COUNTS = 40.0  # a smaller position, or a smaller step from one sample to the next, and the rounding is no
 _SLOW_COUNTS = 8.0  # longer like noise: it follows the motion
+_COARSE_COUNTS = 40.0  # the largest step of a record of which no part is louder than others: all of it is read
 _QUIET_SPELL = 64  # samples between two loud ones that still belong to one motion
 _RUN_UP = 8
 _PUSH_NEWTON = 1e-6  # a smaller surplus is the rounding of the force, not a push
@@ -180,13 +181,14 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
     # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
     # So it is where a hand that rests between its pushes never moves by many counts: rounding then passes for noise.
-    attempts = [(_SPOILT, True), (_SPOILT & ~OFF_GRID, True), *([(_SPOILT, False)] if pressed else [])]
-    for spoilt, loud in attempts:
-        segments = _segments(trace, channel, spoilt, pressed, loud)
-        if fits := _fits(segments):
-            return segments, fits
     counts, rows = trace.position_counts[:, channel].astype(float), trace.sample.size
     moved = float(np.ptp(counts)) if rows else 0.0
+    loud = moved <= _FAINT_COUNTS or float(np.max(np.abs(np.diff(counts)), initial=0.0)) > _COARSE_COUNTS
+    attempts = [(_SPOILT, loud), (_SPOILT & ~OFF_GRID, loud), *([(_SPOILT, False)] if pressed else [])]
+    for spoilt, without_quiet in attempts:
+        segments = _segments(trace, channel, spoilt, pressed, without_quiet)
+        if fits := _fits(segments):
+            return segments, fits
     late, lost, limited = (int(np.count_nonzero(trace.flags & flag)) for flag in (LATE_FORCE, BRIDGED, LIMITED))
     if moved > _FAINT_COUNTS and late + lost > _MOST_SPOILT * rows:
         raise UsageError(

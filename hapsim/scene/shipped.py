@@ -8,6 +8,7 @@ from pathlib import Path
 SCENES = Path(str(files("hapsim") / "configs"))
 """The directory of the scenes and their page."""
 
+_BOARDS = SCENES / "boards"
 _SCRIPTS = SCENES / "faults"
 
 
@@ -25,6 +26,16 @@ def shipped_scene_path(name: str) -> Path | None:
     """Returns the file of the scene of this name, with or without `.yaml`; None if no such scene ships."""
     stem = name.removesuffix(".yaml")
     return SCENES / f"{stem}.yaml" if stem in _names(SCENES) else None
+
+
+def shipped_boards() -> list[str]:
+    """Returns the names of the boards for which a first scene ships."""
+    return _names(_BOARDS)
+
+
+def shipped_board(name: str) -> str:
+    """Returns the text of the first scene of this board."""
+    return (_BOARDS / f"{name}.yaml").read_text(encoding="utf-8")
 
 
 def shipped_scripts() -> list[str]:

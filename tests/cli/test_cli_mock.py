@@ -25,6 +25,8 @@ from serial.tools.list_ports_common import ListPortInfo
 from firmware_protocol.schema import SCHEMA_HASH, VERSION
 from hapsim import __version__
 from hapsim.device.mock import terminal as serving_command
+from hapsim.scene import load_scene
+from hapsim.scene.shipped import SCENES
 
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -119,6 +121,16 @@ def test_a_new_scene_can_be_checked_and_run_at_once(
     assert hapsim("new").status == 0
     assert hapsim("check", "scene.yaml").status == 0
     assert hapsim("run", "scene.yaml", "--duration", 0.05, "--json").document["ending"] == "done"
+
+
+def test_a_board_has_a_first_scene_of_its_own(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    assert hapsim("new", "--board", "hapkit", path).status == 0
+    assert path.read_text("utf-8") == (SCENES / "boards" / "hapkit.yaml").read_text("utf-8")
+    sentence = hapsim("new", "--board", "hapkid", tmp_path / "other.yaml").sentence
+    assert "--board: found 'hapkid', expected one of " in sentence
+    assert "firefader" in sentence
+    assert "expected one of them" in hapsim("new", "--board", "hapkit", "--from", "wall", path).sentence
 
 
 def test_a_new_scene_overwrites_nothing(hapsim: Hapsim, tmp_path: Path) -> None:

@@ -147,6 +147,18 @@ def test_a_measurement_prints_prediction_and_measurement_side_by_side(hapsim: Ha
         assert document["measured"][key] == pytest.approx(document["predicted"][key], rel=1e-5)
 
 
+def test_a_measurement_says_what_declared_dry_friction_adds(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "hapkit.yaml"
+    assert hapsim("new", "--board", "hapkit", path).status == 0
+    text = path.read_text("utf-8").replace("clock: device", "clock: lockstep")
+    path.write_text(text.replace("  quantum:", "  coulomb: 0.05\n  quantum:"), "utf-8")
+    out = " ".join(hapsim("measure", path).out.split())
+    said = re.search(r"leaves out the dry friction of 0.05 N .* it damps like another ([\d.]+) N·s/m", out)
+    document = hapsim("measure", path, "--json").document
+    assert said
+    assert document["measured"]["b"] - document["predicted"]["b"] == pytest.approx(float(said[1]), rel=0.25)
+
+
 @pytest.mark.parametrize("name", ["spring", "unstable", "channel_3", "damper", "free", "mass", "hand_in_hand"])
 def test_every_scene_can_be_measured_without_a_traceback(hapsim: Hapsim, scene_file: SceneFile, name: str) -> None:
     words = ["--unstable"] if name == "unstable" else []

@@ -253,6 +253,7 @@ def test_a_shell_completes_scenes_scripts_ports_and_options(
     assert completed("hapsim compile wall wa") == ["wall", "wave.yaml"]
     assert completed("hapsim chart plane wa") == ["wall", "wave.yaml"]
     assert completed("hapsim new --from plu") == ["plucked_string"]
+    assert completed("hapsim new --board hapk") == ["hapkit"]
     assert completed("hapsim faults noi") == ["noisy_wire"]
     assert completed("hapsim run wall --port ") == completed("hapsim probe ") == ["/dev/ttyACM7"]
     assert completed("hapsim run wall --re") == ["--record", "--realtime", "--reports", "--reconnect", "--record-dir"]

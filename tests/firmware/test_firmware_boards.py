@@ -112,8 +112,9 @@ def test_a_board_describes_itself_and_hears_every_frame(name: str, start_board: 
     assert description.force_limit == (10.0,)
 
 
-@pytest.mark.parametrize("clock", ["device", "host"])
-@pytest.mark.parametrize("name", BOARDS)
+@pytest.mark.parametrize(
+    ("name", "clock"), [*((name, clock) for name in BOARDS for clock in ("device", "host")), ("hapkit", "device")]
+)
 def test_a_host_that_is_stopped_or_killed_leaves_no_force(
     name: str, clock: str, start_board: Start, start_hapsim: Start, swinging: Callable[[str], Path]
 ) -> None:
@@ -182,7 +183,7 @@ def read_status_after_disarm(connection: Any) -> int:
     return read_register(connection, schema.REG_FAULT)
 
 
-@pytest.mark.parametrize("name", BOARDS)
+@pytest.mark.parametrize("name", [*BOARDS, "hapkit"])
 def test_a_tick_that_dies_ends_in_zero_force(
     name: str, built_to_die: Path, start_board: Start, start_hapsim: Start, swinging: Callable[[str], Path]
 ) -> None:
@@ -199,6 +200,6 @@ def test_a_tick_that_dies_ends_in_zero_force(
                 break
     forces = board.forces()
     assert forces[-1][1] == 0
-    if name == "avr":  # whose clock neither stops with its tick nor begins anew with its reset
+    if name in ("avr", "hapkit"):  # whose clock neither stops with its tick nor begins anew with its reset
         assert forces[-2][1] != 0
         assert forces[-1][0] - forces[-2][0] < 100 * PERIOD_US

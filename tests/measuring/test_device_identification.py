@@ -122,6 +122,25 @@ def test_noise_and_counts_are_uncertainty_and_the_device_stays_within_its_travel
     assert found.noise_m == pytest.approx(noise, rel=0.2)
 
 
+def test_the_gentlest_push_behind_a_port_is_clear_of_the_force_that_a_count_makes() -> None:
+    """Else the damper shakes the device at the limit of that push, and the port's guard ends it."""
+    scene, count_m = ONE.scene(), 1e-5
+    scene = scene.model_copy(update={"device": scene.device.model_copy(update={"port": "/dev/ttyACM0"})})
+
+    class RunError(Exception):
+        pass
+
+    def run_scene(pushed: hapsim.Scene, **_: Any) -> Any:
+        raise RunError(pushed)
+
+    pusher = room._Pusher(scene, 0, room.bounds_of(scene, force=0.5), run_scene)
+    pusher._count_m = count_m
+    with pytest.raises(RunError) as caught:
+        pusher.grow()
+    pushed = caught.value.args[0]
+    assert pushed.device.force_limit > 2.0 * pushed.modules["spring"].damping * scene.rate * count_m
+
+
 def test_noise_that_hides_the_motion_is_named_with_the_travel_that_would_do() -> None:
     scene = mocked(noise=1e-5)
     with pytest.raises(UsageError, match=r"noise of [\d.]+ µm hide .* within 0\.1 mm .* --travel, ([\d.]+)") as caught:

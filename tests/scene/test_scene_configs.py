@@ -11,6 +11,7 @@ from hapsim import predict, run
 from hapsim.scene import Scene, ViscoElastic, load_scene
 
 FOLDER = Path(__file__).parents[2] / "configs"
+BOARDS = sorted(f"boards/{path.stem}" for path in (FOLDER / "boards").glob("*.yaml"))
 EVERY = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 #: With masses, strings or contacts: the tests of the tick hold what they do.
 PLAYED = [
@@ -50,7 +51,7 @@ def test_the_scenes_that_ship_are_all_here() -> None:
     ]
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", [*EVERY, *BOARDS])
 def test_a_scene_that_ships_opens_with_what_to_feel_and_what_to_expect(name: str) -> None:
     text = text_of(name)
     opening = text[: text.index("version: 1")]
@@ -72,6 +73,17 @@ def test_a_scene_that_ships_rings_as_its_comment_says(name: str) -> None:
     assert ringing_hz == pytest.approx(float(told["hertz"]), abs=0.005)
     assert predicted.damping_ratio == pytest.approx(float(told["ratio"]), abs=0.0005)
     assert 0.05 < predicted.damping_ratio < 0.8
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_the_first_scene_of_a_board_is_far_from_unstable_and_rings_as_its_comment_says(name: str) -> None:
+    predicted = predict(load_scene(FOLDER / f"{name}.yaml"))
+    told = FORETOLD.search(text_of(name))
+    assert min(margin.stiffness_factor for margin in predicted.margins) > 2.0
+    assert predicted.wire_time.fits
+    assert told
+    assert predicted.k == pytest.approx(float(told["k"]), abs=0.005)
+    assert predicted.b == pytest.approx(float(told["b"]), abs=0.00005)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -9,9 +9,12 @@
 #include <sim_io.h>
 #include <string.h>
 
-#define CYCLES_PER_BYTE 80u /* 2 Mbaud, 10 bits */
-#define KEPT 2u             /* bytes in the receiver, unread */
-#define ENTERING 4u         /* cycles, of an interrupt */
+#define KEPT 2u     /* bytes in the receiver, unread */
+#define ENTERING 4u /* cycles, of an interrupt */
+#define UCSR0A 0xc0
+#define U2X0 2u
+#define UBRR0L 0xc4
+#define UBRR0H 0xc5
 #define VECTORS 25u
 #define WIRE 64u /* bytes: a power of two */
 
@@ -21,6 +24,12 @@ static avr_irq_t *receiver;
 static uint8_t wire[WIRE];
 static size_t put, arrived;
 static unsigned long lost;
+
+/* Ten bits, at the baud that the firmware has set. */
+static uint32_t cycles_per_byte(void) {
+    const uint32_t divisor = (chip->data[UBRR0L] | (uint32_t)(chip->data[UBRR0H] & 15) << 8) + 1;
+    return 10u * divisor * (chip->data[UCSR0A] & U2X0 ? 8u : 16u);
+}
 
 static unsigned unread(void) {
     return (unsigned)(uart->input.write - uart->input.read) % uart_fifo_fifo_size;
@@ -34,13 +43,13 @@ static void receive(uint8_t byte) {
     }
     uart->cycles_per_byte = 1;
     avr_raise_irq(receiver, byte);
-    uart->cycles_per_byte = CYCLES_PER_BYTE;
+    uart->cycles_per_byte = cycles_per_byte();
 }
 
 static avr_cycle_count_t on_arrival(avr_t *avr, avr_cycle_count_t when, void *unused) {
     (void)avr, (void)unused;
     receive(wire[arrived++ % WIRE]);
-    return put > arrived ? when + CYCLES_PER_BYTE : 0;
+    return put > arrived ? when + cycles_per_byte() : 0;
 }
 
 size_t wire_room(void) {
@@ -53,7 +62,7 @@ void put_on_wire(const uint8_t *bytes, size_t count) {
     }
     /* A reset of the chip forgets its timers, but not what is on the wire. */
     if (put > arrived && avr_cycle_timer_status(chip, on_arrival, NULL) == 0) {
-        avr_cycle_timer_register(chip, CYCLES_PER_BYTE, on_arrival, NULL);
+        avr_cycle_timer_register(chip, cycles_per_byte(), on_arrival, NULL);
     }
 }
 

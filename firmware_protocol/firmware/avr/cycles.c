@@ -19,11 +19,11 @@ static unsigned long overruns;
 static stretch stretches[] = {
     {"a byte received, its interrupt", 18, 0, 0, 0, 0, 0},
     {"a byte sent, its interrupt", 19, 0, 0, 0, 0, 0},
-    {"a tick while armed, with what interrupts it", 11, 0, 0, 0, 0, 0},
+    {"a tick while armed, with what interrupts it", 12, 0, 0, 0, 0, 0},
     {"a byte within a frame, main loop", 0, 0, 0, 0, 0, 0},
     {"a frame's last byte, main loop, with what interrupts it", 0, 0, 0, 0, 0, 0},
 };
-enum { KINDS = sizeof stretches / sizeof *stretches, BYTE = 3, FRAME = 4, MANY = 1000, TICK = 11 };
+enum { KINDS = sizeof stretches / sizeof *stretches, BYTE = 3, FRAME = 4, MANY = 1000, TICK = 12 };
 
 static void add(stretch *one, avr_cycle_count_t cycles) {
     one->times++;

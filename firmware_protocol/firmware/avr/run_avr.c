@@ -1,14 +1,20 @@
 /* SPDX-License-Identifier: MIT */
-/* Runs the AVR firmware on simavr: `run_avr FIRMWARE.hex [LOG]` joins UART 0 to a pseudo-terminal, prints its path, and
- * keeps the emulated clock at real time until it is stopped.
+/* Runs the AVR firmware on simavr: `run_avr FIRMWARE.hex [LOG [NAME=NUMBER ...]]` joins UART 0 to a pseudo-terminal, prints
+ * its path, and keeps the emulated clock at real time until it is stopped. An analogue board's motors and sensors are those
+ * of analogue/plant.c, with these properties. `lockstep=1` stops the emulated clock after each position until the host has
+ * answered, and goes on as fast as it can: virtual time, for a scene with `clock: lockstep` (lockstep.h).
  *
  * The emulated clock never runs ahead of it. Where this machine was held up for longer than a sample, that time is lost:
  * a burst of samples would be of no use. LOG: each force put out, be it the same again, a line of two hexadecimal
- * words: microseconds of the emulated clock, and counts. At the end it prints how many cycles the firmware's parts took.
+ * words: microseconds of the emulated clock, and counts; of an analogue board each change of the duty, in 256ths. At the end it prints how many cycles the firmware's parts took.
  */
 #define _GNU_SOURCE
 #include "chip.h"
 #include "cycles.h"
+#include "lockstep.h"
+#ifdef HAPSIM_ANALOGUE
+#include "plant.h"
+#endif
 #include "terminal.h"
 
 #include <avr_uart.h>
@@ -31,12 +37,12 @@
 #define SLICE_US 100
 #define BYTES_PER_SLICE 32 /* more than arrive in one at 2 Mbaud: the wire is never short of them */
 #define MOST_BEHIND_US 1000
+#define GIVES_UP_MS 10000 /* waiting for an answer in lockstep */
 #define GPIOR0 0x3e
 #define GPIOR1 0x4a
 
 static avr_t *avr;
-static int port, log_file = -1;
-static uint32_t shifted;
+static int port, log_file = -1, lockstep;
 static uint8_t unsent[4096];
 static size_t unsent_bytes;
 static void (*reset_chip)(avr_t *);
@@ -47,14 +53,17 @@ static void stop(int number) {
     stopped = 1;
 }
 
-static void note_force(uint32_t counts) {
+static void note_force(uint64_t cycle, int32_t counts) {
     char line[32];
-    const int length = snprintf(line, sizeof line, "%08lx %08lx\n",
-                                (unsigned long)(uint32_t)(avr->cycle / CYCLES_PER_US), (unsigned long)counts);
+    const int length = snprintf(line, sizeof line, "%08lx %08lx\n", (unsigned long)(uint32_t)(cycle / CYCLES_PER_US),
+                                (unsigned long)(uint32_t)counts);
     if (log_file >= 0 && write(log_file, line, (size_t)length) != length) {
         log_file = -1;
     }
 }
+
+#ifndef HAPSIM_ANALOGUE
+static uint32_t shifted;
 
 static void on_gpior0(avr_t *chip, avr_io_addr_t address, uint8_t value, void *unused) {
     (void)unused;
@@ -65,13 +74,31 @@ static void on_gpior0(avr_t *chip, avr_io_addr_t address, uint8_t value, void *u
 static void on_gpior1(avr_t *chip, avr_io_addr_t address, uint8_t value, void *unused) {
     (void)unused;
     chip->data[address] = value;
-    note_force(shifted);
+    note_force(chip->cycle, (int32_t)shifted);
+}
+
+static bool set_plant(const char *word) {
+    return !word;
+}
+
+static void connect_plant(avr_t *chip, void (*note)(uint64_t, int32_t)) {
+    (void)note;
+    avr_register_io_write(chip, GPIOR0, on_gpior0, NULL);
+    avr_register_io_write(chip, GPIOR1, on_gpior1, NULL);
 }
 
 /* The converter has a reset pin of its own, which the chip's reset pulls. */
-static void on_reset(avr_t *chip) {
+static void reset_plant(void) {
     shifted = 0;
-    note_force(0);
+    note_force(avr->cycle, 0);
+}
+
+static void tell_plant(void) {
+}
+#endif
+
+static void on_reset(avr_t *chip) {
+    reset_plant();
     if (reset_chip) {
         reset_chip(chip);
     }
@@ -95,13 +122,15 @@ static size_t send_frame(size_t at, size_t length, bool *begun) {
     return sent > 0 ? (size_t)sent : 0;
 }
 
-/* A host that does not listen loses frames here, not pieces of them: the wire tears nothing. */
-static void send_bytes(void) {
+/* Whether there was a position. A host that does not listen loses frames here, not pieces of them: the wire tears nothing. */
+static bool send_bytes(void) {
     static bool begun;
+    bool position = false;
     size_t at = 0, kept = 0;
     const uint8_t *end;
     while ((end = memchr(unsent + at, 0, unsent_bytes - at)) != NULL) {
         const size_t length = (size_t)(end - unsent) + 1 - at;
+        position |= lockstep && offer_lockstep(unsent + at, length);
         if (kept == 0) {
             const size_t sent = send_frame(at, length, &begun);
             kept = length - sent; /* the rest comes first the next time; whole frames behind it are dropped */
@@ -112,12 +141,16 @@ static void send_bytes(void) {
     unsent_bytes -= at;
     memmove(unsent + kept, unsent + at, unsent_bytes);
     unsent_bytes += kept;
+    return position;
 }
 
 static void receive_bytes(void) {
     uint8_t bytes[BYTES_PER_SLICE];
     const size_t room = wire_room();
     const ssize_t count = read(port, bytes, room < sizeof bytes ? room : sizeof bytes);
+    if (lockstep && count > 0) {
+        take_lockstep(bytes, (size_t)count);
+    }
     put_on_wire(bytes, count > 0 ? (size_t)count : 0);
 }
 
@@ -166,8 +199,7 @@ static void connect_pins(void) {
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags); /* neither printed nor slept upon */
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
-    avr_register_io_write(avr, GPIOR0, on_gpior0, NULL);
-    avr_register_io_write(avr, GPIOR1, on_gpior1, NULL);
+    connect_plant(avr, note_force);
 }
 
 static int run(void) {
@@ -186,7 +218,10 @@ static int run(void) {
                 return 1;
             }
         }
-        send_bytes();
+        if (send_bytes()) {
+            (void)poll(&(struct pollfd){port, POLLIN, 0}, 1, GIVES_UP_MS);
+            due = now_us() - MOST_BEHIND_US; /* the sample that follows waits for nothing */
+        }
         wait_until(due);
         if (now_us() > due + MOST_BEHIND_US) {
             due = now_us() - MOST_BEHIND_US;
@@ -198,8 +233,15 @@ static int run(void) {
 
 int main(int count, char **words) {
     char path[64];
+    for (int i = 3; i < count; i++) {
+        if (sscanf(words[i], "lockstep=%d", &lockstep) != 1 && !set_plant(words[i])) {
+            fprintf(stderr, "%s: expected lockstep=1 or, of an analogue board, one of its properties:\n", words[i]);
+            tell_plant();
+            return 2;
+        }
+    }
     if (count < 2 || load(words[1]) != 0) {
-        fprintf(stderr, "usage: run_avr FIRMWARE.hex [LOG]\n");
+        fprintf(stderr, "usage: run_avr FIRMWARE.hex [LOG [NAME=NUMBER ...]]\n");
         return 2;
     }
     port = open_terminal(path, sizeof path);
@@ -219,7 +261,7 @@ int main(int count, char **words) {
     printf("%s\n", path);
     fflush(stdout);
     const int status = run();
-    note_force(0);
+    note_force(avr->cycle, 0);
     tell_cycles(stderr);
     tell_wire(stderr);
     return status;

@@ -1,0 +1,31 @@
+/* SPDX-License-Identifier: MIT */
+/* Motor faders, FADERS of them (1, 2 or 4), wired as tttapa/Control-Surface-Motor-Fader (main.cpp): on each fader one
+ * input of an L293D has PWM (D3, D11, D5, D6) and the other one the direction (D2, D13, D4, D7); potentiometers on A0 to
+ * A3. Force and travel are guesses. */
+#define HAPSIM_BOARD_NAME "hapsim faders"
+#define HAPSIM_BOARD_CHANNELS FADERS
+
+#ifndef HAPSIM_BAUD
+#define HAPSIM_BAUD 1000000ul
+#endif
+#ifdef RATE
+#elif HAPSIM_BAUD < 500000
+#define RATE (HAPSIM_BOARD_CHANNELS > 2 ? 160 : HAPSIM_BOARD_CHANNELS > 1 ? 250 : 400)
+#else
+#define RATE (HAPSIM_BOARD_CHANNELS > 2 ? 500 : 1000)
+#endif
+#define HAPSIM_BOARD_ROTARY 0
+
+#if HAPSIM_BOARD_CHANNELS == 1
+#define MOTORS {MOTOR(2, B, D, 3, D, 2)}
+#define SENSORS {0}
+#elif HAPSIM_BOARD_CHANNELS == 2
+#define MOTORS {MOTOR(2, B, D, 3, D, 2), MOTOR(2, A, B, 3, B, 5)}
+#define SENSORS {0, 1}
+#else
+#define MOTORS {MOTOR(2, B, D, 3, D, 2), MOTOR(2, A, B, 3, B, 5), MOTOR(0, B, D, 5, D, 4), MOTOR(0, A, D, 6, D, 7)}
+#define SENSORS {0, 1, 2, 3}
+#endif
+#define TWO_INPUTS 1 /* of the bridge: while the direction is high, PWM is inverted */
+#define FORWARD_HIGH 0
+#include "potentiometer.h"

@@ -1,0 +1,19 @@
+/* SPDX-License-Identifier: MIT */
+/* A FireFader on an Arduino Nano: PWM on D5 and D6, direction on D4 and D7, potentiometers on A2 and A3. Pins are those
+ * of its own program (eberdahl/Open-Source-Haptics-For-Artists, haptics_firmware.ino); force and travel are guesses. */
+#define HAPSIM_BOARD_NAME "hapsim firefader"
+#define HAPSIM_BOARD_CHANNELS 2
+
+#ifndef HAPSIM_BAUD
+#define HAPSIM_BAUD 1000000ul
+#endif
+#ifndef RATE
+#define RATE (HAPSIM_BAUD < 500000 ? 250 : 1000)
+#endif
+#define HAPSIM_BOARD_ROTARY 0
+
+#define MOTORS {MOTOR(0, B, D, 5, D, 4), MOTOR(0, A, D, 6, D, 7)}
+#define TWO_INPUTS 0
+#define FORWARD_HIGH 0
+#include "potentiometer.h"
+#define SENSORS {2, 3}

@@ -1,0 +1,100 @@
+"""The analogue boards on their emulated chip, whose pins are joined to motor, friction and sensor, over a port.
+
+In virtual time: the chip's clock stands still while the host thinks, and what this machine has else to do is not felt.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import firmware_protocol
+import hapsim
+from hapsim.device.conversation import describe
+from hapsim.device.serial_port import open_serial_port
+from hapsim.errors import DeviceError
+from hapsim.running import Excitation
+from hapsim.scene import Scene
+
+FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
+BOARDS = Path(__file__).parents[2] / "configs" / "boards"
+QUIET = ("coulomb=0", "noise=0")
+Start = Callable[..., Any]
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="boards stand on pseudo-terminals of Linux")
+
+
+@pytest.fixture
+def on_board(start_board: Start, built: Path) -> Callable[..., tuple[Scene, Any]]:
+    """The first scene of a board, on that board with these properties, and the board."""
+
+    def start(name: str, *properties: str) -> tuple[Scene, Any]:
+        board = start_board(name, built, "lockstep=1", *properties)
+        scene = hapsim.load_scene(BOARDS / f"{name.rstrip('4')}.yaml")
+        changes = {"port": board.port, "clock": "lockstep"}
+        return scene.model_copy(update={"device": scene.device.model_copy(update=changes), "mock": None}), board
+
+    return start
+
+
+@pytest.mark.parametrize("name", ["hapkit", "firefader"])
+def test_a_first_scene_feels_as_predicted(name: str, on_board: Start) -> None:
+    """The real delay is a little more than the one sample declared: the tick takes time until the force acts."""
+    scene, _ = on_board(name, *QUIET)
+    predicted, measured = hapsim.predict(scene), hapsim.measure(scene)
+    assert measured.k == pytest.approx(predicted.k, rel=0.03)
+    assert measured.b == pytest.approx(predicted.b, rel=0.06)
+
+
+def test_four_faders_are_answered_in_time(on_board: Start) -> None:
+    scene, board = on_board("faders4")
+    assert not any(duty for _, duty in board.forces())
+    pushed = Excitation(0, 0.5, 20, 40, start=0, first=True)
+    trace = hapsim.run(scene, duration=0.4, excitation=pushed)
+    assert trace.report.deadline_misses <= 1
+    assert max(duty for _, duty in board.forces()) > 100
+    assert abs(trace.position[:, 0]).max() > 1e-3 > abs(trace.position[:, 1:]).max()
+
+
+def test_mass_is_found_and_the_back_emf_as_friction(on_board: Start) -> None:
+    scene, _ = on_board("hapkit", "coulomb=0.05", "friction=0.1", "emf=0.6", "mass=0.12")
+    found = hapsim.identify_device(scene, force=1.0, travel=0.02)
+    assert found.mass.value == pytest.approx(0.12, rel=0.02)
+    assert found.friction.value == pytest.approx(0.7, rel=0.1)
+    assert found.coulomb.value == pytest.approx(0.05, rel=0.1)
+    assert found.delay.value == pytest.approx(1.04, abs=0.15)
+
+
+@pytest.mark.parametrize(("name", "fault"), [("hapkit", "leap"), ("firefader", "wire_off"), ("hapkit", "wire_off")])
+def test_a_sensor_that_cannot_be_releases_the_force_at_once(name: str, fault: str, on_board: Start) -> None:
+    scene, board = on_board(name, f"{fault}=0.2", "coulomb=0")
+    with pytest.raises(DeviceError, match="a fault in its own hardware"):
+        hapsim.run(scene, duration=2.0, excitation=Excitation(0, 0.5, 20, 40, start=0, first=True))
+    driven = [at for at, duty in board.forces() if duty]
+    assert board.forces()[-1][1] == 0
+    assert driven[-1] - driven[0] < 200_000 + 4000  # two readings in a row, and the tick that follows
+
+
+def test_the_hapkit_passes_every_check_that_can_be_seen_of_it(start_board: Start, built: Path, hapsim: Start) -> None:
+    board = start_board("hapkit", built, "coulomb=0")
+    answer = hapsim("probe", board.port, "--push", 4, "--travel", 0.04, "--json")
+    checks = {check["name"]: check["result"] for check in answer.document["checks"]}
+    assert "fail" not in checks.values(), answer.document
+    assert sum(result == "pass" for result in checks.values()) > 45
+
+
+def test_the_wire_takes_the_time_of_the_baud_that_is_built(once: Any, start_board: Start) -> None:
+    """The emulated clock is never ahead of this machine's: at least that long."""
+    slow = once("slow", [str(FIRMWARE / "build")], {"DEFINES": "-DHAPSIM_BAUD=115200ul"})
+    with closing(open_serial_port(start_board("hapkit", slow).port, 115200)) as connection:
+        begun = time.monotonic()
+        description = describe(connection)
+        lasted = time.monotonic() - begun
+    assert description.rate_hz == 400.0
+    assert lasted > 20 * 23 * 10 / 117647  # 20 registers, 23 bytes each; 16 MHz / 8 / 17
