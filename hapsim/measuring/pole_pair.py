@@ -124,7 +124,7 @@ def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Float
     modes[:-2][grows] = modes[:-2][grows, ::-1]  # a growing mode is written backwards from its end: no power overflows
     modes[:-1] /= np.linalg.norm(modes[:-1], axis=1)[:, None]
     modes[-1] = motion[:size]
-    factor = np.linalg.qr(modes.T, mode="r")
+    factor = np.asarray(np.linalg.qr(modes.T, mode="r"))
     r, left = factor[:-1, :-1], factor[-1, -1]
     if np.min(np.abs(np.diag(r))) < 1e-15:
         return unknown

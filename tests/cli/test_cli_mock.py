@@ -25,7 +25,6 @@ from serial.tools.list_ports_common import ListPortInfo
 from firmware_protocol.schema import SCHEMA_HASH, VERSION
 from hapsim import __version__
 from hapsim.device.mock import terminal as serving_command
-from hapsim.scene import load_scene
 from hapsim.scene.shipped import SCENES
 
 Hapsim = Callable[..., Any]
