@@ -19,18 +19,18 @@ from hapsim.live import viewer
 
 MESSAGES = int(os.environ.get("HAPSIM_POINTS", "1000"))  # HAPSIM_POINTS=100000 sends a hundred thousand, in minutes
 BATCH = 20  # sent before the first answer is read: no more than wait unread at the server
-# Slow enough for a busy machine: the watchdog of 100 samples lasts half a second.
-SLOW = SCENE.replace("rate: 1000", "rate: 200").replace("stiffness: 2000, damping: 5", "stiffness: 200, damping: 2")
+# Slow enough for a busy machine: the watchdog of 20 samples lasts a second.
+SLOW = SCENE.replace("rate: 1000", "rate: 20").replace("stiffness: 2000, damping: 5", "stiffness: 2, damping: 0.5")
 
 VALID: list[dict[str, Any]] = [
     {"type": "get", "id": 1},
-    {"type": "set", "values": {"touch.stiffness": 150.0, "touch.damping": 1}, "over": 0.01, "id": "a"},
-    {"type": "set", "values": {"touch.stiffness": 180}, "id": 0.5},
+    {"type": "set", "values": {"touch.stiffness": 1.5, "touch.damping": 0.2}, "over": 0.01, "id": "a"},
+    {"type": "set", "values": {"touch.stiffness": 1.8}, "id": 0.5},
     {"type": "subscribe", "rate": 50, "every": 3, "history": 2, "modules": ["hand", "wall"]},
     {"type": "marker", "text": "here"},
     {"type": "record", "on": False},
     {"type": "adopt", "scene": SLOW, "over": 0.01},
-    {"type": "predict", "values": {"touch.stiffness": 900.0}, "hand": 0, "plane": False},
+    {"type": "predict", "values": {"touch.stiffness": 9.0}, "hand": 0, "plane": False},
 ]
 ODD = [
     None,
