@@ -96,11 +96,8 @@ def _measure_pair(
     at = position(excitation.at, scene)
     prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
-    if felt_on(prediction, channel) is None and picture.wanted:
-        raise UsageError(
-            "a ring-down is drawn for a hand that is a spring and damper's alone; this one "
-            f"{prediction.coupled.get(hands.get(channel, ''), '')}: leave out --picture and --data"
-        )
+    if picture.wanted:
+        _require_drawable(prediction, hands, channel)
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
     try:
@@ -137,6 +134,14 @@ def _measure_pair(
     if measurement.failure is not None:
         complain(measurement.failure)
         raise typer.Exit(measurement.failure.exit_status)
+
+
+def _require_drawable(prediction: Prediction, hands: dict[int, str], channel: int) -> None:
+    if felt_on(prediction, channel) is None:
+        raise UsageError(
+            "a ring-down is drawn for a hand that is a spring and damper's alone; this one "
+            f"{prediction.coupled.get(hands.get(channel, ''), '')}: leave out --picture and --data"
+        )
 
 
 def _end_failed(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,24 +25,57 @@ _MOST_SAID = 3  # failures
 _DEVIATION = 2  # digits
 
 
-def sweep(
-    scene: SceneFile,
+@dataclass
+class PointOptions:
+    """The points of a sweep."""
+
     parameters: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="[PATH=VALUES …]",
-            help="touch.stiffness=log:100:10000:50, device.delay=0,0.5,1, rate=lin:500:2000:4",
+            help="touch.stiffness=log:100:10000:50, device.delay=0,0.5,1 or rate=lin:500:2000:4",
         ),
-    ] = None,
+    ] = None
+    samples: Annotated[int | None, option("N", "Take N samples of ranges such as lin:0:2 or log:100:10000.")] = None
+    method: Annotated[str, option("KIND", "How samples are taken: lhs (Latin hypercube), random or sobol.")] = "lhs"
+    points: Annotated[Path | None, option("FILE.csv", "Take the points from a table with a row of names.")] = None
+    seed: Annotated[int, option("N", "Seed of the samples.")] = 0
+
+    def read(self) -> Points:
+        """Returns the points. Raises UsageError."""
+        from hapsim.sweeping.points import read_points, table
+
+        if self.points is None:
+            return read_points(self.parameters or [], self.samples, self.method, self.seed)
+        if self.parameters or self.samples is not None:
+            raise UsageError("--points: it names every point; leave out the parameters and --samples")
+        return table(self.points)
+
+
+@dataclass
+class QuantityOptions:
+    """What is worked out at each point."""
+
+    check: Annotated[bool, flag("--check", "Only predict.")] = False
+    measure: Annotated[bool, flag("--measure", "Only measure, on the mock in virtual time.")] = False
+    impedance: Annotated[bool, flag("--impedance", "Predict and measure impedances over frequency instead.")] = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their kinds. Raises UsageError where several are asked for."""
+        if self.check + self.measure + self.impedance > 1:
+            raise UsageError("--check, --measure and --impedance: found several, expected one of them or none")
+        if self.impedance:
+            return ("impedance",)
+        return *(() if self.measure else ("predicted",)), *(() if self.check else ("measured",))
+
+
+def sweep(
+    scene: SceneFile,
+    points: PointOptions,
     *,
     out: Annotated[Path, option("FILE.nc", "Write the results: .nc (netCDF) or .zarr.")],
-    check: Annotated[bool, flag("--check", "Only predict.")] = False,
-    measure: Annotated[bool, flag("--measure", "Only measure, on the mock in virtual time.")] = False,
-    impedance: Annotated[bool, flag("--impedance", "Predict and measure impedances over frequency instead.")] = False,
-    samples: Annotated[int | None, option("N", "Take N samples of ranges such as lin:0:2 or log:100:10000.")] = None,
-    method: Annotated[str, option("KIND", "How samples are taken: lhs (Latin hypercube), random or sobol.")] = "lhs",
-    points: Annotated[Path | None, option("FILE.csv", "Take the points from a table with a row of names.")] = None,
-    seed: Annotated[int, option("N", "Seed of the samples.")] = 0,
+    quantities: QuantityOptions,
     channel: Annotated[int | None, typer.Option(help="Channel of the hand [default: the first]")] = None,
     duration: Annotated[float | None, seconds("Duration of each measurement in seconds [default: about 2]")] = None,
     jobs: Annotated[
@@ -65,24 +99,12 @@ def sweep(
     """
     from hapsim.sweeping.sweep import sweep as run_sweep
 
-    if check + measure + impedance > 1:
-        raise UsageError("--check, --measure and --impedance: found several, expected one of them or none")
-    kinds = ("predicted",) if check else ("measured",) if measure else ("impedance",) if impedance else None
+    kinds, chosen = quantities.names, points.read()
     pictures.require_writable()
+    options: dict[str, Any] = {"channel": channel, "duration": duration, "jobs": jobs, "scheduler": scheduler}
     loaded = load(scene)
-    chosen = _points(parameters or [], samples, method, points, seed)
     with live_words(stderr()) as show:
-        dataset = run_sweep(
-            loaded,
-            chosen,
-            out=out,
-            quantities=kinds or ("predicted", "measured"),
-            channel=channel,
-            duration=duration,
-            jobs=jobs,
-            scheduler=scheduler,
-            on_progress=_Progress(show, out),
-        )
+        dataset = run_sweep(loaded, chosen, out=out, quantities=kinds, on_progress=_Progress(show, out), **options)
     if pictures.wanted:
         _draw(dataset, draw, over, pictures)
     if json:
@@ -90,16 +112,6 @@ def sweep(
     else:
         _say(dataset, scene, out)
         pictures.say_written()
-
-
-def _points(parameters: list[str], samples: int | None, method: str, table_of_points: Path | None, seed: int) -> Points:
-    from hapsim.sweeping.points import read_points, table
-
-    if table_of_points is None:
-        return read_points(parameters, samples, method, seed)
-    if parameters or samples is not None:
-        raise UsageError("--points: it names every point; leave out the parameters and --samples")
-    return table(table_of_points)
 
 
 class _Progress:
