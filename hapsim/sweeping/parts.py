@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,10 +75,10 @@ class Parts:
         """Yields the points' numbers and their results, part by part. UsageError where one is damaged."""
         for path in sorted(self.directory.glob("*.npz")):
             try:
-                with np.load(path, allow_pickle=False) as file:
+                with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                     columns = {name: file[name] for name in file.files}
                 yield columns.pop(_NUMBER), columns
-            except (OSError, ValueError, KeyError, EOFError) as error:
+            except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
                 raise UsageError(f"{path}: it is damaged ({error}): remove it, and start the sweep again") from error
 
     def missing(self, count: int) -> NDArray[np.int64]:

@@ -297,7 +297,7 @@ class TestSentences:
         def stopped(*_: Any, **__: Any) -> Trace:
             return replace(trace, report=replace(trace.report, ending="stopped"))
 
-        monkeypatch.setattr("hapsim.measuring.measure_impedance.run", stopped)
+        monkeypatch.setattr("hapsim.measuring.measure_impedance.run_to_end", stopped)
         with pytest.raises(StoppedError, match="stopped before every channel was excited") as caught:
             measure_impedance(shipped("first_touch"))
         assert caught.value.exit_status == 130
@@ -312,7 +312,7 @@ class TestSentences:
             trace = run(scene, duration=0.7 * duration, **options)
             return replace(trace, report=replace(trace.report, ending="stopped"))
 
-        monkeypatch.setattr("hapsim.measuring.measure_impedance.run", stopped_in_the_second_run)
+        monkeypatch.setattr("hapsim.measuring.measure_impedance.run_to_end", stopped_in_the_second_run)
         found = measure_impedance(shipped("first_touch"))
         assert found.stopped
         assert found.periods[0] < whole.periods[0]
