@@ -112,7 +112,7 @@ def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Float
     A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere.
     """
     unknown = np.ones(poles.size, bool), np.zeros(poles.size)
-    if motion.size <= poles.size:
+    if motion.size < poles.size + 2:
         return unknown
     size, grows = min(motion.size, _LOOKED_AT), np.abs(poles) > 1.0
     # Where the motion is counted from is not certain to the last count: what a constant explains is no mode.

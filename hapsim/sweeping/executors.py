@@ -21,6 +21,7 @@ from hapsim.errors import UsageError
 from hapsim.sweeping.quantities import Task, work
 
 _LOOK_S = 1.0
+_REACHED_S = 10.0
 
 
 class Here(Executor):
@@ -95,7 +96,7 @@ def _cluster(scheduler: str, task: Task, first: Any) -> Iterator[tuple[Executor,
             ready(task, first)
 
     try:
-        client = Client(scheduler, timeout=10)
+        client = Client(scheduler, timeout=_REACHED_S)
     except (OSError, ValueError) as error:
         raise UsageError(f"--scheduler {scheduler}: cannot be reached: {error}") from error
     with client:

@@ -91,6 +91,8 @@ class Task:
                 found |= work(self, scene)
             except HapsimError as error:
                 failures.append(f"{kind}: {error}")
+            except Exception as error:  # of a user's function; or a defect, which must not end thousands of points
+                failures.append(f"{kind}: {type(error).__name__}: {error}")
         return found, "; ".join(failures)
 
 

@@ -143,8 +143,11 @@ def test_what_cannot_be_swept_is_answered_with_a_sentence(
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_an_unreachable_scheduler_is_named(hapsim: Callable[..., Any], scene: Path, tmp_path: Path) -> None:
+def test_an_unreachable_scheduler_is_named(
+    hapsim: Callable[..., Any], scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("distributed", reason="dask.distributed is not installed: hapsim[dask]")
+    monkeypatch.setattr("hapsim.sweeping.executors._REACHED_S", 0.5)
     words = ("touch.stiffness=lin:100:200:8", "--check", "--scheduler", "tcp://127.0.0.1:9", "--out", tmp_path / "a.nc")
     answer = hapsim("sweep", scene, *words)
     assert answer.status == 2

@@ -65,15 +65,18 @@ def double_stiffness(scene: Scene) -> dict[str, float]:
     """A function for a sweep."""
     if scene.device.delay > 0.9:
         raise UsageError("too late")
+    if scene.device.delay > 0.3:
+        raise ZeroDivisionError("of a user's own")
     return {"doubled": 2.0 * scene.modules["touch"].stiffness}  # type: ignore[union-attr]
 
 
 def test_a_function_adds_its_numbers_and_its_failures_are_sentences(scene: Path) -> None:
     found = hapsim.sweep(scene, AXES, quantities=(), function=double_stiffness)
-    assert found["doubled"].values[:, :2].tolist() == [[600.0] * 2, [4000.0] * 2, [10000.0] * 2]
-    assert np.isnan(found["doubled"].values[:, 2]).all()
+    assert found["doubled"].values[:, 0].tolist() == [600.0, 4000.0, 10000.0]
+    assert np.isnan(found["doubled"].values[:, 1:]).all()
     assert found["error"].values[:, 2].tolist() == ["function: too late"] * 3
-    assert not found["error"].values[:, :2].any()
+    assert found["error"].values[:, 1].tolist() == ["function: ZeroDivisionError: of a user's own"] * 3
+    assert not found["error"].values[:, 0].any()
 
 
 def test_impedances_have_a_dimension_of_frequency(scene: Path) -> None:
