@@ -13,7 +13,6 @@ from hapsim.cli.live import live_words
 from hapsim.cli.options import Json, PictureOptions, SceneFile, flag, load, option, seconds
 from hapsim.cli.output import document, say, stderr, stdout, table
 from hapsim.errors import UsageError
-from hapsim.number_format import duration as in_words
 from hapsim.number_format import number, percent, plural
 
 if TYPE_CHECKING:
@@ -127,7 +126,8 @@ class _Progress:
                 say(f"{self._out}: {done} of {every} points are there from before; going on")
         left = ""
         if done > self._first:
-            left = f" · {in_words((every - done) * (time.monotonic() - self._begun) / (done - self._first))} left"
+            left_s = (every - done) * (time.monotonic() - self._begun) / (done - self._first)
+            left = f" · {left_s:.0f} s left" if left_s < 100.0 else f" · {left_s / 60.0:.0f} min left"
         self._show(f"swept {done} of {every} points{left if done < every else ''}")
 
 
