@@ -84,13 +84,10 @@ def sweep(
     with contextlib.ExitStack() as stack:
         if out is None:
             out = Path(stack.enter_context(tempfile.TemporaryDirectory()), "sweep.nc")
-            dataset = _run(task, points, out, jobs, scheduler, on_progress)
-        else:
-            out = Path(out)
-            if out.suffix not in ENDINGS:
-                raise UsageError(f"{out}: found the ending '{out.suffix}', expected {' or '.join(ENDINGS)}")
-            dataset = _run(task, points, out, jobs, scheduler, on_progress)
-    return dataset
+        out = Path(out)
+        if out.suffix not in ENDINGS:
+            raise UsageError(f"{out}: found the ending '{out.suffix}', expected {' or '.join(ENDINGS)}")
+        return _run(task, points, out, jobs, scheduler, on_progress)
 
 
 def _task(
