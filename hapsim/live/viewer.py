@@ -74,6 +74,7 @@ class Viewer:
         self._events: asyncio.Queue[str | None] = asyncio.Queue(_MOST_EVENTS)
         self._ending = asyncio.Event()
         self._feed: asyncio.Task[None] | None = None
+        self._subscribing = asyncio.Lock()
         self._going: asyncio.Task[None] | None = None
         self._allowance, self._allowed_at = MESSAGES_PER_S, 0.0
 
@@ -171,12 +172,13 @@ class Viewer:
         session = self._office.hub.session
         if session is not None:
             session.positions(wanted.modules)
-        if self._feed is not None:  # first, or blocks of both would be mixed
-            self._feed.cancel()
-            await asyncio.wait([self._feed])
-        self._feed = asyncio.create_task(self._stream(wanted)) if wanted.rate > 0 else None
-        if self._feed is not None:
-            self._feed.add_done_callback(self._fed)
+        async with self._subscribing:  # one request after the other, or a feed would be left that nothing ends
+            if self._feed is not None:  # first, or blocks of both would be mixed
+                self._feed.cancel()
+                await asyncio.wait([self._feed])
+            self._feed = asyncio.create_task(self._stream(wanted)) if wanted.rate > 0 else None
+            if self._feed is not None:
+                self._feed.add_done_callback(self._fed)
 
     def _fed(self, feed: asyncio.Task[None]) -> None:
         if not feed.cancelled() and (error := feed.exception()) is not None:
@@ -209,9 +211,7 @@ class Viewer:
         while True:
             try:
                 samples = stream.take(most)
-            except (
-                UsageError
-            ):  # too many waited: of a run in virtual time, which waits for nobody: the numbers show the gap
+            except UsageError:  # too many waited, of a run in virtual time, that waits for nobody: numbers show the gap
                 continue
             if samples is None:
                 return count

@@ -106,6 +106,8 @@ def test_thinned_blocks_have_every_nth_sample_and_rate_0_ends_them(serve: Serve)
         blocks = [client.block() for _ in range(10)]
         numbers = np.concatenate([one.first + one.rows[:, 0] for one in blocks])
         assert np.all(np.diff(numbers) == 7)
+        for _ in range(5):  # at once: each replaces the one before
+            client.send(type="subscribe", rate=100)
         client.ask(type="subscribe", rate=0)
         client.ask(type="marker", text="from now on")
         assert client.event("marker")["sentence"] == "from now on"
