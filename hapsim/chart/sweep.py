@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,29 +36,38 @@ class SweepChart:
         return {name: frame[name].to_numpy() for name in (*self.over, str(self.values.name))}
 
 
-def sweep_chart(dataset: xarray.Dataset, variable: str | None, over: list[str]) -> SweepChart:
-    """Returns the chart of a variable over parameters [default: the first two]. UsageError for unknown names."""
-    if {"measured_k", "predicted_k"} <= {*dataset.data_vars}:
+def names_to_draw(
+    variables: Iterable[str], parameters: Iterable[str], variable: str | None, over: Sequence[str]
+) -> tuple[str, list[str]]:
+    """Returns the variable and the one or two parameters that a chart shows: those asked for, or else how far measured
+    k is off, or k, over the first two. `parameters`: those with numbers. Raises UsageError for an unknown name."""
+    variables, parameters = list(variables), list(parameters)
+    if {"measured_k", "predicted_k"} <= {*variables}:
+        variables.append(_DEVIATION)
+    for what, word, known in (("--draw", variable, variables), *(("--over", one, parameters) for one in over)):
+        if word is not None and word not in known:
+            raise UsageError(f"{what}: found '{word}', expected {', '.join(known)}{did_you_mean(word, known)}")
+    if not parameters:
+        raise UsageError("--picture: the sweep has no parameter that is a number")
+    if len(over) > 2:
+        raise UsageError(f"--over: found {len(over)} parameters, expected one or two")
+    usual = (one for one in (_DEVIATION, "predicted_k", "measured_k") if one in variables)
+    return variable or next(usual, variables[0]), list(over) or parameters[:2]
+
+
+def sweep_chart(dataset: xarray.Dataset, variable: str, along: Sequence[str]) -> SweepChart:
+    """Returns the chart of a variable over one or two parameters, as `names_to_draw` gives them."""
+    if variable == _DEVIATION:
         off = abs(dataset["measured_k"] / dataset["predicted_k"] - 1.0)
         dataset = dataset.assign(
             {_DEVIATION: off.assign_attrs(units="", description="how far measured k is off the predicted one")}
         )
-    names = [str(name) for name in dataset.data_vars if dataset[name].dtype.kind == "f"]
-    if variable is None:
-        variable = next((one for one in (_DEVIATION, "predicted_k", "measured_k") if one in names), names[0])
-    parameters = [str(name) for name in dataset.coords if dataset[name].dtype.kind in "fi" and name != "point"]
-    for what, word, known in (("--draw", variable, names), *(("--over", one, parameters) for one in over)):
-        if word not in known:
-            raise UsageError(f"{what}: found '{word}', expected {', '.join(known)}{did_you_mean(word, known)}")
     values = dataset[variable]
-    along = tuple(over[:2] or [one for one in parameters if dataset[one].dims[0] in values.dims][:2])
-    if not along:
-        raise UsageError("--picture: the sweep has no parameter that is a number")
     if "point" in values.dims:
-        return SweepChart(values, along, True, "")
+        return SweepChart(values, tuple(along), True, "")
     fixed = {one: values[one].size // 2 for one in map(str, values.dims) if one not in along}
     there = values.isel(fixed).transpose(*reversed(along))
-    return SweepChart(there, along, False, ", ".join(f"{one} = {there[one].item()}" for one in fixed))
+    return SweepChart(there, tuple(along), False, ", ".join(f"{one} = {there[one].item()}" for one in fixed))
 
 
 def draw_sweep(chart: SweepChart, path: Path) -> None:

@@ -100,12 +100,16 @@ def sweep(
 
     kinds, chosen = quantities.names, points.read()
     pictures.require_writable()
+    drawn = _names_to_draw(kinds, chosen, draw, over) if pictures.wanted or draw or over else None
     options: dict[str, Any] = {"channel": channel, "duration": duration, "jobs": jobs, "scheduler": scheduler}
     loaded = load(scene)
     with live_words(stderr()) as show:
         dataset = run_sweep(loaded, chosen, out=out, quantities=kinds, on_progress=_Progress(show, out), **options)
-    if pictures.wanted:
-        _draw(dataset, draw, over, pictures)
+    if pictures.wanted and drawn:
+        from hapsim.chart.sweep import draw_sweep, sweep_chart
+
+        chart = sweep_chart(dataset, *drawn)
+        pictures.write(chart.columns, lambda path: draw_sweep(chart, path))
     if json:
         print(document({"scene": scene, "out": str(out), "points": len(chosen), **summary_of(dataset)}))
     else:
@@ -131,11 +135,15 @@ class _Progress:
         self._show(f"swept {done} of {every} points{left if done < every else ''}")
 
 
-def _draw(dataset: xarray.Dataset, variable: str | None, over: str | None, pictures: PictureOptions) -> None:
-    from hapsim.chart.sweep import draw_sweep, sweep_chart
+def _names_to_draw(
+    kinds: tuple[str, ...], points: Points, variable: str | None, over: str | None
+) -> tuple[str, list[str]]:
+    from hapsim.chart.sweep import names_to_draw
+    from hapsim.sweeping.quantities import KINDS
 
-    chart = sweep_chart(dataset, variable, over.split(",") if over else [])
-    pictures.write(chart.columns, lambda path: draw_sweep(chart, path))
+    variables = (name for kind in kinds for name in KINDS[kind])
+    numbers = [path for path, column in points.columns.items() if not any(isinstance(one, str) for one in column)]
+    return names_to_draw(variables, numbers, variable, over.split(",") if over else [])
 
 
 def summary_of(dataset: xarray.Dataset) -> dict[str, Any]:
