@@ -8,6 +8,7 @@ by a flipped delimiter cannot be mistaken for another (PROTOCOL.md, "What is pro
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,8 +66,9 @@ def armed_format(channels: int, velocity: bool = False) -> Format:
     return Format(channels, velocity, long_check, seed)
 
 
+@cache
 def framing_of(wire: Format, to_device: bool) -> Any:
-    """Returns the FRAMING of a format in one direction."""
+    """Returns the FRAMING of a format in one direction, to be read and copied only."""
     framing = new_record(FRAMING)
     framing.from_host = to_device
     framing.words = schema.words(wire.channels, to_device, wire.velocity)

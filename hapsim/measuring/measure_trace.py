@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.measuring.converters import Floats
-from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pair
-from hapsim.measuring.regression import Fit, Regression, Segment
+from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pairs
+from hapsim.measuring.regression import MOST_ORDER, Fit, Regression, Segment
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
@@ -26,7 +26,6 @@ _COARSE_COUNTS = 40.0  # the largest step of a record of which no part is louder
 _QUIET_SPELL = 64  # samples between two loud ones that still belong to one motion
 _RUN_UP = 8
 _PUSH_NEWTON = 1e-6  # a smaller surplus is the rounding of the force, not a push
-_MOST_ORDER = 9
 _DRIFTS = tuple(
     1.0 - d for d in (0, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 1.0)
 )
@@ -130,9 +129,10 @@ def measure_trace(
     with one_thread():
         segments, fits = _fitted(trace, channel, pressed)
         free = _longest_free_motion(segments)
-        read = [(best, dominant_pair(best, others, free)) for best, others in fits]
-    best, found = next(((fit, one) for fit, one in read if one.pair is not None), read[0])
-    pair = _with_rivals(found.pair, [one.pair for _, one in read if one.pair is not None])
+        read = dominant_pairs(fits, free)
+    at = next((i for i, one in enumerate(read) if one.pair is not None), 0)
+    best, found = fits[at][0], read[at]
+    pair = _with_rivals(found.pair, [one.pair for one in read if one.pair is not None])
     rate, share = trace.rate, 0.0 if mass_uncertainty is None else mass_uncertainty / mass
     k, b = rate**2 * pair.stiffness, -rate * pair.decay  # of 1 kg
     off_k, off_b = rate**2 * pair.stiffness_uncertainty, rate * pair.decay_uncertainty
@@ -175,7 +175,7 @@ def asks_by_one_law(trace: Trace, channel: int) -> bool:
     )
 
 
-def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, list[Fit]]]]:
+def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, Fit | None]]]:
     """The usable segments, and the fits that they speak for, as `_fits` gives them. UsageError where there is none."""
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
@@ -312,22 +312,19 @@ def _law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: 
     return _Law(obeyed, False, float(-law[-1] / law[0] * size), uncertainty)
 
 
-def _fits(segments: list[Segment]) -> list[tuple[Fit, list[Fit]]]:
-    """Fits for which the record speaks, best first, each with what might as well have been chosen in its place.
+def _fits(segments: list[Segment]) -> list[tuple[Fit, Fit | None]]:
+    """Fits for which the record speaks, best first, all of one order, each with one of the next order, which might as
+    well have been chosen in its place.
 
-    The order is the criterion's choice. The open loop's p weighs the record; it hardly moves the poles, but it decides
-    how certain they look: every p that the record does not distinguish from the best is kept.
+    Order and p are the criterion's choice. The open loop's p weighs the record; it hardly moves the poles, but it
+    decides how certain they look: every p that the record does not distinguish from the best is kept.
     """
     with_surplus = any(np.any(segment.surplus) for segment in segments)
     regression = Regression(segments, _DRIFTS, with_surplus, ROUNDING)
-
-    def attempts(*orders_and_drifts: tuple[int, float]) -> list[Fit]:
-        found = [regression.fit(order, drift) for order, drift in orders_and_drifts]
-        return sorted((one for one in found if one is not None), key=lambda one: one.criterion)
-
-    profile = attempts(*((6, drift) for drift in _DRIFTS)) or attempts(*((3, drift) for drift in _DRIFTS))
-    if not profile:
+    eligible = regression.criterion[:, :MOST_ORDER]
+    least = float(np.min(eligible))
+    if not math.isfinite(least):
         return []
-    drifts = [one.drift for one in profile if one.criterion < profile[0].criterion + _UNDECIDED]
-    order = attempts(*((order, drifts[0]) for order in range(2, _MOST_ORDER)))[0].order
-    return [(one, attempts((order + 1, drift))) for drift in drifts for one in attempts((order, drift))]
+    order = int(np.argmin(np.min(eligible, axis=0)))
+    beside = (at for at in np.argsort(eligible[:, order]) if eligible[at, order] < least + _UNDECIDED)
+    return [(fit, regression.fit(order + 1, at)) for at in beside if (fit := regression.fit(order, at))]

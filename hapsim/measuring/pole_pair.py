@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -56,32 +57,50 @@ class Poles(NamedTuple):
     second: SecondMode | None
 
 
-def dominant_pair(fit: Fit, alternatives: list[Fit], motion: Floats) -> Poles:
-    """The slowest-decaying pair of a fit.
+def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats) -> list[Poles]:
+    """The slowest-decaying pair of each of some fits of one order.
 
-    `alternatives`: fits that might as well have been chosen; how far they lie from `fit` adds to the uncertainty.
-    `motion`: the position, shape (samples,), in which a pole has to be seen in order to count.
+    Beside each fit: one of another order that might as well have been chosen; how far it lies from the fit adds to the
+    uncertainty. `motion`: the position, shape (samples,), in which a pole has to be seen in order to count.
     """
-    every = _roots(fit)
+    every = _roots([fit for fit, _ in fits])
     seen, energy = _seen_in(motion, every)
-    poles, second = every[seen], _second_mode(every[seen], energy[seen])
-    if why := _why_no_pair(poles):
-        return Poles(None, poles, why, second)
-    a, b = poles[0], poles[0].conjugate() if poles[0].imag else poles[1]
+    order = np.argsort(~seen, axis=1, kind="stable")  # those that are seen come first
+    every, energy = np.take_along_axis(every, order, 1), np.take_along_axis(energy, order, 1)
+    shown = [(poles[:count], one[:count]) for poles, one, count in zip(every, energy, seen.sum(axis=1), strict=True)]
+    reasons = [_why_no_pair(poles) for poles, _ in shown]
+    paired = [i for i, why in enumerate(reasons) if not why]
+    found = _pairs([fits[i] for i in paired], every[paired])
+    pairs = dict(zip(paired, found, strict=True))
+    return [Poles(pairs.get(i), one[0], reasons[i], _second_mode(*one)) for i, one in enumerate(shown)]
+
+
+def _pairs(fits: Sequence[tuple[Fit, Fit | None]], poles: Complexes) -> list[FittedPair]:
+    """The pair of the first two poles of each fit; poles: (fits, order)."""
+    if not fits:
+        return []
+    a = poles[:, 0]
+    b = np.where(a.imag != 0.0, a.conjugate(), poles[:, 1])
     total, product = (a + b).real, (a * b).real
-    spread = [_spread_of_sum_and_product(fit, total, product, np.append(poles[2:], every[~seen]))]
-    for other in map(_roots, alternatives):  # the two poles that take the places of these
-        c, d = other[np.argsort(np.minimum(np.abs(other - a), np.abs(other - b)))][:2]
-        d = c.conjugate() if c.imag else d
-        spread.append(np.array([[(c + d).real - total], [(c * d).real - product]]))
-    return Poles(_pair(total, product, np.hstack(spread)), poles, "", second)
+    spreads = _spreads_of_sum_and_product([fit for fit, _ in fits], total, product, poles[:, 2:])
+    roots = iter(_roots([one for _, one in fits if one is not None]))
+    for i, (_, one) in enumerate(fits):
+        if one is not None:  # the two poles that take the places of these
+            others = next(roots)
+            c, d = others[np.argsort(np.minimum(np.abs(others - a[i]), np.abs(others - b[i])))][:2]
+            d = c.conjugate() if c.imag else d
+            spreads[i] = np.column_stack([spreads[i], [(c + d).real - total[i], (c * d).real - product[i]]])
+    return [_pair(*one) for one in zip(total.tolist(), product.tolist(), spreads, strict=True)]
 
 
-def _roots(fit: Fit) -> Complexes:
-    companion = np.eye(fit.order, k=-1)
-    companion[0] = -fit.polynomial[1:]
+def _roots(fits: Sequence[Fit]) -> Complexes:
+    """The poles of fits of one order, shape (fits, order), each by decreasing modulus."""
+    order = fits[0].order if fits else 0
+    companion = np.tile(np.eye(order, k=-1), (len(fits), 1, 1))
+    for matrix, fit in zip(companion, fits, strict=True):
+        matrix[0] = -fit.polynomial[1:]
     poles = np.linalg.eigvals(companion).astype(complex)
-    return poles[np.argsort(-np.abs(poles), kind="stable")]
+    return np.take_along_axis(poles, np.argsort(-np.abs(poles), axis=1, kind="stable"), axis=1)
 
 
 def _why_no_pair(poles: Complexes) -> str:
@@ -107,43 +126,49 @@ def _second_mode(poles: Complexes, energy: Floats) -> SecondMode | None:
 
 
 def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Floats]:
-    """(which poles the motion has: those without which a sum of modes would fit it clearly worse; the energy of each).
+    """(which poles the motion has: those without which a sum of modes would fit it clearly worse; the energy of each),
+    for several sets of poles, all of shape (sets, order).
 
     A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere.
     """
-    unknown = np.ones(poles.size, bool), np.zeros(poles.size)
-    if motion.size < poles.size + 2:
-        return unknown
+    seen, energy = np.ones(poles.shape, bool), np.zeros(poles.shape)
+    if motion.size < poles.shape[1] + 2:
+        return seen, energy
     size, grows = min(motion.size, _LOOKED_AT), np.abs(poles) > 1.0
     # Where the motion is counted from is not certain to the last count: what a constant explains is no mode.
-    modes = np.ones((poles.size + 2, size), complex)
-    ratios = poles.copy()
-    ratios[grows] = 1.0 / poles[grows]
-    modes[:-2, 1:] = ratios[:, None]
-    np.multiply.accumulate(modes[:-2], axis=1, out=modes[:-2])
-    modes[:-2][grows] = modes[:-2][grows, ::-1]  # a growing mode is written backwards from its end: no power overflows
-    modes[:-1] /= np.linalg.norm(modes[:-1], axis=1)[:, None]
-    modes[-1] = motion[:size]
-    factor = np.asarray(np.linalg.qr(modes.T, mode="r"))
-    r, left = factor[:-1, :-1], factor[-1, -1]
-    if np.min(np.abs(np.diag(r))) < 1e-15:
-        return unknown
-    inverse = np.linalg.inv(r)
-    energy = np.abs(inverse @ factor[:-1, -1]) ** 2
-    worse = energy / np.sum(np.abs(inverse) ** 2, axis=1)
-    return np.asarray(worse > _CLEARLY * np.abs(left) ** 2 / size)[:-1], energy[:-1]
+    modes = np.ones((len(poles), poles.shape[1] + 2, size), complex)
+    powers = modes[:, :-2]
+    powers[..., 1:] = np.where(grows, 1.0 / np.where(grows, poles, 1.0), poles)[..., None]
+    np.multiply.accumulate(powers, axis=-1, out=powers)
+    powers[grows] = powers[grows, ::-1]  # a growing mode is written backwards from its end: no power overflows
+    modes[:, :-1] /= np.linalg.norm(modes[:, :-1], axis=-1, keepdims=True)
+    modes[:, -1] = motion[:size]
+    factor = np.asarray(np.linalg.qr(modes.swapaxes(1, 2), mode="r"))
+    known = np.abs(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]).min(axis=1) >= 1e-15
+    factor = factor[known]
+    inverse = np.linalg.inv(factor[:, :-1, :-1])
+    amplitude = np.abs(inverse @ factor[:, :-1, -1:])[..., 0] ** 2
+    worse = amplitude / np.sum(np.abs(inverse) ** 2, axis=2)
+    left = np.abs(factor[:, -1, -1:]) ** 2
+    seen[known], energy[known] = (worse > _CLEARLY * left / size)[:, :-1], amplitude[:, :-1]
+    return seen, energy
 
 
-def _spread_of_sum_and_product(fit: Fit, total: float, product: float, rest: Complexes) -> Floats:
+def _spreads_of_sum_and_product(fits: Sequence[Fit], total: Floats, product: Floats, rest: Complexes) -> list[Floats]:
     """To first order: A = Q R, so dA = R dQ + Q dR, a linear system for dQ (and dR) with dA's coefficients known."""
-    others = np.real(np.poly(rest)) if rest.size else np.array([1.0])
-    system = np.zeros((fit.order, fit.order))
-    system[: others.size, 0] = -others  # by the sum: -z R
-    system[1 : 1 + others.size, 1] = others  # by the product: R
-    for i in range(fit.order - 2):
-        system[i : i + 3, 2 + i] = 1.0, -total, product
-    sensitivity = np.linalg.solve(system, fit.directions.T)[:2]
-    return np.asarray(sensitivity @ fit.spread)
+    order = fits[0].order
+    others = np.ones((len(fits), 1), complex)  # R
+    for root in rest.T:
+        others = np.pad(others, ((0, 0), (0, 1)))
+        others[:, 1:] -= root[:, None] * others[:, :-1]
+    system = np.zeros((len(fits), order, order))
+    system[:, : order - 1, 0] = -others.real  # by the sum: -z R
+    system[:, 1:, 1] = others.real  # by the product: R
+    for i in range(order - 2):
+        system[:, i, 2 + i], system[:, i + 1, 2 + i], system[:, i + 2, 2 + i] = 1.0, -total, product
+    directions = np.array([fit.directions.T for fit in fits])
+    sensitivity = np.linalg.solve(system, directions)[:, :2]
+    return [one @ fit.spread for one, fit in zip(sensitivity, fits, strict=True)]
 
 
 def _pair(total: float, product: float, spread: Floats) -> FittedPair:

@@ -8,10 +8,11 @@ A is the closed loop's characteristic polynomial, whose roots are sought. d is w
 linear law of the scene: its rounding, clipping at the limit, an excitation. C is the open loop's polynomial, for e goes
 round the loop like the position itself, carried on by a mass that drifts (pole 1) and slows down (pole p). Divided by
 C, the equation has y doubly summed and the white error e: least squares is then the maximum-likelihood estimate, with
-an honest covariance. Only p is searched for; the residuals choose order and p.
+an honest covariance. Only p is searched for; the residuals choose order and p together, for a wrong p makes the error
+coloured, and further poles are then fitted to its colour.
 
-With C split off, A = C + (1/q) G(q), nothing cancels: the regressors are sums and differences of y. Of each table only
-the triangular factor is worked out, which has all that least squares asks for.
+With C split off, A = C + (1/q) G(q), nothing cancels: the regressors are sums and differences of y. Those of a lower
+order are the first ones of a higher order, so one triangular factor for each p has the fits of all orders.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from hapsim.measuring.converters import Floats
 
+MOST_ORDER = 9
+_DEPENDENT = 1e-14  # of a column: what the ones before it leave, if it depends on them
 _MARGIN = 2.0  # rows per unknown below which a regression says nothing
 
 
@@ -40,34 +44,18 @@ class Segment:
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted A(q): coefficients g of G in the basis of `_Basis`, their spread, and how well they fit."""
+    """A fitted A(q): coefficients g of G in the basis of `_factors`, their spread, and how well they fit."""
 
     order: int
     drift: float
     """p, the open loop's second pole."""
-    factor: Floats
-    """The triangular factor of the equations, whose columns are scaled; (unknowns + 1, unknowns + 1), y[n] last."""
-    scale: Floats
-    """By which the columns of the unknowns were divided."""
+    g: Floats
+    """The coefficients, shape (order,)."""
+    spread: Floats
+    """A square root of g's covariance, spread @ spread.T: no variance comes out negative."""
     residual: float
     """Standard deviation of the equation's error, in counts."""
-    least_error: float
-    """That rounding leaves, in counts."""
     rows: int
-    criterion: float
-    """Schwarz's; the lower the better."""
-
-    @cached_property
-    def g(self) -> Floats:
-        """The coefficients, shape (order,)."""
-        solution = np.linalg.solve(self.factor[:-1, :-1], self.factor[:-1, -1]) / self.scale
-        return np.asarray(-solution[: self.order])
-
-    @cached_property
-    def spread(self) -> Floats:
-        """A square root of g's covariance, spread @ spread.T: no variance comes out negative."""
-        inverse = np.linalg.inv(self.factor[:-1, :-1]) / self.scale[:, None]
-        return np.asarray(inverse[: self.order] * max(self.residual, self.least_error))
 
     @property
     def polynomial(self) -> Floats:
@@ -84,34 +72,48 @@ class Fit:
 
 
 class Regression:
-    """The least-squares fits of some segments, each for one order and one p of `drifts`."""
+    """The least-squares fits of some segments, for each order up to `most_order` and each p of `drifts`."""
 
     def __init__(self, segments: Sequence[Segment], drifts: Sequence[float], with_surplus: bool, floor: float) -> None:
         """`floor`: the least error that rounding leaves, in counts."""
-        self._bases = [_Basis(segment, drifts, with_surplus) for segment in segments]
-        self._drifts, self._signals, self._floor = list(drifts), 2 if with_surplus else 1, floor
+        self._drifts, self._floor, self._signals = np.array(drifts), floor, 2 if with_surplus else 1
+        self.most_order = next((one for one in range(MOST_ORDER, 1, -1) if self._use(segments, one)), 0)
+        if self.most_order == 0:
+            self.criterion = np.full((len(drifts), 1), np.inf)
+            return
+        columns = self._signals * self.most_order
+        factors = [_factors(one, self._drifts, with_surplus, self.most_order) for one in self._segments]
+        self._factors = factors[0] if len(factors) == 1 else _triangular(np.concatenate(factors, axis=1))
+        self._scales = np.linalg.norm(self._factors[:, :, :columns], axis=1)
+        self._scales[self._scales == 0.0] = 1.0
+        left = np.cumsum(self._factors[:, ::-1, -1] ** 2, axis=1)[:, ::-1]  # what the first n columns leave, squared
+        diagonal = np.abs(np.diagonal(self._factors, axis1=1, axis2=2)[:, :columns]) / self._scales
+        depends = np.logical_or.accumulate(diagonal < _DEPENDENT, axis=1)
+        self._left = left[:, :: self._signals]
+        self.criterion = self._rows * np.log(np.maximum(self._left / self._rows, 1e-300))
+        """Schwarz's, shape (drifts, orders from 0 on): the lower the better, infinite where there is no fit."""
+        self.criterion += self._unknowns(np.arange(self.most_order + 1)) * math.log(self._rows)
+        self.criterion[:, 1:][depends[:, self._signals - 1 :: self._signals]] = np.inf
+        self.criterion[:, :2] = np.inf
 
-    def fit(self, order: int, drift: float) -> Fit | None:
-        """Returns the fit for one order and one p; None where the record is too short for these unknowns."""
-        usable = [one for one in self._bases if one.size > order + 1]
-        count = sum(one.size - order - 1 for one in usable)
-        unknowns = order * self._signals + sum(2 if one.segment.rest_known else 3 for one in usable)
-        if count < _MARGIN * unknowns + 4:
+    def _use(self, segments: Sequence[Segment], most_order: int) -> bool:
+        """Uses the segments that are long enough for this order. Returns whether these are enough."""
+        self._segments = [one for one in segments if one.position.size > most_order + 1]
+        self._rows = sum(one.position.size - most_order - 1 for one in self._segments)
+        return self._rows >= _MARGIN * float(self._unknowns(most_order)) + 4
+
+    def _unknowns(self, order: Any) -> Any:
+        return order * self._signals + sum(_motions_of(one) for one in self._segments)
+
+    def fit(self, order: int, at: int) -> Fit | None:
+        """Returns the fit for one order and the p of this number; None where the record does not tell its unknowns."""
+        if order > self.most_order or not np.isfinite(self.criterion[at, order]):
             return None
-        at = self._drifts.index(drift)
-        factors = [one.factor(order, at, drift) for one in usable]
-        factor = factors[0] if len(factors) == 1 else _factor(np.vstack(factors))
-        if len(factor) < factor.shape[1]:
-            return None
-        scale = np.sqrt(np.einsum("ij,ij->j", factor, factor)[:-1])
-        scale[scale == 0.0] = 1.0
-        factor[:, :-1] /= scale
-        if np.abs(factor.diagonal()[:-1]).min() < 1e-14:
-            return None
-        left = float(factor[-1, -1]) ** 2
-        variance, parameters = left / (count - unknowns), unknowns * math.log(count)
-        criterion = count * math.log(max(variance, 1e-300) * (count - unknowns) / count) + parameters
-        return Fit(order, drift, factor, scale, math.sqrt(variance), self._floor, count, criterion)
+        columns, scale = self._signals * order, self._scales[at, : self._signals * order, None]
+        inverse = (np.linalg.inv(self._factors[at, :columns, :columns] / scale.T) / scale)[:: self._signals]
+        residual = math.sqrt(self._left[at, order] / (self._rows - self._unknowns(order)))
+        g, spread = -inverse @ self._factors[at, :columns, -1], inverse * max(residual, self._floor)
+        return Fit(order, float(self._drifts[at]), g, spread, residual, self._rows)
 
 
 def _open_loop(drift: float) -> Floats:
@@ -127,58 +129,52 @@ def _directions(order: int, drift: float) -> Floats:
     return rows
 
 
-class _Basis:
-    """The regressors of one segment: of its position, and of its surplus where that counts, doubly summed, summed, as
-    it is, its first difference, …"""
-
-    def __init__(self, segment: Segment, drifts: Sequence[float], with_surplus: bool) -> None:
-        self.segment, self.size = segment, segment.position.size
-        signals = np.array([segment.position, segment.surplus] if with_surplus else [segment.position])
-        slowed, reach = np.repeat(signals[None], len(drifts), axis=0), 1
-        ratio = np.array(drifts)[:, None, None]
-        while reach < self.size:  # y[n] = p y[n-1] + x[n]: a running sum of 2, 4, 8, ... terms until it holds all
-            slowed[..., reach:] += ratio**reach * slowed[..., :-reach]
-            reach *= 2
-        self._summed = np.stack([np.cumsum(slowed, axis=-1), slowed], axis=2)  # by p and signal
-        self._differences = [signals]
-
-    def factor(self, order: int, at: int, drift: float) -> Floats:
-        """The triangular factor of the equations of an order with the p of number `at`: the regressors from everything
-        up to n - 1, and y[n] as the last column.
-
-        Projected out is what concerns this segment alone: its drifting and slowing mass, alpha + beta p^n
-        (alpha + beta n where p = 1), and where rest is not known, what a constant force adds to that.
-        """
-        while len(self._differences) < order - 2:
-            self._differences.append(np.diff(self._differences[-1], axis=-1, prepend=0.0))
-        motions = 2 if self.segment.rest_known else 3
-        signals = self._summed.shape[1]
-        table = np.empty((self.size - order - 1, motions + signals * order + 1), order="F")
-        self._project(table[:, :motions], drift)
-        for number in range(signals):
-            columns = table[:, motions + number * order : motions + (number + 1) * order].T
-            columns[:2] = self._summed[at, number, :, order:-1]
-            for i in range(2, order):
-                columns[i] = self._differences[i - 2][number, order:-1]
-        table[:, -1] = self.segment.position[order + 1 :]
-        return _factor(table)[motions:, motions:]
-
-    def _project(self, motions: Floats, drift: float) -> None:
-        """Fills the columns of what is projected out; at most 1."""
-        n, slowing = np.arange(len(motions), dtype=float), drift < 1.0 - 1e-12
-        motions[:, 0] = 1.0
-        motions[:, 1] = drift**n if slowing else n / max(n[-1], 1.0)
-        if motions.shape[1] > 2:
-            motions[:, 2] = (n if slowing else n**2) / max(n[-1] if slowing else n[-1] ** 2, 1.0)
+def _motions_of(segment: Segment) -> int:
+    return 2 if segment.rest_known else 3
 
 
-def _factor(table: Floats) -> Floats:
-    """R of a table's QR decomposition, by Householder's reflections."""
-    reflections, _ = np.linalg.qr(table, mode="raw")
-    factor = reflections.T[: table.shape[1]]
-    return np.asarray(factor * _upper(*factor.shape))
+def _factors(segment: Segment, drifts: Floats, with_surplus: bool, order: int) -> Floats:
+    """The triangular factors of one segment's equations, for each p: (drifts, rows, columns).
+
+    Columns: the regressors from everything up to n - 1, of its position, and of its surplus where that counts: doubly
+    summed, summed, as it is, its first difference, …; and y[n] as the last one. Projected out is what concerns this
+    segment alone: its drifting and slowing mass, alpha + beta p^n (alpha + beta n where p = 1), and where rest is not
+    known, what a constant force adds to that.
+    """
+    signals = np.array([segment.position, segment.surplus] if with_surplus else [segment.position])
+    motions, size = _motions_of(segment), segment.position.size
+    tables = np.empty((len(drifts), motions + len(signals) * order + 1, size - order - 1))
+    _fill_motions(tables[:, :motions], drifts)
+    columns = tables[:, motions:-1].reshape(len(drifts), order, len(signals), -1)
+    slowed = _slowed(signals, drifts)
+    columns[:, 1] = slowed[..., order:-1]
+    columns[:, 0] = np.cumsum(slowed, axis=-1)[..., order:-1]
+    for i in range(2, order):
+        columns[:, i] = signals[:, order:-1]
+        signals = np.diff(signals, axis=-1, prepend=0.0)
+    tables[:, -1] = segment.position[order + 1 :]
+    return _triangular(tables.swapaxes(1, 2))[:, motions:, motions:]
 
 
-@cache
-def _upper(rows: int, columns: int) -> Floats:
-    return np.triu(np.ones((rows, columns)))
+def _triangular(tables: Floats) -> Floats:
+    """R of the QR decomposition of each."""
+    return np.asarray(np.linalg.qr(tables, mode="r"))
+
+
+def _slowed(signals: Floats, drifts: Floats) -> Floats:
+    """y[n] = p y[n-1] + x[n] of each signal, for each p: (drifts, signals, samples)."""
+    slowed, reach, ratio = np.repeat(signals[None], len(drifts), axis=0), 1, drifts[:, None, None]
+    while reach < signals.shape[-1]:  # a running sum of 2, 4, 8, ... terms until it holds all
+        slowed[..., reach:] += ratio**reach * slowed[..., :-reach]
+        reach *= 2
+    return slowed
+
+
+def _fill_motions(motions: Floats, drifts: Floats) -> None:
+    """Fills the rows that are projected out (drifts, 2 or 3, samples); at most 1."""
+    n, slowing = np.arange(motions.shape[-1], dtype=float), drifts < 1.0 - 1e-12
+    ramp = n / max(n[-1], 1.0)
+    motions[:, 0] = 1.0
+    motions[:, 1] = np.where(slowing[:, None], drifts[:, None] ** n, ramp)
+    if motions.shape[1] > 2:
+        motions[:, 2] = np.where(slowing[:, None], ramp, ramp**2)

@@ -127,7 +127,7 @@ class Scene(Part):
 
         A list per channel has exactly this length; channels below the highest that no module holds count.
         """
-        return 1 + max(point.channel for point in self.device_points.values())
+        return 1 + max(one.channel for one in self.modules.values() if isinstance(one, DevicePoint))
 
     @property
     def units(self) -> Units:

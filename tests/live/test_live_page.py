@@ -58,7 +58,7 @@ class Page:
         return str(self.part(id).text)
 
     def slide(self, name: str, share: float, event: str) -> None:
-        """Moves a slider as a finger does: `input` while it moves, `change` when it is let go."""
+        """Moves a slider as a finger does: `input` while it moves, `change` when it leaves it."""
         script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event(arguments[2]))"
         self.browser.execute_script(script, self.part(f"set {name}"), 1000 * share, event)
 

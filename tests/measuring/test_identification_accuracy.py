@@ -132,6 +132,19 @@ def test_with_every_damper_and_a_spring_in_the_device_what_is_measured_is_what_i
         figures.most("b off by, relative, with every damper", abs(measured.b / b - 1.0))
 
 
+@pytest.mark.parametrize(("stiffness", "damping"), [(10.5, 0.0765), (24.5, 0.0855), (31.5, 0.1035), (38.5, 0.1215)])
+def test_half_a_second_of_an_overdamped_hand_is_enough(stiffness: float, damping: float) -> None:
+    """Where friction slows the hand, a model that does not know it needs poles that are not there, as slow as those of
+    the hand: order and friction have to be found together."""
+    document = hapsim.load_scene("paper_6_3_real_damping").model_dump(exclude_none=True)
+    document["modules"]["touch"] |= {"stiffness": stiffness, "damping": damping}
+    scene = hapsim.Scene.model_validate(document)
+    felt, measured = hapsim.predict(scene).felt[0], hapsim.measure(scene, duration=0.5)
+    assert measured.k == pytest.approx(felt.k, rel=1e-4)
+    assert abs(measured.k - felt.k) < 4.0 * measured.k_uncertainty < 1e-3 * felt.k
+    assert abs(measured.b - felt.b) < 4.0 * measured.b_uncertainty < 1e-3 * felt.b
+
+
 @pytest.mark.parametrize("path", [CONFIGS / f"{name}.yaml" for name in RINGING], ids=lambda path: path.stem)
 def test_every_shipped_scene_is_felt_as_predicted_over_a_pseudo_terminal(path: Path) -> None:
     scene = hapsim.load_scene(path)

@@ -234,7 +234,7 @@ def test_coarse_counts_are_noise_of_which_the_uncertainty_tells(scene: Scene, qu
 
 
 def test_a_correction_that_predicts_is_measured_in_its_region() -> None:
-    """Its force follows from the pushes too, which is no sign that a link let go."""
+    """Its force follows from the pushes too, which is no sign that a link gave way."""
     scene = shipped("wall", correction="predictor")
     agrees(scene, package.measure(scene))
     assert "stop went from" in package.measure(scene, push=4.0).left_region

@@ -1,4 +1,4 @@
-"""Every fault of the wire, with every clock, on every carrier: what the hand got, and what the user was told.
+"""Every fault of the wire, with every clock, on every carrier: what the hand got, and what the user read.
 
     tools/bench/faults [--only KIND] [--carrier memory|terminal|firmware] [--clock device|host|lockstep]
     tools/bench/faults --resume | --from FILE

@@ -31,7 +31,7 @@ STOPPED_S = 2.0
 PATIENCE_S = 60.0
 ATTEMPTS = 10
 TOLD = 110  # characters
-HEAD = ("who", "how", "to zero force, ms", "allowed", "record lacks", "status", "port free", "the user was told")
+HEAD = ("who", "how", "to zero force, ms", "allowed", "record lacks", "status", "port free", "the user read")
 
 
 class Board:
