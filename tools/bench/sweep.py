@@ -6,7 +6,7 @@
   `hapsim.predict` with margins and `hapsim.measure`, which opens a session: the same scenes, taking turns.
 * jobs: the same sweep with one and with two processes, taking turns; the ratio of their times.
 * cluster: with one and with two workers of dask.distributed on this machine.
-* memory: the most memory of a sweep of 100 000 predictions, beside one of 1000.
+* memory: the most memory of a sweep of 100 000 predictions and measurements on two processes, beside one of 1000.
 """
 
 from __future__ import annotations
@@ -102,8 +102,10 @@ def memory() -> None:
     """Prints the most memory of a sweep of many points."""
     for count in (1000, 100_000):
         command = [sys.executable, __file__, "--only", "one", "--points", str(count)]
-        kilobytes = int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-        print(f"{count} predictions: {kilobytes / 1024:.0f} MB at most")
+        begun = time.perf_counter()
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+        took, (own, of_worker) = time.perf_counter() - begun, (int(one) / 1024 for one in said)
+        print(f"{count} points in {took:.0f} s: {own:.0f} MB at most, a worker {of_worker:.0f} MB")
 
 
 def spread(values: list[float]) -> str:
@@ -131,8 +133,8 @@ def main() -> None:
         elif name == "memory":
             memory()
         elif name == "one":
-            swept(count, quantities=("predicted",))
-            print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+            swept(count, jobs=2)
+            print(*(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)))
 
 
 if __name__ == "__main__":
