@@ -7,6 +7,7 @@ form. Whole numbers below 32 have bins of their own; above, a bin is at most a s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,7 @@ class Histogram:
         return Histogram(row[2:].astype(np.int64), float(row[1]), float(row[0]))
 
 
+@cache
 def _edges() -> NDArray[np.float64]:
     """Returns where the bins begin, in counted units; the last of them has no end."""
     octave, part = np.divmod(np.arange(_BINS), 1 << _PART_BITS)

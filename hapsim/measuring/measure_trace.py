@@ -25,6 +25,7 @@ _SLOW_COUNTS = 8.0  # longer like noise: it follows the motion
 _COARSE_COUNTS = 40.0  # the largest step of a record of which no part is louder than others: all of it is read
 _QUIET_SPELL = 64  # samples between two loud ones that still belong to one motion
 _RUN_UP = 8
+_QUIETER = 0.1  # in sums of squares
 _PUSH_NEWTON = 1e-6  # a smaller surplus is the rounding of the force, not a push
 _DRIFTS = tuple(
     1.0 - d for d in (0, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 1.0)
@@ -128,8 +129,7 @@ def measure_trace(
     """
     with one_thread():
         segments, fits = _fitted(trace, channel, pressed)
-        free = _longest_free_motion(segments)
-        read = dominant_pairs(fits, free)
+        read = dominant_pairs(fits, _free_motion(segments, fits[0][0].order))
     at = next((i for i, one in enumerate(read) if one.pair is not None), 0)
     best, found = fits[at][0], read[at]
     pair = _with_rivals(found.pair, [one.pair for one in read if one.pair is not None])
@@ -233,18 +233,23 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool
     return found
 
 
-def _longest_free_motion(segments: list[Segment]) -> Floats:
-    """The longest stretch of positions during which nothing but the scene's own force acted."""
-    best = np.empty(0)
+def _free_motion(segments: list[Segment], order: int) -> Floats:
+    """Positions during which nothing but the scene's own force acted: of the stretches that are long enough to show the
+    poles of a fit of this order, the longest that is not much quieter than the loudest: once a motion is over, none is
+    seen.
+    """
     most = max((float(np.max(np.abs(segment.surplus))) for segment in segments), default=0.0)
+    stretches = [np.empty(0)]
     for segment in segments:
         pushed = np.flatnonzero(np.abs(segment.surplus) > 0.01 * most) if most > _PUSH_NEWTON else np.empty(0, int)
         edges = np.concatenate([[-1], pushed, [segment.position.size]])
         widest = int(np.argmax(np.diff(edges)))
         # A delayed force acts for some samples after it was given.
         begin = edges[widest] + 1 + (_RUN_UP if widest > 0 else 0)
-        best = max(best, segment.position[begin : edges[widest + 1]], key=len)
-    return best
+        stretches.append(segment.position[begin : edges[widest + 1]])
+    stretches = [one for one in stretches if one.size >= 2 * (order + 1)] or stretches
+    loudest = max(float(one @ one) for one in stretches)
+    return max((one for one in stretches if float(one @ one) >= _QUIETER * loudest), key=len)
 
 
 def _loud(y: Floats, first: int, last: int) -> Iterator[tuple[int, int]]:
