@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     import xarray
 
 _DEVIATION = "measured_k_off"
+_LONGEST = 40  # characters of a line
 _LOGARITHMIC = 30.0  # a parameter whose values span more has a logarithmic axis
 
 
@@ -75,7 +77,7 @@ def draw_sweep(chart: SweepChart, path: Path) -> None:
     values, over = chart.values, chart.over
     label = str(values.attrs.get("description", values.name))
     unit = values.attrs.get("units", "")
-    label = f"{label} ({unit})" if unit else label
+    label = textwrap.fill(f"{label} ({unit})" if unit else label, _LONGEST)
     with figure_to(path, 6.4, 4.6) as figure:
         axes = figure.subplots()
         along = [values[one].values for one in over]

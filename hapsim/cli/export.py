@@ -56,9 +56,15 @@ def export(
 
 def _missing(columns: Columns) -> list[str]:
     """Returns what the record lacks, as sentences."""
-    rows, dropped = plural(columns.count, "row"), int(columns.report["dropped_rows"])
-    unfinished = f"the run goes on, or the record is cut off or damaged: it has {rows}"
+    dropped = int(columns.report["dropped_rows"])
     slow = f"{plural(dropped, 'row')} missing: the reader of the loop was too slow"
     older = "an older hapsim recorded it: without its scene, changes and prediction"
     is_so = (not columns.reader.is_finished, dropped > 0, columns.scene is None)
-    return [sentence for sentence, applies in zip((unfinished, slow, older), is_so, strict=True) if applies]
+    return [
+        sentence for sentence, applies in zip((unfinished(columns.count), slow, older), is_so, strict=True) if applies
+    ]
+
+
+def unfinished(rows: int) -> str:
+    """Returns what is said of a record without its end."""
+    return f"the run goes on, or the record is cut off or damaged: it has {plural(rows, 'row')}"

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapsim.cli.device import Link, serve
+from hapsim.cli.export import unfinished
 from hapsim.cli.options import Json, PictureOptions, RecordOptions, flag, load, option, say_written
-from hapsim.cli.output import complain, document, say, speak_in
+from hapsim.cli.output import complain, document, say, speak_in, warn
 from hapsim.errors import RecordError, UsageError
 from hapsim.number_format import number, plural
 
@@ -54,11 +55,13 @@ def replay(
     if pictures.wanted:
         _draw(found, pictures, f"{record.name}{'' if scene is None else f', answered by {Path(scene).name}'}")
     if json:
-        print(document({"record": str(record), "scene": scene} | _document(found)))
+        print(document({"record": str(record), "scene": scene} | _document(found, recorded.reader.is_finished)))
     else:
         _say(recorded.path, scene, found)
         pictures.say_written()
         say_written("Sound", sound_file)
+    if not recorded.reader.is_finished:
+        warn(f"{record}: {unfinished(found.ticks)}", "incomplete")
     if scene is None and found.difference is not None:
         raise RecordError(f"{record}: the replay differs from sample {found.difference.sample} on")
 
@@ -96,12 +99,13 @@ def _say(record: Path, scene: str | None, found: Comparison) -> None:
             say(f"Channel {c}: the force was {was} N rms and would be {now} N rms; they are {apart} N rms apart")
 
 
-def _document(found: Comparison) -> dict[str, Any]:
+def _document(found: Comparison, is_complete: bool) -> dict[str, Any]:
     first = found.difference
     return {
         "ticks": found.ticks,
         "changes": found.changes,
         "identical": first is None,
+        "complete": is_complete,
         "first_difference": None if first is None else {"tick": first.tick, "sample": first.sample, "what": first.what},
         "force_rms_recorded": found.rms_recorded,
         "force_rms_replayed": found.rms_replayed,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import typer
 
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Json, PictureOptions, SceneFile, flag, load, option, seconds
-from hapsim.cli.output import document, say, stderr, stdout, table
+from hapsim.cli.output import document, say, stderr, stdout, table, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent, plural
 
@@ -32,10 +33,10 @@ class PointOptions:
         list[str] | None,
         typer.Argument(
             metavar="[PATH=VALUES …]",
-            help="touch.stiffness=log:100:10000:50, device.delay=0,0.5,1 or rate=lin:500:2000:4",
+            help="touch.stiffness=log:200:5000:50, device.delay=0,0.5,1 or rate=lin:500:2000:4",
         ),
     ] = None
-    samples: Annotated[int | None, option("N", "Take N samples of ranges such as lin:0:2 or log:100:10000.")] = None
+    samples: Annotated[int | None, option("N", "Take N samples of ranges such as lin:0:2 or log:200:5000.")] = None
     method: Annotated[str, option("KIND", "How samples are taken: lhs (Latin hypercube), random or sobol.")] = "lhs"
     points: Annotated[Path | None, option("FILE.csv", "Take the points from a table with a row of names.")] = None
     seed: Annotated[int, option("N", "Seed of the samples.")] = 0
@@ -93,18 +94,25 @@ def sweep(
     """Predict and measure a scene at thousands of points: every combination of values, or samples of ranges.
 
     The results are one dataset for xarray. While it grows, each finished batch is kept in FILE.nc.parts: if the sweep
-    is interrupted or killed, the same command goes on with what is missing. A point of which something fails has NaN,
-    and the reason in the variable error.
+    is interrupted or killed, the same command goes on with what is missing, and once it is finished draws another
+    picture. A point without a value has NaN, and the reason in the variable error.
     """
     from hapsim.sweeping.sweep import sweep as run_sweep
 
     kinds, chosen = quantities.names, points.read()
     pictures.require_writable()
-    drawn = _names_to_draw(kinds, chosen, draw, over) if pictures.wanted or draw or over else None
+    if (draw or over) and not pictures.wanted:
+        raise UsageError("--draw, --over: they choose what --picture or --data shows; add one of these")
+    drawn = _names_to_draw(kinds, chosen, draw, over) if pictures.wanted else None
     options: dict[str, Any] = {"channel": channel, "duration": duration, "jobs": jobs, "scheduler": scheduler}
     loaded = load(scene)
-    with live_words(stderr()) as show:
-        dataset = run_sweep(loaded, chosen, out=out, quantities=kinds, on_progress=_Progress(show, out), **options)
+    try:
+        with live_words(stderr()) as show:
+            dataset = run_sweep(loaded, chosen, out=out, quantities=kinds, on_progress=_Progress(show, out), **options)
+    except KeyboardInterrupt:
+        if Path(f"{out}.parts").exists():
+            warn(f"{out}.parts has what is finished: the same command goes on with the rest", "stopped")
+        raise
     if pictures.wanted and drawn:
         from hapsim.chart.sweep import draw_sweep, sweep_chart
 
@@ -121,15 +129,17 @@ class _Progress:
     """Shows how many points are finished, and how long the others will take."""
 
     def __init__(self, show: Any, out: Path) -> None:
-        self._show, self._out, self._first, self._begun = show, out, -1, time.monotonic()
+        self._show, self._out, self._calls, self._first, self._begun = show, out, 0, 0, 0.0
 
     def __call__(self, done: int, every: int) -> None:
-        if self._first < 0:
-            self._first = done
-            if done:
-                say(f"{self._out}: {done} of {every} points are there from before; going on")
+        self._calls += 1
+        if self._calls == 1 and done:
+            going_on = "; going on" if done < every else ""
+            say(f"{self._out}: {done} of {every} points are there from before{going_on}", sys.stderr)
+        if self._calls <= 2:  # the first points to be finished wait for the compiler
+            self._first, self._begun = done, time.monotonic()
         left = ""
-        if done > self._first:
+        if self._calls > 2:
             left_s = (every - done) * (time.monotonic() - self._begun) / (done - self._first)
             left = f" · {left_s:.0f} s left" if left_s < 100.0 else f" · {left_s / 60.0:.0f} min left"
         self._show(f"swept {done} of {every} points{left if done < every else ''}")
@@ -186,7 +196,7 @@ def _say(dataset: xarray.Dataset, scene: str, out: Path) -> None:
         median, most = (percent(one[which], _DEVIATION) for which in ("median", "most"))
         say(f"Measured {what} is off the predicted one by {most} at most, {median} in the median")
     if summary["failed"]:
-        say(f"{plural(summary['failed'], 'point')} failed, with the reason in the variable error; first:")
+        say(f"{plural(summary['failed'], 'point')} without a value, with the reason in the variable error; first:")
         for error in summary["errors"]:
             say(f"  {error}")
     say(f"Results: {out}")

@@ -31,8 +31,10 @@ _DRIFTS = tuple(
     1.0 - d for d in (0, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 1.0)
 )
 _LAWFUL = 1e-9  # of the largest force: what misses a law by less obeys it
+_NO_SPRING = 1e-6  # of the largest force
 _CERTAIN = 0.02  # counts: a rest that is known so well is as good as exact
 _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no rival of it
+_LEAST_ORDER = 3  # that a record has to tell: a pair of poles and one that follows from delay, filter or hold
 _MOST_SPOILT = 0.1  # of the samples: with more, it is not motion that is missing
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
 _SPOILT = LATE_FORCE | BRIDGED | OFF_GRID
@@ -129,7 +131,7 @@ def measure_trace(
     """
     with one_thread():
         segments, fits = _fitted(trace, channel, pressed)
-        read = dominant_pairs(fits, _free_motion(segments, fits[0][0].order))
+        read = dominant_pairs(fits, _free_motion(segments, fits[0][0].order), segments[0].stands)
     at = next((i for i, one in enumerate(read) if one.pair is not None), 0)
     best, found = fits[at][0], read[at]
     pair = _with_rivals(found.pair, [one.pair for one in read if one.pair is not None])
@@ -220,7 +222,8 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
     following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
     position = trace.position_counts[:, channel].astype(float)
-    rest, known = (float(np.median(position)), False) if pressed else _rest(position, asked, following)
+    nowhere = float(np.median(position)), False, False
+    rest, known, stands = nowhere if pressed else _rest(position, asked, following)
     surplus = surplus - np.median(surplus) if pressed else surplus
     position = position - rest
     found, rows = [], 0
@@ -228,7 +231,7 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool
         for first, last in _loud(position, *whole) if loud else [whole]:
             end = min(last, first + _MOST_ROWS - rows)
             if end > first:
-                found.append(Segment(position[first:end], surplus[first:end], known))
+                found.append(Segment(position[first:end], surplus[first:end], known, stands))
                 rows += end - first
     return found
 
@@ -261,8 +264,8 @@ def _loud(y: Floats, first: int, last: int) -> Iterator[tuple[int, int]]:
             yield max(first, int(part[0]) - _RUN_UP), int(part[-1]) + 1
 
 
-def _rest(position: Floats, asked: Floats, following: NDArray[np.bool_]) -> tuple[float, bool]:
-    """(where the asked force is zero, in counts; whether that is certain).
+def _rest(position: Floats, asked: Floats, following: NDArray[np.bool_]) -> tuple[float, bool, bool]:
+    """(where the asked force is zero, in counts; whether that is certain; whether it is everywhere: no spring).
 
     A hand on springs and dampers to the ground is asked a force that is linear in its positions and its past: where the
     record obeys such a law, its constant gives the place. The middle of the motion where the scene has masses.
@@ -272,17 +275,19 @@ def _rest(position: Floats, asked: Floats, following: NDArray[np.bool_]) -> tupl
     for memory in (1, 4):  # the two newest positions; or what filters and the device's own sensor look back on
         rest = _rest_by_law(position, asked, following, memory)
         if rest is not None:
-            return rest, True
-    return float(np.median(position)), False
+            return rest
+    return float(np.median(position)), False, False
 
 
-def _rest_by_law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: int) -> float | None:
+def _rest_by_law(
+    position: Floats, asked: Floats, following: NDArray[np.bool_], memory: int
+) -> tuple[float, bool, bool] | None:
     law = _law(position, asked, following, memory)
     if law is None:
-        return 0.0 if memory == 1 else None
+        return (0.0, True, False) if memory == 1 else None
     if law.stands:
-        return 0.0 if memory == 1 and law.obeyed else None
-    return law.rest if law.obeyed or (memory > 1 and law.uncertainty < _CERTAIN) else None
+        return (0.0, True, True) if memory == 1 and law.obeyed else None
+    return (law.rest, True, False) if law.obeyed or (memory > 1 and law.uncertainty < _CERTAIN) else None
 
 
 class _Law(NamedTuple):
@@ -311,7 +316,7 @@ def _law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: 
     law, *_ = np.linalg.lstsq(table, asked[rows] / most, rcond=1e-13)
     missed = asked[rows] / most - table @ law
     obeyed = bool(np.max(np.abs(missed)) <= _LAWFUL)
-    if abs(law[0]) <= 1e-9 * float(np.max(np.abs(law))):
+    if abs(law[0]) <= _NO_SPRING * float(np.max(np.abs(law))):
         return _Law(obeyed, True, 0.0, 0.0)
     uncertainty = size / abs(law[0]) * float(np.sqrt(np.mean(missed**2) / rows.size))
     return _Law(obeyed, False, float(-law[-1] / law[0] * size), uncertainty)
@@ -326,10 +331,17 @@ def _fits(segments: list[Segment]) -> list[tuple[Fit, Fit | None]]:
     """
     with_surplus = any(np.any(segment.surplus) for segment in segments)
     regression = Regression(segments, _DRIFTS, with_surplus, ROUNDING)
-    eligible = regression.criterion[:, :MOST_ORDER]
-    least = float(np.min(eligible))
-    if not math.isfinite(least):
+    if regression.most_order < _LEAST_ORDER:
         return []
-    order = int(np.argmin(np.min(eligible, axis=0)))
-    beside = (at for at in np.argsort(eligible[:, order]) if eligible[at, order] < least + _UNDECIDED)
+    order = min(range(2, MOST_ORDER), key=regression.least_criterion)
+    # Orders are compared with the rows that the largest leaves. Where the motion is over soon, or in short pieces, the
+    # first rows say most: the next orders are compared with theirs.
+    while True:
+        regression = Regression(segments, _DRIFTS, with_surplus, ROUNDING, order + 1)
+        least = regression.least_criterion(order)
+        if order + 1 == MOST_ORDER or regression.least_criterion(order + 1) >= least:
+            break
+        order += 1
+    criterion = regression.criterion[:, order]
+    beside = (at for at in np.argsort(criterion) if criterion[at] < least + _UNDECIDED)
     return [(fit, regression.fit(order + 1, at)) for at in beside if (fit := regression.fit(order, at))]

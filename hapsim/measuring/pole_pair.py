@@ -18,6 +18,7 @@ NO_SECOND_REAL_POLE = "the slowest pole is real and no second real one follows"
 _LOOKED_AT = 4000  # samples of the motion
 _CLEARLY = 30.0  # times the residual's variance: a pole without which the motion fits clearly worse
 _LASTING = 0.7  # what loses more in a sample is gone after three: poles of delays, filters and holds
+_STILL = 0.1  # of itself: what changes by less over the motion is as good as constant
 _SOME = 1e-3  # of the energy
 
 
@@ -57,14 +58,15 @@ class Poles(NamedTuple):
     second: SecondMode | None
 
 
-def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats) -> list[Poles]:
+def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats, stands: bool = False) -> list[Poles]:
     """The slowest-decaying pair of each of some fits of one order.
 
     Beside each fit: one of another order that might as well have been chosen; how far it lies from the fit adds to the
-    uncertainty. `motion`: the position, shape (samples,), in which a pole has to be seen in order to count.
+    uncertainty. `motion`: the position, shape (samples,), in which a pole has to be seen in order to count. `stands`:
+    whether the hand stays where it stops, for lack of a spring.
     """
     every = _roots([fit for fit, _ in fits])
-    seen, energy = _seen_in(motion, every)
+    seen, energy = _seen_in(motion, every, stands)
     order = np.argsort(~seen, axis=1, kind="stable")  # those that are seen come first
     every, energy = np.take_along_axis(every, order, 1), np.take_along_axis(energy, order, 1)
     shown = [(poles[:count], one[:count]) for poles, one, count in zip(every, energy, seen.sum(axis=1), strict=True)]
@@ -106,7 +108,7 @@ def _roots(fits: Sequence[Fit]) -> Complexes:
 def _why_no_pair(poles: Complexes) -> str:
     """Why the two slowest poles are neither a conjugate pair nor both real and positive; "" where they are."""
     if poles.size < 2:
-        return "the motion has fewer than two poles"
+        return "fewer than two poles are clear of its noise and rounding"
     if poles[0].imag != 0.0:
         return ""
     if poles[0].real <= 0.0:
@@ -125,19 +127,29 @@ def _second_mode(poles: Complexes, energy: Floats) -> SecondMode | None:
     return SecondMode(complex(poles[most]), share) if share > _SOME else None
 
 
-def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Floats]:
+def _seen_in(motion: Floats, poles: Complexes, stands: bool = False) -> tuple[NDArray[np.bool_], Floats]:
     """(which poles the motion has: those without which a sum of modes would fit it clearly worse; the energy of each),
     for several sets of poles, all of shape (sets, order).
 
-    A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere.
+    A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere. From where the
+    motion is counted is not certain to the last count: what a constant explains is no mode, unless the hand `stands`.
     """
+    seen, energy = np.ones(poles.shape, bool), np.zeros(poles.shape)
+    still = np.any(np.abs(poles - 1.0) * motion.size < _STILL, axis=1) & stands
+    for sets, with_constant in ((still, False), (~still, True)):
+        if sets.any():
+            seen[sets], energy[sets] = _shown_by(motion, poles[sets], with_constant)
+    return seen, energy
+
+
+def _shown_by(motion: Floats, poles: Complexes, with_constant: bool) -> tuple[NDArray[np.bool_], Floats]:
     seen, energy = np.ones(poles.shape, bool), np.zeros(poles.shape)
     if motion.size < poles.shape[1] + 2:
         return seen, energy
     size, grows = min(motion.size, _LOOKED_AT), np.abs(poles) > 1.0
-    # Where the motion is counted from is not certain to the last count: what a constant explains is no mode.
-    modes = np.ones((len(poles), poles.shape[1] + 2, size), complex)
-    powers = modes[:, :-2]
+    order = poles.shape[1]
+    modes = np.ones((len(poles), order + with_constant + 1, size), complex)
+    powers = modes[:, :order]
     powers[..., 1:] = np.where(grows, 1.0 / np.where(grows, poles, 1.0), poles)[..., None]
     np.multiply.accumulate(powers, axis=-1, out=powers)
     powers[grows] = powers[grows, ::-1]  # a growing mode is written backwards from its end: no power overflows
@@ -150,8 +162,27 @@ def _seen_in(motion: Floats, poles: Complexes) -> tuple[NDArray[np.bool_], Float
     amplitude = np.abs(inverse @ factor[:, :-1, -1:])[..., 0] ** 2
     worse = amplitude / np.sum(np.abs(inverse) ** 2, axis=2)
     left = np.abs(factor[:, -1, -1:]) ** 2
-    seen[known], energy[known] = (worse > _CLEARLY * left / size)[:, :-1], amplitude[:, :-1]
+    least = _CLEARLY * left / size
+    seen[known], energy[known] = (worse > least)[:, :order], amplitude[:, :order]
+    for at, one, enough in zip(np.flatnonzero(known), factor, least[:, 0], strict=True):
+        if not seen[at].all():
+            seen[at] = _needed(one, poles[at], float(enough))
     return seen, energy
+
+
+def _needed(factor: Complexes, poles: Complexes, least: float) -> NDArray[np.bool_]:
+    """Without the least needed pole, another one that is like it may be needed: they are taken out one by one, or by
+    conjugate pairs. `factor`: the triangular one of the modes, those of the poles first, the motion last."""
+    left, others = np.ones(poles.size, bool), np.arange(poles.size, factor.shape[1])
+    while left.any():
+        r = np.asarray(np.linalg.qr(factor[:, np.append(np.flatnonzero(left), others)], mode="r"))
+        inverse = np.linalg.inv(r[:-1, :-1])
+        worse = (np.abs(inverse @ r[:-1, -1]) ** 2 / np.sum(np.abs(inverse) ** 2, axis=1))[: int(left.sum())]
+        if np.min(worse) > least:
+            break
+        gone = poles[left][np.argmin(worse)]
+        left &= ~np.isin(poles, [gone, gone.conjugate()])
+    return left
 
 
 def _spreads_of_sum_and_product(fits: Sequence[Fit], total: Floats, product: Floats, rest: Complexes) -> list[Floats]:

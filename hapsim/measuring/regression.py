@@ -40,6 +40,8 @@ class Segment:
     surplus: Floats
     rest_known: bool = True
     """False where the position may not be counted from rest: a constant force then stays in the record."""
+    stands: bool = False
+    """Whether the scene has no spring, so that the hand stays where it stops."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +76,17 @@ class Fit:
 class Regression:
     """The least-squares fits of some segments, for each order up to `most_order` and each p of `drifts`."""
 
-    def __init__(self, segments: Sequence[Segment], drifts: Sequence[float], with_surplus: bool, floor: float) -> None:
-        """`floor`: the least error that rounding leaves, in counts."""
+    def __init__(
+        self,
+        segments: Sequence[Segment],
+        drifts: Sequence[float],
+        with_surplus: bool,
+        floor: float,
+        most_order: int = MOST_ORDER,
+    ) -> None:
+        """`floor`: the least error that rounding leaves, in counts. `most_order`: less where the record is short."""
         self._drifts, self._floor, self._signals = np.array(drifts), floor, 2 if with_surplus else 1
-        self.most_order = next((one for one in range(MOST_ORDER, 1, -1) if self._use(segments, one)), 0)
+        self.most_order = next((one for one in range(most_order, 1, -1) if self._use(segments, one)), 0)
         if self.most_order == 0:
             self.criterion = np.full((len(drifts), 1), np.inf)
             return
@@ -95,6 +104,10 @@ class Regression:
         self.criterion += self._unknowns(np.arange(self.most_order + 1)) * math.log(self._rows)
         self.criterion[:, 1:][depends[:, self._signals - 1 :: self._signals]] = np.inf
         self.criterion[:, :2] = np.inf
+
+    def least_criterion(self, order: int) -> float:
+        """Returns the criterion of an order with its best p."""
+        return float(np.min(self.criterion[:, order])) if order <= self.most_order else math.inf
 
     def _use(self, segments: Sequence[Segment], most_order: int) -> bool:
         """Uses the segments that are long enough for this order. Returns whether these are enough."""

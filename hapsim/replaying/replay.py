@@ -252,13 +252,13 @@ def first_difference(recorded: Rows, replayed: Rows, first_tick: int) -> Differe
 
 def _as_recorded(record: Record, scene: Scene) -> Scene:
     """Another scene on the record's device. Raises UsageError."""
-    before = record.scene
+    before, name = record.scene, scene.path or "the scene"
     if scene.rate != before.rate:
-        raise UsageError(f"{scene.path}: found rate {scene.rate:g} Hz, expected the record's, {before.rate:g} Hz")
+        raise UsageError(f"{name}: found rate {scene.rate:g} Hz, expected the record's, {before.rate:g} Hz")
     if scene.channels > record.description.channels:
         raise UsageError(
-            f"{scene.path}: found {scene.channels} channels, expected the {record.description.channels} recorded"
+            f"{name}: found {scene.channels} channels, expected the {record.description.channels} recorded"
         )
     if scene.sensed_links and not before.sensed_links:
-        raise UsageError(f"{scene.path}: found damper: sensed, expected another: the record has no sensed velocities")
+        raise UsageError(f"{name}: found damper: sensed, expected another: the record has no sensed velocities")
     return scene.model_copy(update={"device": before.device})

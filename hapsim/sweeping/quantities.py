@@ -22,7 +22,7 @@ from hapsim.sweeping.points import Value
 from hapsim.sweeping.vary import Varied
 
 ERROR = "error"
-"""The variable of the sentences about points of which something failed."""
+"""The variable of the sentences about points of which something failed, or has no value."""
 FREQUENCY = "frequency_hz"
 """The dimension of impedances."""
 
@@ -83,12 +83,14 @@ class Task:
     """Works out further numbers of a scene, by name."""
 
     def at(self, scene: Scene) -> tuple[Values, str]:
-        """Returns the numbers of one scene by name, and a sentence about what failed, "" if nothing did."""
+        """Returns the numbers of one scene by name, and a sentence about those that are missing, "" if none is."""
         found: Values = {}
         failures: list[str] = []
         for kind, work in (*((kind, _WORK[kind]) for kind in self.kinds), ("function", _by_function)):
             try:
-                found |= work(self, scene)
+                values, reason = work(self, scene)
+                found |= values
+                failures += [f"{kind}: {reason}"] if reason else []
             except HapsimError as error:
                 failures.append(f"{kind}: {error}")
             except Exception as error:  # of a user's function; or a defect, which must not end thousands of points
@@ -96,19 +98,20 @@ class Task:
         return found, "; ".join(failures)
 
 
-def _predicted(task: Task, scene: Scene) -> Values:
+def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
     prediction = predict(scene, with_margins=False)
     hand = next((one for one in prediction.felt if one.channel == task.channel), None)
     of_hand = {name: one.of(hand) for name, one in _OF_HAND.items()} if hand is not None else {}
-    return of_hand | {name: one.of(prediction) for name, one in _OF_SCENE.items()}
+    found = of_hand | {name: one.of(prediction) for name, one in _OF_SCENE.items()}
+    return found, "" if hand is None else hand.reason
 
 
-def _measured(task: Task, scene: Scene) -> Values:
+def _measured(task: Task, scene: Scene) -> tuple[Values, str]:
     measurement = measure_by(run_in_memory, scene, channel=task.channel, duration=task.duration)
-    return {name: one.of(measurement) for name, one in _MEASURED.items()}
+    return {name: one.of(measurement) for name, one in _MEASURED.items()}, measurement.reason
 
 
-def _impedances(task: Task, scene: Scene) -> Values:
+def _impedances(task: Task, scene: Scene) -> tuple[Values, str]:
     measured = measure_impedance_by(run_in_memory, scene, duration=task.duration)
     predicted = predict_impedance(scene, measured.frequency)
     at = measured.channels.index(task.channel)
@@ -116,17 +119,17 @@ def _impedances(task: Task, scene: Scene) -> Values:
     for how, impedance in (("predicted", predicted.rendered), ("measured", measured.rendered.value)):
         found[f"{how}_impedance_re"] = impedance[:, at, at].real
         found[f"{how}_impedance_im"] = impedance[:, at, at].imag
-    return found
+    return found, ""
 
 
-def _by_function(task: Task, scene: Scene) -> Values:
+def _by_function(task: Task, scene: Scene) -> tuple[Values, str]:
     found = {} if task.function is None else {name: float(one) for name, one in task.function(scene).items()}
     if taken := found.keys() & {ERROR, FREQUENCY, *(name for kind in KINDS.values() for name in kind)}:
         raise UsageError(f"the function returns {min(taken)}, a name that sweeps use: expected another")
-    return found
+    return found, ""
 
 
-_WORK: dict[str, Callable[[Task, Scene], Values]] = {
+_WORK: dict[str, Callable[[Task, Scene], tuple[Values, str]]] = {
     "predicted": _predicted,
     "measured": _measured,
     "impedance": _impedances,

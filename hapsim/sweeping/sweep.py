@@ -71,8 +71,9 @@ def sweep(
         scheduler: address of a dask.distributed scheduler, whose workers do it instead.
         on_progress: called with the finished points and all points.
 
-    A point of which something fails has NaN, and the reason in the variable `error`. Dimensions are named by path; of
-    samples and tables there is one, `point`. Raises UsageError for what cannot be swept, and where `out` exists.
+    A point of which something fails, or has no value, has NaN, and the reason in the variable `error`. Dimensions are
+    named by path; of samples and tables there is one, `point`. Where `out` is this sweep, finished before, it is read.
+    Raises UsageError for what cannot be swept, and where `out` is anything else.
     """
     _require_xarray()
     scene = as_scene(scene)
@@ -124,6 +125,9 @@ def _run(
     scheduler: str | None,
     on_progress: Callable[[int, int], None],
 ) -> xarray.Dataset:
+    if (before := _finished_before(task, points, out)) is not None:
+        on_progress(len(points), len(points))
+        return before
     parts = Parts(out, _manifest(task, points))
     try:
         missing, count = parts.missing(len(points)), len(points)
@@ -140,6 +144,26 @@ def _run(
         raise
     parts.remove()
     return dataset
+
+
+def _finished_before(task: Task, points: Points, out: Path) -> xarray.Dataset | None:
+    """Returns what is in `out` if it is this sweep, finished before."""
+    import xarray
+
+    if not out.exists():
+        return None
+    try:
+        if out.suffix == ".zarr":
+            found = xarray.open_zarr(out, consolidated=False).load()
+        else:
+            found = xarray.load_dataset(out, engine="h5netcdf")
+    except (OSError, ValueError):
+        return None
+    is_same = found.attrs == _attributes(task, points) and all(
+        path in found.coords and np.array_equal(found[path].values, np.array(values[1]))
+        for path, values in _coordinates(points).items()
+    )
+    return found if is_same else None
 
 
 def _finished(
@@ -193,9 +217,7 @@ def dataset_of(task: Task, points: Points, parts: Parts) -> xarray.Dataset:
     variables = {name: one for kind in task.kinds for name, one in KINDS[kind].items()}
     columns = parts.together(len(points), variables)
     shape, units = tuple(points.sizes.values()), Scene.model_validate(task.document).units_of(task.channel)
-    coordinates: dict[str, Any] = {}
-    for path, values in points.columns.items():
-        coordinates[path] = points.axis(path) if points.is_grid else (tuple(points.sizes), values)
+    coordinates = _coordinates(points)
     found: dict[str, Any] = {}
     for name, column in columns.items():
         about = {}
@@ -205,9 +227,20 @@ def dataset_of(task: Task, points: Points, parts: Parts) -> xarray.Dataset:
         found[name] = dimensions, column.reshape(*shape, *column.shape[1:]), about
     if "impedance" in task.kinds:
         coordinates[FREQUENCY] = FREQUENCY, frequencies(task), {"units": "Hz"}
+    found[ERROR][2]["description"] = "why a value is missing, empty where none is"
+    return xarray.Dataset(found, coordinates, _attributes(task, points))
+
+
+def _coordinates(points: Points) -> dict[str, Any]:
+    """Returns what xarray takes for the parameters: of each its dimensions and its values."""
+    if points.is_grid:
+        return {path: ((path,), points.axis(path)) for path in points.columns}
+    return {path: (tuple(points.sizes), values) for path, values in points.columns.items()}
+
+
+def _attributes(task: Task, points: Points) -> dict[str, str]:
     described = {key: json.dumps(value) for key, value in _manifest(task, points).items() if key != "points"}
-    found[ERROR][2]["description"] = "what failed, empty where nothing did"
-    return xarray.Dataset(found, coordinates, {"title": "hapsim sweep", **described})
+    return {"title": "hapsim sweep", **described}
 
 
 def write(dataset: xarray.Dataset, out: Path) -> None:

@@ -155,6 +155,38 @@ def test_half_a_second_of_an_overdamped_hand_is_enough(name: str, stiffness: flo
     assert abs(measured.b - felt.b) < 4.0 * measured.b_uncertainty < 1e-3 * felt.b
 
 
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "misses", "seconds"),
+    [
+        (11.185284003473013, 0.08596513958602373, 0.05805815294206283, 4.0),
+        (1.255936173777772, 0.10221576789790093, 0.07719174232668076, 1.9574698199437228),
+    ],
+)
+def test_of_two_poles_that_are_alike_one_is_seen(
+    stiffness: float, damping: float, misses: float, seconds: float
+) -> None:
+    """In a record in pieces a fit may have a pole beside one of the hand's: neither is needed as long as the other is
+    there."""
+    document = hapsim.load_scene("paper_6_3_real_damping").model_dump(exclude_none=True)
+    document["modules"]["touch"] |= {"stiffness": stiffness, "damping": damping}
+    document["mock"]["misses"] = misses
+    scene = hapsim.Scene.model_validate(document)
+    felt, measured = hapsim.predict(scene).felt[0], hapsim.measure(scene, duration=seconds)
+    assert abs(measured.k - felt.k) < 4.0 * measured.k_uncertainty < 0.02 * felt.k
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(0.0, 5.0), (0.0, 0.0), (5.4e-5, 16.4)])
+def test_without_a_spring_there_is_no_stiffness(stiffness: float, damping: float) -> None:
+    """The hand stays where it stops: that pole is at 1, and no constant stands in for it."""
+    document = hapsim.load_scene("first_touch").model_dump(exclude_none=True)
+    document["device"]["clock"] = "lockstep"
+    document["modules"]["touch"] |= {"stiffness": stiffness, "damping": damping}
+    scene = hapsim.Scene.model_validate(document)
+    felt, measured = hapsim.predict(scene).felt[0], hapsim.measure(scene)
+    assert measured.k == pytest.approx(felt.k, abs=1e-6)
+    assert measured.b == pytest.approx(felt.b, rel=1e-6)
+
+
 @pytest.mark.parametrize("path", [CONFIGS / f"{name}.yaml" for name in RINGING], ids=lambda path: path.stem)
 def test_every_shipped_scene_is_felt_as_predicted_over_a_pseudo_terminal(path: Path) -> None:
     scene = hapsim.load_scene(path)

@@ -197,7 +197,7 @@ def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
     ("reason", "told"),
     [
         (NO_SECOND_REAL_POLE, "the hand creeps back without swinging, in a way that no single spring and damper does"),
-        ("the motion has fewer than two poles", "the motion has fewer than two poles"),
+        ("fewer than two poles are clear of its noise", "fewer than two poles are clear of its noise"),
     ],
 )
 def test_why_there_is_no_spring_and_damper_is_told_plainly(a_trace: Trace, reason: str, told: str) -> None:

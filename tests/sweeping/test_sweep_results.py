@@ -172,9 +172,23 @@ def test_another_sweep_s_results_and_finished_ones_are_left_alone(scene: Path, t
     part.write_bytes(kept)
     hapsim.sweep(scene, axes, quantities=("predicted",), out=out)
     whole = out.read_bytes()
+    for others in (axes | {"touch.stiffness": [100.0, 300.0]}, axes | {"touch.damping": [1.0]}):
+        with pytest.raises(UsageError, match="it exists"):
+            hapsim.sweep(scene, others, quantities=("predicted",), out=out)
     with pytest.raises(UsageError, match="it exists"):
-        hapsim.sweep(scene, axes, quantities=("predicted",), out=out)
+        hapsim.sweep(scene, axes, quantities=("measured",), out=out)
+    with xarray.open_dataset(out, engine="h5netcdf") as found:
+        assert hapsim.sweep(scene, axes, quantities=("predicted",), out=out).identical(found.load())  # read again
     assert out.read_bytes() == whole
+
+
+def test_a_point_that_feels_like_no_spring_says_why() -> None:
+    axes = {"touch.stiffness": [1.0, 200.0], "touch.damping": [0.5, 0.1]}
+    found = hapsim.sweep("paper_6_3_real_damping", axes, duration=DURATION)
+    has_none = np.isnan(found["predicted_k"].values)
+    assert has_none.tolist() == [[True, False], [True, False]]
+    assert [["predicted: " in one for one in row] for row in found["error"].values] == has_none.tolist()
+    assert [["measured: " in one for one in row] for row in found["error"].values] == has_none.tolist()
 
 
 def test_attributes_say_what_was_swept(scene: Path) -> None:
