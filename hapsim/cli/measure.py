@@ -27,7 +27,7 @@ from hapsim.cli.options import (
     position,
     say_written,
 )
-from hapsim.cli.output import Table, complain, document, failure_document, speak_of, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, failure_document, say, speak_of, stderr, stdout, table
 from hapsim.cli.run import print_warnings, require_stable, with_mock
 from hapsim.cli.run_report import show_report, show_run
 from hapsim.errors import RunError, UsageError
@@ -126,6 +126,9 @@ def _measure_pair(
         print(document({"scene": device.scene, "warnings": warnings} | measured))
     else:
         show_measurement(stdout(), scene, prediction, measurement, channel)
+        if excitation.push is not None and (measurement.push_n or math.inf) < 0.99 * excitation.push:
+            least = number(measurement.push_n or 0.0, 3)
+            say(f"Pushed with {least} N at most: more would exceed the force limit, or take the hand too far.")
         (show_report if explain else show_run)(stdout(), measurement.trace.report)
         if on_wire is not None:
             show_wire(stdout(), prediction, on_wire, explain=True)

@@ -205,7 +205,8 @@ def _pushes(
     rests_s = max(free, every) / scene.rate
     # Until the next push even a free mass must stay in the range of its counts; a real device's is not known before.
     range_m = mock.quantum * _COUNTS if device.port is None else math.inf
-    impulse = mass * min(_KICK, 0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s))
+    wanted = mass * _KICK if push is None else max(mass * _KICK, push / scene.rate)
+    impulse = min(wanted, mass * min(0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s)))
     limit = device.force_limit if device.port is not None else mock.force_limit
     most = SHARE_OF_LIMIT * limit if push is None else min(push, limit)
     longest = every // 2

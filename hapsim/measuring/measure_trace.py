@@ -200,7 +200,7 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
             "rate, or a faster port, leaves more time"
         )
     raise UsageError(
-        "too little motion was recorded to identify a spring and damper: record longer, or excite more strongly"
+        "too little motion was recorded to identify a spring and damper: record longer, or push harder (--push)"
     )
 
 

@@ -104,6 +104,12 @@ def test_a_sentence_that_fits_stays_as_it_is() -> None:
     assert fitted(SENTENCE, len(SENTENCE) - 1).count("\n") == 1
 
 
+@pytest.mark.parametrize("words", [["sweep"], ["run"], ["measure"], ["check"], ["replay"], ["chart", "plane"]])
+def test_no_example_of_help_becomes_a_picture(hapsim: Hapsim, words: list[str]) -> None:
+    """As rich makes one of a word between colons, 100 among them."""
+    assert not [letter for letter in hapsim(*words, "--help").out if ord(letter) >= 0x1F000]
+
+
 @pytest.mark.parametrize("words", [[], ["frames"], ["faults"], ["probe"], ["identify"], ["chart"], ["chart", "felt"]])
 def test_help_has_no_line_break_within_a_paragraph(
     hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, words: list[str]

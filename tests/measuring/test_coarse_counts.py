@@ -34,3 +34,17 @@ def test_k_and_b_are_read_from_coarse_counts(quantum: float) -> None:
 def test_a_hand_that_hardly_moves_by_a_count_is_too_little() -> None:
     with pytest.raises(UsageError, match="too little motion"):
         hapsim.measure(scene_with(1e-3))
+
+
+def test_a_larger_push_is_clear_of_coarse_counts_and_never_larger_than_the_range_takes() -> None:
+    document = hapsim.load_scene("paper_6_3_real_damping").model_dump(exclude_none=True)
+    document["modules"]["touch"] |= {"stiffness": 24.5, "damping": 0.0855}
+    document["mock"]["quantum"] = 1e-5
+    scene = hapsim.Scene.model_validate(document)
+    with pytest.raises(UsageError, match="push harder"):
+        hapsim.measure(scene)
+    felt, measured = hapsim.predict(scene).felt[0], hapsim.measure(scene, push=2.5)
+    assert measured.push_n == 2.5
+    assert abs(measured.k - felt.k) < 4.0 * measured.k_uncertainty < 0.02 * felt.k
+    document["mock"]["quantum"] = 1e-9  # 2^31 counts are 2 m
+    assert hapsim.measure(hapsim.Scene.model_validate(document), push=2.5).push_n == pytest.approx(0.105, rel=0.01)

@@ -116,7 +116,13 @@ def test_a_record_that_ends_early_is_replayed_up_to_there(hapsim: Hapsim, tmp_pa
     record = recorded(tmp_path / "a.trace")
     whole = record.read_bytes()
     record.write_bytes(whole[: whole.rindex(b"TOLD") + 30])
-    assert "every force is as it was" in hapsim("replay", record).out
+    answer = hapsim("replay", record)
+    assert "every force is as it was" in answer.out
+    assert "the run goes on, or the record is cut off or damaged" in " ".join(answer.err.split())
+    assert hapsim("replay", record, "--json").document["complete"] is False
+    record.write_bytes(whole)
+    assert not hapsim("replay", record).err
+    assert hapsim("replay", record, "--json").document["complete"] is True
 
 
 def test_a_record_has_markers_and_changes(tmp_path: Path) -> None:

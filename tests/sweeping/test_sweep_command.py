@@ -106,7 +106,7 @@ def test_samples_and_tables_are_drawn_and_told_for_people(
     table = ("--points", tmp_path / "points.csv", "--out", tmp_path / "a.nc", "--picture", tmp_path / "a.svg")
     answer = hapsim("sweep", scene, *table, "--check")
     assert answer.status == 0
-    assert "1 point failed" in answer.out + answer.err
+    assert "1 point without a value" in answer.out + answer.err
     assert "found -3" in answer.out + answer.err
 
 
@@ -121,7 +121,11 @@ def test_samples_and_tables_are_drawn_and_told_for_people(
         (("--points", "missing.csv"), "missing.csv: cannot be read"),
         (("touch.stiffness=1,2", "--picture", "x.bmp"), "x.bmp"),
         (("touch.stiffness=1,2", "--picture", "x.svg", "--over", "rate"), "expected touch.stiffness"),
-        (("touch.stiffness=1,2", "--check", "--draw", "predicted_q"), "did you mean 'predicted_k'"),
+        (
+            ("touch.stiffness=1,2", "--check", "--picture", "x.svg", "--draw", "predicted_q"),
+            "did you mean 'predicted_k'",
+        ),
+        (("touch.stiffness=1,2", "--draw", "predicted_k"), "they choose what --picture or --data shows"),
         ((), "no parameter"),
     ],
 )
