@@ -162,6 +162,9 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
     """Prints the answer in about ten lines."""
     if prediction.felt:
         out.print(_felt_summary(prediction))
+    for felt in prediction.felt:
+        if felt.reason:
+            out.print(f"[bold]{escape(felt.name)}[/bold]: no spring and damper is equivalent: {felt.reason}")
     for name, why in prediction.coupled.items():
         out.print(f"[bold]{name}[/bold] {why}: no single k and b describe what it feels (--explain lists the modes)")
     show_regions(out, scene, prediction)

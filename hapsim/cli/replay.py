@@ -15,7 +15,7 @@ from hapsim.errors import RecordError, UsageError
 from hapsim.number_format import number, plural
 
 if TYPE_CHECKING:
-    from hapsim.replaying.replay import Comparison
+    from hapsim.replaying.replay import Comparison, Record
 
 
 def replay(
@@ -57,7 +57,7 @@ def replay(
     if json:
         print(document({"record": str(record), "scene": scene} | _document(found, recorded.reader.is_finished)))
     else:
-        _say(recorded.path, scene, found)
+        _say(recorded, scene, found)
         pictures.say_written()
         say_written("Sound", sound_file)
     if not recorded.reader.is_finished:
@@ -83,17 +83,18 @@ def _draw(found: Comparison, pictures: PictureOptions, title: str) -> None:
     pictures.write(lambda: columns_of(found), lambda path: draw_replay(found, title, path))
 
 
-def _say(record: Path, scene: str | None, found: Comparison) -> None:
+def _say(record: Record, scene: str | None, found: Comparison) -> None:
     ticks = f"{plural(found.ticks, 'sample')}, {plural(found.changes, 'change')}"
     if scene is None and found.difference is None:
-        say(f"{record}: {ticks}: every force is as it was, to the last bit")
+        say(f"{record.path}: {ticks}: every force is as it was, to the last bit")
     elif scene is None:
         first = found.difference
         assert first is not None
-        say(f"{record}: {ticks}: sample {first.sample} is the first that differs. {first.what}{found.why}")
+        say(f"{record.path}: {ticks}: sample {first.sample} is the first that differs. {first.what}{found.why}")
     else:
         of_the_hand = f"{plural(found.ticks, 'sample')} of the hand, answered by {scene}"
-        say(f"{record}: {of_the_hand}; the record's changes of its own scene are left out")
+        has_changes = any("tick" in note for note in record.notes)
+        say(f"{record.path}: {of_the_hand}{'; the changes of its own scene do not apply' if has_changes else ''}")
         for c, rms in enumerate(zip(found.rms_recorded, found.rms_replayed, found.rms_apart, strict=True)):
             was, now, apart = map(number, rms)
             say(f"Channel {c}: the force was {was} N rms and would be {now} N rms; they are {apart} N rms apart")

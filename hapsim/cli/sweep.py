@@ -170,8 +170,9 @@ def summary_of(dataset: xarray.Dataset) -> dict[str, Any]:
     for what in ("k", "b"):
         if {f"measured_{what}", f"predicted_{what}"} <= {*dataset.data_vars}:
             off = abs(dataset[f"measured_{what}"] - dataset[f"predicted_{what}"]).values
-            scale = abs(dataset[f"predicted_{what}"]).values
-            share = (off / scale)[np.isfinite(off) & (scale > 0.0)]
+            scale, unsure = abs(dataset[f"predicted_{what}"]).values, dataset[f"measured_{what}_uncertainty"].values
+            says = scale > unsure  # a share of less says nothing
+            share = off[says] / scale[says]
             if share.size:
                 deviations[what] = {"median": float(np.median(share)), "most": float(share.max())}
     errors = [str(one) for one in dataset["error"].values.ravel() if one]

@@ -13,12 +13,14 @@ import pytest
 from rich.console import Console
 
 from hapsim.cli.live import live_line
+from hapsim.cli.output import speak_in
 from hapsim.cli.run_report import show_report
 from hapsim.progress import Progress
 from hapsim.recording.trace import load_trace
 from hapsim.running import run
 from hapsim.scene import parse_scene
 from hapsim.scene.shipped import shipped_scene
+from hapsim.units import LINEAR
 
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -116,6 +118,7 @@ def test_a_rate_that_is_surely_another_than_was_asked_for_is_marked(
 
 @pytest.mark.parametrize(("elapsed", "told"), [(0.002, "running 0.0 s ·"), (0.3, "running 0.3 s · 7165.5 Hz ·")])
 def test_the_live_line_tells_a_rate_once_it_is_one_and_no_minus_before_a_zero(elapsed: float, told: str) -> None:
+    speak_in(LINEAR)
     console = Console(file=io.StringIO(), width=200)
     with live_line(console) as tell:
         tell(

@@ -99,6 +99,13 @@ def test_the_command_writes_a_dataset_a_picture_and_what_it_found(
     assert f"500.0,1.0,{expected!r}" in rows
 
 
+def test_no_stiffness_is_no_share_of_one(hapsim: Callable[..., Any], scene: Path, tmp_path: Path) -> None:
+    words = ("touch.stiffness=0", "touch.damping=5", "--duration", 0.5, "--out", tmp_path / "a.nc", "--json")
+    answer = hapsim("sweep", scene, *words)
+    assert answer.document["measured_off_predicted"].keys() == {"b"}
+    assert abs(answer.document["variables"]["measured_k"]["most"]) < 1e-3
+
+
 def test_samples_and_tables_are_drawn_and_told_for_people(
     hapsim: Callable[..., Any], scene: Path, tmp_path: Path
 ) -> None:
