@@ -60,9 +60,8 @@ def _missing(columns: Columns) -> list[str]:
     slow = f"{plural(dropped, 'row')} missing: the reader of the loop was too slow"
     older = "an older hapsim recorded it: without its scene, changes and prediction"
     is_so = (not columns.reader.is_finished, dropped > 0, columns.scene is None)
-    return [
-        sentence for sentence, applies in zip((unfinished(columns.count), slow, older), is_so, strict=True) if applies
-    ]
+    sentences = unfinished(columns.count), slow, older
+    return [sentence for sentence, applies in zip(sentences, is_so, strict=True) if applies]
 
 
 def unfinished(rows: int) -> str:

@@ -15,7 +15,7 @@ from rich.markup import escape
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import show_assumptions, show_wire
 from hapsim.cli.live import live_line
-from hapsim.cli.measure_remarks import attempts, dry_friction
+from hapsim.cli.measure_remarks import attempts, dry_friction, smaller_push
 from hapsim.cli.options import (
     DeviceOptions,
     ExcitationOptions,
@@ -27,7 +27,7 @@ from hapsim.cli.options import (
     position,
     say_written,
 )
-from hapsim.cli.output import Table, complain, document, failure_document, say, speak_of, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, failure_document, speak_of, stderr, stdout, table
 from hapsim.cli.run import print_warnings, require_stable, with_mock
 from hapsim.cli.run_report import show_report, show_run
 from hapsim.errors import RunError, UsageError
@@ -125,10 +125,7 @@ def _measure_pair(
         measured = measurement_document(prediction, measurement, channel, on_wire)
         print(document({"scene": device.scene, "warnings": warnings} | measured))
     else:
-        show_measurement(stdout(), scene, prediction, measurement, channel)
-        if excitation.push is not None and (measurement.push_n or math.inf) < 0.99 * excitation.push:
-            least = number(measurement.push_n or 0.0, 3)
-            say(f"Pushed with {least} N at most: more would exceed the force limit, or take the hand too far.")
+        show_measurement(stdout(), scene, prediction, measurement, channel, excitation.push)
         (show_report if explain else show_run)(stdout(), measurement.trace.report)
         if on_wire is not None:
             show_wire(stdout(), prediction, on_wire, explain=True)
@@ -259,9 +256,15 @@ def _oscillation(measurement: Measurement, pole: complex) -> tuple[float, float]
 
 
 def show_measurement(
-    out: Console, scene: Scene, prediction: Prediction, measurement: Measurement, channel: int = 0
+    out: Console,
+    scene: Scene,
+    prediction: Prediction,
+    measurement: Measurement,
+    channel: int = 0,
+    push: float | None = None,
 ) -> None:
-    """Prints prediction beside measurement on a channel, and beside what is desired, with a correction."""
+    """Prints prediction beside measurement on a channel, and beside what is desired, with a correction. `push`: N, if
+    the largest one was asked for."""
     hands = {point.channel: name for name, point in scene.device_points.items()}
     felt, report = felt_on(prediction, channel), measurement.trace.report
     desired = next((one for one in prediction.desired if one.channel == channel), None)
@@ -296,6 +299,7 @@ def show_measurement(
     reasons = () if measurement.left_region else _other_device(felt, measurement, prediction, of_mass)
     for sentence in (
         *attempts(measurement),
+        *smaller_push(push, measurement),
         *_limits(measurement),
         *dry_friction(scene, measurement, channel),
         *reasons,

@@ -27,6 +27,13 @@ def attempts(measurement: Measurement) -> Iterator[str]:
         )
 
 
+def smaller_push(asked: float | None, measurement: Measurement) -> Iterator[str]:
+    """Yields how hard the hand was pushed, where that is less than the N that were asked for."""
+    most = measurement.push_n
+    if asked is not None and most is not None and most < 0.99 * asked:
+        yield f"Pushed with {number(most, 3)} N at most: more would exceed the force limit, or take the hand too far."
+
+
 def _unsure(share: float) -> str:
     return f"k or b was uncertain by {percent(share, 2)}" if math.isfinite(share) else "nothing was clear of the noise"
 

@@ -189,7 +189,7 @@ def test_a_measurement_agrees_with_the_prediction(
     scene = tmp_path / "haply.yaml"
     scene.write_text(yaml.safe_dump({"version": 1, "rate": 1000, "device": device, "modules": modules}), "utf-8")
     k = b = False
-    for _ in range(2):  # in real time: a machine that holds the bridge up does so once, a fault is there again
+    for _ in range(2):  # again where this machine held the bridge up, and only then
         bridged = start_bridged()
         host = start_hapsim("measure", scene, "--port", bridged.port, "--channel", channel, "--duration", 1.0, "--json")
         assert host.wait() == 0, host.err
@@ -197,7 +197,7 @@ def test_a_measurement_agrees_with_the_prediction(
         predicted, measured = document["predicted"], document["measured"]
         k = measured["k"] == pytest.approx(predicted["k"], rel=1e-4, abs=5 * measured["k_uncertainty"])
         b = measured["b"] == pytest.approx(predicted["b"], rel=1e-3, abs=5 * measured["b_uncertainty"])
-        if k and b:
+        if (k and b) or document["deadline_misses"] == document["lost_frames"] == 0:
             break
     assert k, (measured, predicted)
     assert b, (measured, predicted)
