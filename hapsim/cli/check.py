@@ -31,6 +31,7 @@ from hapsim.prediction import (
 from hapsim.prediction.felt import felt_document
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
 from hapsim.prediction.linear import late_by_mean, with_device
+from hapsim.prediction.timing import on_wire
 from hapsim.units import InUnits
 
 if TYPE_CHECKING:
@@ -142,8 +143,10 @@ def _predicted_for(scene: Scene) -> str:
     used = {point.channel: hands[point.channel] for point in scene.device_points.values()}
     first, *others = dict.fromkeys(used.values())
     who = "; ".join(f"channel {c}: {hand}" for c, hand in sorted(used.items())) if others else first
-    samples = "sample" if device.delay == 1.0 else "samples"
-    late = f"delay {device.delay:g} {samples} ({duration(device.delay * scene.period)})" if device.delay else "no delay"
+    delay = on_wire(scene).device.delay
+    samples = "sample" if delay == 1.0 else "samples"
+    declared = f", {device.delay:g} declared" if delay != device.delay else ""
+    late = f"delay {delay:g} {samples} ({duration(delay * scene.period)}{declared})" if delay else "no delay"
     averaged = ", averaged positions" if device.sampling == "average" else ""
     steps = f", {scene.substeps} substeps a sample" if scene.substeps > 1 else ""
     if lag := late_by_mean(scene):
@@ -293,6 +296,7 @@ def _desired(desired: Desired) -> dict[str, Any]:
 def _wire_document(prediction: Prediction, channel: int | None, on_wire: Prediction | None) -> dict[str, Any]:
     """`predicted` and `stable` are those at the delay that results, null where the wire costs one sample."""
     budget = prediction.wire_time
+    on_wire = prediction if prediction.wire_delay else on_wire
     felt = on_wire and felt_on(on_wire, channel)
     worked_out = pick(budget, "exchange_s", "fits", "delay_samples", "highest_rate_hz")
     return (

@@ -13,6 +13,7 @@ from hapsim.cli.output import Table, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import Desired, Felt, Prediction, WireTime, correction_for, host_silence, robustness_of
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
+from hapsim.prediction.timing import PACED, what_helps, wire_parts
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -262,42 +263,32 @@ def _what_would(remedies: Remedies) -> str:
 def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None, explain: bool) -> None:
     """Prints what an exchange takes, and what that makes of the delay and of what the hand feels.
 
-    `on_wire`: predicted for the delay that results; None where the wire costs one sample, or is saturated. `explain`:
-    with its parts.
+    `on_wire`: as `predict_on_wire` returned it. `explain`: with its parts.
     """
     budget, is_real = prediction.wire_time, prediction.wire_of != "none"
     whole = f"{duration(budget.exchange_s)} of {duration(budget.period)}"
     if explain:
-        whole = f"{_parts(budget)}; {whole} ({budget.exchange_s / budget.period:.0%})"
+        whole = f"{wire_parts(budget)}; {whole} ({budget.exchange_s / budget.period:.0%})"
     if is_real:
-        verdict = "fits" if budget.fits else "[red]does not fit[/red]: use a higher baud rate or a lower rate"
+        verdict = "fits" if budget.fits else f"[red]does not fit[/red]: {what_helps(budget)}"
         out.print(f"Wire: an exchange takes {whole}: {verdict}. {_delay(budget)}")
     else:
         fits = f"A UART at {budget.baud} baud would {'fit' if budget.fits else '[yellow]not fit[/yellow]'}"
         out.print(f"Wire: none (the mock). {fits}: {whole}.{f' {_delay(budget)}' if explain else ''}")
-    correction = prediction.rendering and prediction.rendering.kind
+    correction, is_known = prediction.rendering and prediction.rendering.kind, prediction.wire_of in PACED
     if on_wire is not None and (is_real or explain):
         out.print(_felt_on_wire(prediction, on_wire))
-    elif explain and correction and correction.predicts and not (budget.fits or budget.is_saturated):
+    elif explain and correction and correction.predicts and not (is_known or budget.fits or budget.is_saturated):
         out.print(
             "[yellow]The predictor leads the state to where a force acts that is in time[/yellow]: what is felt with "
             "one that never is was not worked out. Use a faster wire."
         )
-    if explain and prediction.wire_of == "port":
+    if explain and prediction.wire_of in ("port", "unknown"):
         out.print(
             "This is counted for a UART. A device with USB of its own (CDC) ignores the baud rate and answers within a "
-            "polling interval, 0.125 or 1 ms; the latency timer of a USB converter comes on top and is not counted."
+            "polling interval, 0.125 or 1 ms; the latency timer of a USB converter comes on top and is not counted. "
+            "Where most forces of the first 64 samples are late, and the scene is unstable at that delay, a run ends."
         )
-
-
-def _parts(budget: WireTime) -> str:
-    """Returns what an exchange consists of."""
-    parts = {
-        f"{budget.bytes_to_host} + {budget.bytes_to_device} bytes at {budget.baud} baud": budget.seconds,
-        "the device's turnaround": budget.turnaround_s,
-        "the host's work": budget.host_work_s,
-    }
-    return " and ".join(f"{duration(seconds)} for {part}" for part, seconds in parts.items() if seconds > 0.0)
 
 
 def _delay(budget: WireTime) -> str:

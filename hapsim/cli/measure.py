@@ -127,7 +127,7 @@ def _measure_pair(
     else:
         show_measurement(stdout(), scene, prediction, measurement, channel, excitation.push)
         (show_report if explain else show_run)(stdout(), measurement.trace.report)
-        if on_wire is not None:
+        if on_wire is not None or prediction.wire_delay:
             show_wire(stdout(), prediction, on_wire, explain=True)
         picture.say_written()
         say_written("Trace", record.record)

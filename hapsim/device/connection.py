@@ -38,6 +38,8 @@ class Connection:
     """Bit/s, where the port has a speed of its own."""
     note: str = ""
     """For the user: what could not be set when it was opened."""
+    round_trip_s: float = 0.0
+    """The shortest time from a question to its answer while the device described itself; 0 before."""
     behind_port: bool = False
     """Whether the device may have a timer and a hand of its own. A mock in this process has no hand, and is only as
     punctual as this machine."""

@@ -30,8 +30,12 @@ def describe(connection: Connection) -> Description:
     registers[schema.REG_SCHEMA] = read_register(connection, schema.REG_SCHEMA)
     registers[schema.REG_CHANNELS] = read_register(connection, schema.REG_CHANNELS)
     _require_same_language(connection, registers)
+    round_trips = []
     for number in registers_of_a_description(int(registers[schema.REG_CHANNELS])):
+        asked = time.monotonic()
         registers[number] = read_register(connection, number)
+        round_trips.append(time.monotonic() - asked)
+    connection.round_trip_s = min(round_trips)
     return from_registers(registers)
 
 

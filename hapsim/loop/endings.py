@@ -22,6 +22,7 @@ OUT_OF_TRAVEL = -9  # the device is farther outside its travel than the force re
 SILENT = -10  # the device has sent no position for too long
 DONE = -11
 STOPPED = -12
+TOO_LATE = -14  # most of the first forces were late, and at that delay the scene is unstable
 RING_FULL = -13  # the reader has to make room; the device stays armed, and the loop is called again
 
 IN_WORDS = {
@@ -36,6 +37,7 @@ IN_WORDS = {
     ENERGY_EXCEEDED: "scene diverging",
     FAILED: "port failed",
     OUT_OF_TRAVEL: "out of travel",
+    TOO_LATE: "forces late",
     WRONG_SIGN: "sign wrong",
 }
 """The `ending` of a report."""

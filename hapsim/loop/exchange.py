@@ -56,6 +56,8 @@ CONTROL = np.dtype(
         ("pulse_ticks", np.int64),  # each of this length,
         ("pulse_channel", np.int64),
         ("pulse_force", np.float64),  # N at most, with alternating sign
+        ("wire_samples", np.int64),  # from a position to its force on a wire that makes every force late; else 1
+        ("first_ticks", np.int64),  # after arming; where most of their forces are late, the scene would shake the hand
         ("periodic", np.uint64),  # or a periodic excitation on that channel: address of forces in N, one per sample,
         ("periodic_length", np.int64),  # and their count (0: none)
     ],
@@ -179,12 +181,13 @@ def take_frame(loop, decoder, now):
     state.deadline_misses += late
     state.age = min(state.age + 1, control.time_to_live + 2) if late else 1
     note(loop.histograms.age, state.age)
+    missed = late and control.wire_samples == 1  # else the loop is made for that delay
     state.lost_frames += gap - 1
     flags = (ring.LATE_FORCE if late else 0) | (ring.BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
     change = take_posted(loop.posted)
     predictor = loop.predictor
     if predictor.predict != 0:
-        call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(late), state.age))
+        call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(missed), state.age))
     move_scene(loop.slot, io, gap)
     publish_sound(loop.sound, now)
     if predictor.add != 0:
@@ -192,13 +195,15 @@ def take_frame(loop, decoder, now):
     state.gap = gap
     state.sample += gap
     note_taken(loop.posted, change, state.ticks)
-    sound, stops = _answer(loop, gap, late, flags, now)
+    sound, stops = _answer(loop, gap, missed, flags, now)
     if not sound:
         return endings.NOT_FINITE
     if leapt:
         return endings.POSITION_LEAPT
     if stops != 0:
         return stops
+    if state.ticks <= control.first_ticks and 2 * state.deadline_misses > control.first_ticks:
+        return endings.TOO_LATE
     return endings.WRONG_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else endings.HEARD
 
 

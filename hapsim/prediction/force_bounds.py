@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from hapsim.number_format import duration, rounded_up
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plausibility import unlikely
+from hapsim.prediction.timing import FIRST_SAMPLES, on_wire
 from hapsim.scene import Scene
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def force_bounds(
     if slew is None:
         slew = most / max(RISE_S, scene.period) if in_hand else math.inf
     if soft is None:
-        soft = SOFT_START_S if in_hand else 0.0
+        soft = max(SOFT_START_S, FIRST_SAMPLES * scene.period) if in_hand else 0.0
     if energy is None:
         energy = ENERGY_M * most if in_hand or judges_energy else math.inf
     return ForceBounds(slew, soft, energy)
@@ -160,7 +161,7 @@ def refused_travel(scene: Scene) -> str:
 def fade_stiffness(scene: Scene, channel: int) -> float:
     """N/m: up to which stiffness the loop of a channel is stable, held by a hand and without a simulated damper, for
     the least mass that the scene declares."""
-    loop = replace(configuration_of(scene, channel), spring_lag=0.0)  # the force fades once in a sample
+    loop = replace(configuration_of(on_wire(scene), channel), spring_lag=0.0)  # the force fades once in a sample
     least, _ = scene.device.mass_spans(scene.channels)[channel]
     _, most = replace(loop, mass=least, friction=loop.friction + HAND_DAMPING).stable_stiffness(0.0)
     return float(most) if math.isfinite(most) else 0.0

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from hapsim.prediction.characteristic import places_of, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.linear import configuration_of, instead_of, network_of, why_coupled
+from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.arrays import Complexes, Floats
@@ -53,7 +54,7 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
     """
     f = np.asarray(frequency, dtype=float)
     rendering = rendered(scene)
-    run = rendering.scene
+    run = on_wire(rendering.scene)
     linear = scene_at(run)
     network, _ = network_of(run, linear)
     assumptions = [*linear.assumptions, *places_of(run)]
@@ -112,7 +113,7 @@ class ZWidth:
 def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZWidth]:
     """The Z-width of the device's channel: "passive", to the stiffest wall that no hand makes unstable, where that is
     derived for the hold and sampling; and "stable", to the stiffest that is stable with the declared mass."""
-    configuration = configuration_of(scene, channel)
+    configuration = configuration_of(on_wire(scene), channel)
     f = np.asarray(frequency, dtype=float)
     walls = {"stable": stiffest_stable(configuration)}
     with contextlib.suppress(ValueError):

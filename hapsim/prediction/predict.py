@@ -35,7 +35,7 @@ from hapsim.prediction.linear import (
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.quick import is_surely_stable
 from hapsim.prediction.regions import growth, growth_of, regions_of
-from hapsim.prediction.timing import wire_of, wire_time_of, with_wire_delay
+from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Region
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
@@ -110,6 +110,7 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
         margins_method=margins.method,
         wire_time=wire_time_of(scene),
         wire_of=wire_of(scene),
+        wire_delay=wire_delay(scene),
         assumptions=tuple(map(scene.units, (*linear.assumptions, *([instead] if instead else []), *_near_pose(scene)))),
         rendering=None if rendering.kind is None else rendering,
         desired=_desired(rendering, felt, here),
@@ -201,15 +202,15 @@ def _error_with(kind: CorrectionKind, port: Corrected, mass: float) -> float:
 
 
 def predict_on_wire(scene: Scene) -> Prediction | None:
-    """What the hand will feel at the delay that results from the wire, `WireTime.delay_samples` in place of one.
+    """What the hand will feel on a UART, with `WireTime.delay_samples` in place of one, where the scene's own wire is
+    none or its pace is not known; on any other wire `predict` says it.
 
-    None where the wire costs one sample or is saturated, and under a predictor, which does not know of that delay.
+    None where a UART costs one sample or is saturated, and under a predictor, which does not know of that delay.
     """
-    rendering = rendered(scene)
-    if rendering.kind is not None and rendering.kind.predicts:
+    rendering, samples = rendered(scene), wire_time_of(scene).delay_samples
+    if wire_of(scene) in PACED or samples in (None, 1) or (rendering.kind is not None and rendering.kind.predicts):
         return None
-    delayed = with_wire_delay(with_device(rendering.scene, correction="none"))
-    return None if delayed is None else predict(delayed, with_margins=False)
+    return predict(with_wire_delay(with_device(rendering.scene, correction="none"), samples), with_margins=False)
 
 
 def _solved(network: Network) -> tuple[Network, Solution, str]:
@@ -315,7 +316,9 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         )
     budget = prediction.wire_time
     is_explained = any(one.startswith(("rate: ", "device.baud: ")) for one in warnings)
-    if prediction.wire_of == "port" and not budget.fits and not is_explained:
+    if prediction.wire_delay:
+        warnings.append(f"{prediction.wire_delay}. The prediction is for that delay.")
+    elif prediction.wire_of == "unknown" and not budget.fits and not is_explained:
         delay = (
             "the frames queue up" if budget.is_saturated else f"{budget.delay_samples} samples of delay in place of one"
         )

@@ -1,23 +1,37 @@
-"""How long an exchange takes on the wire, and how long the device holds a force when the host is silent."""
+"""How long an exchange takes on the wire, what delay that makes, and how long the device holds a force when the host
+is silent."""
 
 from __future__ import annotations
 
+import contextlib
+import math
+import os
+import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from firmware_protocol import schema
 from firmware_protocol.wire_time import HOST_WORK_S, WireTime, wire_time
-from hapsim.prediction.linear import with_device
+from hapsim.number_format import duration
 from hapsim.scene import Scene
 
-WireOf = Literal["port", "mock", "none"]
+WireOf = Literal["port", "unknown", "mock", "none"]
+PACED = ("port", "mock")
+"""Wires whose times are known before the device runs."""
+
+FIRST_SAMPLES = 64
+"""After arming, in which the device says how late its forces are."""
+
+_UARTS = re.compile(r"tty(S|USB|AMA|THS|mxc|O|PS|SC|UL)\d+|(cu|tty)\.usbserial.*")
+"""Names of ports with a UART. USB of a board's own (ttyACM), a pseudo-terminal or a COM may ignore the baud rate."""
 
 
 def wire_of(scene: Scene) -> WireOf:
-    """The wire that the times are of: the port's, if it is a UART; the mock's simulated one; or none, where the mock
-    has none and the times are those of a UART at `device.baud`."""
-    if scene.device.port is not None:
-        return "port"
+    """The wire that the times are of: the port's UART; `unknown`, where the port may ignore its baud rate; the mock's
+    simulated one; or none, where the mock has none and the times are those of a UART at `device.baud`."""
+    if (port := scene.device.port) is not None:
+        return "port" if _UARTS.fullmatch(os.path.basename(os.path.realpath(port))) else "unknown"
     mock = scene.mock_device
     return "mock" if mock.baud is not None or mock.turnaround > 0.0 else "none"
 
@@ -31,11 +45,80 @@ def wire_time_of(scene: Scene) -> WireTime:
     return wire_time(scene.channels, bool(scene.sensed_links), scene.rate, baud, mock.turnaround, host_work_s)
 
 
-def with_wire_delay(scene: Scene) -> Scene | None:
-    """The scene with the delay that results from the wire; None where that is the one sample of `device.delay`, or no
-    delay results."""
-    samples = wire_time_of(scene).delay_samples
-    return None if samples in (None, 1) else with_device(scene, delay=scene.device.delay + samples - 1)
+def samples_on_wire(scene: Scene) -> int:
+    """From a position to the force that answers it: 1 where that is in time, or is not known before the device runs.
+
+    Frames that queue up make every delay in turn, up to a force's time to live: the next force would never act."""
+    if wire_of(scene) not in PACED:
+        return 1
+    oldest = time_to_live_samples(scene.rate) + 1
+    return min(wire_time_of(scene).delay_samples or oldest, oldest)
+
+
+def samples_if_late(scene: Scene, round_trip_s: float) -> int:
+    """From a position to its force at least, on a wire on which forces are late. `round_trip_s`: the shortest time from
+    a question to its answer before arming, in which a device may have waited for its next tick."""
+    virtual = scene.device.clock == "lockstep"
+    measured = 0 if virtual else math.floor(min(round_trip_s, 1.0) * scene.rate)
+    return max(2, samples_on_wire(scene), min(measured, time_to_live_samples(scene.rate) + 1))
+
+
+def on_wire(scene: Scene) -> Scene:
+    """The scene with the delay with which it runs: `device.delay`, and what its wire adds."""
+    samples = samples_on_wire(scene)
+    return scene if samples == 1 else with_wire_delay(scene, samples)
+
+
+def with_wire_delay(scene: Scene, samples: int) -> Scene:
+    """The scene on a wire that takes this number of samples, which is then part of `device.delay`."""
+    device = scene.device.model_copy(update={"delay": scene.device.delay + samples - 1, "port": None})
+    mock = scene.mock and scene.mock.model_copy(update={"baud": None, "turnaround": 0.0})
+    return scene.model_copy(update={"device": device, "mock": mock})
+
+
+def wire_delay(scene: Scene) -> str:
+    """What the declared delay is on the scene's wire, and what costs the time: a sentence without a full stop; "" where
+    the wire adds nothing."""
+    samples, declared = samples_on_wire(scene), scene.device.delay
+    if samples == 1:
+        return ""
+    budget = wire_time_of(scene)
+    return (
+        f"delay: {declared:g} sample{'' if declared == 1.0 else 's'} declared, {declared + samples - 1:g} on this wire "
+        f"({wire_parts(budget)}; {what_helps(budget)})"
+    )
+
+
+def why_late(scene: Scene, round_trip_s: float) -> str:
+    """What may cost the time on a wire that turns out to be slow: sentences, each after a space."""
+    port, why = scene.device.port or "", ""
+    if round_trip_s > scene.period and scene.device.clock != "lockstep":
+        why += f" Before arming, a question and its answer took {duration(round_trip_s)}."
+    name = os.path.basename(os.path.realpath(port))
+    with contextlib.suppress(OSError, ValueError):
+        if (timer := int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text("ascii"))) > 1:
+            why += f" The latency timer of {name} is {timer} ms, whatever the baud rate: see `hapsim doctor`."
+    return f"{why} A UART's bytes take {wire_parts(wire_time_of(scene))}."
+
+
+def wire_parts(budget: WireTime) -> str:
+    """What an exchange consists of."""
+    parts = {
+        f"{budget.bytes_to_host} + {budget.bytes_to_device} bytes at {budget.baud} baud": budget.seconds,
+        "the device's turnaround": budget.turnaround_s,
+        "the host's work": budget.host_work_s,
+    }
+    return " and ".join(f"{duration(seconds)} for {part}" for part, seconds in parts.items() if seconds > 0.0)
+
+
+def what_helps(budget: WireTime) -> str:
+    """What would shorten an exchange that does not fit into a sample."""
+    if budget.least_baud is None and budget.turnaround_s > 0.0:
+        return (
+            "no baud rate shortens the turnaround, such as an FTDI's latency timer of 16 ms: use a lower rate, or let "
+            "the device answer sooner"
+        )
+    return "use a higher baud rate or a lower rate"
 
 
 _LIVES_S, _LEAST_LIVES = 0.02, 2  # enough to bridge a lost frame or two

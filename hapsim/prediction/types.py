@@ -193,6 +193,9 @@ class Prediction:
     wire_time: WireTime
     wire_of: WireOf
     """Whose wire that is."""
+    wire_delay: str = ""
+    """The delay that was declared and the one that the wire makes of it, for which all this is predicted, in a
+    sentence; "" where it adds nothing."""
     assumptions: tuple[str, ...] = ()
     """Sentences: what was taken for what the theory does not have."""
     rendering: Rendering | None = None

@@ -27,7 +27,15 @@ from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import SIGN_RATE_HZ, force_bounds
-from hapsim.prediction.timing import time_to_live_samples, watchdog_samples
+from hapsim.prediction.timing import (
+    FIRST_SAMPLES,
+    samples_if_late,
+    samples_on_wire,
+    time_to_live_samples,
+    watchdog_samples,
+    why_late,
+    with_wire_delay,
+)
 from hapsim.running.correction import LoopCorrection
 from hapsim.running.guard_setup import energy_guard_of, history_of, set_leap, set_slew, set_travel
 from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
@@ -62,6 +70,10 @@ class LoopMemory:
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
         """Samples without a force after which the device releases."""
+        self.late_samples = 2
+        """From a position to its force at least, if most of the first forces are late,"""
+        self.late_because = ""
+        """and what may cost the time, in sentences."""
         self.rendered_scene: Scene
         """The scene that the loop moves: the newest one, corrected."""
         self.correction: LoopCorrection | None = None
@@ -183,6 +195,10 @@ def _set_guards(
     loop.energy_guard = energy_guard_of(record, scene, description, bounds)
     if options.unstable and loop.energy_guard is not None:
         loop.energy_guard.follow(unstable=surely_shaken_by(scene) is not None)
+    loop.late_samples = samples_if_late(scene, connection.round_trip_s)
+    if options.unstable is False and surely_shaken_by(with_wire_delay(scene, loop.late_samples)) is not None:
+        loop.control.first_ticks = FIRST_SAMPLES
+        loop.late_because = why_late(scene, connection.round_trip_s)
     if (in_hand or options.judges_sign) and scene.rate >= SIGN_RATE_HZ:
         judge_signs(record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
     if loop.energy_guard is not None or record.sign.judge:
@@ -196,6 +212,7 @@ def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
     if duration is not None and not virtual:
         control.lasts_ns = min(round(duration * 1e9) + _GRACE_NS, _FOREVER_NS)
     control.go = 1
+    control.wire_samples = samples_on_wire(scene)
     control.period_ns = round(1e9 / scene.rate)
     control.clock = _CLOCK[scene.device.clock]
     # In virtual time the mock may live in a process that still compiles.

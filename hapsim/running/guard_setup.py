@@ -20,6 +20,7 @@ from hapsim.loop.guards.leap import watch_for_leaps
 from hapsim.loop.guards.slew import NO_LIMIT, shape_force
 from hapsim.loop.guards.travel import NOISE_RMS, fade
 from hapsim.prediction.force_bounds import ONE_PERIOD, ForceBounds, below_a_count
+from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
 from hapsim.scene.modules import Buffer, Click, Detent, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
@@ -72,7 +73,7 @@ def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBou
 
 def history_of(loop: Any, scene: Scene) -> ForceHistory:
     """Returns the history of the forces that acted, in the FORCE_HISTORY of `loop`, a LOOP."""
-    device = scene.device
+    device = on_wire(scene).device
     hold = HOLDS[device.hold]
     # The mean instant of a position that is averaged is half a sample earlier.
     shift = (0.5 if device.sampling == "average" else 0.0) + hold.mean_delay - 0.5

@@ -177,6 +177,14 @@ def _out_of_travel(loop: LoopMemory, report: Report) -> str:
     )
 
 
+def _too_late(loop: LoopMemory, report: Report) -> str:
+    return (
+        f"{report.deadline_misses} of the first {report.ticks} forces were late: on a wire that takes "
+        f"{loop.late_samples} samples or more in place of one the scene is unstable; the last force was not sent."
+        f"{loop.late_because} Use a faster wire, a lower rate or less stiffness; --unstable runs it all the same"
+    )
+
+
 def _position_leapt(loop: LoopMemory, report: Report) -> str:
     leap = loop.record.leap
     return (
@@ -234,6 +242,7 @@ _FAILURES: dict[int, tuple[type[RunError], str | Callable[[LoopMemory, Report], 
         "after {report.ticks} ticks. At another rate than the scene's, stiffness and damping feel different: set the "
         "device's timer right",
     ),
+    endings.TOO_LATE: (GuardError, _too_late),
     endings.POSITION_LEAPT: (GuardError, _position_leapt),
     endings.OUT_OF_TRAVEL: (GuardError, _out_of_travel),
     endings.WRONG_SIGN: (

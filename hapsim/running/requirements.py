@@ -21,6 +21,7 @@ from hapsim.loop.system import require_linux
 from hapsim.number_format import between, duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
 from hapsim.prediction.force_bounds import refused_travel
+from hapsim.prediction.timing import wire_delay
 from hapsim.recording.trace import require_writable_as_trace
 from hapsim.running.options import RunOptions
 from hapsim.scene import DamperScheme, Scene
@@ -65,7 +66,8 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
     if shaken is not None and math.isinf(shaken.growth):
         shaken = None  # numbers out of range: the guard of the force says which, in the first sample
     if shaken is not None:
-        raise UsageError(f"not armed: the scene is predicted unstable: {shaken.sentence}")
+        late = f" at its wire's delay ({wire_delay(scene)})" if wire_delay(scene) else ""
+        raise UsageError(f"not armed: the scene is predicted unstable{late}: {shaken.sentence}")
 
 
 def _require_sound(scene: Scene, options: RunOptions) -> None:
@@ -106,10 +108,11 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
     shaken = surely_shaken_by(scene)
     grows = "" if shaken is None else f": {shaken.sentence}"
     why = " ".join([".", *unlikely(scene)]) if unlikely(scene) else f"{grows}.{_stable_alternatives(prediction)}"
+    late = f"; {prediction.wire_delay}" if prediction.wire_delay else ""
     return (
         f"{path}: not armed: the scene is predicted unstable (spectral radius {prediction.spectral_radius:.6g}, stable "
-        f"below 1){why} `hapsim check` reports more. With --unstable it runs, and the device will oscillate with up to "
-        f"the force limit of {scene.device.force_limit:g} N until the energy guard ends the run (hapsim/STABILITY.md)"
+        f"below 1{late}){why} `hapsim check` reports more. With --unstable it runs, and the device will oscillate with "
+        f"up to the force limit of {scene.device.force_limit:g} N until the energy guard ends the run (hapsim/STABILITY.md)"
     )
 
 

@@ -15,6 +15,7 @@ from hapsim.prediction.correction.kind import CorrectionKind, Observer, Port, po
 from hapsim.prediction.correction.poles import POLES
 from hapsim.prediction.correction.predictor import PREDICTOR, observer_of, predictor_for
 from hapsim.prediction.linear import configuration_of, dampers_of, linear_scene, why_coupled, with_device
+from hapsim.prediction.timing import on_wire
 from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
 from hapsim.theory import Configuration
@@ -71,8 +72,8 @@ class Rendering:
     scene: Scene
     """The scene as it is run."""
     seen: Scene
-    """The scene as the theory sees it: that, before a device without the delay where a predictor acts, and for the
-    declared mass where a correction adapts."""
+    """The scene as the theory sees it: that, as late as its wire makes it, before a device without the delay where a
+    predictor acts, and for the declared mass where a correction adapts."""
     kind: CorrectionKind | None
     ports: tuple[Corrected, ...]
     notes: tuple[str, ...]
@@ -107,7 +108,11 @@ class Rendering:
 def rendered(scene: Scene) -> Rendering:
     """What runs in place of `scene` so that the hand feels it, by its ``device.correction``."""
     kind = CORRECTIONS.get(scene.device.correction)
-    return Rendering(scene, scene, scene, None, (), ()) if kind is None else _Correction(kind, scene).rendering()
+    return (
+        Rendering(scene, scene, on_wire(scene), None, (), ())
+        if kind is None
+        else _Correction(kind, on_wire(scene)).rendering()
+    )
 
 
 class _Correction:
