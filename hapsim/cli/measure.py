@@ -111,6 +111,7 @@ def _measure_pair(
                 transport=kind,
                 on_progress=tell,
                 stop_on_signals=True,
+                unstable=None if unstable else False,
             )
     except RunError as error:
         if error.trace is None:

@@ -63,6 +63,7 @@ def measure_impedance(
         "travel": TRAVEL_M if excitation.travel is None else excitation.travel,
         "transport": device.kind(),
         "stop_on_signals": True,
+        "unstable": None if unstable else False,
     }
     with live_line(stderr()) as tell:
         options["on_progress"] = tell

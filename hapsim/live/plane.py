@@ -34,6 +34,7 @@ def predicted(
         "spectral_radius": prediction.spectral_radius,
         "hands": [_of_hand(one) for one in felt],
         "why": dict(prediction.coupled),
+        "wire_delay": prediction.wire_delay,
     }
     if with_plane and felt:
         if not 0 <= hand < len(felt):

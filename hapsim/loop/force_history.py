@@ -38,6 +38,7 @@ FORCE_HISTORY = np.dtype(
         ("lag", np.int64),  # rows from the force between samples n-1 and n to that of n,
         ("share", np.float64),  # and the share of the one before it
         ("begun", np.int64),  # 1: there was a sample
+        ("late", np.int64),  # samples in a row, up to now, whose force was late
         ("decided", np.float64, (_COLUMNS,)),  # N, with the last sample,
         ("sent", np.float64, (_COLUMNS,)),  # and the last that left before
     ],
@@ -65,6 +66,7 @@ def keep(history, io, gap, unsent, late, expired, withheld):
         _keep_in_time(history, forces, c, alone if withheld else of_scene, gap)
         _keep_column(history, forces, OF_SCENE + c, 0.0 if withheld else of_scene, gap, unsent, late, expired)
         _keep_column(history, forces, IN_ALL + c, in_all, gap, unsent, late, expired)
+    history.late = history.late + gap if late else 0
     history.newest = (history.newest + gap) & history.mask if history.begun else history.newest
     history.begun = 1
 

@@ -94,6 +94,7 @@ def measure_impedance(
     transport: TransportKind = "auto",
     on_progress: Callable[[Progress], None] | None = None,
     stop_on_signals: bool = False,
+    unstable: bool | None = None,
 ) -> MeasuredImpedance:
     """The driving-point impedances of `scene` at its device points, from 2 Hz to close below the Nyquist frequency.
 
@@ -102,9 +103,12 @@ def measure_impedance(
     quarter of the force limit). `duration`: seconds of each channel's second excitation. Where something in the scene
     is not linear, the impedance is that about the motion to which it was excited.
 
+    `unstable`: as of `hapsim.running.start`.
+
     Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too little was recorded.
     """
-    run = partial(run_to_end, transport=transport, on_progress=on_progress, stop_on_signals=stop_on_signals)
+    run = partial(run_to_end, transport=transport, stop_on_signals=stop_on_signals)
+    run = partial(run, on_progress=on_progress, unstable=unstable)
     return measure_impedance_by(run, as_scene(scene), duration=duration, travel=travel, push=push)
 
 

@@ -200,6 +200,7 @@ def _diverging(loop: LoopMemory, report: Report) -> str:
     energy = loop.record.energy_guard
     why, account = int(energy.why), int(energy.account)
     is_unstable = loop.energy_guard is not None and loop.energy_guard.is_unstable
+    alike = "each time as far, by late forces" if account == LATE else "faster than any hand moves"
     on_what = "on a scene that is predicted unstable" if is_unstable else ""
     if why == SWINGING:
         found = (
@@ -210,7 +211,7 @@ def _diverging(loop: LoopMemory, report: Report) -> str:
     elif why == SHAKING:
         found = (
             f"the force shook at its limit: from one side to the other {energy.shakes} times in a row, the last at "
-            f"tick {report.ticks}, {on_what or 'faster than any hand moves'}"
+            f"tick {report.ticks}, {on_what or alike}"
         )
     else:
         found = (

@@ -112,7 +112,8 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
     return (
         f"{path}: not armed: the scene is predicted unstable (spectral radius {prediction.spectral_radius:.6g}, stable "
         f"below 1{late}){why} `hapsim check` reports more. With --unstable it runs, and the device will oscillate with "
-        f"up to the force limit of {scene.device.force_limit:g} N until the energy guard ends the run (hapsim/STABILITY.md)"
+        f"up to the force limit of {scene.device.force_limit:g} N until the energy guard ends the run "
+        "(hapsim/STABILITY.md)"
     )
 
 

@@ -32,6 +32,7 @@ export class Plane {
     const why = Object.entries(now.why ?? {}).map(([name, reason]) => `${name}: ${reason}`);
     if (hand) this.note.textContent = now.plane ? "" : "With a correction, K and B are not what is simulated: no boundary of theirs is drawn.";
     else this.note.textContent = why.join("; ") || "No single k and b describe what this hand feels.";
+    if (now.wire_delay) this.note.textContent += ` ${now.wire_delay}.`;
     this.draw();
   }
 

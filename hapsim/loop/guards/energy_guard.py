@@ -47,6 +47,10 @@ limit to the other, if the scene asks for no less from turn to turn, and each tu
   swings so on a passive object comes to rest;
 * or within GAP_S, the scene asking for FAR_OVER times the limit: no hand stretches anything so far.
 
+Late forces swing more slowly, and the device does not say how late they are, so that no account is right. The guard
+trips after ALIKE_TURNS in a row within GAP_S if every force was late and the scene asked for as much as two turns
+before, within ALIKE of it: a loop repeats itself so, a hand does not.
+
 **A scene that is predicted unstable**, and runs at its user's request, is judged more strictly. Episodes count from LOW
 of the limit on, to find a contact that bounces below it; friction may take more than the work by NEARLY of it; and
 every turn from limit to limit within GAP_S is shaking.
@@ -78,6 +82,7 @@ SWING_M, LATE_M = 0.02, 0.1  # what swings at the limit, and late forces, may gi
 LATE_SWINGS = 64
 SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
 SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
+ALIKE_TURNS, ALIKE = 32, 0.02
 LOW, NEARLY = 0.02, 0.01
 _FOREVER = 1 << 62
 _SAME_PEAK = 0.999  # of what was asked for: a sample need not fall on the peak
@@ -113,6 +118,8 @@ ENERGY_GUARD = np.dtype(
         ("peak", np.float64, _EACH),  # N, the most that was asked for since,
         ("least_peak", np.float64, _EACH),  # N, the least of those
         ("turns", np.int64, _EACH),  # and how often in a row
+        ("peaks", np.float64, (2 * schema.MAX_CHANNELS,)),  # N, of the last two turns
+        ("alike", np.int64, _EACH),  # how often in a row as two turns before, with late forces
         ("shakes", np.int64),  # the most of these
         ("elapsed", np.int64),  # samples since the first
         ("unstable_until", np.int64),  # sample; before it the scene is predicted unstable; another thread writes it
@@ -138,7 +145,7 @@ def judge_energy(energy, history, io, gap):
         energy.elapsed += gap
     else:
         _begin(energy, io)
-    begins = _follow_sides(energy, io, gap) and gap == 1
+    begins = _follow_sides(energy, history, io, gap) and gap == 1
     energy.gap += gap
     follows = energy.gap <= energy.most_gap
     energy.gap = 0 if begins else energy.gap
@@ -161,6 +168,8 @@ def judge_energy(energy, history, io, gap):
             energy.why, energy.account = SWINGING, account
     for c in range(io.channels):
         energy.position[c] = io.position_counts[c] * io.position_scale[c]
+        if energy.why == 0 and energy.alike[c] >= ALIKE_TURNS:
+            energy.why, energy.account, energy.shakes = SHAKING, LATE, energy.alike[c]
     if energy.why == 0 and energy.shakes >= SHAKES:
         energy.why = SHAKING
     return energy.why
@@ -215,7 +224,7 @@ def _count_swing(energy, account, work, lost, begins, follows):
 
 
 @helper
-def _follow_sides(energy, io, gap):
+def _follow_sides(energy, history, io, gap):
     """Notes to which side each channel's force is out, and counts turns. Returns whether an episode begins."""
     begins = False
     from_on = LOW if _is_unstable(energy) else 1.0
@@ -227,7 +236,7 @@ def _follow_sides(energy, io, gap):
         side = _side_of(wanted, limit)
         energy.turn[c] += gap
         if side != 0 and side != energy.last_side[c]:
-            _count_turn(energy, c, limit)
+            _count_turn(energy, c, limit, history.late)
             energy.last_side[c], energy.turn[c], energy.peak[c] = side, 0, 0.0
         energy.peak[c] = max(energy.peak[c], abs(wanted))
     return begins
@@ -245,7 +254,7 @@ def _side_of(force, limit):
 
 
 @helper
-def _count_turn(energy, c, limit):
+def _count_turn(energy, c, limit, late):
     peak = energy.peak[c]
     turn = energy.turn[c]
     over = 1.0 if turn <= SHAKE_SAMPLES else SHAKE_OVER if turn <= energy.most_turn else FAR_OVER
@@ -258,6 +267,10 @@ def _count_turn(energy, c, limit):
     else:
         energy.turns[c] += 1
         energy.least_peak[c] = min(energy.least_peak[c], peak)
+    before = energy.peaks[2 * c]
+    is_alike = energy.most_turn < turn <= min(late, energy.most_gap) and abs(peak - before) <= ALIKE * before
+    energy.alike[c] = energy.alike[c] + 1 if is_alike else 0
+    energy.peaks[2 * c], energy.peaks[2 * c + 1] = energy.peaks[2 * c + 1], peak
     energy.shakes = max(energy.shakes, energy.turns[c])
 
 
