@@ -331,11 +331,11 @@ def test_what_bounds_the_force_is_told_for_where_the_device_is(
     assert "slew_limit" not in told
     told = unwrapped(explained(scene_file("spring", clock="device")))
     assert "With a device (`--port`) the force changes by at most 10000 N/s, and" in told
-    assert "of the very first sample comes along a ramp of 50 ms;" in told
+    assert "of the very first sample comes along a ramp of 64 ms;" in told
     told = unwrapped(explained(scene_file("spring", clock="device", port="/dev/ttyACM0")))
     assert "it changes by at most 10000 N/s" in told
     assert "With a device" not in told
-    assert "in the very first sample comes along a ramp of 50 ms; later ones" in told
+    assert "in the very first sample comes along a ramp of 64 ms; later ones" in told
     told = unwrapped(explained(scene_file("spring", clock="device", port="/dev/ttyACM0", slew_limit=5.0)))
     assert "found 5 N/s, with which the force takes 2 s from zero to the force limit of 10 N" in told
 

@@ -199,14 +199,14 @@ def test_the_mock_can_be_put_where_one_wants_it(hapsim: Hapsim, scene_file: Scen
 
 
 def test_the_mock_serves_even_where_the_scene_names_a_port(hapsim: Hapsim, scene_file: SceneFile) -> None:
-    path = scene_file("spring", port="/dev/ttyNOPE7")
+    path = scene_file("spring", port="/dev/ttyUSB77")
     assert hapsim("run", path, "--mock", "--duration", 0.1, "--json").document["ticks"] == 100
 
 
 def test_on_the_mock_nothing_is_told_of_the_wire_of_the_port_that_the_scene_names(
     hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
-    path = scene_file("spring", port="/dev/ttyNOPE7", baud=9600)
+    path = scene_file("spring", port="/dev/ttyUSB77", baud=9600)
     assert hapsim("check", path, "--json").document["wire_time"]["of"] == "port"
     for command in (("run", "--duration", 0.1), ("measure",)):
         answer = hapsim(*command, path, "--mock")

@@ -48,8 +48,8 @@ limit to the other, if the scene asks for no less from turn to turn, and each tu
 * or within GAP_S, the scene asking for FAR_OVER times the limit: no hand stretches anything so far.
 
 Late forces swing more slowly, and the device does not say how late they are, so that no account is right. The guard
-trips after ALIKE_TURNS in a row within GAP_S if every force was late and the scene asked for as much as two turns
-before, within ALIKE of it: a loop repeats itself so, a hand does not.
+trips after SWINGS such turns in a row, however slow, in which every force was late and the scene asked for as much as
+two turns before, within ALIKE of it: a loop repeats itself so, a hand does not.
 
 **A scene that is predicted unstable**, and runs at its user's request, is judged more strictly. Episodes count from LOW
 of the limit on, to find a contact that bounces below it; friction may take more than the work by NEARLY of it; and
@@ -82,7 +82,7 @@ SWING_M, LATE_M = 0.02, 0.1  # what swings at the limit, and late forces, may gi
 LATE_SWINGS = 64
 SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
 SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
-ALIKE_TURNS, ALIKE = 32, 0.02
+ALIKE = 0.01
 LOW, NEARLY = 0.02, 0.01
 _FOREVER = 1 << 62
 _SAME_PEAK = 0.999  # of what was asked for: a sample need not fall on the peak
@@ -168,7 +168,7 @@ def judge_energy(energy, history, io, gap):
             energy.why, energy.account = SWINGING, account
     for c in range(io.channels):
         energy.position[c] = io.position_counts[c] * io.position_scale[c]
-        if energy.why == 0 and energy.alike[c] >= ALIKE_TURNS:
+        if energy.why == 0 and energy.alike[c] >= SWINGS:
             energy.why, energy.account, energy.shakes = SHAKING, LATE, energy.alike[c]
     if energy.why == 0 and energy.shakes >= SHAKES:
         energy.why = SHAKING
@@ -268,7 +268,7 @@ def _count_turn(energy, c, limit, late):
         energy.turns[c] += 1
         energy.least_peak[c] = min(energy.least_peak[c], peak)
     before = energy.peaks[2 * c]
-    is_alike = energy.most_turn < turn <= min(late, energy.most_gap) and abs(peak - before) <= ALIKE * before
+    is_alike = energy.most_turn < turn <= late and abs(peak - before) <= ALIKE * before
     energy.alike[c] = energy.alike[c] + 1 if is_alike else 0
     energy.peaks[2 * c], energy.peaks[2 * c + 1] = energy.peaks[2 * c + 1], peak
     energy.shakes = max(energy.shakes, energy.turns[c])
