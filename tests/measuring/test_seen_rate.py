@@ -24,7 +24,7 @@ from hapsim.loop.ring import LATE_FORCE
 from hapsim.measuring.measure_trace import Measurement, measure_trace
 from hapsim.measuring.pole_pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.trace_quality import seen_rate
-from hapsim.prediction import felt_at_rate, predict, predict_on_wire
+from hapsim.prediction import felt_at_rate, predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.running import session as session_module
@@ -250,9 +250,8 @@ def test_the_hand_feels_what_is_predicted_for_the_delay_that_the_wire_costs(
     baud: int, turnaround: float, samples: int, kind: dict[str, Any]
 ) -> None:
     scene = scene_over(baud, turnaround, **kind)
-    declared = predict(scene)
-    assert declared.wire_time.delay_samples == samples
-    predicted = predict_on_wire(scene) or declared
+    predicted, declared = predict(scene), predict(scene_over(100_000_000, 0.0, **kind))
+    assert predicted.wire_time.delay_samples == samples
     measured = hapsim.measure(scene)
     assert measured.k == pytest.approx(predicted.k, abs=CLOSE * measured.k_uncertainty)
     assert measured.b == pytest.approx(predicted.b, abs=CLOSE * measured.b_uncertainty)
