@@ -22,6 +22,7 @@ OUT_OF_TRAVEL = -9  # the device is farther outside its travel than the force re
 SILENT = -10  # the device has sent no position for too long
 DONE = -11
 STOPPED = -12
+STAIRCASE = -14  # a position stands still and jumps: its sensor is refreshed too rarely
 RING_FULL = -13  # the reader has to make room; the device stays armed, and the loop is called again
 
 IN_WORDS = {
@@ -37,6 +38,7 @@ IN_WORDS = {
     FAILED: "port failed",
     OUT_OF_TRAVEL: "out of travel",
     WRONG_SIGN: "sign wrong",
+    STAIRCASE: "position a staircase",
 }
 """The `ending` of a report."""
 
