@@ -121,6 +121,7 @@ def judge_sensor(sensor, history, io, gap):
     sensor.lowers = 0
     for c in range(io.channels):
         counts = io.position_counts[c]
+        frozen |= sensor.frozen[c]
         if sensor.begun == 0:
             sensor.counts[c] = sensor.held_at[c] = counts
         force = io.force_counts[c] * io.force_scale[c]
@@ -135,10 +136,8 @@ def judge_sensor(sensor, history, io, gap):
             if says:
                 _lead_on(sensor, history, c, gap)
         _ask(sensor, c, gap, says, says or abs(io.asked[c]) > sensor.floor[c])
-        if sensor.frozen[c]:
-            frozen = 1
-            if sensor.still[c] > sensor.longest:
-                sensor.longest, sensor.channel = sensor.still[c], c
+        if sensor.frozen[c] and sensor.still[c] > sensor.longest:
+            sensor.longest, sensor.channel = sensor.still[c], c
         sensor.lowers += sensor.share[c] < 1.0
     sensor.frozen_ticks += frozen
     sensor.begun = 1
