@@ -3,7 +3,7 @@
     tools/bench/frozen_sensor [--live 10000] [--dead 60] [--hard 200] [--seed 1] [--save FILE]
 
 A hand is a second mass that grips the handle, on an arm that goes to a place and back, pushes and trembles. The loop is
-that of one channel at 1 kHz with a delay of one sample; guard, lowering and history of forces are those of the exchange.
+that of one channel at 1 kHz with a delay of one sample; guard, lowering and history of forces are the exchange's own.
 The device is declared at 0.2 kg with the hand; the handle alone has 0.3 to 1 of that.
 
 **Live**: hands that press and hold for four seconds. **Dead**: the sensor dies in a flick of a free handle, while a
@@ -25,20 +25,20 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol.compiled import new_record
-from hapsim.compiling import entry
+from hapsim.compiling import entry, helper
 from hapsim.compiling.native import address_of
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, call_keep
-from hapsim.loop.guards.frozen_sensor import FROZEN_SENSOR, call_judge_sensor, lower, watch_sensor
+from hapsim.loop.guards.frozen_sensor import FLOOR, FROZEN_SENSOR, call_judge_sensor, lower, watch_sensor
 
 RATE, STEPS, MASS, SCALE = 1000.0, 5, 0.2, 1e-4  # Hz, steps of a hand in a sample, kg declared, N per count
 NEVER = 1e9  # s
 COUNTS = (1e-6, 10e-6, 20e-6, 1e-4, 5e-4)
 WALL, SPRING, DETENT, PUSH = range(4)
 
-_DEVICE = ("mass", "friction", "dry", "stop", "limit", "count", "law", "stiffness", "damping", "pitch", "from")
+_DEVICE = ("mass", "friction", "dry", "stop", "limit", "count", "law", "stiffness", "damping", "pitch")
 _HAND = ("hand", "grip", "grip_damping", "arm", "arm_damping", "goal", "reach", "hz", "push", "tremor", "tremor_hz")
-_WHEN = ("position", "velocity", "dies", "refresh", "lets_go", "lasts")
+_WHEN = ("position", "velocity", "dies", "lets_go", "lasts")
 RUN = np.dtype([(name, np.float64) for name in (*_DEVICE, *_HAND, *_WHEN)], align=True)
 """What is drawn. SI units and s; hand 0 kg: nobody holds the handle."""
 FOUND = np.dtype(
@@ -48,6 +48,43 @@ FOUND = np.dtype(
 )
 """What a run showed: the most that the force was lowered, N, and of itself; how far the handle moved in a question; how
 far it went with a dead sensor until its force was zero, and its energy then at most."""
+
+
+@helper
+def _asked(run, at, speed, now):
+    """The scene's force, N."""
+    if run.law == WALL:
+        return max(-run.stiffness * at - run.damping * speed, 0.0) if at < 0.0 else 0.0
+    if run.law == SPRING:
+        return -run.stiffness * at - run.damping * speed
+    if run.law == DETENT:
+        turn = 2.0 * math.pi / run.pitch
+        return -run.stiffness / turn * math.sin(turn * at) - run.damping * speed
+    return -run.stiffness if now >= 0.02 else 0.0
+
+
+@helper
+def _moved(run, now, h, force, x, v, hand_x, hand_v):
+    """Handle and hand, a step later."""
+    grip = 0.0
+    if run.hand > 0.0 and now < run.lets_go:
+        grip = run.grip * (hand_x - x) + run.grip_damping * (hand_v - v)
+        goal, turn = run.goal + run.reach * math.sin(2.0 * math.pi * run.hz * now), 2.0 * math.pi * run.tremor_hz
+        push = run.arm * (goal - hand_x) - run.arm_damping * hand_v + run.push * min(4.0 * now, 1.0)
+        hand_v += h * ((push - grip) / run.hand + run.tremor * turn * turn * math.sin(turn * now))
+        hand_x += h * hand_v
+    else:
+        hand_x, hand_v = x, v
+    total, side = force + grip - run.friction * v, np.sign(v)
+    if side == 0.0:
+        side = np.sign(total)
+    total = 0.0 if v == 0.0 and abs(total) <= run.dry else total - run.dry * side
+    faster = v + h * total / run.mass
+    v = 0.0 if run.dry > 0.0 and faster * v < 0.0 else faster
+    x += h * v
+    if run.stop > 0.0 and abs(x) > run.stop:
+        x, v = math.copysign(run.stop, x), 0.0
+    return x, v, hand_x, hand_v
 
 
 @entry
@@ -60,25 +97,13 @@ def simulate(run, io, history, sensor, guarded, found):
     for n in range(int(run.lasts * RATE)):
         now = n * period
         counts = int(np.rint(x / run.count))
-        if now >= run.dies:
-            if not dead:
-                read, dead, found.died_at, found.died_on = counts, True, x, acting
-            elif run.refresh > 0.0 and n % int(run.refresh * RATE) == 0:
-                read = counts
-        else:
+        if now < run.dies:
             read = counts
+        elif not dead:
+            read, dead, found.died_at, found.died_on = counts, True, x, acting
         speed = (read - before) * run.count / period if n > 0 else 0.0
         before, at = read, read * run.count
-        force = 0.0
-        if run.law == WALL:
-            force = max(-run.stiffness * at - run.damping * speed, 0.0) if at < 0.0 else 0.0
-        elif run.law == SPRING:
-            force = -run.stiffness * at - run.damping * speed
-        elif run.law == DETENT:
-            turn = 2.0 * math.pi / run.pitch
-            force = -run.stiffness / turn * math.sin(turn * at) - run.damping * speed
-        else:
-            force = -run.stiffness if now >= 0.02 else 0.0
+        force = _asked(run, at, speed, now)
         force = min(max(force, -run.limit), run.limit)
         io.position_counts[0], io.asked[0], io.force_counts[0] = read, force, int(np.rint(force / SCALE))
         if sensor.lowers != 0:
@@ -99,36 +124,16 @@ def simulate(run, io, history, sensor, guarded, found):
             if not dead:
                 found.faded = 1
         stands, acting = acting, sent  # the answer to this sample acts from the next one on
-        for _ in range(STEPS):
-            held = run.hand > 0.0 and now < run.lets_go
-            grip = run.grip * (hand_x - x) + run.grip_damping * (hand_v - v) if held else 0.0
-            goal = run.goal + run.reach * math.sin(2.0 * math.pi * run.hz * now)
-            tremble = run.tremor * (2.0 * math.pi * run.tremor_hz) ** 2 * math.sin(2.0 * math.pi * run.tremor_hz * now)
-            if held:
-                push = run.arm * (goal - hand_x) - run.arm_damping * hand_v + run.push * min(4.0 * now, 1.0)
-                hand_v += h * ((push - grip) / run.hand + tremble)
-                hand_x += h * hand_v
-            else:
-                hand_x, hand_v = x, v
-            total, side = stands + grip - run.friction * v, (v > 0.0) - (v < 0.0)
-            if side == 0 and abs(total) <= run.dry:
-                total = 0.0
-            else:
-                way = side if side != 0 else ((total > 0.0) - (total < 0.0))
-                total -= run.dry * way
-            faster = v + h * total / run.mass
-            v = 0.0 if run.dry > 0.0 and faster * v < 0.0 else faster
-            x += h * v
-            if run.stop > 0.0 and abs(x) > run.stop:
-                x, v = math.copysign(run.stop, x), 0.0
-            now += h
+        for i in range(STEPS):
+            x, v, hand_x, hand_v = _moved(run, now + i * h, h, stands, x, v, hand_x, hand_v)
         if dead and (found.zero_at < 0.0 or sent != 0.0):
             found.way = max(found.way, abs(x - found.died_at))
             found.energy = max(found.energy, 0.5 * run.mass * v * v)
 
 
 def simulated(drawn: dict[str, float], *, declared: dict[str, Any] | None = None, guarded: bool = True) -> Any:
-    """One run: (FOUND, questions, samples without force). `declared`: dry friction, travel, mass where the scene declares them."""
+    """One run: (FOUND, questions, samples without force). `declared`: what the scene declares of dry
+    friction, travel and mass."""
     declared = declared or {}
     run, found = new_record(RUN), new_record(FOUND)
     for name in RUN.names:
@@ -234,41 +239,27 @@ KINDS: dict[str, Callable[[random.Random, dict[str, float]], dict[str, Any]]] = 
 
 def live(number: int, seed: int, count: float) -> dict[str, Any]:
     """Hands on sensors that live: how many feel a question, of how much, and how many a fade."""
-    asked, faded, lowered, share, moved, tests, stairs, by_kind = (
-        0,
-        0,
-        [],
-        [],
-        [],
-        0,
-        0,
-        {name: [0, 0] for name in KINDS},
-    )
-    each = max(number // len(KINDS), 1)
+    each, of_kind, runs = max(number // len(KINDS), 1), {}, []
     for kind, draw in KINDS.items():
+        mine = []
         for i in range(each):
             chance = random.Random(f"{seed} {kind} {i}")
             one = drawn_device(chance, count) | drawn_hand(chance) | {"lasts": 4.0}
-            declared = draw(chance, one)
-            found, times, frozen = simulated(one, declared=declared)
-            tests, stairs = tests + times, stairs + (found.ends != 0)
-            by_kind[kind][0] += times > 0
-            by_kind[kind][1] += frozen > 0
-            if times:
-                asked += 1
-                for values, value in ((lowered, found.lowered), (share, found.share), (moved, 1e3 * found.moved)):
-                    values.append(float(value))
-            faded += frozen > 0
+            mine.append(simulated(one, declared=draw(chance, one)))
+        of_kind[kind] = [sum(tests > 0 for _, tests, _ in mine), sum(frozen > 0 for _, _, frozen in mine)]
+        runs += mine
+    asked = [found for found, tests, _ in runs if tests]
     return {
-        "runs": each * len(KINDS),
-        "asked": asked,
-        "questions a run": round(tests / each / len(KINDS), 2),
-        "faded": faded,
-        "staircases": stairs,
-        "lowered by, N": _spread(lowered),
-        "of itself": _spread(share),
-        "moved, mm": _spread(moved),
-        "asked, faded by kind": by_kind,
+        "runs": len(runs),
+        "asked": len(asked),
+        "questions of an asked run": _spread([tests for _, tests, _ in runs if tests]),
+        "faded": sum(frozen > 0 for _, _, frozen in runs),
+        "for, ms": _spread([1e3 * frozen / RATE for _, _, frozen in runs if frozen]),
+        "ended": sum(int(found.ends) for found, _, _ in runs),
+        "lowered by, N": _spread([found.lowered for found in asked]),
+        "of itself": _spread([found.share for found in asked]),
+        "moved, mm": _spread([1e3 * found.moved for found in asked]),
+        "asked, faded by kind": of_kind,
     }
 
 
@@ -312,10 +303,10 @@ def dead(number: int, seed: int, moment: str, limit: float, mass: float, count: 
         one |= {"mass": mass, "stiffness": min(one["stiffness"], 0.5 * RATE**2 * mass / 10)}
         MOMENTS[moment](chance, one)
         found, _, _ = simulated(one, declared={"mass": mass})
-        if abs(found.died_on) > 0.002 * limit:  # in free space a dead sensor moves nothing
+        if abs(found.died_on) > FLOOR * limit:  # in free space a dead sensor moves nothing
             ways.append(1e3 * float(found.way))
             energies.append(float(found.energy))
-            unseen += found.zero_at < 0.0 and found.ends == 0
+            unseen += int(found.zero_at < 0.0 and found.ends == 0)
     return {"runs": len(ways), "mm": _spread(ways), "J": round(max(energies, default=0.0), 2), "not zero": unseen}
 
 

@@ -43,13 +43,14 @@ from hapsim.units import Motion
 # By motion: m or rad, N or N·m. An angle is the length at a radius of 5 cm, that of a large knob or a small wheel.
 WAY: dict[Motion, float] = {"linear": 0.005, "rotary": 0.1}  # of a free handle, before a question: a visible jerk
 FAR: dict[Motion, float] = {"linear": 0.1, "rotary": 2.0}  # and without waiting: as late forces may give a hand
+TRUST = 2.0  # a hand that keeps pressing at one place is asked ever less often
 PLACE: dict[Motion, float] = {"linear": 0.002, "rotary": 0.04}  # beyond it another grip: stillness is learnt anew
 HAND: dict[Motion, float] = {"linear": 20.0, "rotary": 1.0}  # a hand that moves a handle pulls with less
 COUNTS = 4  # a hand that holds still between two counts moves by one or two
 LIVE, MOST_WAIT_S = 3.0, 0.5  # what a hand that trembles seldom exceeds; what it takes a weak force to go FAR
 RAMP, LEAST_RAMP_S, MOST_RAMP_S = 0.7, 0.005, 0.15  # with 0.5, counts of 0.1 mm fade three times as often
 LEAST_RETURN_S = 0.01  # a step of the force within less is felt as a click
-FLOOR = 0.002  # of the force limit: nobody feels less
+FLOOR = 0.02  # of the force limit: less moves no handle fast, and the dry friction of any device holds it
 HELD_BY = 2.0  # dry friction, with a hand that keeps pushing as hard as that holds: then no question moves the handle
 STAIR_SAMPLES, STAIRS = 3, 3
 
@@ -76,13 +77,14 @@ FROZEN_SENSOR = np.dtype(
         ("low", np.float64, _EACH),  # m: the travel without its margins
         ("high", np.float64, _EACH),
         ("least_way", np.float64, _EACH),  # m, for a question,
-        ("far", np.float64, _EACH),  # and for one without waiting
+        ("far", np.float64, _EACH),  # and for the first one without waiting
         ("place", np.float64, _EACH),  # counts
         ("stair", np.float64, _EACH),  # counts
         ("counts", np.int64, _EACH),  # the position,
         ("still", np.int64, _EACH),  # samples since it changed,
         ("held_at", np.int64, _EACH),  # counts: the place,
-        ("held", np.float64, _EACH),  # and the longest stillness of a live sensor there, samples
+        ("held", np.float64, _EACH),  # and there the longest stillness of a live sensor, samples,
+        ("trust", np.float64, _EACH),  # and by how much it grew with each answer
         ("step", np.float64, _EACH),  # m in a sample: v T,
         ("way", np.float64, _EACH),  # and w
         ("asked", np.int64, _EACH),  # samples since the question began; -1: there is none
@@ -153,7 +155,7 @@ def _has_moved(sensor, c, counts, gap, scale, says):
     elif says and gap == 1 and far >= sensor.stair[c]:
         sensor.stairs[c] += 1
     if abs(counts - sensor.held_at[c]) > sensor.place[c]:
-        sensor.held_at[c], sensor.held[c] = counts, 0.0
+        sensor.held_at[c], sensor.held[c], sensor.trust[c] = counts, 0.0, 1.0
     elif sensor.frozen[c] == 0:
         sensor.held[c] = max(sensor.held[c], still + gap)
     sensor.step[c], sensor.way[c] = (counts - sensor.counts[c]) * scale / (still + gap), 0.0
@@ -161,6 +163,7 @@ def _has_moved(sensor, c, counts, gap, scale, says):
     if sensor.frozen[c]:
         sensor.back[c] = sensor.soft_start
     elif sensor.asked[c] >= 0:
+        sensor.trust[c] *= TRUST
         sensor.back[c] = max(sensor.asked[c], sensor.least_return)
     sensor.frozen[c], sensor.asked[c] = 0, -1
     return sensor.stairs[c] >= STAIRS
@@ -182,7 +185,7 @@ def _ask(sensor, c, gap, says, wants):
     if sensor.frozen[c]:
         return
     way, waits = abs(sensor.way[c]), still < min(LIVE * sensor.held[c], sensor.most_wait)
-    is_due = way > sensor.far[c] or (way > sensor.least_way[c] and not waits)
+    is_due = way > sensor.trust[c] * sensor.far[c] or (way > sensor.least_way[c] and not waits)
     if sensor.asked[c] < 0 and share < 1.0:
         share = min(share + gap / sensor.back[c], 1.0)
     elif sensor.asked[c] < 0 and says and is_due:
@@ -227,5 +230,5 @@ def watch_sensor(
         ("soft_start", soft_start_s),
     ):
         sensor[name] = seconds * rate_hz
-    sensor.asked[:], sensor.share[:] = -1, 1.0
+    sensor.asked[:], sensor.share[:], sensor.trust[:] = -1, 1.0, 1.0
     sensor.address, sensor.judge = address_of(sensor), judge_sensor.address()
