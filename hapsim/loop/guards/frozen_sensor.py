@@ -8,10 +8,10 @@ would have come by the forces that acted since the last count, on from the veloc
 
 Where w is above WAY and COUNTS counts, and the position has stood still for LIVE times as long as a live sensor did at
 this place, the guard asks. It asks in any case where w is above FAR, or after MOST_WAIT_S: so a free handle goes little
-farther. The channel's force ramps down to zero, within RAMP of the time for which the position stood still, but between
-LEAST_RAMP_S and MOST_RAMP_S: as gently as a hand that holds that still allows. If a count changes, a hand holds the
-handle: the force returns as fast as it went. If none changes, the force stays at zero until one does, and then returns
-over the soft start.
+farther. FAR grows by TRUST with every answer at this place. The channel's force ramps down to zero, within RAMP of the
+time for which the position stood still, but between LEAST_RAMP_S and MOST_RAMP_S: as gently as a hand that holds that
+still allows. If a count changes, a hand holds the handle: the force returns as fast as it went. If none changes, the
+force stays at zero until one does, and then returns over the soft start.
 
 Standing still says nothing where declared dry friction can hold handle and hand, and at an end of the declared travel
 towards which the force presses. There nothing is integrated.
