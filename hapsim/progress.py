@@ -34,6 +34,10 @@ class Progress:
     """R²: the share of the motion that the forces explain."""
     slewed_ticks: int = 0
     faded_ticks: int = 0
+    sensor_tests: int = 0
+    frozen_ticks: int = 0
+    frozen: str = ""
+    """What is said of a position that stands still while force acts, as long as it does; the rest as in a Report."""
     slowed_ticks: int = 0
     """Ticks in which a change of the scene was slowed, for want of energy."""
     sound_frames: int = 0

@@ -184,6 +184,7 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
         (progress.slewed_ticks, "slewed"),
         (progress.slowed_ticks, "with changes slowed"),
         (progress.faded_ticks, "outside the travel"),
+        (progress.frozen_ticks, "without force at a position that stood still"),
         (progress.underruns, "gaps in the sound"),
         (progress.lost_sound_frames, "frames of it lost"),
         (progress.clipped_sound_values, "values of it clipped"),

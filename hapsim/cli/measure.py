@@ -323,7 +323,7 @@ def _limits(measurement: Measurement) -> Iterator[str]:
     for ticks, place, holds in (
         (limited, "at the force limit", "stay below it; beyond, the hand feels less"),
         (slewed, "at the slew limit or in the soft start", "are slower; in these the hand feels less"),
-        (faded, "outside device.travel, where the force fades", "stay within it"),
+        (faded, "outside device.travel or at a position that stood still, where the force fades", "stay within it"),
     ):
         if ticks:
             many = f"{ticks} of {in_all} ticks were {place}"

@@ -235,6 +235,7 @@ class _Reporter:
         self._tell, self._port, self._kind, self._file = tell, port, kind, file
         self.grants: list[PrivilegeResult] = []
         self._is_placed = False  # whether the position at arming has been looked at
+        self._is_frozen = False  # whether a position stood still at the last look
 
     @property
     def observer(self) -> RunObserver:
@@ -271,7 +272,8 @@ class _Reporter:
             Beside(lambda: self._follow(file, session), session.gives_way)
 
     def _running(self, progress: Progress) -> None:
-        """Shows progress; and reports, once for each arming, that the device was armed outside its travel."""
+        """Shows progress; and reports, once for each arming, that the device was armed outside its travel, and each
+        time that a position stands still while force acts."""
         if progress.phase in ("running", "ended") and progress.ticks > 0 and not self._is_placed:
             self._is_placed = True
             if progress.faded_ticks == progress.ticks:
@@ -282,6 +284,9 @@ class _Reporter:
                     "outside",
                     "warning",
                 )
+        if progress.frozen and not self._is_frozen:
+            complain(progress.frozen, "frozen", "warning")
+        self._is_frozen = bool(progress.frozen)
         self._tell(progress)
 
     def _follow(self, file: WatchedFile, session: Session) -> None:

@@ -69,6 +69,8 @@ def _rows(report: Report, reconnections: int) -> Iterator[tuple[str, str]]:
         ("ticks at the force limit", report.limited_ticks, ""),
         ("ticks at the slew limit or in the soft start", report.slewed_ticks, ""),
         ("ticks outside the travel, force faded", report.faded_ticks, ""),
+        ("force lowered to test a sensor", report.sensor_tests, ""),
+        ("ticks without force: position stood still", report.frozen_ticks, ""),
         ("ticks in which changes were slowed", report.slowed_ticks, ""),
         ("forces withheld: position too old", report.withheld_forces, ""),
         ("releases to test a motor's sign", report.sign_tests, ""),
@@ -98,7 +100,9 @@ def _time(report: Report) -> str:
 
 
 def _warn_of_the_wire(out: Console, report: Report) -> None:
-    """Prints what to look at where the wire lost or spoilt more than a few frames."""
+    """Prints what to look at where a position stood still, or the wire lost or spoilt more than a few frames."""
+    if report.frozen:
+        out.print(f"Warning: {report.frozen}.", style="yellow", markup=False)
     positions = report.ticks + report.lost_frames
     refused_there = report.rejected_by_device or 0
     refused = report.crc_errors + (refused_there if refused_there > _NORMAL_REFUSALS else 0)

@@ -79,6 +79,7 @@ _LABELS = {
     "age_samples": "age of the force  samples",
     "deadline_misses": "deadline misses",
     "limited_ticks": "ticks at the force limit",
+    "frozen": "sensor",
     "estimated_mass_kg": "estimated mass  kg",
     "estimated_mass_uncertainty_kg": "its uncertainty  kg",
     "mass_explained": "motion explained",

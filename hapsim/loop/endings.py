@@ -23,6 +23,7 @@ SILENT = -10  # the device has sent no position for too long
 DONE = -11
 STOPPED = -12
 TOO_LATE = -14  # most of the first forces were late, and at that delay the scene is unstable
+STAIRCASE = -15  # a position stands still and jumps: its sensor is refreshed too rarely
 RING_FULL = -13  # the reader has to make room; the device stays armed, and the loop is called again
 
 IN_WORDS = {
@@ -39,6 +40,7 @@ IN_WORDS = {
     OUT_OF_TRAVEL: "out of travel",
     TOO_LATE: "forces late",
     WRONG_SIGN: "sign wrong",
+    STAIRCASE: "position a staircase",
 }
 """The `ending` of a report."""
 

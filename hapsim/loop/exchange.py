@@ -20,6 +20,7 @@ from hapsim.loop.crossfade import SCENE_SLOT, move_scene
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
 from hapsim.loop.guards.energy_guard import ENERGY_GUARD, call_judge_energy
 from hapsim.loop.guards.force_limit import clip, is_finite
+from hapsim.loop.guards.frozen_sensor import FROZEN_SENSOR, call_judge_sensor, lower
 from hapsim.loop.guards.leap import LEAP, is_leap
 from hapsim.loop.guards.rate import WATCH, is_off_rate
 from hapsim.loop.guards.sign import SIGN, call_judge, release
@@ -136,6 +137,7 @@ LOOP = np.dtype(
         ("history", FORCE_HISTORY),
         ("energy_guard", ENERGY_GUARD),
         ("sign", SIGN),
+        ("frozen_sensor", FROZEN_SENSOR),
         ("tank", TANK),
         ("posted", POSTED),
         ("histograms", HISTOGRAMS),
@@ -246,6 +248,9 @@ def _answer(loop, gap, late, flags, now):
             flags |= ring.FADED
         if found == BEYOND:
             stops = endings.OUT_OF_TRAVEL
+    if loop.frozen_sensor.lowers != 0:
+        lower(loop.frozen_sensor, io)
+        flags |= ring.FADED
     if loop.sign.releases != 0:
         released = release(loop.sign, io)
     if sound and (loop.slew.shape | loop.history.keep) != 0:
@@ -271,7 +276,7 @@ def _apply_sent_force_guards(loop, gap, late, withheld, now):
     since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
     expired = state.ticks > 0 and has_expired(state, loop.control, gap, now, since)
     happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired), np.int64(withheld))
-    slewed, exceeded, wrong = np.int64(0), np.int64(0), np.int64(0)
+    slewed, exceeded, wrong, jumps = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
     if loop.slew.shape != 0:
         slewed = call_shape(loop.slew.shape, (loop.slew.address, io.address, *happened))
     if history.keep != 0:
@@ -279,11 +284,15 @@ def _apply_sent_force_guards(loop, gap, late, withheld, now):
     moved = (history.address, io.address, np.int64(gap))
     if loop.energy_guard.judge != 0:
         exceeded = call_judge_energy(loop.energy_guard.judge, (loop.energy_guard.address, *moved))
+    if loop.frozen_sensor.judge != 0:
+        jumps = call_judge_sensor(loop.frozen_sensor.judge, (loop.frozen_sensor.address, *moved))
     if loop.sign.judge != 0:
         wrong = call_judge(loop.sign.judge, (loop.sign.address, *moved))
-        if (loop.sign.judge | loop.energy_guard.judge) == 0:  # no guard needs the history any more
+        if (loop.sign.judge | loop.energy_guard.judge | loop.frozen_sensor.judge) == 0:  # nobody needs the history
             history.keep = 0
-    return slewed, endings.WRONG_SIGN if wrong != 0 else endings.ENERGY_EXCEEDED if exceeded != 0 else 0
+    if wrong != 0:
+        return slewed, endings.WRONG_SIGN
+    return slewed, endings.ENERGY_EXCEEDED if exceeded != 0 else endings.STAIRCASE if jumps != 0 else 0
 
 
 @inlined

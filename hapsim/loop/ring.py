@@ -24,7 +24,7 @@ BRIDGED = 8  # positions before this one never arrived; the scene was moved alon
 OFF_GRID = 16  # the host paces, and the last two positions are clearly more or less than a period apart
 SLEWED = 32  # the slew limit, the soft start or a test of the motor's sign changed the force
 WITHHELD = 64  # the position was older than a force may live, so zero was sent, and the force is not LIMITED
-FADED = 128  # the position is outside the device's travel: the force is less than the scene's, or zero
+FADED = 128  # outside the device's travel, or for a position that stands still, the force is less than the scene's
 
 RING = np.dtype(
     [

@@ -71,6 +71,12 @@ class Report:
     """Ticks whose force the slew limit or the soft start brought closer to the one before."""
     faded_ticks: int = 0
     """Ticks outside the device's travel, whose force faded."""
+    sensor_tests: int = 0
+    """Times that a channel's force was lowered, to see whether a position that stood still still answers."""
+    frozen_ticks: int = 0
+    """Ticks in which a channel had no force, because its position did not answer."""
+    frozen: str = ""
+    """What was said of the position that did not answer for longest; "" where all did."""
     slowed_ticks: int = 0
     """Ticks that slowed a change of the running scene, which would have given the hand too much energy."""
     withheld_forces: int = 0

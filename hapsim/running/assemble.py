@@ -37,7 +37,7 @@ from hapsim.prediction.timing import (
     with_wire_delay,
 )
 from hapsim.running.correction import LoopCorrection
-from hapsim.running.guard_setup import energy_guard_of, history_of, set_leap, set_slew, set_travel
+from hapsim.running.guard_setup import energy_guard_of, history_of, set_frozen_sensor, set_leap, set_slew, set_travel
 from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 from hapsim.sound.output import SoundOutput
@@ -201,7 +201,9 @@ def _set_guards(
         loop.late_because = why_late(scene, connection.round_trip_s)
     if (in_hand or options.judges_sign) and scene.rate >= SIGN_RATE_HZ:
         judge_signs(record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
-    if loop.energy_guard is not None or record.sign.judge:
+    if in_hand or options.judges_energy:
+        set_frozen_sensor(record, scene, description, bounds)
+    if loop.energy_guard is not None or record.sign.judge or record.frozen_sensor.judge:
         loop.history = history_of(record, scene)
 
 

@@ -126,6 +126,7 @@ _GUARDS = (
     "loop.guards.travel:fade",
     "loop.guards.energy_guard:judge_energy",
     "loop.guards.sign:judge",
+    "loop.guards.frozen_sensor:judge_sensor",
     "loop.force_history:keep",
     "loop.guide:lead",
     "cordis.stored_energy:evaluate",

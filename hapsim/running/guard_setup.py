@@ -16,10 +16,11 @@ from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop.force_history import ForceHistory
 from hapsim.loop.guards.energy_guard import FIRST_FORCE_M, EnergyGuard
+from hapsim.loop.guards.frozen_sensor import watch_sensor
 from hapsim.loop.guards.leap import watch_for_leaps
 from hapsim.loop.guards.slew import NO_LIMIT, shape_force
 from hapsim.loop.guards.travel import NOISE_RMS, fade
-from hapsim.prediction.force_bounds import ONE_PERIOD, ForceBounds, below_a_count
+from hapsim.prediction.force_bounds import ONE_PERIOD, SOFT_START_S, ForceBounds, below_a_count
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
 from hapsim.scene.modules import Buffer, Click, Detent, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
@@ -69,6 +70,25 @@ def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBou
     slew.step[: description.channels] = np.clip(counts, least, NO_LIMIT)
     slew.soft_samples, slew.lives = bounds.soft_start_s * scene.rate, loop.control.time_to_live
     slew.address, slew.shape = address_of(slew), shape_force.address()
+
+
+def set_frozen_sensor(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> None:
+    """Fills the FROZEN_SENSOR of a LOOP."""
+    device, channels = scene.device, scene.channels
+    used = slice(channels)
+    low, high = np.transpose(device.travels(channels))
+    margin = np.array(device.travel_margins(channels)) if device.travel is not None else 0.0
+    watch_sensor(
+        loop.frozen_sensor,
+        rate_hz=scene.rate,
+        motions=device.motions(channels),
+        mass=np.array([least for least, _ in device.mass_spans(channels)]),
+        dry_friction=scene.mock_device.coulomb,
+        force_limit=loop.io.force_limit[used],
+        count=np.array(description.position_scale[used]),
+        travel=np.array([low + margin, high - margin]),
+        soft_start_s=bounds.soft_start_s or SOFT_START_S,
+    )
 
 
 def history_of(loop: Any, scene: Scene) -> ForceHistory:

@@ -161,6 +161,7 @@ class RunState:
             "age_samples": progress.age_samples if runs else None,
             "deadline_misses": progress.deadline_misses,
             "limited_ticks": progress.limited_ticks,
+            "frozen": progress.frozen,
             "estimated_mass_kg": progress.estimated_mass_kg,
             "estimated_mass_uncertainty_kg": progress.estimated_mass_uncertainty_kg,
             "mass_explained": progress.mass_explained,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from firmware_protocol import schema
 from hapsim.device.conversation import fault_text
 from hapsim.errors import DeviceError, GuardError, RecordError, RunError
@@ -53,6 +55,8 @@ def progress_of(loop: LoopMemory) -> Progress:
     """Returns the state of a loop now."""
     state, io, used = loop.state, loop.record.io, slice(loop.wire.channels)
     elapsed = (int(state.newest_ns) - int(state.first_ns)) * 1e-9
+    sensor, period_s = loop.record.frozen_sensor, 1e-9 * int(loop.control.period_ns)
+    now_s = sensor.still * sensor.frozen * period_s
     return Progress(
         "running",
         elapsed_s=elapsed,
@@ -60,6 +64,7 @@ def progress_of(loop: LoopMemory) -> Progress:
         force=tuple((io.force_counts * io.force_scale)[used].tolist()),
         position=tuple(io.measured[used].tolist()),
         age_samples=int(state.age),
+        frozen=_frozen_sensor(loop, int(np.argmax(now_s)), float(now_s.max())),
         **_counts_of(loop),
     )
 
@@ -67,15 +72,18 @@ def progress_of(loop: LoopMemory) -> Progress:
 def _counts_of(loop: LoopMemory) -> dict[str, Any]:
     """What Progress and Report have in common."""
     counts = ("ticks", "deadline_misses", "limited_ticks", "slewed_ticks", "faded_ticks")
+    sensor = loop.record.frozen_sensor
+    asked = {"sensor_tests": int(sensor.tests), "frozen_ticks": int(sensor.frozen_ticks)}
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
     slowed = {"slowed_ticks": -(-int(loop.record.tank.slowed_ticks) // int(loop.record.slot.substeps))}
     sound = {} if loop.sound_output is None else loop.sound_output.counts()
-    return {name: int(getattr(loop.state, name)) for name in counts} | slowed | masses | sound
+    return {name: int(getattr(loop.state, name)) for name in counts} | asked | slowed | masses | sound
 
 
 def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
     """Returns the report of a loop, while it runs or afterwards."""
     state, decoder, statistics = loop.state, loop.inbox.decoder, statistics_of(loop)
+    sensor = loop.record.frozen_sensor
     virtual = scene.device.clock == "lockstep"
     samples = max(int(state.ticks) - 1, 0)
     elapsed = (int(state.newest_ns) - int(state.first_ns)) * 1e-9
@@ -91,6 +99,7 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
         stale_positions=int(state.stale_positions),
         withheld_forces=int(state.withheld_forces),
         sign_tests=int(loop.record.sign.tests),
+        frozen=_frozen_sensor(loop, int(sensor.channel), float(sensor.longest / scene.rate)),
         dropped_rows=int(loop.record.ring.dropped),
         parameter_changes=loop.changes,
         lateness_s=statistics.lateness.spread(),
@@ -164,6 +173,29 @@ def _silent(loop: LoopMemory, report: Report) -> str:
 
 def _device_stopped(loop: LoopMemory, report: Report) -> str:
     return f"the device stopped after {report.ticks} ticks: {_stop_reason(loop, report)}"
+
+
+def _hand_on(loop: LoopMemory, channel: int) -> str:
+    return next(name for name, one in loop.rendered_scene.device_points.items() if one.channel == channel)
+
+
+def _frozen_sensor(loop: LoopMemory, channel: int, still_s: float) -> str:
+    """Returns what a position that does not answer may be, without a full stop; "" where it did not stand still."""
+    if still_s == 0.0:
+        return ""
+    return (
+        f"the position of {_hand_on(loop, channel)} has not changed by one count for {duration(still_s)} while force "
+        "acts: sensor or cable? Its force is zero until it changes. For a handle at a stop declare device.travel, and "
+        "for one with dry friction mock.coulomb"
+    )
+
+
+def _staircase(loop: LoopMemory, report: Report) -> str:
+    return (
+        f"the position of {_hand_on(loop, int(loop.record.frozen_sensor.jumps_on))} stands still and jumps, again and "
+        f"again, the last time at tick {report.ticks}: its sensor is refreshed more rarely than device.rate says, or "
+        "its cable is loose; the last force was not sent (hapsim/STABILITY.md)"
+    )
 
 
 def _out_of_travel(loop: LoopMemory, report: Report) -> str:
@@ -246,6 +278,7 @@ _FAILURES: dict[int, tuple[type[RunError], str | Callable[[LoopMemory, Report], 
     endings.TOO_LATE: (GuardError, _too_late),
     endings.POSITION_LEAPT: (GuardError, _position_leapt),
     endings.OUT_OF_TRAVEL: (GuardError, _out_of_travel),
+    endings.STAIRCASE: (GuardError, _staircase),
     endings.WRONG_SIGN: (
         GuardError,
         "motor and position of channel {loop.sign.channel} disagree in sign: the device accelerated against its force, "

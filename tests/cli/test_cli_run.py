@@ -14,7 +14,8 @@ from rich.console import Console
 
 from hapsim.cli.live import live_line
 from hapsim.cli.output import speak_in
-from hapsim.cli.run_report import show_report
+from hapsim.cli.run import _Reporter
+from hapsim.cli.run_report import show_report, show_run
 from hapsim.progress import Progress
 from hapsim.recording.trace import load_trace
 from hapsim.running import run
@@ -74,6 +75,20 @@ def test_every_counter_of_a_run_has_a_row_with_its_own_number(report: Any) -> No
     told = shown(report, **counts)
     rows = counts.pop("dropped_rows") + counts.pop("unrecorded_rows")
     assert [name for name, count in [*counts.items(), ("rows", rows)] if not re.search(rf"\b{count}\b", told)] == []
+
+
+def test_a_position_that_does_not_answer_is_told_once_each_time_and_in_both_reports(report: Any, capsys: Any) -> None:
+    sentence = "the position of hand has not changed by one count for 0.2 s while force acts: sensor or cable? [x]"
+    assert f"Warning: {sentence}." in shown(report, frozen=sentence)
+    line = Console(record=True, width=200)
+    show_run(line, replace(report, frozen=sentence))
+    assert f"Warning: {sentence}." in line.export_text()
+    lines: list[Progress] = []
+    reporter = _Reporter(lines.append, "", "auto", None)
+    for frozen in ("", sentence, sentence, "", sentence):
+        reporter.observer.running(Progress("running", ticks=9, frozen=frozen))
+    assert capsys.readouterr().err.count(sentence) == 2
+    assert len(lines) == 5
 
 
 @pytest.mark.parametrize(("count", "is_normal"), [(0, False), (2, True), (40, False)])

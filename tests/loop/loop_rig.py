@@ -26,6 +26,7 @@ from hapsim.loop.portable import _take_and_compose
 from hapsim.loop.transport import descriptor_transport
 from hapsim.running import assemble
 from hapsim.running.assemble import LoopMemory, assemble_loop
+from hapsim.running.options import RunOptions
 from hapsim.scene import Scene, parse_scene
 
 CLOCKS = ["lockstep", "device", "host"]
@@ -214,12 +215,12 @@ def scripted(
                 os.close(end)
 
 
-def assembled(scene: Scene, descriptor: int = 0, **differences: Any) -> LoopMemory:
+def assembled(scene: Scene, descriptor: int = 0, options: RunOptions | None = None, **differences: Any) -> LoopMemory:
     """A loop over a port's descriptor, armed; a loop without a listener takes any descriptor."""
     c = scene.channels
     description = Description("test", 1000.0, 0b111, 200, (1e-6,) * c, (1e-3,) * c, (10.0,) * c)
     connection = Connection(transport=descriptor_transport(descriptor), name="test", close=lambda: None)
-    loop = assemble_loop(scene, connection, replace(description, **differences))
+    loop = assemble_loop(scene, connection, replace(description, **differences), options)
     loop.connection = connection  # type: ignore[attr-defined]  # it has but the address of what it receives from
     use_format(loop.inbox.decoder, loop.wire)
     return loop

@@ -63,6 +63,7 @@ def test_a_running_scene_reports_its_status_to_its_owner_only(folder: Path) -> N
         assert json.loads(ask(path))["released"] is None
     assert not path.exists()
     assert told.keys() >= {"rate_hz", "deadline_misses", "limited_ticks", "age_samples", "estimated_mass_kg", "news"}
+    assert told["frozen"] == ""
     assert (told["pid"], told["scene"], told["phase"], told["ticks"]) == (os.getpid(), "scene.yaml", "running", 500)
     assert (len(told["force_n"]), told["position_m"]) == (1, list(session.trace.position[-1]))
 

@@ -1,0 +1,234 @@
+"""A position sensor that is dead but answers: where the position stands still while force acts, the force goes.
+
+A hand can hold the handle still, and a dead sensor reads the same. Only a change of the force tells them apart: a live
+sensor then moves by a count. For each channel the guard integrates how far the free handle, of the least declared mass,
+would have come by the forces that acted since the last count, on from the velocity of that count:
+
+    v += F/m T,   w += v T.
+
+Where w is above WAY and COUNTS counts, and the position has stood still for LIVE times as long as a live sensor did at
+this place, the guard asks. It asks in any case where w is above FAR, or after MOST_WAIT_S: so a free handle goes little
+farther. FAR grows by TRUST with every answer at this place. The channel's force ramps down to zero, within RAMP of the
+time for which the position stood still, but between LEAST_RAMP_S and MOST_RAMP_S: as gently as a hand that holds that
+still allows. If a count changes, a hand holds the handle: the force returns as fast as it went. If none changes, the
+force stays at zero until one does, and then returns over the soft start.
+
+Standing still says nothing where declared dry friction can hold handle and hand, and at an end of the declared travel
+towards which the force presses. There nothing is integrated.
+
+**A staircase.** A sensor that is refreshed too rarely stands still and then jumps. A jump after STAIR_SAMPLES and more
+is a stair if it is COUNTS counts and more, and farther than the force limit and a hand (HAND) take the handle from rest
+in a sample. STAIRS of them while force acts, with nothing but standing still between them, end the run: a handle that a
+hand or a blow moves so fast moves on in the next sample.
+
+A scene without this guard never compiles it: its address is 0 then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from firmware_protocol import schema
+from hapsim.compiling import helper, inlined
+from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.loop.buffers import IO_BUFFER
+from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, acting_force
+from hapsim.units import Motion
+
+# By motion: m or rad, N or N·m. An angle is the length at a radius of 5 cm, that of a large knob or a small wheel.
+WAY: dict[Motion, float] = {"linear": 0.005, "rotary": 0.1}  # of a free handle, before a question: a visible jerk
+FAR: dict[Motion, float] = {"linear": 0.1, "rotary": 2.0}  # and without waiting: as late forces may give a hand
+TRUST = 2.0  # a hand that keeps pressing at one place is asked ever less often
+PLACE: dict[Motion, float] = {"linear": 0.002, "rotary": 0.04}  # beyond it another grip: stillness is learnt anew
+HAND: dict[Motion, float] = {"linear": 20.0, "rotary": 1.0}  # a hand that moves a handle pulls with less
+COUNTS = 4  # a hand that holds still between two counts moves by one or two
+LIVE, MOST_WAIT_S = 3.0, 0.5  # what a hand that trembles seldom exceeds; what it takes a weak force to go FAR
+RAMP, LEAST_RAMP_S, MOST_RAMP_S = 0.7, 0.005, 0.15  # with 0.5, counts of 0.1 mm fade three times as often
+LEAST_RETURN_S = 0.01  # a step of the force within less is felt as a click
+FLOOR = 0.02  # of the force limit: less moves no handle fast, and the dry friction of any device holds it
+HELD_BY = 2.0  # dry friction, with a hand that keeps pushing as hard as that holds: then no question moves the handle
+STAIR_SAMPLES, STAIRS = 3, 3
+
+_EACH = (schema.MAX_CHANNELS,)
+
+FROZEN_SENSOR = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("judge", np.uint64),  # and of what judges; 0: nothing does
+        ("lowers", np.int64),  # channels whose force is lowered now
+        ("tests", np.int64),  # questions so far
+        ("frozen_ticks", np.int64),  # samples in which a channel had no force because its position stands still
+        ("longest", np.int64),  # samples for which a position stood still without force, at most,
+        ("channel", np.int64),  # on this channel
+        ("jumps_on", np.int64),  # the channel whose position is a staircase
+        ("begun", np.int64),  # 1: there was a sample
+        ("most_wait", np.float64),  # samples
+        ("least_ramp", np.float64),
+        ("most_ramp", np.float64),
+        ("least_return", np.float64),
+        ("soft_start", np.float64),
+        ("moved", np.float64, _EACH),  # T²/m, m per N in a sample
+        ("floor", np.float64, _EACH),  # N, below which a force says nothing
+        ("low", np.float64, _EACH),  # m: the travel without its margins
+        ("high", np.float64, _EACH),
+        ("least_way", np.float64, _EACH),  # m, for a question,
+        ("far", np.float64, _EACH),  # and for the first one without waiting
+        ("place", np.float64, _EACH),  # counts
+        ("stair", np.float64, _EACH),  # counts
+        ("counts", np.int64, _EACH),  # the position,
+        ("still", np.int64, _EACH),  # samples since it changed,
+        ("held_at", np.int64, _EACH),  # counts: the place,
+        ("held", np.float64, _EACH),  # and there the longest stillness of a live sensor, samples,
+        ("trust", np.float64, _EACH),  # and by how much it grew with each answer
+        ("step", np.float64, _EACH),  # m in a sample: v T,
+        ("way", np.float64, _EACH),  # and w
+        ("asked", np.int64, _EACH),  # samples since the question began; -1: there is none
+        ("ramp", np.float64, _EACH),  # samples, of the question
+        ("back", np.float64, _EACH),  # samples, of the way from zero back to the whole force
+        ("share", np.float64, _EACH),  # of the force that is left
+        ("frozen", np.int64, _EACH),  # 1: nothing answered
+        ("stairs", np.int64, _EACH),  # in a row
+    ],
+    align=True,
+)
+
+JUDGE = types.int64(*[types.uint64] * 3, types.int64)
+call_judge_sensor = function_at(JUDGE)
+"""Calls `judge_sensor`, with its arguments."""
+
+_sensor_at, _history_at, _io_at = record_at(FROZEN_SENSOR), record_at(FORCE_HISTORY), record_at(IO_BUFFER)
+
+
+@inlined
+def lower(sensor, io):
+    """Lowers forces and excitation on the channels that are asked or frozen."""
+    for c in range(np.uint64(io.channels)):
+        share = sensor.share[c]
+        io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * share))
+        io.excitation[c] *= share
+        io.as_hand[c] *= share
+
+
+@native(JUDGE.return_type, *JUDGE.args)
+def judge_sensor(sensor, history, io, gap):
+    """Judges the positions of the last `gap` samples, and the force that leaves. Returns 1 if one is a
+    staircase, that of `sensor.jumps_on`; else 0."""
+    sensor, history, io = _sensor_at(sensor), _history_at(history), _io_at(io)
+    ends, frozen = 0, 0
+    sensor.lowers = 0
+    for c in range(io.channels):
+        counts = io.position_counts[c]
+        frozen |= sensor.frozen[c]
+        if sensor.begun == 0:
+            sensor.counts[c] = sensor.held_at[c] = counts
+        force = io.force_counts[c] * io.force_scale[c]
+        position = counts * io.position_scale[c]
+        at_end = (force > 0.0 and position >= sensor.high[c]) or (force < 0.0 and position <= sensor.low[c])
+        says = abs(force) > sensor.floor[c] and not at_end
+        if counts != sensor.counts[c]:
+            if _has_moved(sensor, c, counts, gap, io.position_scale[c], says):
+                sensor.jumps_on, ends = c, 1
+        else:
+            sensor.still[c] += gap
+            if says:
+                _lead_on(sensor, history, c, gap)
+        _ask(sensor, c, gap, says, says or abs(io.asked[c]) > sensor.floor[c])
+        if sensor.frozen[c] and sensor.still[c] > sensor.longest:
+            sensor.longest, sensor.channel = sensor.still[c], c
+        sensor.lowers += sensor.share[c] < 1.0
+    sensor.frozen_ticks += frozen
+    sensor.begun = 1
+    return ends
+
+
+@helper
+def _has_moved(sensor, c, counts, gap, scale, says):
+    """Takes another position: a hand moves, or holds, the handle. Whether it ends a staircase."""
+    far, still = abs(counts - sensor.counts[c]), sensor.still[c]
+    if still < STAIR_SAMPLES:
+        sensor.stairs[c] = 0
+    elif says and gap == 1 and far >= sensor.stair[c]:
+        sensor.stairs[c] += 1
+    if abs(counts - sensor.held_at[c]) > sensor.place[c]:
+        sensor.held_at[c], sensor.held[c], sensor.trust[c] = counts, 0.0, 1.0
+    elif sensor.frozen[c] == 0:
+        sensor.held[c] = max(sensor.held[c], still + gap)
+    sensor.step[c], sensor.way[c] = (counts - sensor.counts[c]) * scale / (still + gap), 0.0
+    sensor.counts[c], sensor.still[c] = counts, 0
+    if sensor.frozen[c]:
+        sensor.back[c] = sensor.soft_start
+    elif sensor.asked[c] >= 0:
+        sensor.trust[c] *= TRUST
+        sensor.back[c] = max(sensor.asked[c], sensor.least_return)
+    sensor.frozen[c], sensor.asked[c] = 0, -1
+    return sensor.stairs[c] >= STAIRS
+
+
+@helper
+def _lead_on(sensor, history, c, gap):
+    """Leads the free handle on by the forces that acted in the last `gap` samples."""
+    for before in range(gap - 1, -1, -1):
+        sensor.step[c] += acting_force(history, IN_ALL + c, before) * sensor.moved[c]
+        sensor.way[c] += sensor.step[c]
+
+
+@helper
+def _ask(sensor, c, gap, says, wants):
+    """Begins a question, leads it on, or lets the force return: the share that is left of the next force. `wants`: the
+    scene would press without the question."""
+    still, share = sensor.still[c], sensor.share[c]
+    if sensor.frozen[c]:
+        return
+    way, waits = abs(sensor.way[c]), still < min(LIVE * sensor.held[c], sensor.most_wait)
+    is_due = way > sensor.trust[c] * sensor.far[c] or (way > sensor.least_way[c] and not waits)
+    if sensor.asked[c] < 0 and share < 1.0:
+        share = min(share + gap / sensor.back[c], 1.0)
+    elif sensor.asked[c] < 0 and says and is_due:
+        sensor.asked[c] = 0
+        sensor.tests += 1
+        sensor.ramp[c] = min(max(RAMP * still, sensor.least_ramp), sensor.most_ramp)
+    if sensor.asked[c] >= 0 and wants:
+        sensor.asked[c] += gap
+        share = 1.0 - sensor.asked[c] / sensor.ramp[c]
+        if share <= 0.0:
+            share, sensor.frozen[c], sensor.asked[c] = 0.0, 1, -1
+    sensor.share[c] = share
+
+
+def watch_sensor(
+    sensor: Any,
+    *,
+    rate_hz: float,
+    motions: Sequence[Motion],
+    mass: NDArray[np.float64],
+    dry_friction: float,
+    force_limit: NDArray[np.float64],
+    count: NDArray[np.float64],
+    travel: NDArray[np.float64],
+    soft_start_s: float,
+) -> None:
+    """Fills a FROZEN_SENSOR. Arrays have an entry for each channel, in SI units: the least declared mass, the force
+    limit, the position per count, and (2, channels) the ends of the travel without its margins."""
+    used, one_sample = slice(len(motions)), rate_hz**-2 / mass
+    hand = np.array([HAND[one] for one in motions])
+    sensor.moved[used], sensor.floor[used] = one_sample, np.maximum(FLOOR * force_limit, HELD_BY * dry_friction)
+    sensor.low[used], sensor.high[used] = travel
+    sensor.least_way[used] = [WAY[one] for one in motions] + COUNTS * count
+    sensor.far[used] = sensor.least_way[used] + [FAR[one] for one in motions]
+    sensor.place[used] = np.maximum([PLACE[one] for one in motions] / count, COUNTS)
+    sensor.stair[used] = np.maximum((force_limit + hand) * one_sample / count, COUNTS)
+    for name, seconds in (
+        ("most_wait", MOST_WAIT_S),
+        ("least_ramp", LEAST_RAMP_S),
+        ("most_ramp", MOST_RAMP_S),
+        ("least_return", LEAST_RETURN_S),
+        ("soft_start", soft_start_s),
+    ):
+        sensor[name] = seconds * rate_hz
+    sensor.asked[:], sensor.share[:], sensor.trust[:] = -1, 1.0, 1.0
+    sensor.address, sensor.judge = address_of(sensor), judge_sensor.address()
