@@ -14,7 +14,7 @@ from hapsim.scene.issue import did_you_mean
 
 LONGEST, SHORT = 1 << 20, 1 << 16
 """Characters of a message with a scene, and of any other."""
-MOST_MODULES = 64
+MOST_MODULES = MOST_HANDS = 64
 _SHOWN = 60
 
 Name = Annotated[str, Field(max_length=200)]
@@ -94,6 +94,8 @@ class Predict(_Request):
 
     type: Literal["predict"]
     values: Values = {}
+    at: list[Number] = Field([], max_length=MOST_HANDS, description="a list of the position of each channel, m or rad")
+    """None: each hand where it rests, or is held nearest to 0."""
     hand: int = Field(0, ge=0, le=1000, description="the number of a hand")
     plane: bool = Field(False, description="true or false")
 

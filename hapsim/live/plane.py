@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 
 from hapsim.errors import UsageError
-from hapsim.prediction import Felt, predict
+from hapsim.live.messages import Predict
+from hapsim.prediction import Felt, Prediction, Region, predict
+from hapsim.prediction.correction import rendered
+from hapsim.prediction.regions import region_at
 from hapsim.running.changes import changed
 from hapsim.running.parameters import Parameter, changes_from
 from hapsim.scene import Scene
@@ -21,31 +24,51 @@ _LITTLE = 1e-6  # of m/T²: a hand without a spring is at the boundary itself
 _FIELDS = ("name", "channel", "k", "b", "frequency_hz", "damping_ratio", "stable", "dominant", "passive")
 
 
-def predicted(
-    scene: Scene, parameters: Mapping[str, Parameter], values: Mapping[str, Any], hand: int, with_plane: bool
-) -> dict[str, Any]:
-    """Returns the fields of `predicted` for the scene with these values of its parameters. `hand`: whose plane. Raises
-    UsageError where a value is wrong."""
-    wanted = changed(scene, changes_from(values, parameters)) if values else scene
+def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict) -> dict[str, Any]:
+    """Returns the fields of `predicted`. Raises UsageError where a value is wrong."""
+    wanted = changed(scene, changes_from(asked.values, parameters)) if asked.values else scene
     prediction = predict(wanted, with_margins=False)
-    felt = prediction.felt
+    rendering, at = prediction.rendering or rendered(wanted), dict(enumerate(asked.at))
+    here = {
+        name: region_at(rendering, name, at[channel]) if channel in at else region
+        for name, region in prediction.region_here.items()
+        for channel in (wanted.device_points[name].channel,)
+    }
+    felt = [here[one.name].felt if one.name in here else one for one in prediction.felt]
     found: dict[str, Any] = {
         "stable": prediction.stable,
         "spectral_radius": prediction.spectral_radius,
-        "hands": [_of_hand(one) for one in felt],
+        "hands": [_of_hand(one, prediction, here.get(one.name)) for one in felt],
         "why": dict(prediction.coupled),
     }
-    if with_plane and felt:
-        if not 0 <= hand < len(felt):
-            raise UsageError(f"hand: found {hand}, expected 0 to {len(felt) - 1}")
-        found["plane"] = None if felt[hand].predictor is not None else _boundary(felt[hand].configuration)
+    if asked.plane and felt:
+        if asked.hand >= len(felt):
+            raise UsageError(f"hand: found {asked.hand}, expected 0 to {len(felt) - 1}")
+        chosen = felt[asked.hand]
+        found["plane"] = None if chosen.predictor is not None else _boundary(chosen.configuration)
     return found
 
 
-def _of_hand(felt: Felt) -> dict[str, Any]:
-    least, most = felt.stable_damping
-    margins = {"stiffness_factor": felt.stiffness_factor, "stable_damping": (least, most)}
-    return {name: getattr(felt, name) for name in _FIELDS} | {"K": felt.stiffness, "B": felt.damping} | margins
+def _of_hand(felt: Felt, prediction: Prediction, region: Region | None) -> dict[str, Any]:
+    own, asked = felt.configuration, prediction.asked_for(felt)
+    if region is not None:
+        asked = region.piece.stiffness + own.stiffness, region.piece.damping + own.friction
+    return {name: getattr(felt, name) for name in _FIELDS} | {
+        "K": felt.stiffness,
+        "B": felt.damping,
+        "asked": asked,
+        "own": (own.stiffness, own.friction),
+        "stiffness_factor": felt.stiffness_factor,
+        "stable_damping": felt.stable_damping,
+        "region": region
+        and {
+            "low_m": region.piece.low,
+            "high_m": region.piece.high,
+            "curved": region.piece.is_curved,
+            "kind": region.kind,
+            "stable": region.is_stable,
+        },
+    }
 
 
 @lru_cache(maxsize=64)

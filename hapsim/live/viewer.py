@@ -138,7 +138,7 @@ class Viewer:
 
                 scene, parameters = hub.scene, hub.parameters
                 found = await office.beside(
-                    lambda: predicted(scene, parameters, request.values, request.hand, request.plane),
+                    lambda: predicted(scene, parameters, request),
                     is_prediction=True,
                 )
                 return Predicted(id=request.id, **found)
