@@ -11,9 +11,9 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.live.messages import Predict
-from hapsim.prediction import Felt, Prediction, Region, predict
+from hapsim.prediction import Felt, Region, predict
 from hapsim.prediction.correction import rendered
-from hapsim.prediction.regions import region_at
+from hapsim.prediction.regions import regions_of
 from hapsim.running.changes import changed
 from hapsim.running.parameters import Parameter, changes_from
 from hapsim.scene import Scene
@@ -28,17 +28,14 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
     """Returns the fields of `predicted`. Raises UsageError where a value is wrong."""
     wanted = changed(scene, changes_from(asked.values, parameters)) if asked.values else scene
     prediction = predict(wanted, with_margins=False)
-    rendering, at = prediction.rendering or rendered(wanted), dict(enumerate(asked.at))
-    here = {
-        name: region_at(rendering, name, at[channel]) if channel in at else region
-        for name, region in prediction.region_here.items()
-        for channel in (wanted.device_points[name].channel,)
-    }
+    at = {name: asked.at[one.channel] for name, one in wanted.device_points.items() if one.channel < len(asked.at)}
+    here = prediction.region_here
+    here |= {name: _region_at(wanted, name, at[name]) for name in here.keys() & at.keys()}
     felt = [here[one.name].felt if one.name in here else one for one in prediction.felt]
     found: dict[str, Any] = {
         "stable": prediction.stable,
         "spectral_radius": prediction.spectral_radius,
-        "hands": [_of_hand(one, prediction, here.get(one.name)) for one in felt],
+        "hands": [_of_hand(one, prediction.asked_for(one), here.get(one.name)) for one in felt],
         "why": dict(prediction.coupled),
     }
     if asked.plane and felt:
@@ -49,26 +46,22 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
     return found
 
 
-def _of_hand(felt: Felt, prediction: Prediction, region: Region | None) -> dict[str, Any]:
-    own, asked = felt.configuration, prediction.asked_for(felt)
+def _region_at(scene: Scene, name: str, x: float) -> Region:
+    """The region of this hand at x m, friction stuck; on an edge the stiffer one, beyond the travel the last."""
+    regions = [one for one in regions_of(rendered(scene), name, x) if not one.piece.sliding]
+    x = min(max(x, regions[0].piece.low), regions[-1].piece.high)
+    return max((one for one in regions if one.piece.low <= x <= one.piece.high), key=lambda one: one.piece.stiffness)
+
+
+def _of_hand(felt: Felt, asked: tuple[float, float], region: Region | None) -> dict[str, Any]:
+    own, place = (felt.configuration.stiffness, felt.configuration.friction), None
     if region is not None:
-        asked = region.piece.stiffness + own.stiffness, region.piece.damping + own.friction
-    return {name: getattr(felt, name) for name in _FIELDS} | {
-        "K": felt.stiffness,
-        "B": felt.damping,
-        "asked": asked,
-        "own": (own.stiffness, own.friction),
-        "stiffness_factor": felt.stiffness_factor,
-        "stable_damping": felt.stable_damping,
-        "region": region
-        and {
-            "low_m": region.piece.low,
-            "high_m": region.piece.high,
-            "curved": region.piece.is_curved,
-            "kind": region.kind,
-            "stable": region.is_stable,
-        },
-    }
+        piece = region.piece
+        asked = piece.stiffness + own[0], piece.damping + own[1]
+        place = {"low_m": piece.low, "high_m": piece.high, "kind": region.kind, "stable": region.is_stable}
+    margins = {"stiffness_factor": felt.stiffness_factor, "stable_damping": felt.stable_damping}
+    scene = {"K": felt.stiffness, "B": felt.damping, "asked": asked, "own": own, "region": place}
+    return {name: getattr(felt, name) for name in _FIELDS} | scene | margins
 
 
 @lru_cache(maxsize=64)

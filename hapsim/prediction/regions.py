@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, hand_at, piece_at, scene_at
+from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, hand_at, scene_at
 from hapsim.prediction.correction import Rendering
 from hapsim.prediction.felt import felt_by
 from hapsim.prediction.linear import LinearScene, hand_of, links_of, why_coupled
@@ -24,24 +24,15 @@ def regions_of(rendering: Rendering, name: str, around: float = 0.0) -> tuple[Re
     linear = scene_at(seen)
     if hand is None or why_coupled(seen, linear, name):
         return ()
-    return tuple(_region(rendering, linear, name, hand, piece) for piece in hand.pieces())
-
-
-def region_at(rendering: Rendering, name: str, x: float) -> Region:
-    """The region of this hand, which has several, at x m, friction stuck; beyond the travel that at its end. A curve is
-    taken as it is at x."""
-    hand = hand_at(rendering.desired, name, x)
-    piece = piece_at(hand, name, min(max(x, hand.low), hand.high))
-    return _region(rendering, scene_at(rendering.seen), name, hand, piece)
-
-
-def _region(rendering: Rendering, linear: LinearScene, name: str, hand: Characteristic, piece: Piece) -> Region:
-    here = linear_at(rendering.seen, linear, name, piece)
-    felt = felt_by(rendering, here, name)
-    kind = _kind(felt.stiffness + felt.configuration.stiffness)
-    stable = felt.stable if kind == "held" else modulus_without(felt.poles, kind) < _GROWS
-    energy = _snap_energy(piece, hand) if kind == "snap" else 0.0
-    return Region(piece, felt, kind, stable, links_of(here, name), energy)
+    regions = []
+    for piece in hand.pieces():
+        here = linear_at(seen, linear, name, piece)
+        felt = felt_by(rendering, here, name)
+        kind = _kind(felt.stiffness + felt.configuration.stiffness)
+        stable = felt.stable if kind == "held" else modulus_without(felt.poles, kind) < _GROWS
+        energy = _snap_energy(piece, hand) if kind == "snap" else 0.0
+        regions.append(Region(piece, felt, kind, stable, links_of(here, name), energy))
+    return tuple(regions)
 
 
 def growth(regions: tuple[Region, ...]) -> float:

@@ -213,8 +213,7 @@ class Prediction:
         return {name: one for name, one in every if (one.piece.low, one.piece.high) == here[name]}
 
     def asked_for(self, felt: Felt) -> tuple[float, float]:
-        """The stiffness (N/m) and damping (N·s/m) that the scene asks for where `felt` is, the device's own
-        included."""
+        """N/m and N·s/m that the scene asks for where `felt` is, the device's own included."""
         wanted = next((one for one in self.desired if one.name == felt.name), None)
         own = felt.configuration
         return (wanted.k, wanted.b) if wanted else (felt.stiffness + own.stiffness, felt.damping + own.friction)

@@ -38,11 +38,14 @@ def test_the_hand_is_where_it_was_said_to_be(name: str, share: float) -> None:
     low, high = scene.device.travels(scene.channels)[0]
     x = share * (min(-low, high) if math.isfinite(high - low) else 0.004)
     hands = found(scene, at=[x] * scene.channels, plane=True)["hands"]
-    for one, felt in zip(hands, predict(scene, with_margins=False, at=x).felt, strict=True):
+    prediction = predict(scene, with_margins=False, at=x)
+    for one, felt in zip(hands, prediction.felt, strict=True):
+        region = prediction.region_here[felt.name]  # by the table of `check`, of a curve its rest
         assert one["region"]["low_m"] <= x <= one["region"]["high_m"]
-        assert (one["K"], one["B"]) == pytest.approx((felt.stiffness, felt.damping), rel=1e-9)
-        assert (one["k"], one["b"]) == pytest.approx((felt.k, felt.b), rel=1e-9, nan_ok=True)
-        assert one["region"]["kind"] == ("held" if felt.stiffness > 0 else "snap" if felt.stiffness < 0 else "free")
+        assert (one["region"]["low_m"], one["region"]["high_m"]) == (region.piece.low, region.piece.high)
+        assert (one["K"], one["B"]) == pytest.approx((region.felt.stiffness, region.felt.damping), rel=1e-9)
+        assert (one["k"], one["b"]) == pytest.approx((region.felt.k, region.felt.b), rel=1e-9, nan_ok=True)
+        assert one["region"]["kind"] == region.kind
 
 
 def test_each_hand_is_in_a_region_of_its_own_and_beyond_the_travel_in_the_last_one() -> None:

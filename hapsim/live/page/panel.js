@@ -25,7 +25,6 @@ let controls = null;
 /** @type {{values: any, isApplied: boolean} | null} */
 let wanted = null; // the newest prediction to ask for
 let asked = { values: {}, isApplied: true }; // the last one,
-let askedFrom = 0; // where the hand was,
 let askedAt = 0; // and when, ms
 let isAsking = false;
 let isRecording = false;
@@ -139,7 +138,7 @@ async function predict(values, isApplied) {
   try {
     while (wanted) {
       [asked, wanted] = [wanted, null];
-      [askedFrom, askedAt] = [place(plane.channel), performance.now()];
+      askedAt = performance.now();
       const at = samples.count ? model.channels.map((/** @type {any} */ _, /** @type {number} */ channel) => place(channel)) : [];
       const answer = await connection.ask({ type: "predict", values: asked.values, at, hand: plane.hand, plane: true });
       if (answer.type === "predicted") {
@@ -159,14 +158,12 @@ function place(channel) {
   return Math.min(Math.max(x, low ?? -Infinity), high ?? Infinity);
 }
 
-/** Asks anew where the hand has left the region that is shown; of a curve, where it moved by a fiftieth of it. At most
- * five times a second: faster figures are not read. */
+/** Asks anew where the hand has left the region that is shown, at most five times a second: faster figures are not read. */
 function follow() {
   const region = plane.applied?.hands?.[plane.hand]?.region;
   if (!region || isAsking || performance.now() < askedAt + 200) return;
-  const x = place(plane.channel), low = region.low_m ?? -Infinity, high = region.high_m ?? Infinity;
-  const isFar = region.curved && Math.abs(x - askedFrom) > 0.02 * Math.min(high - low, 1);
-  if (x < low || x > high || isFar) predict(asked.values, asked.isApplied);
+  const x = place(plane.channel);
+  if (x < (region.low_m ?? -Infinity) || x > (region.high_m ?? Infinity)) predict(asked.values, asked.isApplied);
 }
 
 /** @param {any} predicted @param {boolean} isApplied */
