@@ -21,6 +21,7 @@ INTERRUPTED = 130
 
 
 class _Command:
+    ended = "before anything was armed"
     armed = False
     interrupted = False
     stops = 0
@@ -31,11 +32,16 @@ def note_arming() -> None:
     _Command.armed = True
 
 
+def note_work(ended: str) -> None:
+    """Notes what a stop would end from now on: words that follow "stopped"."""
+    _Command.ended = ended
+
+
 def end_interrupted() -> int:
     """Prints that the command was stopped while no run was under way, with --json as a document; returns the exit
     status."""
     ignore_stops()
-    sentence = "hapsim: stopped before anything was armed"
+    sentence = f"hapsim: stopped {_Command.ended}"
     if _Command.armed:
         sentence = "hapsim: stopped while no run was under way; nothing was printed of what it had found"
     print(sentence, file=sys.stderr)
@@ -59,6 +65,7 @@ def is_urgent() -> bool:
 def stops_as_interrupts() -> Iterator[None]:
     """While open, each of these signals raises KeyboardInterrupt."""
     _Command.armed, _Command.interrupted, _Command.stops = False, False, 0
+    _Command.ended = "before anything was armed"
 
     def interrupt(*_: object) -> None:
         _Command.interrupted = True

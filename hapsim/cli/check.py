@@ -193,12 +193,9 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
 
 def _felt_summary(prediction: Prediction) -> Table:
     """Returns k, b and static stiffness of each hand, beside what was asked for."""
-    desired = {one.name: one for one in prediction.desired}
     rows = []
     for felt in prediction.felt:
-        k, b = felt.stiffness + felt.configuration.stiffness, felt.damping + felt.configuration.friction
-        if wanted := desired.get(felt.name):
-            k, b = wanted.k, wanted.b
+        k, b = prediction.asked_for(felt)
         static = number(robustness_of(felt).steady_stiffness)
         rows.append((f"{escape(felt.name)}: k", number(k), number(felt.k), static, spoken(felt.channel)("N/m")))
         rows.append((f"{escape(felt.name)}: b", number(b), number(felt.b), "", spoken(felt.channel)("N·s/m")))

@@ -29,7 +29,7 @@ def export(
     """Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."""
     require_exportable(out, column)
     RecordOptions(overwrite=overwrite).require_free(out)
-    with at_work(stderr(), f"reading {record}") as show:
+    with at_work(stderr(), f"exporting {record}") as show:
         columns = Columns(record)
         full_scale, unit = write(columns, out, column, lambda share: show(f"exporting {record}: {100.0 * share:.0f} %"))
     missing = _missing(columns)

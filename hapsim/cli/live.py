@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from hapsim.cli.options import chosen_cache
 from hapsim.cli.output import json_log, spoken, warn
 from hapsim.number_format import plural
+from hapsim.stopping import note_work
 from hapsim.units import InUnits
 
 if TYPE_CHECKING:
@@ -106,7 +107,8 @@ def live_words(error: Console) -> Iterator[Callable[[str], None]]:
 @contextlib.contextmanager
 def at_work(error: Console, text: str, in_pipes: bool = False) -> Iterator[Callable[[str], None]]:
     """Shows what takes its time, and yields a function that shows another text: in place on a terminal, as a line every
-    five seconds where it cannot. `in_pipes`: also every ten seconds elsewhere."""
+    five seconds where it cannot. `in_pipes`: also every ten seconds elsewhere. A stop then says that it ended this."""
+    note_work(f"while {text}")
     if _can_change_a_line(error) or not (error.is_terminal or in_pipes):
         with error.status(text) as status:  # prints nothing in a pipe
             yield status.update

@@ -12,9 +12,10 @@ import typer
 
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Json, PictureOptions, SceneFile, flag, load, option, seconds
-from hapsim.cli.output import document, say, stderr, stdout, table, warn
+from hapsim.cli.output import document, say, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent, plural
+from hapsim.stopping import note_work
 
 if TYPE_CHECKING:
     import xarray
@@ -111,7 +112,7 @@ def sweep(
             dataset = run_sweep(loaded, chosen, out=out, quantities=kinds, on_progress=_Progress(show, out), **options)
     except KeyboardInterrupt:
         if Path(f"{out}.parts").exists():
-            warn(f"{out}.parts has what is finished: the same command goes on with the rest", "stopped")
+            note_work(f"before it was finished; run the same command again to go on with what {out}.parts keeps")
         raise
     if pictures.wanted and drawn:
         from hapsim.chart.sweep import draw_sweep, sweep_chart

@@ -13,7 +13,7 @@ import secrets
 import socket
 from collections.abc import Sequence
 from http.cookies import CookieError, SimpleCookie
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from hapsim.errors import UsageError
@@ -59,6 +59,12 @@ def address_of(option: str, text: str | None, port: int) -> Address:
         return Address(host, str(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][4][0]), port)
     except (OSError, UnicodeError):
         raise UsageError(f"{option}: found '{host}', expected the name or the address of this machine") from None
+
+
+def ip_of(address: str) -> Any:
+    """Returns the IP address of the end of a connection; an IPv4 address in one of IPv6 is that."""
+    ip: Any = ipaddress.ip_address(address.partition("%")[0])
+    return getattr(ip, "ipv4_mapped", None) or ip
 
 
 def new_token() -> str:

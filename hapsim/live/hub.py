@@ -6,6 +6,7 @@ those that wait meanwhile are made together, so that a stream of them costs what
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -27,6 +28,10 @@ NO_SESSION = "nothing runs at the moment: the device is not armed"
 
 _MOST_EVENTS = 500
 _MOST_WAITING = 10_000  # changes
+
+MOST_ADOPTED = 1000
+"""Modules and masses of structures that a client may adopt, if no more run already. As many take up to 10 s of work,
+in which other changes wait; ten times as many take minutes."""
 
 
 class _Change(NamedTuple):
@@ -117,6 +122,9 @@ class Hub:
         be compiled and predicted. Raises SceneError and UsageError."""
         session = self._running()
         wanted = parse_scene(text, "the scene that was sent")
+        if (size := _size(wanted)) > (most := max(_size(session.scene), MOST_ADOPTED)):
+            expected = f"expected at most {most}, or as many as run: start a larger scene with hapsim run"
+            raise UsageError(f"the scene that was sent: found {size} modules and masses of structures, {expected}")
         device = wanted.device.model_copy(update={"port": session.scene.device.port})
         session.adopt(wanted.model_copy(update={"device": device}), over)
 
@@ -208,3 +216,8 @@ class Hub:
         for change in together:
             change.done.set_result(None)
         return True
+
+
+def _size(scene: Scene) -> int:
+    structures = (math.prod(getattr(one, count) for count in one.counts) for one in scene.structures.values())
+    return len(scene.modules) + sum(structures)

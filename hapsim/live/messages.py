@@ -12,9 +12,9 @@ from hapsim.errors import UsageError
 from hapsim.running.state import EventKind
 from hapsim.scene.issue import did_you_mean
 
-LONGEST, SHORT = 1 << 20, 1 << 16
-"""Characters of a message with a scene, and of any other."""
-MOST_MODULES = 64
+LONGEST, SHORT = 1 << 18, 1 << 16
+"""Characters of a message with a scene, of which the worst takes seconds to read, and of any other."""
+MOST_MODULES = MOST_HANDS = 64
 _SHOWN = 60
 
 Name = Annotated[str, Field(max_length=200)]
@@ -94,6 +94,7 @@ class Predict(_Request):
 
     type: Literal["predict"]
     values: Values = {}
+    at: list[Number] = Field([], max_length=MOST_HANDS, description="a list of the position of each channel, m or rad")
     hand: int = Field(0, ge=0, le=1000, description="the number of a hand")
     plane: bool = Field(False, description="true or false")
 
@@ -231,7 +232,6 @@ _REQUESTS: TypeAdapter[Any] = TypeAdapter(Request)
 _TYPES: dict[str, type[_Request]] = {
     str(one.__name__).lower(): one for one in (Get, Set, Subscribe, Marker, Stop, Adopt, Record, Predict)
 }
-ANSWERS = (Done, Rejected, Model, Predicted, EventMessage, Counters)
 
 
 def schema() -> dict[str, Any]:

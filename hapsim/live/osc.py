@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from hapsim.errors import HapsimError, UsageError
-from hapsim.live.access import Address
+from hapsim.live.access import Address, ip_of
 from hapsim.live.hub import Hub
 from hapsim.live.osc_packets import Argument, Received, bundles_of, is_pattern, matches, messages_of, packet_of, shown
 from hapsim.running.parameters import Parameter
@@ -92,8 +92,7 @@ class OscView(asyncio.DatagramProtocol):
 
     def takes_from(self, address: str) -> bool:
         """Whether this sender's packets are taken."""
-        ip: Any = ipaddress.ip_address(address.partition("%")[0])
-        ip = getattr(ip, "ipv4_mapped", None) or ip
+        ip = ip_of(address)
         return ip in self._senders if self._senders else bool(ip.is_loopback)
 
     def _make_at(self, due: float, messages: Sequence[Received], sender: tuple[Any, ...]) -> None:
@@ -147,9 +146,14 @@ class OscView(asyncio.DatagramProtocol):
         known = self._known = self._known or self.parameters()
         found = {one: known[one] for one in known if matches(address, one)} if is_pattern(address) else {}
         if not found and address not in known:
-            expected = f"{ROOT}PART/FIELD of a live parameter, or {', '.join(sorted(_COMMANDS))}"
-            raise UsageError(f"{shown(address)}: found no such address, expected {expected}")
+            raise UsageError(f"{shown(address)}: {self.why_unknown()}")
         return found or {address: known[address]}
+
+    def why_unknown(self) -> str:
+        """Returns why an address is not known, in words that follow it."""
+        if self.hub.session is None:
+            return "the device is not armed yet; once it is, this address may be known"
+        return f"no such address, expected {ROOT}PART/FIELD of a live parameter, or {', '.join(sorted(_COMMANDS))}"
 
     def parameters(self) -> dict[str, Parameter]:
         """Returns the parameters that have an address, by that."""

@@ -81,7 +81,7 @@ class OscQueryView:
             return _as_json(self._host_info())
         node = self._node(unquote(path))
         if node is None:
-            return response(HTTPStatus.NOT_FOUND, f"{path[:80]!r}: there is no such address")
+            return response(HTTPStatus.NOT_FOUND, f"{path[:80]!r}: {self._osc.why_unknown()}")
         if query and query not in node:
             return response(HTTPStatus.NO_CONTENT, "")
         return _as_json({query: node[query]} if query else node)

@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 
 from hapsim.errors import UsageError
-from hapsim.prediction import Felt, predict
+from hapsim.live.messages import Predict
+from hapsim.prediction import Felt, Region, predict
+from hapsim.prediction.correction import rendered
+from hapsim.prediction.regions import regions_of
 from hapsim.running.changes import changed
 from hapsim.running.parameters import Parameter, changes_from
 from hapsim.scene import Scene
@@ -21,32 +24,45 @@ _LITTLE = 1e-6  # of m/T²: a hand without a spring is at the boundary itself
 _FIELDS = ("name", "channel", "k", "b", "frequency_hz", "damping_ratio", "stable", "dominant", "passive")
 
 
-def predicted(
-    scene: Scene, parameters: Mapping[str, Parameter], values: Mapping[str, Any], hand: int, with_plane: bool
-) -> dict[str, Any]:
-    """Returns the fields of `predicted` for the scene with these values of its parameters. `hand`: whose plane. Raises
-    UsageError where a value is wrong."""
-    wanted = changed(scene, changes_from(values, parameters)) if values else scene
+def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict) -> dict[str, Any]:
+    """Returns the fields of `predicted`. Raises UsageError where a value is wrong."""
+    wanted = changed(scene, changes_from(asked.values, parameters)) if asked.values else scene
     prediction = predict(wanted, with_margins=False)
-    felt = prediction.felt
+    at = {name: asked.at[one.channel] for name, one in wanted.device_points.items() if one.channel < len(asked.at)}
+    here = prediction.region_here
+    here |= {name: _region_at(wanted, name, at[name]) for name in here.keys() & at.keys()}
+    felt = [here[one.name].felt if one.name in here else one for one in prediction.felt]
     found: dict[str, Any] = {
         "stable": prediction.stable,
         "spectral_radius": prediction.spectral_radius,
-        "hands": [_of_hand(one) for one in felt],
+        "hands": [_of_hand(one, prediction.asked_for(one), here.get(one.name)) for one in felt],
         "why": dict(prediction.coupled),
         "wire_delay": prediction.wire_delay,
     }
-    if with_plane and felt:
-        if not 0 <= hand < len(felt):
-            raise UsageError(f"hand: found {hand}, expected 0 to {len(felt) - 1}")
-        found["plane"] = None if felt[hand].predictor is not None else _boundary(felt[hand].configuration)
+    if asked.plane and felt:
+        if asked.hand >= len(felt):
+            raise UsageError(f"hand: found {asked.hand}, expected 0 to {len(felt) - 1}")
+        chosen = felt[asked.hand]
+        found["plane"] = None if chosen.predictor is not None else _boundary(chosen.configuration)
     return found
 
 
-def _of_hand(felt: Felt) -> dict[str, Any]:
-    least, most = felt.stable_damping
-    margins = {"stiffness_factor": felt.stiffness_factor, "stable_damping": (least, most)}
-    return {name: getattr(felt, name) for name in _FIELDS} | {"K": felt.stiffness, "B": felt.damping} | margins
+def _region_at(scene: Scene, name: str, x: float) -> Region:
+    """The region of this hand at x m, friction stuck; on an edge the stiffer one, beyond the travel the last."""
+    regions = [one for one in regions_of(rendered(scene), name, x) if not one.piece.sliding]
+    x = min(max(x, regions[0].piece.low), regions[-1].piece.high)
+    return max((one for one in regions if one.piece.low <= x <= one.piece.high), key=lambda one: one.piece.stiffness)
+
+
+def _of_hand(felt: Felt, asked: tuple[float, float], region: Region | None) -> dict[str, Any]:
+    own, place = (felt.configuration.stiffness, felt.configuration.friction), None
+    if region is not None:
+        piece = region.piece
+        asked = piece.stiffness + own[0], piece.damping + own[1]
+        place = {"low_m": piece.low, "high_m": piece.high, "kind": region.kind, "stable": region.is_stable}
+    margins = {"stiffness_factor": felt.stiffness_factor, "stable_damping": felt.stable_damping}
+    scene = {"K": felt.stiffness, "B": felt.damping, "asked": asked, "own": own, "region": place}
+    return {name: getattr(felt, name) for name in _FIELDS} | scene | margins
 
 
 @lru_cache(maxsize=64)

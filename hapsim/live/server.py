@@ -8,11 +8,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import logging
 import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, Protocol
+
+_THREAD = "live server"
+logging.getLogger("asyncio").addFilter(lambda record: record.threadName != _THREAD)  # writes to who is gone
 
 _NICE = 10  # the loop, and the thread that makes changes, have 0
 _PATIENCE_S = 3.0  # with views that close
@@ -42,7 +46,7 @@ class Server:
         self._views, self._report, self._gives_way = views, report, gives_way
         self._loop: asyncio.AbstractEventLoop
         self._stop: asyncio.Event
-        self._thread = threading.Thread(target=self._run, name="live server", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=_THREAD, daemon=True)
         self._started: Future[None] = Future()
 
     def start(self) -> None:

@@ -6,18 +6,21 @@ import asyncio
 import logging
 import os
 import socket
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
+from typing import Any
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from hapsim.errors import UsageError
-from hapsim.live.access import Address
+from hapsim.live.access import Address, ip_of
 
-_MOST_CONNECTIONS = 64  # pages and half-open ones included
+_MOST_CONNECTIONS = 64  # of each group
 _SEND_BUFFER = 1 << 18  # bytes of one client
+_MOST_UNSENT = 1 << 24  # bytes of one client: above the largest answer, so that only answers to pings get there
 _SECURITY = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'",
@@ -37,10 +40,17 @@ async def serve_at(
     open, which `handle` serves; `longest`: bytes of a message. Returns the server and where it listens (port 0: one
     that is free). Raises UsageError where the port is taken or the address is another machine's."""
     listening = _listening(address, option)
+
+    def admitting(connection: Any, request: Request) -> Response | None:
+        answer = process(connection, request)
+        if answer is None or answer.status_code not in (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN):
+            connection.join()
+        return answer
+
     server = await serve(
         handle,
         sock=listening,
-        process_request=process,
+        process_request=admitting,
         create_connection=_limited_connection(),
         compression=None,
         max_size=longest,
@@ -62,20 +72,38 @@ def response(status: HTTPStatus, body: str | bytes, kind: str = "", own: dict[st
     )
 
 
-def _limited_connection() -> type[ServerConnection]:
-    open_now: set[ServerConnection] = set()
+def _limited_connection() -> type[Any]:
+    groups: tuple[dict[Any, str], ...] = {}, {}, {}  # strangers from elsewhere and from this machine, and the admitted
 
     class Limited(ServerConnection):
-        """Hangs up where there are too many already, before it reads anything."""
+        """Is a stranger until it may do something. A place is no permission: it keeps strangers from locking out those
+        with the token, or at this machine. A stranger takes the place of the oldest of the address with the most."""
 
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             super().connection_made(transport)
-            open_now.add(self)
-            if len(open_now) > _MOST_CONNECTIONS:
+            self.peer, own = (str((transport.get_extra_info(end) or ("::",))[0]) for end in ("peername", "sockname"))
+            self.join(groups[self.peer == own or ip_of(self.peer).is_loopback])
+
+        def join(self, group: dict[Any, str] = groups[2]) -> None:
+            self.leave()
+            group[self] = self.peer
+            if len(group) > _MOST_CONNECTIONS:
+                crowd = Counter(group.values()).most_common(1)[0][0]
+                out = self if group is groups[2] else next(one for one, peer in group.items() if peer == crowd)
+                out.leave()
+                out.transport.abort()
+
+        def leave(self) -> None:
+            for group in groups:
+                group.pop(self, None)
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            if self.transport.get_write_buffer_size() > _MOST_UNSENT:
                 self.transport.abort()
 
         def connection_lost(self, exc: Exception | None) -> None:
-            open_now.discard(self)
+            self.leave()
             super().connection_lost(exc)
 
     return Limited

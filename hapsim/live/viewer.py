@@ -52,17 +52,13 @@ class Office(Protocol):
     hub: Hub
     rejected: int
 
-    def model(self, id: Any) -> BaseModel:
-        """Returns the answer to `get`."""
+    def model(self, id: Any) -> BaseModel: ...
 
-    def counters(self, session: Session) -> str:
-        """Returns the message with the counters."""
+    def counters(self, session: Session) -> str: ...
 
-    async def beside(self, work: Callable[[], Any], is_prediction: bool = False) -> Any:
-        """Returns what `work`, which takes long, returns in a thread of its own."""
+    async def beside(self, work: Callable[[], Any], is_prediction: bool = False) -> Any: ...
 
-    def report(self, sentence: str) -> None:
-        """Prints a warning."""
+    report: Callable[[str], None]
 
 
 class Viewer:
@@ -138,7 +134,7 @@ class Viewer:
 
                 scene, parameters = hub.scene, hub.parameters
                 found = await office.beside(
-                    lambda: predicted(scene, parameters, request.values, request.hand, request.plane),
+                    lambda: predicted(scene, parameters, request),
                     is_prediction=True,
                 )
                 return Predicted(id=request.id, **found)

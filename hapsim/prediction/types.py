@@ -215,6 +215,12 @@ class Prediction:
         every = ((name, one) for name, regions in self.regions.items() for one in reversed(regions))
         return {name: one for name, one in every if (one.piece.low, one.piece.high) == here[name]}
 
+    def asked_for(self, felt: Felt) -> tuple[float, float]:
+        """N/m and N·s/m that the scene asks for where `felt` is, the device's own included."""
+        wanted = next((one for one in self.desired if one.name == felt.name), None)
+        own = felt.configuration
+        return (wanted.k, wanted.b) if wanted else (felt.stiffness + own.stiffness, felt.damping + own.friction)
+
     @property
     def first(self) -> Felt | None:
         """What the hand feels at the scene's first device point that is a system of its own."""

@@ -6,20 +6,25 @@ import asyncio
 import contextlib
 import http.client
 import json
+import logging
 import socket
 import struct
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from live_clients import Client, Served
+from live_clients import Client, Served, serving
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Frame, Opcode
 from websockets.sync.client import connect
 
 from hapsim.errors import UsageError
-from hapsim.live import viewer
-from hapsim.live.access import TOKEN_VARIABLE, address_of, has_token, new_token, why_refused
+from hapsim.live import sockets, viewer
+from hapsim.live.access import TOKEN_VARIABLE, address_of, has_token, ip_of, new_token, why_refused
+from hapsim.live.osc import OscView
+from hapsim.live.osc_query import OscQueryView
 from hapsim.live.server import Server
 from hapsim.live.web import MOST_CLIENTS, WebView
 
@@ -151,16 +156,6 @@ def test_half_open_and_broken_connections_leave_the_others_alone(serve: Callable
             half_open, (b"GET", b"\0" * 99, b"POST / HTTP/1.1\r\n\r\n", b"GET / HTTP/1.1\r\n"), strict=False
         ):
             one.sendall(text)
-        turned_away = 0
-        while turned_away < 30:  # beyond the limit each is hung up on, before anything is read
-            late = stack.enter_context(socket.create_connection(to))
-            late.settimeout(0.02)
-            try:
-                turned_away += late.recv(1) == b""
-            except TimeoutError:
-                pass
-            except ConnectionError:
-                turned_away += 1
         assert client.ask(type="get")["type"] == "model"
         stack.close()
         client.socket.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -168,6 +163,122 @@ def test_half_open_and_broken_connections_leave_the_others_alone(serve: Callable
     with served.client() as client:
         assert client.ask(type="get")["type"] == "model"
     assert not served.warnings
+
+
+def strangers(stack: contextlib.ExitStack, port: int, source: str) -> list[socket.socket]:
+    """More connections than there are places, from an address; none asks for anything."""
+    connecting = (socket.create_connection(("127.0.0.1", port), 30, (source, 0)) for _ in range(200))
+    return [stack.enter_context(one) for one in connecting]
+
+
+def gone(connections: list[socket.socket]) -> int:
+    """How many of them were hung up on."""
+    count = 0
+    for one in connections:
+        one.settimeout(0.001)
+        try:
+            count += one.recv(1) == b""
+        except TimeoutError:
+            pass
+        except ConnectionError:
+            count += 1
+    return count
+
+
+def status(port: int, path: str, source: str) -> int:
+    asking = http.client.HTTPConnection("127.0.0.1", port, 30, source_address=(source, 0))
+    asking.request("GET", path, headers={"Host": f"127.0.0.1:{port}"})
+    return asking.getresponse().status
+
+
+@pytest.mark.parametrize("from_where", ["127.0.0.1", "127.0.0.8", "127.0.0.9"])
+def test_no_crowd_of_strangers_locks_out_who_has_the_token_or_is_at_the_machine(
+    serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch, from_where: str
+) -> None:
+    """127.0.0.8 and 127.0.0.9 stand for other machines, 127.0.0.1 for this one."""
+    monkeypatch.setattr(sockets, "ip_of", lambda peer: ip_of(peer if peer == "127.0.0.1" else "192.0.2.1"))
+    served = serve(address="0.0.0.0:0")
+    port, (_, _, token) = served.view.address.port, served.view.url.partition("token=")
+    cookie = {"Cookie": f"hapsim-{port}={token}"}
+    with served.client(additional_headers=cookie) as client, contextlib.ExitStack() as stack:
+        client.ask(type="get")
+        crowd = strangers(stack, port, from_where)
+        for source in ("127.0.0.1", "127.0.0.8", "127.0.0.9"):
+            assert status(port, f"/?token={token}", source) == 303
+            assert status(port, "/", source) == 401, "a place is no permission"
+        assert gone(crowd) >= 200 - sockets._MOST_CONNECTIONS
+        assert client.ask(type="get")["type"] == "model", "those that were let in stay"
+    assert not served.warnings
+
+
+def test_of_strangers_those_of_the_most_crowded_address_go_first(
+    serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sockets, "ip_of", lambda _: ip_of("192.0.2.1"))
+    port = serve(address="0.0.0.0:0").view.address.port
+    with contextlib.ExitStack() as stack:
+        slow = stack.enter_context(socket.create_connection(("127.0.0.1", port), 30, ("127.0.0.8", 0)))
+        crowd = strangers(stack, port, "127.0.0.9")
+        while gone(crowd) < 200 - sockets._MOST_CONNECTIONS:
+            pass
+        assert gone([slow]) == 0
+
+
+def test_strangers_lock_nobody_out_of_oscquery() -> None:
+    with serving() as served:
+        osc = OscView(served.hub, address_of("--osc-at", ":0", 0), (), served.warnings.append)
+        query = OscQueryView(osc)
+        views = Server([osc, query], served.warnings.append)
+        views.start()
+        try:
+            with contextlib.ExitStack() as stack:
+                strangers(stack, osc.address.port, "127.0.0.1")
+                assert status(osc.address.port, "/?VALUE", "127.0.0.1") in (200, 204)
+        finally:
+            views.close()
+
+
+def ping_forever(served: Served) -> int:
+    """Sends pings and reads none of the answers, until the connection ends; returns the bytes sent."""
+    port, sent = served.view.address.port, 0
+    with socket.socket() as raw:
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        raw.connect(("127.0.0.1", port))
+        words = f"GET /live HTTP/1.1|Host: 127.0.0.1:{port}|Origin: {served.origin}|Upgrade: websocket|"
+        words += "Connection: Upgrade|Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==|Sec-WebSocket-Version: 13||"
+        raw.sendall(words.replace("|", "\r\n").encode())
+        raw.settimeout(30)
+        pings = 1000 * Frame(Opcode.PING, b"x" * 100).serialize(mask=True)
+        with contextlib.suppress(ConnectionError):
+            while sent < 20 * sockets._MOST_UNSENT:
+                raw.sendall(pings)
+                sent += len(pings)
+    return sent
+
+
+def test_a_client_that_reads_no_answer_to_its_pings_takes_no_memory_and_prints_nothing(
+    serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(sockets, "_MOST_UNSENT", 1 << 20)
+    served = serve()
+    with served.client() as other:
+        other.ask(type="get")
+        assert ping_forever(served) < 10 * sockets._MOST_UNSENT
+        assert other.ask(type="get")["type"] == "model"
+    assert not caplog.records
+    assert not served.warnings
+
+
+def test_what_asyncio_logs_of_the_server_is_not_printed_and_what_it_logs_elsewhere_is(
+    serve: Callable[..., Served], caplog: pytest.LogCaptureFixture
+) -> None:
+    """It logs every write to a client that is gone: 4500 lines for 20 000 pings."""
+    served, logged = serve(), threading.Event()
+    warn = logging.getLogger("asyncio").warning
+    served.view._call(lambda: (warn("socket.send() raised exception."), logged.set()))
+    assert logged.wait(30)
+    warn("of a program's own")
+    assert [one.message for one in caplog.records] == ["of a program's own"]
 
 
 def test_a_client_that_reads_nothing_is_dropped_with_a_message(

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 from live_clients import SCENE
 
+from hapsim import predict
+
 selenium = pytest.importorskip("selenium.webdriver")
 if not (shutil.which("chromium") and shutil.which("chromedriver")):
     pytest.skip("Chromium is not installed (Debian: chromium, chromium-driver)", allow_module_level=True)
@@ -18,6 +20,10 @@ SETTINGS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disa
 QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run")
 
 
+DETENT = SCENE.replace(
+    "touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}",
+    "notch: {type: detent, between: [hand, wall], shape: snap, pitch: 0.01, depth: 1.0, sharpness: 1.0, damping: 5}",
+)
 TWO_HANDS = (
     SCENE
     + """
@@ -213,3 +219,141 @@ def test_a_page_from_elsewhere_gets_nothing(page: Page) -> None:
     assert page.browser.execute_async_script(script) == "open"
     page.browser.get("data:text/html,<title>elsewhere</title>")
     assert page.browser.execute_async_script(script) == "refused"
+
+
+def type_into(page: Page, name: str, typed: str) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    page.part(f"set {name}").find_element("xpath", "../input[@type='number']").send_keys(
+        Keys.CONTROL, "a", Keys.NULL, typed, Keys.ENTER
+    )
+
+
+def said(page: Page, xpath: str) -> str:
+    """What the page says was refused, in the part to which the path leads; "" where it says nothing."""
+    return "".join(one.text for one in page.browser.find_elements("xpath", f"{xpath}/p[@class='refusal']"))
+
+
+ROW = "//input[@id='set touch.stiffness']/.."
+
+
+def later(page: Page, seconds: float) -> None:
+    """Waits, by the page's own clock, for pictures and figures that replace others."""
+    page.browser.execute_async_script("setTimeout(arguments[1], arguments[0])", 1000 * seconds)
+
+
+@pytest.mark.parametrize(("typed", "why"), [("9e9", "predicted unstable"), ("-5", "touch.stiffness: found -5")])
+def test_a_refused_value_is_shown_with_its_reason_beside_it_until_another_is_tried(
+    page: Page, typed: str, why: str
+) -> None:
+    type_into(page, "touch.stiffness", typed)
+    page.until(lambda: said(page, ROW))
+    page.served.hub.tell("marker", "something else happens")
+    page.served.session.set({"touch": {"damping": 6.0}})
+    later(page, 2.0)  # counters come once a second
+    text = said(page, ROW)
+    assert f"{float(typed):.0f} N/m was refused, 2000 N/m stays" in text
+    assert why in text
+    assert page.value("touch.stiffness") == 2000.0
+    box = page.part("set touch.stiffness").find_element("xpath", "../input[@type='number']")
+    assert box.get_attribute("value") == "2000"
+    type_into(page, "touch.stiffness", "1500")
+    page.until(lambda: page.value("touch.stiffness") == 1500.0)
+    page.until(lambda: said(page, ROW) == "")
+
+
+def test_what_is_no_number_is_refused_in_words(page: Page) -> None:
+    type_into(page, "touch.stiffness", "1e")
+    page.until(lambda: "expected a number" in said(page, ROW))
+
+
+def test_a_refusal_stays_when_the_controls_are_made_anew_and_goes_when_it_is_closed(page: Page) -> None:
+    type_into(page, "touch.stiffness", "9e9")
+    page.until(lambda: said(page, ROW))
+    page.served.hub.tell("changed")  # the scene may be another: all is asked for again
+    later(page, 0.5)
+    assert "was refused" in said(page, ROW)
+    page.browser.find_element("xpath", f"{ROW}/p/button").click()
+    assert said(page, ROW) == ""
+
+
+def test_a_button_without_an_answer_says_so_beside_it(page: Page) -> None:
+    page.served.pause()  # as a device that is away
+    page.part("stop").click()
+    page.until(lambda: "not armed" in said(page, "//header"))
+    later(page, 1.0)
+    assert "not armed" in said(page, "//header")
+
+
+def test_what_is_asked_while_nobody_answers_is_refused_and_works_again_afterwards(page: Page) -> None:
+    """A prediction whose answer the connection lost kept all later ones from being asked for."""
+    page.browser.execute_async_script(
+        "import('/panel.js').then(({connection}) => {"
+        "connection.ask({type: 'predict', values: {}}).then((answer) => arguments[0](answer.reason));"
+        "connection.socket.close(); })"
+    )
+    page.slide("touch.stiffness", 0.52, "input")
+    page.until(lambda: said(page, ROW))
+    page.until(lambda: page.text("status").startswith("running"))
+    page.slide("touch.stiffness", 0.55, "input")
+    page.until(lambda: "not applied yet" in page.text("felt") and said(page, ROW) == "")
+
+
+def test_what_is_felt_is_compared_with_what_check_calls_asked_for(page: Page) -> None:
+    felt = predict(page.served.hub.scene).first
+    assert felt is not None
+    assert page.text("felt").startswith(f"2000 N/m and 6 N·s/m feel like {felt.k:.4g} and {felt.b:.4g} ")
+    assert "own 1 N·s/m included" in page.text("felt")
+
+
+def test_nothing_leads_from_the_scenes_point_into_the_area_of_another_plane(page: Page) -> None:
+    """Felt k and b stand on the axes, and the page says that the area is none of theirs."""
+    page.served.session.set({"touch": {"stiffness": 3500.0}})  # stable; (k, b) lies where no (K, B) is stable
+    page.until(lambda: page.text("felt").startswith("3500 "))
+    record = """
+      const done = arguments[0], seen = [], drawn = CanvasRenderingContext2D.prototype, before = {};
+      for (const one of ["moveTo", "lineTo", "arc", "fillText"]) {
+        before[one] = drawn[one];
+        drawn[one] = function (...how) {
+          if (this.canvas.id === "plane") seen.push([one, ...how]);
+          return before[one].apply(this, how);
+        };
+      }
+      requestAnimationFrame(() => requestAnimationFrame(() => { Object.assign(drawn, before); done(seen); }));
+    """
+    seen = page.browser.execute_async_script(record)
+    texts = {one[1]: one[2:4] for one in seen if one[0] == "fillText"}
+    (_, x, y, *_), *_ = (one for one in seen if one[0] == "arc")
+    bottom = next(
+        one[2] for one in seen if one[0] == "lineTo" and one[1] == x and one[2] > y
+    )  # of the drop to the axis
+    assert {"felt k", "felt b", "K, B of the scene"} <= texts.keys()
+    assert texts["felt k"][1] > bottom - 10, "on the axis of stiffness"
+    assert texts["felt b"][0] < 58 + 20, "on the axis of damping"
+    assert "the area does not apply to them" in page.text("note")
+
+
+def test_the_region_that_is_shown_is_the_hands(browser: Any, serve: Callable[..., Any]) -> None:
+    page = Page(browser, serve(DETENT))
+    hand = {"stiffness": 1500.0, "damping": 10.0}
+    for position, text in ((0.005, "from 2.5 to 7.5 mm: a snap"), (0.01, "from 7.5 to 12.5 mm: stable"),
+                           (-0.02, "from -22.5 to -17.5 mm: stable")):  # fmt: skip
+        page.served.session.set({"mock.hand": {**hand, "position": position}})
+        page.until(lambda text=text: text in page.text("felt"))
+    assert "feel like" in page.text("felt")
+
+
+@pytest.mark.parametrize("width", [320, 400, 620, 900, 1280])
+@pytest.mark.parametrize("title", ["a", "a long name of a scene that somebody gave it"])
+def test_the_stop_button_is_in_the_first_row_at_every_width(page: Page, width: int, title: str) -> None:
+    page.browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    )
+    page.browser.execute_script("document.getElementById('title').textContent = arguments[0]", title)
+    try:
+        where = {id: page.part(id).rect for id in ("title", "stop", "status")}
+        assert abs(where["stop"]["y"] - where["title"]["y"]) < 20
+        assert where["stop"]["x"] + where["stop"]["width"] <= width
+        assert page.browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+    finally:
+        page.browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

@@ -15,7 +15,7 @@ import pytest
 from live_clients import SCENE, SCHEMA, Served
 from websockets.exceptions import ConnectionClosed
 
-from hapsim.live import server
+from hapsim.live import hub, server
 from hapsim.live.messages import schema
 from hapsim.recording.trace import load_trace
 
@@ -151,6 +151,38 @@ def test_a_scene_is_adopted_by_its_text_and_a_wrong_one_is_rejected(serve: Serve
         assert client.event("changed")["values"] == {}
         assert "push" in [one["name"] for one in client.ask(type="get")["modules"]]
     assert served.session.scene.device.port is None
+
+
+def chain(masses: int) -> str:
+    links = (f"  m{i}: {{type: mass, mass: 0.1}}\n  l{i}: {{type: spring, between: [m{i}, wall], stiffness: 9}}\n"
+             for i in range(masses))  # fmt: skip
+    return f"{SCENE}\n{''.join(links)}"
+
+
+def string(masses: int) -> str:
+    return f"{SCENE}\n  gut: {{type: string, masses: {masses}, mass: 0.01, stiffness: 9}}\n"
+
+
+@pytest.mark.parametrize("large", [chain(hub.MOST_ADOPTED // 2), string(hub.MOST_ADOPTED), string(100_000)])
+def test_a_scene_that_takes_too_long_to_adopt_is_refused_before_any_work(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch, large: str
+) -> None:
+    served = serve()
+    monkeypatch.setattr(served.session, "adopt", lambda *_: pytest.fail("was adopted"))
+    with served.client() as client:
+        reason = client.ask(type="adopt", scene=large)["reason"]
+    assert f"expected at most {hub.MOST_ADOPTED}" in reason
+    assert "hapsim run" in reason
+
+
+def test_a_scene_as_large_as_the_one_that_runs_may_be_adopted(serve: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hub, "MOST_ADOPTED", 5)
+    served = serve(string(20))
+    with served.client() as client:
+        larger = client.ask(type="adopt", scene=string(21))["reason"]
+        assert "found 25 modules" in larger
+        assert "expected at most 24" in larger
+        assert client.ask(type="adopt", scene=string(20).replace("2000", "1800"))["type"] == "done"
 
 
 def test_a_client_stays_while_the_device_is_away(serve: Serve) -> None:

@@ -18,18 +18,20 @@ export class Connection extends EventTarget {
     this.socket.binaryType = "arraybuffer";
     this.socket.onopen = () => this.dispatchEvent(new Event("open"));
     this.socket.onclose = (event) => {
+      const lost = [...this.waiting.values()];
       this.waiting.clear();
+      lost.forEach((answer) => answer({ type: "rejected", reason: "the connection was lost before hapsim answered" }));
       this.dispatchEvent(new CustomEvent("closed", { detail: event.reason }));
       setTimeout(() => this.open(), 2000);
     };
     this.socket.onmessage = (event) => (typeof event.data === "string" ? this.hear(JSON.parse(event.data)) : this.take(event.data));
   }
 
-  /** Sends a request. @param {object} request @returns {Promise<any>} its answer */
+  /** Sends a request. @param {object} request @returns {Promise<any>} its answer: one that rejects it where nobody answers */
   ask(request) {
     const id = ++this.last;
     return new Promise((resolve) => {
-      if (this.socket?.readyState !== WebSocket.OPEN) return;
+      if (this.socket?.readyState !== WebSocket.OPEN) return resolve({ type: "rejected", reason: "not connected to hapsim" });
       this.waiting.set(id, resolve);
       this.socket.send(JSON.stringify({ ...request, id }));
     });

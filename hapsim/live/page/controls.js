@@ -3,17 +3,49 @@
 
 import { short } from "./drawing.js";
 
+/** What was refused, by the parameter's name: it stays until the user changes that parameter again.
+ * @type {Map<string, {typed: any, reason: string}>} */
+const refused = new Map();
+
+/** Says at the end of a part of the page what was refused there, until it is closed or replaced; "": nothing was.
+ * @param {HTMLElement} place @param {string} text @param {() => void} [closed] */
+export function refuseAt(place, text, closed) {
+  const before = place.querySelector(":scope > .refusal");
+  if (before?.firstChild?.textContent === text) return;
+  before?.remove();
+  if (!text) return;
+  const said = document.createElement("p"), close = document.createElement("button");
+  said.className = "refusal";
+  said.setAttribute("role", "alert");
+  Object.assign(close, { textContent: "×", title: "close", onclick: () => (said.remove(), closed?.()) });
+  said.append(text, close);
+  place.append(said);
+}
+
 /**
  * @param {HTMLElement} place
  * @param {any[]} parameters
  * @param {(values: Record<string, any>) => void} plan called while a slider moves
  * @param {(values: Record<string, any>) => void} apply
- * @returns {(values: Record<string, any>) => void} what shows values that were changed
+ * @returns what shows values that were changed; and what says why values were refused, false where none has a row
  */
 export function makeControls(place, parameters, plan, apply) {
   place.replaceChildren();
-  /** @type {Map<string, (value: any) => void>} */
-  const shown = new Map();
+  /** @type {Map<string, {show: (value?: any) => void, say: () => void}>} */
+  const rows = new Map();
+  const touched = (/** @type {(values: any) => void} */ then) => (/** @type {Record<string, any>} */ values) => {
+    for (const name of Object.keys(values)) if (refused.delete(name)) rows.get(name)?.say();
+    then(values);
+  };
+  /** @param {Record<string, any>} values @param {string} reason @param {boolean} [goesBack] to what is set */
+  const refuse = (values, reason, goesBack = true) => {
+    const names = Object.keys(values).filter((name) => rows.has(name));
+    for (const name of names) {
+      refused.set(name, { typed: values[name], reason });
+      rows.get(name)?.[goesBack ? "show" : "say"]();
+    }
+    return names.length > 0;
+  };
   for (const one of parameters.filter((each) => each.kind === "number" || each.words.length)) {
     const row = document.createElement("div");
     row.className = "parameter";
@@ -26,21 +58,26 @@ export function makeControls(place, parameters, plan, apply) {
     const reset = document.createElement("button");
     reset.textContent = "↺";
     reset.title = `back to ${short(one.value) === "–" ? one.value : short(one.value)}`;
-    reset.onclick = () => apply({ [one.name]: one.value });
+    reset.onclick = () => touched(apply)({ [one.name]: one.value });
     /** @type {{parts: HTMLElement[], show: (value: any) => void}} */
-    const inputs = one.kind === "number" ? numbers(one, plan, apply) : words(one, apply);
+    const inputs = one.kind === "number" ? numbers(one, touched(plan), touched(apply), refuse) : words(one, touched(apply));
     inputs.parts[0].id = `set ${one.name}`;
     name.htmlFor = inputs.parts[0].id;
     row.append(name, inputs.parts[0], inputs.parts[1], unit, reset);
     place.append(row);
-    shown.set(one.name, inputs.show);
-    inputs.show(one.value);
+    let now = one.value;
+    const say = () => {
+      const why = refused.get(one.name), written = (/** @type {any} */ value) => (typeof value === "number" ? `${value} ${one.unit}`.trim() : value);
+      refuseAt(row, why ? `${written(why.typed)} was refused, ${written(now)} stays: ${why.reason}` : "", () => refused.delete(one.name));
+    };
+    rows.set(one.name, { show: (value = now) => (inputs.show((now = value)), say()), say });
+    rows.get(one.name)?.show();
   }
-  return (values) => Object.entries(values).forEach(([name, value]) => shown.get(name)?.(value));
+  return { show: (/** @type {Record<string, any>} */ values) => Object.entries(values).forEach(([name, value]) => rows.get(name)?.show(value)), refuse };
 }
 
-/** @param {any} one @param {(values: any) => void} plan @param {(values: any) => void} apply */
-function numbers(one, plan, apply) {
+/** @param {any} one @param {(values: any) => void} plan @param {(values: any) => void} apply @param {(values: any, reason: string) => void} refuse */
+function numbers(one, plan, apply, refuse) {
   const [low, high] = one.span, isLog = one.logarithmic && low > 0;
   const slider = document.createElement("input"), box = document.createElement("input");
   Object.assign(slider, { type: "range", min: "0", max: "1000", step: "1" });
@@ -55,7 +92,7 @@ function numbers(one, plan, apply) {
     plan({ [one.name]: value() });
   };
   slider.onchange = () => apply({ [one.name]: value() });
-  box.onchange = () => box.value !== "" && apply({ [one.name]: Number(box.value) });
+  box.onchange = () => (box.value === "" ? refuse({ [one.name]: "what was typed" }, "expected a number") : apply({ [one.name]: Number(box.value) }));
   const show = (/** @type {number} */ now) => {
     const share = isLog ? Math.log(Math.max(now, low) / low) / Math.log(high / low) : (now - low) / (high - low);
     slider.value = String(Math.round(1000 * share));

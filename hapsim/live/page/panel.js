@@ -2,7 +2,7 @@
 /** The page of a running scene. */
 
 import { Connection } from "./connection.js";
-import { makeControls } from "./controls.js";
+import { makeControls, refuseAt } from "./controls.js";
 import { line, prepared, short } from "./drawing.js";
 import { drawHistogram } from "./histogram.js";
 import { Plane } from "./plane.js";
@@ -14,16 +14,18 @@ const MOST_EVENTS = 200;
 
 /** @param {string} id @returns {any} */
 const part = (id) => document.getElementById(id);
-const connection = new Connection();
+export const connection = new Connection();
 export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
 const plane = new Plane(part("plane"), part("felt"), part("note"));
 /** @type {any} */
 let model = null;
-/** @type {(values: Record<string, any>) => void} */
-let showValues = () => {};
+/** @type {ReturnType<typeof makeControls> | null} */
+let controls = null;
 /** @type {{values: any, isApplied: boolean} | null} */
 let wanted = null; // the newest prediction to ask for
+let asked = { values: {}, isApplied: true }; // the last one,
+let askedAt = 0; // and when, ms
 let isAsking = false;
 let isRecording = false;
 let watched = ""; // the module on the scope
@@ -46,16 +48,26 @@ async function begin() {
 /** @param {number} history seconds of samples that come first */
 async function subscribe(history) {
   samples.watch();
-  const answer = await connection.ask({ type: "subscribe", rate: 60, history, modules: watched ? [watched] : [] });
-  if (answer.type === "rejected") status(answer.reason, true);
+  await demand("scope-part", { type: "subscribe", rate: 60, history, modules: watched ? [watched] : [] });
+}
+
+/** Asks for something, and says in the part of the page that did so why it was refused.
+ * @param {string} from its id, or its tag @param {object} request @returns {Promise<any>} */
+async function demand(from, request) {
+  const place = /** @type {HTMLElement} */ (document.getElementById(from) ?? document.querySelector(from));
+  const answer = await connection.ask(request);
+  refuseAt(place, answer.type === "rejected" ? `Refused: ${answer.reason}` : "");
+  return answer;
 }
 
 async function describe() {
-  model = await connection.ask({ type: "get" });
+  const answer = await connection.ask({ type: "get" });
+  if (answer.type === "rejected") return; // the connection is gone, and will ask again
+  model = answer;
   document.title = `${model.title} · hapsim`;
   part("title").textContent = model.title;
   offer();
-  showValues = makeControls(part("parameters"), model.parameters, (values) => predict(values, false), apply);
+  controls = makeControls(part("parameters"), model.parameters, (values) => predict(values, false), apply);
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   part("hand-part").hidden = !model.has_mock;
@@ -125,15 +137,33 @@ async function predict(values, isApplied) {
   isAsking = true;
   try {
     while (wanted) {
-      const asked = wanted;
-      wanted = null;
-      const answer = await connection.ask({ type: "predict", values: asked.values, hand: plane.hand, plane: true });
-      if (answer.type === "predicted") feel(answer, asked.isApplied);
-      else status(answer.reason, true);
+      [asked, wanted] = [wanted, null];
+      askedAt = performance.now();
+      const at = samples.count ? model.channels.map((/** @type {any} */ _, /** @type {number} */ channel) => place(channel)) : [];
+      const answer = await connection.ask({ type: "predict", values: asked.values, at, hand: plane.hand, plane: true });
+      if (answer.type === "predicted") {
+        feel(answer, asked.isApplied);
+        refuseAt(part("plane-part"), "");
+      } else if (!controls?.refuse(asked.values, answer.reason, false)) refuseAt(part("plane-part"), `Not predicted: ${answer.reason}`);
     }
   } finally {
     isAsking = false;
   }
+}
+
+/** Where a hand is, within its travel. @param {number} channel */
+function place(channel) {
+  const [low, high] = model.channels[channel]?.travel ?? [null, null];
+  const x = samples.count ? samples.columns[channel][(samples.count - 1) % samples.size] : 0;
+  return Math.min(Math.max(x, low ?? -Infinity), high ?? Infinity);
+}
+
+/** Asks anew where the hand has left the region that is shown, at most five times a second: faster figures are not read. */
+function follow() {
+  const region = plane.applied?.hands?.[plane.hand]?.region;
+  if (!region || isAsking || performance.now() < askedAt + 200) return;
+  const x = place(plane.channel);
+  if (x < (region.low_m ?? -Infinity) || x > (region.high_m ?? Infinity)) predict(asked.values, asked.isApplied);
 }
 
 /** @param {any} predicted @param {boolean} isApplied */
@@ -145,7 +175,8 @@ function feel(predicted, isApplied) {
     plane.hand = Math.min(plane.hand, Math.max(0, names.length - 1));
     part("hand").selectedIndex = plane.hand;
   }
-  plane.isRotary = model.channels[predicted.hands[plane.hand]?.channel ?? 0]?.motion === "rotary";
+  plane.channel = predicted.hands[plane.hand]?.channel ?? 0;
+  plane.isRotary = model.channels[plane.channel]?.motion === "rotary";
   plane.show(predicted, isApplied);
 }
 
@@ -154,14 +185,15 @@ async function apply(values) {
   const answer = await connection.ask({ type: "set", values });
   if (answer.type === "rejected") {
     list({ kind: "rejected", sentence: answer.reason, at: new Date().toISOString() });
-    model && describe();
+    controls?.refuse(values, answer.reason);
+    predict({}, true);
   }
 }
 
 /** @param {any} event */
 function hear(event) {
   if (event.kind === "changed" && Object.keys(event.values).length) {
-    showValues(event.values);
+    controls?.show(event.values);
     if (!Object.keys(event.values).every((name) => name.startsWith("mock."))) predict({}, true);
     return;
   }
@@ -213,12 +245,9 @@ part("hand").onchange = () => {
   plane.hand = part("hand").selectedIndex;
   predict({}, true);
 };
-part("marker").onclick = () => connection.ask({ type: "marker", text: "from the page" });
-part("stop").onclick = () => connection.ask({ type: "stop" });
-part("record").onclick = async () => {
-  const answer = await connection.ask({ type: "record", on: !isRecording });
-  if (answer.type === "rejected") status(answer.reason, true);
-};
+part("marker").onclick = () => demand("header", { type: "marker", text: "from the page" });
+part("stop").onclick = () => demand("header", { type: "stop" });
+part("record").onclick = () => demand("header", { type: "record", on: !isRecording });
 addEventListener("keydown", (event) => {
   const isTyping = event.target instanceof HTMLInputElement && event.target.type !== "range";
   if (event.code === "Space") {
@@ -249,7 +278,7 @@ function drag(event) {
 function release() {
   if (dragged === null) return;
   dragged = null;
-  connection.ask({ type: "set", values: { "mock.hand.stiffness": 0, "mock.hand.damping": 0 } });
+  demand("hand-part", { type: "set", values: { "mock.hand.stiffness": 0, "mock.hand.damping": 0 } });
 }
 
 handle.onpointerdown = handle.onpointermove = drag;
@@ -285,10 +314,11 @@ function frame() {
   if (model) {
     if (!isSent && dragged !== null) {
       const value = model.channels.length > 1 ? model.channels.map((/** @type {any} */ _, /** @type {number} */ c) => (c ? 0 : dragged)) : dragged;
-      connection.ask({ type: "set", values: { ...HAND, "mock.hand.position": value } });
+      demand("hand-part", { type: "set", values: { ...HAND, "mock.hand.position": value } });
       isSent = true;
     }
     scope.draw();
+    follow();
     plane.draw();
     if (model.has_mock) drawHandle();
     if (counters && connection.socket?.readyState === WebSocket.OPEN) {

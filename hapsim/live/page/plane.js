@@ -14,6 +14,7 @@ export class Plane {
     /** @type {any} */
     this.planned = null; // while a slider moves
     this.hand = 0;
+    this.channel = 0; // the hand's
     this.isRotary = false;
   }
 
@@ -22,16 +23,22 @@ export class Plane {
     if (isApplied) [this.applied, this.planned] = [predicted, null];
     else this.planned = predicted;
     const now = this.planned ?? predicted, hand = now.hands?.[this.hand];
-    const [stiffness, damping] = this.isRotary ? ["N·m/rad", "N·m·s/rad"] : ["N/m", "N·s/m"];
+    const units = this.isRotary ? ["N·m/rad", "N·m·s/rad"] : ["N/m", "N·s/m"];
+    const pair = (/** @type {number[]} */ values) => values.map((one, i) => `${short(one)} ${units[i]}`);
+    const own = hand ? pair(hand.own).filter((_, i) => hand.own[i]).join(" and ") : "";
+    const isHeld = !hand?.region || hand.region.kind === "held"; // a snap and free space have no k and b of a spring
     this.felt.textContent = hand
-      ? `${short(hand.K)} ${stiffness} and ${short(hand.B)} ${damping} feel like ${short(hand.k)} and ${short(hand.b)}\n` +
-        `${now.stable ? "stable" : "unstable"}${this.planned ? ", not applied yet" : ""}; ${margin(hand)}`
+      ? `${pair(hand.asked).join(" and ")}${isHeld ? ` feel like ${short(hand.k)} and ${short(hand.b)}` : ""}${own && ` (the device's own ${own} included)`}\n` +
+        `${verdict(now, hand, this.isRotary ? "mrad" : "mm")}${this.planned ? ", not applied yet" : ""}${margin(hand)}`
       : `${now.stable ? "stable" : "unstable"} (spectral radius ${short(now.spectral_radius)})`;
     this.felt.classList.toggle("bad", !now.stable);
     this.canvas.hidden = !hand;
     const why = Object.entries(now.why ?? {}).map(([name, reason]) => `${name}: ${reason}`);
-    if (hand) this.note.textContent = now.plane ? "" : "With a correction, K and B are not what is simulated: no boundary of theirs is drawn.";
-    else this.note.textContent = why.join("; ") || "No single k and b describe what this hand feels.";
+    const less = own ? ", less the device's own" : "";
+    if (!hand) this.note.textContent = why.join("; ") || "No single k and b describe what this hand feels.";
+    else if (hand.K < 0) this.note.textContent = "In a snap K is below 0, outside this plane.";
+    else if (!now.plane) this.note.textContent = "With a correction, K and B are not what is simulated: no boundary of theirs is drawn.";
+    else this.note.textContent = `The area shows for which K and B the loop is stable. The marks on the axes are the k and b that are felt${less}: the area does not apply to them.`;
     if (now.wire_delay) this.note.textContent += ` ${now.wire_delay}.`;
     this.draw();
   }
@@ -41,7 +48,8 @@ export class Plane {
     const { context, width, height, look } = prepared(this.canvas);
     const hand = this.applied?.hands?.[this.hand], planned = this.planned?.hands?.[this.hand];
     if (!hand) return;
-    const plane = (this.planned ?? this.applied)?.plane, at = [hand, ...(planned ? [planned] : [])];
+    const plane = (this.planned ?? this.applied)?.plane;
+    const at = [hand, ...(planned ? [planned] : [])].filter((one) => one.K >= 0); // a snap is outside the plane
     const [mostK, mostB] = reach(at, plane);
     const left = 58, right = width - 10, top = 10, bottom = height - 36;
     const x = (/** @type {number} */ K) => left + (K / mostK) * (right - left);
@@ -67,10 +75,14 @@ export class Plane {
     if (plane?.B.length) written(context, look, "stable", left + 10, top + 18);
     for (const one of at) {
       const isPlanned = one === planned, colour = isPlanned ? look.warm : look.ink;
-      const from = { x: x(one.K), y: y(one.B) }, to = { x: x(one.k), y: Math.min(y(one.b), bottom) };
-      arrow(context, colour, from, to);
+      const from = { x: x(one.K), y: y(one.B) };
+      const felt = { x: x(one.k === null ? NaN : one.k - one.own[0]), y: y(one.b === null ? NaN : one.b - one.own[1]) };
+      const isLast = one === at[at.length - 1];
+      drop(context, colour, from, left, bottom);
+      mark(context, look, colour, { x: Math.max(felt.x, left), y: bottom }, true, isLast ? "felt k" : "");
+      mark(context, look, colour, { x: left, y: Math.min(felt.y, bottom) }, false, isLast ? "felt b" : "");
       dot(context, colour, from, !isPlanned);
-      if (one === at[at.length - 1]) label(context, look, colour, from, to, isPlanned ? "not applied yet" : "K, B of the scene", right);
+      if (isLast) label(context, look, colour, from, isPlanned ? "not applied yet" : "K, B of the scene", right);
     }
   }
 }
@@ -78,7 +90,7 @@ export class Plane {
 /** How far the axes go. @param {any[]} hands @param {any} plane */
 function reach(hands, plane) {
   const far = Math.max(0, ...(plane?.most.filter(Number.isFinite) ?? [])), up = Math.max(0, ...(plane?.B ?? []));
-  const mostK = 1.6 * Math.max(...hands.flatMap((one) => [one.K, one.k ?? 0])), mostB = 2.2 * Math.max(...hands.flatMap((one) => [one.B, one.b ?? 0]));
+  const mostK = 1.6 * Math.max(0, ...hands.flatMap((one) => [one.K, (one.k ?? 0) - one.own[0]])), mostB = 2.2 * Math.max(0, ...hands.flatMap((one) => [one.B, (one.b ?? 0) - one.own[1]]));
   return [(far && Math.min(1.08 * far, Math.max(mostK, 0.25 * far))) || mostK || 1, (up && Math.min(1.08 * up, Math.max(mostB, 0.12 * up))) || mostB || 1];
 }
 
@@ -97,11 +109,22 @@ function shade(context, look, plane, x, y) {
   context.stroke();
 }
 
+/** Whether it is stable, and where. @param {any} now @param {any} hand @param {string} unit */
+function verdict(now, hand, unit) {
+  const region = hand.region, whole = now.stable ? "stable" : "unstable";
+  if (!region) return whole;
+  const ends = [region.low_m, region.high_m].map((one) => (one === null ? "…" : String(Number((1e3 * one).toPrecision(4)))));
+  const kinds = { held: "stable", free: "no spring", snap: "a snap drives the hand on" };
+  const here = region.stable ? kinds[/** @type {keyof kinds} */ (region.kind)] : "unstable";
+  return `from ${ends.join(" to ")} ${unit}: ${here}${!now.stable && region.stable ? "; unstable elsewhere" : ""}`;
+}
+
 /** @param {any} hand */
 function margin(hand) {
   const factor = hand.stiffness_factor;
-  if (factor === null) return "stable whatever its stiffness";
-  return factor > 1 ? `unstable from ${short(factor)} times its stiffness` : `stable below ${short(factor)} of its stiffness`;
+  if (hand.region && hand.region.kind !== "held") return "";
+  if (factor === null) return "; stable whatever its stiffness";
+  return factor > 1 ? `; unstable from ${short(factor)} times its stiffness` : `; stable below ${short(factor)} of its stiffness`;
 }
 
 /** @typedef {{x: number, y: number}} Point */
@@ -116,33 +139,34 @@ function dot(context, colour, at, isFull) {
   else context.stroke();
 }
 
-/** From K and B to the k and b that are felt. @param {CanvasRenderingContext2D} context @param {string} colour @param {Point} from @param {Point} to */
-function arrow(context, colour, from, to) {
-  const angle = Math.atan2(to.y - from.y, to.x - from.x);
-  if (!Number.isFinite(to.x + to.y) || Math.hypot(to.x - from.x, to.y - from.y) < 9) return;
-  context.strokeStyle = context.fillStyle = colour;
-  context.lineWidth = 1.5;
-  line(context, from.x + 6 * Math.cos(angle), from.y + 6 * Math.sin(angle), to.x, to.y);
-  context.beginPath();
-  for (const [along, across] of [[0, 0], [-9, 3.5], [-9, -3.5]])
-    context.lineTo(to.x + along * Math.cos(angle) - across * Math.sin(angle), to.y + along * Math.sin(angle) + across * Math.cos(angle));
-  context.fill();
+/** From a point down to both axes. @param {CanvasRenderingContext2D} context @param {string} colour @param {Point} from @param {number} left @param {number} bottom */
+function drop(context, colour, from, left, bottom) {
+  context.save();
+  context.strokeStyle = colour;
+  context.globalAlpha = 0.5;
+  context.setLineDash([2, 4]);
+  line(context, from.x, from.y, from.x, bottom);
+  line(context, from.x, from.y, left, from.y);
+  context.restore();
 }
 
-/** @param {CanvasRenderingContext2D} context @param {any} look @param {string} colour @param {Point} from @param {Point} to @param {string} text @param {number} right */
-function label(context, look, colour, from, to, text, right) {
+/** What is felt: a wedge that points at its place on an axis. @param {CanvasRenderingContext2D} context @param {any} look @param {string} colour @param {Point} at @param {boolean} isUpright on the horizontal axis @param {string} text */
+function mark(context, look, colour, at, isUpright, text) {
+  if (!Number.isFinite(at.x + at.y)) return;
   context.fillStyle = colour;
-  const [above, below] = from.y < to.y ? [text, "felt"] : ["felt", text], upper = from.y < to.y ? from : to, lower = upper === from ? to : from;
-  const write = (/** @type {string} */ words, /** @type {Point} */ at, /** @type {number} */ dy) => {
-    const isLeft = at.x + 12 + context.measureText(words).width > right;
-    context.textAlign = isLeft ? "right" : "left";
-    written(context, look, words, at.x + (isLeft ? -10 : 10), at.y + dy);
-  };
-  const isClose = Math.hypot(to.x - from.x, to.y - from.y) < 9 || !Number.isFinite(to.x + to.y);
-  if (isClose) write(`${text}, felt as it is`, from, 4);
-  else {
-    write(above, upper, 0);
-    write(below, lower, 8);
-  }
+  context.beginPath();
+  for (const [along, across] of [[0, 0], [9, 5], [9, -5]])
+    context.lineTo(at.x + (isUpright ? across : along), at.y - (isUpright ? along : across));
+  context.fill();
+  context.textAlign = "left";
+  if (text) written(context, look, text, at.x + (isUpright ? 8 : 13), at.y - (isUpright ? 6 : -4));
+}
+
+/** @param {CanvasRenderingContext2D} context @param {any} look @param {string} colour @param {Point} at @param {string} text @param {number} right */
+function label(context, look, colour, at, text, right) {
+  const isLeft = at.x + 12 + context.measureText(text).width > right;
+  context.fillStyle = colour;
+  context.textAlign = isLeft ? "right" : "left";
+  written(context, look, text, at.x + (isLeft ? -10 : 10), at.y - 8);
   context.textAlign = "left";
 }
