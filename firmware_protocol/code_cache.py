@@ -44,12 +44,9 @@ def directory_for(sources: frozenset[Path], rooms: tuple[Path, ...]) -> Path | N
     """Returns the directory for code compiled from `sources` and their imports within `rooms` (directories or files);
     None where no place can be written to."""
     key = _key_of(sources, rooms)
-    for root, mode in _roots():
+    for root, mode in private_roots():
         with contextlib.suppress(OSError):
-            root.mkdir(mode, parents=True, exist_ok=True)
-            if not _is_private(root.resolve()):
-                continue
-            directory = root.resolve() / key
+            directory = root / key
             is_new = not directory.exists()
             directory.mkdir(mode, exist_ok=True)
             if _is_private(directory):
@@ -58,6 +55,17 @@ def directory_for(sources: frozenset[Path], rooms: tuple[Path, ...]) -> Path | N
                     _remove_unused(directory.parent)
                 return directory
     return None
+
+
+def private_roots() -> Iterator[tuple[Path, int]]:
+    """Yields the directories where code may be kept, made and writable by this user alone, best first, each with the
+    mode of what is made there. In a directory of others no link is followed: anyone may have planted it."""
+    for root, mode in _roots():
+        with contextlib.suppress(OSError):
+            root.mkdir(mode, parents=True, exist_ok=True)
+            planted = root.is_symlink() and _is_open_to_others(root.parent.stat())
+            if not planted and _is_private(root.resolve()):
+                yield root.resolve(), mode
 
 
 @functools.cache

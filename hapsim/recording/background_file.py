@@ -36,7 +36,8 @@ class BackgroundFile:
         one of its rows."""
         self._path = self._part = path
         self._on_warning, self._what, self._unit = on_warning, what, unit
-        self._failure = ""  # why rows are missing, or the file that was asked for
+        self.failure = ""
+        """Why rows are missing, or the file that was asked for; "" where nothing is."""
         self._is_broken = False
         self._taken = 0
         self._notes: deque[dict[str, Any]] = deque()
@@ -92,12 +93,12 @@ class BackgroundFile:
     @property
     def problem(self) -> str:
         """How the file, once it is finished, is not as it was asked for, as a sentence; "" where it is."""
-        if not self._failure:
+        if not self.failure:
             return ""
         missing = f"{self.unwritten} {self._unit}s are" if self.unwritten else f"no {self._unit} is"
         place = next((one for one in (self._part, self._path) if one.exists()), None)
         kept = f"{missing} missing, what was written is in {place}" if place else f"{self._path} does not exist"
-        return f"the {self._what} is not what was asked for ({self._failure}): {kept}"
+        return f"the {self._what} is not what was asked for ({self.failure}): {kept}"
 
     @property
     def unwritten(self) -> int:
@@ -106,8 +107,8 @@ class BackgroundFile:
 
     def _warn(self, why: str) -> None:
         """Reports that rows are missing, the first time."""
-        if not self._failure:
-            self._failure = why
+        if not self.failure:
+            self.failure = why
             with contextlib.suppress(Exception):  # a failure to show the warning does not end the file
                 self._on_warning(
                     f"{self._part}: from here on {self._unit}s are missing from the {self._what} ({why}). The run goes "

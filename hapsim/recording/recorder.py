@@ -22,6 +22,7 @@ from hapsim.recording.feed import Stream
 from hapsim.recording.report import Report, Statistics, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter
 from hapsim.recording.trace import convert
+from hapsim.whole_file import whole_file
 
 
 class Recorder:
@@ -117,15 +118,11 @@ class RecordFile(BackgroundFile):
                 self._writer.write_note(note)
             self._writer.write_summary(summary_document(report, statistics, True))
             if self._part != self._path:  # under its own name the file is whole, or the older file stays
-                whole = self._part.with_name(f"{self._part.name}.whole")
-                try:
+                with whole_file(self._path) as whole:
                     convert(StreamReader(self._part), whole, self._path.suffix)
-                    os.replace(whole, self._path)
-                finally:
-                    whole.unlink(missing_ok=True)
                 self._part.unlink()
         except Exception as error:  # of the disk, or of a damaged stream
-            self._failure = self._failure or in_words(error)
+            self.failure = self.failure or in_words(error)
         self._writer.close()
         return report
 
@@ -152,9 +149,12 @@ class RecordFile(BackgroundFile):
 def _open_free(path: Path) -> tuple[Path, int]:
     """The file of the stream and its descriptor, empty and locked for this run. A part that a run left when it died
     stays: the next is FILE.part2. UsageError where another run writes there."""
+    flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0)
+    if path.suffix != ".trace":  # a name that the user did not give, where anyone may have planted a link
+        flags |= getattr(os, "O_NOFOLLOW", 0)
     parts = (path.with_name(f"{path.name}.part{number if number > 1 else ''}") for number in itertools.count(1))
     for part in itertools.repeat(path) if path.suffix == ".trace" else parts:
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+        descriptor = os.open(part, flags, 0o666)
         try:
             lock(descriptor, part, "record")
             if part == path and os.fstat(descriptor).st_size:

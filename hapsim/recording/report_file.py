@@ -85,7 +85,7 @@ def write_report(
     }
     directory.mkdir(parents=True, exist_ok=True)
     path = _free_path(directory, now, name, trace.report.ending)
-    unfinished = path.with_suffix(f".{os.getpid()}")  # under its name it is whole, or not there
+    unfinished = path.with_suffix(f".{os.urandom(8).hex()}")  # under its name it is whole, or not there
     try:
         with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as file:
             for member, content in members.items():

@@ -89,11 +89,19 @@ class StreamWriter:
             raise
 
     def write_rows(self, rows: NDArray[Any]) -> None:
-        """Writes rows of `row_type`. OSError where not all could be written: then none of the last chunk are."""
-        for first in range(0, len(rows), MOST_ROWS):
-            piece = rows[first : first + MOST_ROWS]
-            self._write_chunk(_ROWS, len(piece), piece.tobytes())
+        """Writes rows of `row_type`. OSError where not all could be written: then as many are as there is room for."""
+        most = MOST_ROWS
+        while len(rows):
+            piece = rows[:most]
+            try:
+                self._write_chunk(_ROWS, len(piece), piece.tobytes())
+            except OSError:
+                if most == 1:
+                    raise
+                most = len(piece) // 2 or 1
+                continue
             self.written += len(piece)
+            rows = rows[len(piece) :]
 
     def write_note(self, note: dict[str, Any]) -> None:
         """Writes what happened beside the rows. OSError where it cannot."""

@@ -85,8 +85,8 @@ def _write_sound(file: Path, columns: Columns, wanted: str) -> tuple[float, str]
         wav.put((np.repeat(held, times) / full_scale).astype(np.float32)[:, None], patient=True)
         before = one[-1]
     wav.finish()
-    if wav.problem:
-        raise UsageError(wav.problem)
+    if wav.failure:
+        raise OSError(wav.failure)
     return full_scale, columns.units_of(column)[channel]
 
 
@@ -97,4 +97,4 @@ def _write_pick_up(file: Path, columns: Columns, name: str) -> None:
     replay = Replay(record, None, file, name)
     for _ in replay.pieces():
         pass
-    replay.close()
+    replay.close(keeps_part=False)

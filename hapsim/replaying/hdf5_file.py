@@ -14,13 +14,14 @@ import numpy as np
 
 from hapsim.loop import ring
 from hapsim.replaying.columns import Columns
+from hapsim.whole_file import file_for_hdf5
 
 FLAGS = ("LATE_FORCE", "UNSENT", "LIMITED", "BRIDGED", "OFF_GRID", "SLEWED", "WITHHELD", "FADED")
 
 
 def write_hdf5(path: Path, columns: Columns) -> None:
     """Writes the record. OSError where it cannot be written."""
-    with h5py.File(path, "w") as file:
+    with file_for_hdf5(path) as place, h5py.File(place, "w") as file:
         file["channel"] = np.arange(columns.channels)
         file["channel"].attrs.update(units="1", description="of the device")
         file["channel"].make_scale("channel")
@@ -37,6 +38,7 @@ def write_hdf5(path: Path, columns: Columns) -> None:
         file["flags"].attrs["flag_meanings"] = " ".join(FLAGS).lower()
         first = 0
         for values in columns.pieces():
+            place.require_written()
             after = first + len(values["time"])
             for name, one in values.items():
                 file[name][first:after] = one

@@ -133,12 +133,13 @@ class Replay:
             if self._sound is not None:
                 self._sound.collect()
 
-    def close(self) -> None:
-        """Ends the sound file. Raises UsageError where it is not whole."""
+    def close(self, keeps_part: bool = True) -> None:
+        """Ends the sound file. Raises UsageError where it is not whole, or OSError if its part is not kept."""
         if self._sound is not None:
             self._sound.close()
-            if self._sound.file is not None and self._sound.file.problem:
-                raise UsageError(self._sound.file.problem)
+            if self._sound.file is not None and self._sound.file.failure:
+                file = self._sound.file
+                raise UsageError(file.problem) if keeps_part else OSError(file.failure)
 
     def _sound_output(self, file: Path | None, pick_up: str | None) -> SoundOutput | None:
         if file is None:

@@ -86,8 +86,8 @@ class WavFile(BackgroundFile):
         """The run is over: writes what waits."""
         self._join()
         os.close(self._descriptor)
-        if not self._failure and not self._path.exists():
-            self._failure = "it was removed while the scene ran"
+        if not self.failure and not self._path.exists():
+            self.failure = "it was removed while the scene ran"
 
     def _write(self, rows: NDArray[np.float32]) -> None:
         for first in range(0, len(rows), _BLOCK):  # what a write takes beside the rows does not grow with them

@@ -10,11 +10,9 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import tempfile
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from pathlib import Path
 from typing import Any
 
 from hapsim.errors import UsageError
@@ -72,11 +70,15 @@ def ready(task: Task, first: Any) -> None:
     """Compiles, or loads, what a point needs: one process of this machine after the other, since two must not write the
     same machine code at a time."""
     with contextlib.ExitStack() as stack:
-        with contextlib.suppress(ImportError, OSError):
+        with contextlib.suppress(ImportError, OSError, StopIteration):
             import fcntl
 
-            file = stack.enter_context(Path(tempfile.gettempdir(), f"hapsim-{os.getuid()}.lock").open("w"))
-            fcntl.flock(file, fcntl.LOCK_EX)
+            from firmware_protocol.code_cache import private_roots
+
+            place, flags = next(private_roots())[0] / "sweep.lock", os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW
+            descriptor = os.open(place, flags, 0o600)
+            stack.callback(os.close, descriptor)
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
         work(task, [first])
 
 

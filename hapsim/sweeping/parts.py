@@ -36,9 +36,10 @@ class Parts:
         if out.exists():
             raise UsageError(f"{out}: it exists, and a sweep replaces nothing: name another file, or remove it")
         self.directory = out.with_name(f"{out.name}.parts")
+        flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
         try:
             self.directory.mkdir(exist_ok=True)
-            self._lock = os.open(self.directory / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+            self._lock = os.open(self.directory / _LOCK, flags, 0o666)
         except OSError as error:
             raise UsageError(f"{self.directory}: cannot be written: {error.strerror}") from error
         try:

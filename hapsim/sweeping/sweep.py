@@ -30,6 +30,7 @@ from hapsim.sweeping.parts import Parts
 from hapsim.sweeping.points import Points, grid, listed
 from hapsim.sweeping.quantities import ERROR, FREQUENCY, KINDS, Task, frequencies, work
 from hapsim.sweeping.vary import Varied
+from hapsim.whole_file import file_for_hdf5
 
 if TYPE_CHECKING:
     import xarray
@@ -245,12 +246,13 @@ def _attributes(task: Task, points: Points) -> dict[str, str]:
 
 def write(dataset: xarray.Dataset, out: Path) -> None:
     """Writes a Dataset, whole or not at all. UsageError where it cannot be written."""
-    beside = out.with_name(f"{out.name}.parts") / f"whole{out.suffix}"
+    beside = out.with_name(f"{out.name}.parts") / f"{os.urandom(8).hex()}{out.suffix}"
     try:
         if out.suffix == ".zarr":
             dataset.to_zarr(beside, mode="w", consolidated=False)
         else:
-            dataset.to_netcdf(beside, engine="h5netcdf")
+            with file_for_hdf5(beside) as place:
+                dataset.to_netcdf(place, engine="h5netcdf")
         beside.replace(out)
     except OSError as error:
         raise UsageError(

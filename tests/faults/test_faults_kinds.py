@@ -26,7 +26,7 @@ from wire_session import (
 
 from firmware_protocol import schema
 from firmware_protocol.description import from_registers
-from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
+from firmware_protocol.frames import SETUP, armed_format, frame_to_device, frame_to_host
 from hapsim.bringup.faults import KINDS, Injector, Passed, parse_script
 from hapsim.bringup.faults.wire_faults import misread
 
@@ -240,6 +240,33 @@ def test_a_position_leaps_by_this_many_metres_or_counts_and_stays_there() -> Non
     assert beyond.counts == [("leap", 0)]
 
 
+@pytest.mark.parametrize(
+    ("fault", "seen"),
+    [
+        ("kind: freeze", [0] * 10),
+        ("kind: freeze, after_samples: 4", [0, 1, 2, 3, 3, 3, 3, 3, 3, 3]),
+        ("kind: freeze, from: 0.0035, for: 0.003", [0, 1, 2, 3, 3, 3, 3, 7, 8, 9]),
+        ("kind: refresh, every_samples: 4", [0, 0, 0, 0, 4, 4, 4, 4, 8, 8]),
+        ("kind: refresh, every: 0.003, after_samples: 2", [0, 1, 2, 2, 2, 5, 5, 5, 8, 8]),
+        ("kind: freeze, channel: 1", list(range(10))),
+    ],
+)
+def test_a_dead_sensor_goes_on_saying_its_last_position_in_frames_that_are_right(fault: str, seen: list[int]) -> None:
+    injector = injector_of(fault)
+    passed = positions_through(injector, 10)
+    assert numbers_of(passed) == list(range(10))
+    assert [count // 1000 for count in counts_of(passed)] == seen
+    assert injector.counts[0][1] == sum(count != number for number, count in enumerate(seen))
+
+
+def test_only_the_sensor_of_its_channel_is_dead_and_says_no_velocity_either() -> None:
+    wire, injector = armed_format(2, velocity=True), injector_of("kind: freeze, channel: 1, after_samples: 1")
+    sent = [frame_to_host(wire, schema.POSITION, n, [n, 10 + n, 20 + n, 30 + n]) for n in range(3)]
+    passed = [one for data in sent for one in injector.take(data, False, 0.001)]
+    frames = frames_of(bytes_of(passed), wire=wire)
+    assert [frame.counts for frame in frames] == [(0, 10, 20, 30), (1, 10, 21, 30), (2, 10, 22, 30)]
+
+
 def test_a_sign_is_wrong_one_way() -> None:
     positions = injector_of("kind: invert, after_samples: 2")
     assert counts_of(positions_through(positions, 4)) == [0, 1000, -2000, -3000]
@@ -292,6 +319,7 @@ def test_samples_go_on_being_counted_where_numbers_begin_anew_and_where_the_host
 
 WITH = {
     "delay": "seconds: 0.01",
+    "freeze": "after_samples: 5",
     "garbage": "bytes: 5",
     "half_frame": "after_samples: 5",
     "invert": "at: 0",
@@ -299,6 +327,7 @@ WITH = {
     "nonsense": "register: rate, what: zero",
     "rate": "factor: 2",
     "reboot": "seconds: 0.5, after_samples: 5",
+    "refresh": "every_samples: 7",
     "replug": "at: 0.01",
     "silence": "at: 0.01",
     "unplug": "at: 0.01",

@@ -101,6 +101,8 @@ CASES = {
     "leap 0.1 m": [f"kind: leap, metres: 0.1, after_samples: {BEGIN}"],
     "leap 4 mm": [f"kind: leap, metres: 0.004, after_samples: {BEGIN}"],
     "leap to the end of the counts": [f"kind: leap, counts: 2147483647, after_samples: {BEGIN}"],
+    "freeze": [f"kind: freeze, after_samples: {BEGIN}"],
+    "refresh every 100 ms": [f"kind: refresh, every_samples: 100, after_samples: {BEGIN}"],
     "invert positions": [f"kind: invert, after_samples: {BEGIN}"],
     "invert forces": [f"kind: invert, direction: to_device, after_samples: {BEGIN}"],
 }

@@ -132,6 +132,62 @@ class Leap(Event):
         return round(self.metres / scale) if scale else None
 
 
+class _Stale(Lasting):
+    """A sensor that is not read, but answers: a channel's position, and its velocity, stay what they were."""
+
+    counted: ClassVar[str] = "positions held"
+    channel: Annotated[int, count("Of which channel", 0, schema.MAX_CHANNELS - 1)] = 0
+
+    _held: list[int] | None = None  # the words of this channel that passed last; None since it was armed
+
+    def take(self, piece: Piece, now: Moment) -> list[Piece]:
+        """Passes a position on, and keeps it; or says the kept one again."""
+        if piece.is_from_device(schema.STATUS):
+            self._held = None
+        frame, found = piece.frame, piece.found
+        if frame is None or found is None or not piece.is_from_device(*POSITIONS):
+            return [piece]
+        words, own = list(frame.counts), slice(self.channel, None, found.wire.channels)
+        if self.channel >= found.wire.channels:
+            return [piece]
+        if not self._window.is_open(now) or self._is_read(now) or self._held is None:
+            self._held = words[own]
+            return [piece]
+        words[own] = self._held
+        self._count += 1
+        return [piece.rewritten(counts_of=lambda _: words)]
+
+    def _is_read(self, _now: Moment) -> bool:
+        """Returns whether the sensor is read at this sample."""
+        return False
+
+
+class Freeze(_Stale):
+    """The position of a channel stands still, whatever moves: a sensor that is dead but answers."""
+
+    kind: Literal["freeze"] = "freeze"
+
+
+class Refresh(_Stale):
+    """The position of a channel changes only every so often, as that of a sensor that is read too seldom."""
+
+    kind: Literal["refresh"] = "refresh"
+    every: Annotated[float | None, quantity("How often", "s", above=0, left_out="every_samples says it")] = None
+    every_samples: Annotated[int | None, count("How often, in place of a time", 1, 2**31, "samples")] = None
+
+    _due = Moment(0.0, 0)
+
+    @model_validator(mode="after")
+    def _one_interval(self) -> Refresh:
+        require_one(True, every=self.every, every_samples=self.every_samples)
+        return self
+
+    def _is_read(self, now: Moment) -> bool:
+        if is_due := now.has_reached(self._due):
+            self._due = now.after(self.every, self.every_samples)
+        return is_due
+
+
 class Invert(Event):
     """Positions (from_device) or forces (to_device) have the other sign from then on."""
 
@@ -214,4 +270,4 @@ class Reboot(Event):
         return [Piece(disarm, to_device=True)]
 
 
-DeviceFault = Reboot | Version | Nonsense | Rate | Leap | Invert
+DeviceFault = Reboot | Version | Nonsense | Rate | Leap | Freeze | Refresh | Invert

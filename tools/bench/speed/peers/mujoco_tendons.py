@@ -60,18 +60,12 @@ class MuJoCo:
 
 
 def _work(job: dict[str, Any]) -> dict[str, Any]:
-    place = tempfile.gettempdir()  # where it keeps a log
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(_BENCH), str(_BENCH.parents[1])])}
     command = [_python(), "-m", "speed.peers.mujoco_worker", json.dumps(job)]
-    done = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=_LIMIT_S,
-        env=environment,
-        cwd=place,
-    )
+    with tempfile.TemporaryDirectory() as place:  # where it keeps a log
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, timeout=_LIMIT_S, env=environment, cwd=place
+        )
     if done.returncode != 0:
         raise RuntimeError(f"MuJoCo's worker failed: {done.stderr.strip()[-500:]}")
     return dict(json.loads(done.stdout))
