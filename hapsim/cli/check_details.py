@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _ROWS = 12  # of a table
 _NAMES = 6  # of a sentence
+_HUGE = 100.0  # a pole beyond has no digit behind the point that matters
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 _EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error, and a small one
 _NO_FACTOR, _UNKNOWN = "–", "?"
@@ -146,13 +147,15 @@ def _modes(prediction: Prediction) -> Table:
             shares[module] = shares.get(module, 0.0) + share
         moving = sorted(shares.items(), key=lambda entry: -entry[1])
         names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.05)
-        pole, modulus = f"{mode.pole.real:.6f}", abs(mode.pole)
+        modulus = abs(mode.pole)
+        digits = ".6f" if modulus < _HUGE else ".4g"
+        pole = f"{mode.pole.real:{digits}}"
         oscillation = ["–", "–"]  # a real pole has none worth naming
         if mode.pole.imag:
-            pole += f" ± {abs(mode.pole.imag):.6f}j"
+            pole += f" ± {abs(mode.pole.imag):{digits}}j"
             oscillation = [number(mode.frequency_hz), number(mode.damping_ratio)]
         # Close to the circle, what is missing from 1 or beyond it.
-        size = f"1{modulus - 1.0:+.1e}" if 0.0 < abs(modulus - 1.0) < 1e-5 else f"{modulus:.6f}"
+        size = f"1{modulus - 1.0:+.1e}" if 0.0 < abs(modulus - 1.0) < 1e-5 else f"{modulus:{digits}}"
         rows.append([pole, "1" if modulus == 1.0 else size, *oscillation, names or f"many, most {moving[0][0]}"])
     return table("Modes", ("pole", "|pole|", "Hz", "damping ratio", "<moves"), rows, _more(len(prediction.modes)))
 

@@ -32,6 +32,7 @@ from hapsim.prediction.linear import (
     why_coupled,
     with_device,
 )
+from hapsim.prediction.own_limits import own_limits
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.quick import is_surely_stable
 from hapsim.prediction.regions import growth, growth_of, regions_of
@@ -298,6 +299,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"oscillates with up to the force limit of {limit:g} N, until the energy guard ends the run "
             "(hapsim/STABILITY.md says what it finds)."
         )
+        warnings += own_limits(scene)
     for name in prediction.regions:
         hand = hand_at(scene, name)
         x = max(hand.edges(), key=lambda x: abs(float(hand.force(x))), default=0.0)
