@@ -14,7 +14,7 @@ from hapsim.errors import GuardError, UsageError
 from hapsim.live.plane import predicted
 from hapsim.prediction import predict, surely_shaken_by, warnings_about
 from hapsim.prediction.timing import on_wire, samples_if_late, samples_on_wire, wire_of
-from hapsim.running import assemble, run
+from hapsim.running import run
 from hapsim.scene import Scene, parse_scene
 from hapsim.sweeping.quantities import Task
 
@@ -202,7 +202,6 @@ def test_a_loop_that_swings_at_the_limit_with_late_forces_is_ended_whatever_is_k
     document["modules"]["touch"]["damping"] *= 0.3
     scene = parse_scene(json.dumps(document))
     assert surely_shaken_by(scene) is not None
-    monkeypatch.setattr(assemble, "samples_on_wire", lambda _: 1)
     monkeypatch.setattr("hapsim.prediction.timing.samples_on_wire", lambda _: 1)
     with pytest.raises(GuardError, match=r"the force shook at its limit|had given the hand"):
         run(scene, duration=30.0, judges_energy=True)
