@@ -13,7 +13,7 @@ from hapsim.cli.output import Table, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import Desired, Felt, Prediction, WireTime, correction_for, host_silence, robustness_of
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
-from hapsim.prediction.timing import PACED, what_helps, wire_parts
+from hapsim.prediction.timing import what_helps, wire_parts
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -278,14 +278,8 @@ def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None, 
     else:
         fits = f"A UART at {budget.baud} baud would {'fit' if budget.fits else '[yellow]not fit[/yellow]'}"
         out.print(f"Wire: none (the mock). {fits}: {whole}.{f' {_delay(budget)}' if explain else ''}")
-    correction, is_known = prediction.rendering and prediction.rendering.kind, prediction.wire_of in PACED
     if on_wire is not None and (is_real or explain):
         out.print(_felt_on_wire(prediction, on_wire))
-    elif explain and correction and correction.predicts and not (is_known or budget.fits or budget.is_saturated):
-        out.print(
-            "[yellow]The predictor leads the state to where a force acts that is in time[/yellow]: what is felt with "
-            "one that never is was not worked out. Use a faster wire."
-        )
     if explain and prediction.wire_of in ("port", "unknown"):
         out.print(
             "This is counted for a UART. A device with USB of its own (CDC) ignores the baud rate and answers within a "

@@ -60,14 +60,12 @@ def measure(
     clear of the noise: in up to 5 runs, the next one with larger pushes for less uncertainty, or with half the push
     where the hand left its region. With `push` there is one run. The measurement's `attempts` list them.
 
-    `unstable`: as of `hapsim.running.start`.
-
-    Raises what `hapsim.running.run` raises, and UsageError where too little moves to identify anything, or where no
-    hand can be measured at that position. Where the device fails, or stops by itself, and was recorded for long enough
-    to identify something, the measurement is returned with the error as its `failure`.
+    `unstable`: as of `start`. Raises what `hapsim.running.run` raises, and UsageError where too little moves to
+    identify anything, or where no hand can be measured at that position. Where the device fails, or stops by itself,
+    and was recorded for long enough to identify something, the measurement is returned with the error as its `failure`.
     """
-    run = partial(run_to_end, transport=transport, stop_on_signals=stop_on_signals)
-    run = partial(run, on_progress=on_progress, unstable=unstable)
+    run = partial(run_to_end, transport=transport, on_progress=on_progress, unstable=unstable)
+    run = partial(run, stop_on_signals=stop_on_signals)
     return measure_by(run, as_scene(scene), channel=channel, at=at, duration=duration, push=push)
 
 

@@ -103,12 +103,11 @@ def measure_impedance(
     quarter of the force limit). `duration`: seconds of each channel's second excitation. Where something in the scene
     is not linear, the impedance is that about the motion to which it was excited.
 
-    `unstable`: as of `hapsim.running.start`.
-
-    Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too little was recorded.
+    `unstable`: as of `start`. Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too
+    little was recorded.
     """
-    run = partial(run_to_end, transport=transport, stop_on_signals=stop_on_signals)
-    run = partial(run, on_progress=on_progress, unstable=unstable)
+    run = partial(run_to_end, transport=transport, on_progress=on_progress, unstable=unstable)
+    run = partial(run, stop_on_signals=stop_on_signals)
     return measure_impedance_by(run, as_scene(scene), duration=duration, travel=travel, push=push)
 
 

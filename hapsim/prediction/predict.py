@@ -30,7 +30,6 @@ from hapsim.prediction.linear import (
     links_of,
     network_of,
     why_coupled,
-    with_device,
 )
 from hapsim.prediction.own_limits import own_limits
 from hapsim.prediction.plausibility import unlikely
@@ -204,14 +203,10 @@ def _error_with(kind: CorrectionKind, port: Corrected, mass: float) -> float:
 
 def predict_on_wire(scene: Scene) -> Prediction | None:
     """What the hand will feel on a UART, with `WireTime.delay_samples` in place of one, where the scene's own wire is
-    none or its pace is not known; on any other wire `predict` says it.
-
-    None where a UART costs one sample or is saturated, and under a predictor, which does not know of that delay.
+    none or its pace is not known, as `predict` says it of others. None where a UART costs one sample or is saturated.
     """
-    rendering, samples = rendered(scene), wire_time_of(scene).delay_samples
-    if wire_of(scene) in PACED or samples in (None, 1) or (rendering.kind is not None and rendering.kind.predicts):
-        return None
-    return predict(with_wire_delay(with_device(rendering.scene, correction="none"), samples), with_margins=False)
+    samples = 1 if wire_of(scene) in PACED else wire_time_of(scene).delay_samples
+    return None if samples in (None, 1) else predict(with_wire_delay(scene, samples), with_margins=False)
 
 
 def _solved(network: Network) -> tuple[Network, Solution, str]:

@@ -58,9 +58,8 @@ def samples_on_wire(scene: Scene) -> int:
 def samples_if_late(scene: Scene, round_trip_s: float) -> int:
     """From a position to its force at least, on a wire on which forces are late. `round_trip_s`: the shortest time from
     a question to its answer before arming, in which a device may have waited for its next tick."""
-    virtual = scene.device.clock == "lockstep"
-    measured = 0 if virtual else math.floor(min(round_trip_s, 1.0) * scene.rate)
-    return max(2, samples_on_wire(scene), min(measured, time_to_live_samples(scene.rate) + 1))
+    measured = 0.0 if scene.device.clock == "lockstep" else round_trip_s * scene.rate
+    return max(2, samples_on_wire(scene), min(math.floor(measured), time_to_live_samples(scene.rate) + 1))
 
 
 def on_wire(scene: Scene) -> Scene:
@@ -89,16 +88,14 @@ def wire_delay(scene: Scene) -> str:
     )
 
 
-def why_late(scene: Scene, round_trip_s: float) -> str:
-    """What may cost the time on a wire that turns out to be slow: sentences, each after a space."""
-    port, why = scene.device.port or "", ""
-    if round_trip_s > scene.period and scene.device.clock != "lockstep":
-        why += f" Before arming, a question and its answer took {duration(round_trip_s)}."
-    name = os.path.basename(os.path.realpath(port))
+def why_late(scene: Scene, samples: int, round_trip_s: float) -> str:
+    """`samples_if_late`, and what may cost the time, in sentences."""
+    why = f"{samples} samples or more. Before arming, a question and its answer took {duration(round_trip_s)}."
+    name = os.path.basename(os.path.realpath(scene.device.port or ""))
     with contextlib.suppress(OSError, ValueError):
         if (timer := int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text("ascii"))) > 1:
             why += f" The latency timer of {name} is {timer} ms, whatever the baud rate: see `hapsim doctor`."
-    return f"{why} A UART's bytes take {wire_parts(wire_time_of(scene))}."
+    return why
 
 
 def wire_parts(budget: WireTime) -> str:

@@ -24,18 +24,9 @@ from hapsim.loop.posted import Posts
 from hapsim.loop.ring import Ring, row_type
 from hapsim.loop.sound import SoundRing, hear
 from hapsim.loop.transport import Transport
-from hapsim.prediction import surely_shaken_by
+from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import SIGN_RATE_HZ, force_bounds
-from hapsim.prediction.timing import (
-    FIRST_SAMPLES,
-    samples_if_late,
-    samples_on_wire,
-    time_to_live_samples,
-    watchdog_samples,
-    why_late,
-    with_wire_delay,
-)
 from hapsim.running.correction import LoopCorrection
 from hapsim.running.guard_setup import energy_guard_of, history_of, set_frozen_sensor, set_leap, set_slew, set_travel
 from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
@@ -70,10 +61,8 @@ class LoopMemory:
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
         """Samples without a force after which the device releases."""
-        self.late_samples = 2
-        """From a position to its force at least, if most of the first forces are late,"""
-        self.late_because = ""
-        """and what may cost the time, in sentences."""
+        self.first_late = ""
+        """How late the first forces may be, and why, if most of them are and the scene is unstable then."""
         self.rendered_scene: Scene
         """The scene that the loop moves: the newest one, corrected."""
         self.correction: LoopCorrection | None = None
@@ -171,7 +160,7 @@ def assemble_loop(
     if options.excitation is not None:
         _set_excitation(loop.record, options.excitation, scene)
     loop.correction = LoopCorrection(loop.record, rendering, description)
-    loop.watchdog_samples = watchdog_samples(scene.rate, description.max_watchdog_samples)
+    loop.watchdog_samples = timing.watchdog_samples(scene.rate, description.max_watchdog_samples)
     _set_guards(loop, scene, connection, description, options)
     if connection.mock is not None:
         from hapsim.device.mock.live_hand import LiveHand
@@ -195,10 +184,10 @@ def _set_guards(
     loop.energy_guard = energy_guard_of(record, scene, description, bounds)
     if options.unstable and loop.energy_guard is not None:
         loop.energy_guard.follow(unstable=surely_shaken_by(scene) is not None)
-    loop.late_samples = samples_if_late(scene, connection.round_trip_s)
-    if options.unstable is False and surely_shaken_by(with_wire_delay(scene, loop.late_samples)) is not None:
-        loop.control.first_ticks = FIRST_SAMPLES
-        loop.late_because = why_late(scene, connection.round_trip_s)
+    samples = timing.samples_if_late(scene, connection.round_trip_s)
+    if options.unstable is False and surely_shaken_by(timing.with_wire_delay(scene, samples)) is not None:
+        loop.control.first_ticks = timing.FIRST_SAMPLES
+        loop.first_late = timing.why_late(scene, samples, connection.round_trip_s)
     if (in_hand or options.judges_sign) and scene.rate >= SIGN_RATE_HZ:
         judge_signs(record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
     if in_hand or options.judges_energy:
@@ -214,12 +203,12 @@ def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
     if duration is not None and not virtual:
         control.lasts_ns = min(round(duration * 1e9) + _GRACE_NS, _FOREVER_NS)
     control.go = 1
-    control.wire_samples = samples_on_wire(scene)
+    control.wire_samples = timing.samples_on_wire(scene)
     control.period_ns = round(1e9 / scene.rate)
     control.clock = _CLOCK[scene.device.clock]
     # In virtual time the mock may live in a process that still compiles.
     control.silence_ns = round(1e9 * (5.0 if virtual else max(0.25, 20.0 / scene.rate)))
-    control.time_to_live = time_to_live_samples(scene.rate)
+    control.time_to_live = timing.time_to_live_samples(scene.rate)
     control.stale_ns = _stale_ns(scene, control)
 
 

@@ -211,9 +211,8 @@ def _out_of_travel(loop: LoopMemory, report: Report) -> str:
 
 def _too_late(loop: LoopMemory, report: Report) -> str:
     return (
-        f"{report.deadline_misses} of the first {report.ticks} forces were late: on a wire that takes "
-        f"{loop.late_samples} samples or more in place of one the scene is unstable; the last force was not sent."
-        f"{loop.late_because} Use a faster wire, a lower rate or less stiffness; --unstable runs it all the same"
+        f"{report.deadline_misses} of the first {report.ticks} forces were late: the scene is unstable on a wire that "
+        f"takes {loop.first_late} Use a faster wire, a lower rate or less stiffness; --unstable runs it all the same"
     )
 
 
