@@ -10,7 +10,7 @@ Where w is above WAY and COUNTS counts, and the position has stood still for LIV
 this place, the guard asks. It asks in any case where w is above FAR, or after MOST_WAIT_S: so a free handle goes little
 farther. FAR grows by TRUST with every answer at this place, up to MOST_TRUST.
 
-A question ramps the channel's force down to zero, within RAMP of the time for which the position stood still, but between
+A question ramps the channel's force down to zero, within RAMP of the time for which the position stood still, between
 LEAST_RAMP_S and MOST_RAMP_S: as gently as a hand that holds that still allows. If a count changes, a hand holds the
 handle: the force returns as fast as it went. If none changes, the force stays at zero until one does, and then returns
 over the soft start.
