@@ -132,7 +132,7 @@ def test_of_several_channels_the_dead_one_loses_its_force_and_is_named() -> None
 @pytest.mark.parametrize("torque", [0.1, 1.0, 15.0])
 def test_a_wheel_is_judged_by_angles(torque: float) -> None:
     scene = scene_of(
-        stiffness=5.0,
+        stiffness=5.0 * max(torque, 1.0),
         damping=0.02,
         device=lenient(motion="rotary", mass=0.002, friction=0.005, force_limit=torque),
         mock={"quantum": 1e-4, "initial": {"velocity": 2.0}},

@@ -311,8 +311,8 @@ def dead(number: int, seed: int, moment: str, limit: float, mass: float, count: 
         "runs": len(strong),
         "mm": _spread([1e3 * one.way for one in strong]),
         "J": _spread([one.energy for one in strong]),
-        "not zero": sum(one.zero_at < 0.0 for one in strong),
-        "weaker, J at most": round(max(weak, default=0.0), 3),
+        "not zero": sum(bool(one.zero_at < 0.0) for one in strong),
+        "weaker, J at most": round(float(max(weak, default=0.0)), 3),
     }
 
 

@@ -8,10 +8,12 @@ would have come by the forces that acted since the last count, on from the veloc
 
 Where w is above WAY and COUNTS counts, and the position has stood still for LIVE times as long as a live sensor did at
 this place, the guard asks. It asks in any case where w is above FAR, or after MOST_WAIT_S: so a free handle goes little
-farther. FAR grows by TRUST with every answer at this place. The channel's force ramps down to zero, within RAMP of the
-time for which the position stood still, but between LEAST_RAMP_S and MOST_RAMP_S: as gently as a hand that holds that
-still allows. If a count changes, a hand holds the handle: the force returns as fast as it went. If none changes, the
-force stays at zero until one does, and then returns over the soft start.
+farther. FAR grows by TRUST with every answer at this place, up to MOST_TRUST.
+
+A question ramps the channel's force down to zero, within RAMP of the time for which the position stood still, between
+LEAST_RAMP_S and MOST_RAMP_S: as gently as a hand that holds that still allows. If a count changes, a hand holds the
+handle: the force returns as fast as it went. If none changes, the force stays at zero until one does, and then returns
+over the soft start.
 
 Standing still says nothing where declared dry friction can hold handle and hand, and at an end of the declared travel
 towards which the force presses. There nothing is integrated.
@@ -43,7 +45,7 @@ from hapsim.units import Motion
 # By motion: m or rad, N or N·m. An angle is the length at a radius of 5 cm, that of a large knob or a small wheel.
 WAY: dict[Motion, float] = {"linear": 0.005, "rotary": 0.1}  # of a free handle, before a question: a visible jerk
 FAR: dict[Motion, float] = {"linear": 0.1, "rotary": 2.0}  # and without waiting: as late forces may give a hand
-TRUST = 2.0  # a hand that keeps pressing at one place is asked ever less often
+TRUST, MOST_TRUST = 2.0, 8.0  # a hand that keeps pressing at one place is asked less often
 PLACE: dict[Motion, float] = {"linear": 0.002, "rotary": 0.04}  # beyond it another grip: stillness is learnt anew
 HAND: dict[Motion, float] = {"linear": 20.0, "rotary": 1.0}  # a hand that moves a handle pulls with less
 COUNTS = 4  # a hand that holds still between two counts moves by one or two
@@ -163,7 +165,7 @@ def _has_moved(sensor, c, counts, gap, scale, says):
     if sensor.frozen[c]:
         sensor.back[c] = sensor.soft_start
     elif sensor.asked[c] >= 0:
-        sensor.trust[c] *= TRUST
+        sensor.trust[c] = min(TRUST * sensor.trust[c], MOST_TRUST)
         sensor.back[c] = max(sensor.asked[c], sensor.least_return)
     sensor.frozen[c], sensor.asked[c] = 0, -1
     return sensor.stairs[c] >= STAIRS
