@@ -137,6 +137,15 @@ class EventMessage(_Answer):
     at: str
 
 
+class Drag(_Answer):
+    """The hand with which the page pulls a mock's channel, in its units."""
+
+    stiffness: float
+    damping: float
+    reach: float
+    """To either side, at first."""
+
+
 class Channel(_Answer):
     """One channel of the device."""
 
@@ -149,6 +158,7 @@ class Channel(_Answer):
     force_limit: float
     travel: tuple[float | None, float | None]
     """None where the scene names no bound."""
+    hand: Drag
 
 
 class ParameterMessage(_Answer):
