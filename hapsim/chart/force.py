@@ -24,7 +24,6 @@ from hapsim.theory.arrays import Floats
 _POINTS = 49  # of a region
 _MARGIN = 0.3  # of what has edges, drawn beyond them
 _STEEP = 2.0  # times the largest force at an edge: a stop is drawn no further
-_ALONE_M = 2e-3  # drawn on each side of an edge where nothing else says how much
 _LEAST_ERROR, _MOST_ERROR = 1e-3, 1.0  # ends of the colours
 
 
@@ -84,7 +83,7 @@ def _view(hand: Characteristic, regions: tuple[Region, ...]) -> tuple[float, flo
     places = [one.piece.place for one in regions]
     edges = hand.edges()
     low, high = min([*edges, *places]), max([*edges, *places])
-    room = _MARGIN * (high - low) or _ALONE_M
+    room = _MARGIN * (high - low) or 2.0 * hand.free  # where nothing else says how much
     low, high = max(low - room, hand.low), min(high + room, hand.high)
     x = np.linspace(low, high, 2001)
     inner = _STEEP * max(map(abs, hand.force(np.array(edges))), default=0.0)

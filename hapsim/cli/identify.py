@@ -13,7 +13,7 @@ from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option
 from hapsim.cli.output import Table, complain, document, pick, say, speak_of, stderr, stdout, table
 from hapsim.device.known_devices import is_new
 from hapsim.errors import UsageError
-from hapsim.measuring.identify_device import SECONDS, TRAVEL_M, bounds_of, identify_device
+from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 from hapsim.number_format import relative_difference, rounded
 from hapsim.scene import Known
 from hapsim.scene.rewrite import require_rewritable, rewrite_device
@@ -43,7 +43,9 @@ def identify(
     device: DeviceOptions,
     channel: Annotated[int | None, typer.Option(help="Channel to push [default: the first]")] = None,
     push: Annotated[float | None, push_option("--force")] = None,
-    travel: Annotated[float | None, option("M", "Stop if the device moves farther, m [default: 0.005]")] = None,
+    travel: Annotated[
+        float | None, option("M", "Stop if the device moves farther, m [default: 0.005 m, 0.2 rad]")
+    ] = None,
     duration: Annotated[float | None, seconds("Seconds recorded for the fit [default: 6]")] = None,
     write: Annotated[
         bool, flag("--write", "Write the values into the scene's `device` [default: only print them]")
@@ -73,7 +75,7 @@ def identify(
         channel = next(iter(scene.device_points.values())).channel
     speak_of(channel)
     scene, travel = _within_travel(scene, channel, travel)
-    complain(_before_pushing(bounds_of(scene, push, travel), channel, port, duration or SECONDS))
+    complain(_before_pushing(bounds_of(scene, channel, push, travel), channel, port, duration or SECONDS))
     with live_line(stderr()) as tell:
         found = identify_device(
             scene,
@@ -126,7 +128,8 @@ def _within_travel(scene: Scene, channel: int, travel: float | None) -> tuple[Sc
     if here:
         none = {"travel": None, "travel_margin": None, "origin": None}
         scene = scene.model_copy(update={"device": device.model_copy(update=none)})
-    return scene, travel if room >= (TRAVEL_M if travel is None else travel) else room
+    usual = device.scales(scene.channels)[channel].travel
+    return scene, travel if room >= (usual if travel is None else travel) else room
 
 
 def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, json: bool) -> None:

@@ -16,7 +16,7 @@ from hapsim.cli.options import DeviceOptions, ExcitationOptions, PictureOptions,
 from hapsim.cli.output import Table, complain, document, pick, stderr, stdout, table
 from hapsim.cli.run import predict_before_arming
 from hapsim.errors import UsageError
-from hapsim.measuring.measure_impedance import TRAVEL_M, StoppedError, walls_in_place
+from hapsim.measuring.measure_impedance import StoppedError, walls_in_place
 from hapsim.measuring.measure_impedance import measure_impedance as measure
 from hapsim.number_format import plural
 from hapsim.prediction.impedance import (
@@ -60,7 +60,7 @@ def measure_impedance(
     options: dict[str, Any] = {
         "duration": excitation.duration,
         "push": excitation.push,
-        "travel": TRAVEL_M if excitation.travel is None else excitation.travel,
+        "travel": excitation.travel,
         "transport": device.kind(),
         "stop_on_signals": True,
         "unstable": None if unstable else False,

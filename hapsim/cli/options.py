@@ -158,7 +158,8 @@ class ExcitationOptions:
         bool, flag("--impedance", "Measure the driving-point impedance over frequency instead of k and b.")
     ] = False
     travel: Annotated[
-        float | None, option("M", "With --impedance: largest travel of the hand in m, approximate [default: 0.001]")
+        float | None,
+        option("M", "With --impedance: largest travel of the hand in m, approximate [default: 0.001 m, 0.05 rad]"),
     ] = None
     z_width: Annotated[bool, flag("--z-width", "With --impedance: also with the stiffest passive wall.")] = False
 

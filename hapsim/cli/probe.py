@@ -30,7 +30,9 @@ def probe(
     push: Annotated[
         float | None, option("N", "Allow pushes of at most N newton, for example 0.5 [default: zero force only]")
     ] = None,
-    travel: Annotated[float, option("M", "With --push: stop if the device moves farther, in m.")] = 0.005,
+    travel: Annotated[
+        float | None, option("M", "With --push: stop if the device moves farther, in m [default: 0.005 m, 0.2 rad]")
+    ] = None,
     mass: Annotated[
         float | None, option("KG", "With --push: moving mass, hand included, in kg; tests the scales.")
     ] = None,
@@ -72,7 +74,7 @@ def probe(
         raise typer.Exit(judgement.exit_status)
 
 
-def _leave(push: float | None, travel: float, mass: float | None, channel: int) -> Leave | None:
+def _leave(push: float | None, travel: float | None, mass: float | None, channel: int) -> Leave | None:
     """Returns what the probe may do to the device; None for zero force only. Raises UsageError."""
     for name, value in (("--push", push), ("--travel", travel), ("--mass", mass)):
         require_positive(name, value)
@@ -80,7 +82,7 @@ def _leave(push: float | None, travel: float, mass: float | None, channel: int) 
         raise UsageError(f"--channel: found {channel}, expected 0 or more")
     if push is None and mass is not None:
         raise UsageError("--mass: found no --push, expected it too: only a push shows the mass")
-    return None if push is None else Leave(push, travel, channel, mass)
+    return None if push is None else Leave(push, travel or 0.0, channel, mass)
 
 
 _STYLE = {"pass": "green", "FAIL": "bold red", "not seen": "yellow"}

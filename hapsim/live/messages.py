@@ -138,6 +138,15 @@ class EventMessage(_Answer):
     at: str
 
 
+class Drag(_Answer):
+    """The hand with which the page pulls a mock's channel, in its units."""
+
+    stiffness: float
+    damping: float
+    reach: float
+    """To either side, at first."""
+
+
 class Channel(_Answer):
     """One channel of the device."""
 
@@ -150,6 +159,7 @@ class Channel(_Answer):
     force_limit: float
     travel: tuple[float | None, float | None]
     """None where the scene names no bound."""
+    hand: Drag
 
 
 class ParameterMessage(_Answer):

@@ -23,6 +23,7 @@ from hapsim.live.messages import (
     Bins,
     Channel,
     Counters,
+    Drag,
     EventMessage,
     Model,
     ModuleMessage,
@@ -223,8 +224,9 @@ def _channels(scene: Scene) -> list[Channel]:
             unit_force="N·m" if motion == "rotary" else "N",
             force_limit=scene.device.force_limit,
             travel=travels[i],
+            hand=Drag(stiffness=scale.drag_stiffness, damping=scale.drag_damping, reach=scale.reach),
         )
-        for i, motion in enumerate(motions)
+        for i, (motion, scale) in enumerate(zip(motions, scene.device.scales(scene.channels), strict=True))
     ]
 
 

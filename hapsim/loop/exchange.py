@@ -13,7 +13,7 @@ from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.stored_energy import TANK
-from hapsim.cordis.tick import program_at, start
+from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
 from hapsim.loop.buffers import IO_BUFFER, next_place
 from hapsim.loop.crossfade import SCENE_SLOT, move_scene
@@ -176,6 +176,7 @@ def take_frame(loop, decoder, now):
     _read_position(io, decoder, is_first)
     if is_first:
         start(program_at(loop.slot.program), io.measured)
+        loop.energy_guard.held = stored_energy(program_at(loop.slot.program), io.measured)
         state.sample = decoder.number - 1
         state.first_ns = state.due_ns = now
     leapt = is_leap(loop.leap, io, state, gap, now, control.period_ns)

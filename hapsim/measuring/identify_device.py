@@ -35,8 +35,6 @@ from hapsim.running.run import run_to_end as run
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 
-TRAVEL_M = 0.005
-"""Default travel to either side of where the device is found."""
 SECONDS = 6.0
 """Default duration of the record that is fitted."""
 
@@ -92,14 +90,15 @@ class DeviceIdentification(DeviceFit):
         return self.residual_counts * self.count_m
 
 
-def bounds_of(scene: Scene, force: float | None = None, travel: float | None = None) -> Bounds:
-    """What the device may be given; defaults: a quarter of the scene's force limit, and 5 mm to either side.
+def bounds_of(scene: Scene, channel: int, force: float | None = None, travel: float | None = None) -> Bounds:
+    """What the device may be given; defaults: a quarter of the scene's force limit, and 5 mm or 0.2 rad to either side.
     UsageError where more than the limit is asked for."""
     limit = force_limit(scene)
     if force is not None and not 0.0 < force <= limit:
         raise UsageError(f"force: found {force:g} N, expected above 0 N, and at most the force_limit, {limit:g} N")
     require_above_zero("metres", travel=travel)
-    return Bounds(SHARE_OF_LIMIT * limit if force is None else force, TRAVEL_M if travel is None else travel)
+    travel = scene.device.scales(scene.channels)[channel].travel if travel is None else travel
+    return Bounds(SHARE_OF_LIMIT * limit if force is None else force, travel)
 
 
 @in_units_of_scene
@@ -117,8 +116,8 @@ def identify_device(
     """Pushes the device of `scene` on `channel`, whatever the scene simulates, and identifies what it is.
 
     `force`: N, at most, to either side [default: a quarter of the scene's force_limit]. `travel`: m, at most, from
-    where it is found [default: 0.005]. `duration`: seconds that are recorded for the fit, beside a few seconds that
-    find out how hard to push. It begins with a fraction of the force that the declared mass would need, and pushes
+    where it is found [default: 0.005 m, 0.2 rad]. `duration`: seconds that are recorded for the fit, beside
+    a few seconds that find out how hard to push. It begins with a fraction of the force that the declared mass would need, and pushes
     harder as it learns how far the device gets. Mass, friction and delay may be declared wrong by a factor of three.
 
     Raises what `hapsim.running.run` raises, GuardError where the device moved farther than `travel`, and UsageError
@@ -134,7 +133,7 @@ def identify_device(
         stop_on_signals=stop_on_signals,
         unstable=True,  # the band in which the force fades may be narrow: nothing is held there for long
     )
-    pusher = _Pusher(scene, channel, bounds_of(scene, force, travel), run_scene)
+    pusher = _Pusher(scene, channel, bounds_of(scene, channel, force, travel), run_scene)
     with one_thread():
         pusher.find_home()
         rough = pusher.grow()

@@ -22,7 +22,6 @@ from hapsim.scene.load import SceneSource, as_scene
 
 _SECONDS = 2.0
 _LEAST_TICKS, _MOST_TICKS = 2048, 20000
-_KICK = 0.1  # m/s, what one push gives to the mass where nothing holds it
 _PUSHES = 40  # in the second half of a measurement; the first is one ring-down
 _SHARE_OF_TRAVEL = 0.25
 _COUNTS = 2.0**31
@@ -206,8 +205,9 @@ def _pushes(
     every = max(32, (ticks - free) // _PUSHES)
     rests_s = max(free, every) / scene.rate
     # Until the next push even a free mass must stay in the range of its counts; a real device's is not known before.
-    range_m = mock.quantum * _COUNTS if device.port is None else math.inf
-    wanted = mass * _KICK if push is None else max(mass * _KICK, push / scene.rate)
+    range_m = mock.quantum[channel] * _COUNTS if device.port is None else math.inf
+    kick = mass * device.scales(scene.channels)[channel].kick
+    wanted = kick if push is None else max(kick, push / scene.rate)
     impulse = min(wanted, mass * min(0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s)))
     limit = device.force_limit if device.port is not None else mock.force_limit
     most = SHARE_OF_LIMIT * limit if push is None else min(push, limit)

@@ -26,9 +26,6 @@ from hapsim.scene import Ground, Scene, ViscoElastic
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import INTERRUPTED
 
-TRAVEL_M = 0.001
-"""Largest travel of a device point, approximate: excitations are made smaller where it would move farther."""
-
 _PERIODS, _MORE = 14, 4  # times as many if the earlier motion has hardly died away
 _UNCERTAIN = 0.01  # of the device's impedance, in the median: then more periods are worth their time
 _SOFT_PERIODS, _SOFT = 5, 0.125  # of the first excitation, which finds how far a force moves what
@@ -89,7 +86,7 @@ def measure_impedance(
     scene: SceneSource,
     *,
     duration: float | None = None,
-    travel: float = TRAVEL_M,
+    travel: float | None = None,
     push: float | None = None,
     transport: TransportKind = "auto",
     on_progress: Callable[[Progress], None] | None = None,
@@ -99,9 +96,9 @@ def measure_impedance(
     """The driving-point impedances of `scene` at its device points, from 2 Hz to close below the Nyquist frequency.
 
     Each channel in turn is excited by a multisine that is added to the scene's force: softly at first, which shows how
-    far each frequency moves it, then so that it moves by about `travel` (m) at most, with at most `push` N (None: a
-    quarter of the force limit). `duration`: seconds of each channel's second excitation. Where something in the scene
-    is not linear, the impedance is that about the motion to which it was excited.
+    far each frequency moves it, then so that it moves by about `travel` (m; None: 1 mm or 0.05 rad) at most, with at
+    most `push` N (None: a quarter of the force limit). `duration`: seconds of each channel's second excitation. Where
+    something in the scene is not linear, the impedance is that about the motion to which it was excited.
 
     `unstable`: as of `start`. Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too
     little was recorded.
@@ -116,7 +113,7 @@ def measure_impedance_by(
     scene: Scene,
     *,
     duration: float | None = None,
-    travel: float = TRAVEL_M,
+    travel: float | None = None,
     push: float | None = None,
 ) -> MeasuredImpedance:
     """Does what `measure_impedance` does, with `run(scene, duration=…, excitation=…)` for each of its runs."""
@@ -142,13 +139,13 @@ def measure_impedance_by(
 
 
 class _Rig:
-    """A scene to excite, and by how much: at most `travel` (m) and `push` (N; None: a share of the force limit).
+    """A scene to excite, and by how much: at most `travel` (m; None: as usual) and `push` (N; None: a share of it).
 
     `run(scene, duration=…, excitation=…)` runs it.
     """
 
     def __init__(
-        self, run: Callable[..., Trace], scene: Scene, lines: Lines, travel: float, push: float | None
+        self, run: Callable[..., Trace], scene: Scene, lines: Lines, travel: float | None, push: float | None
     ) -> None:
         self.channels = tuple(point.channel for point in scene.device_points.values())
         if not self.channels:
@@ -156,7 +153,9 @@ class _Rig:
         self.lines, self.converters = lines, Converters(scene.device.hold, scene.device.sampling)
         limit = force_limit(scene)
         self._most = SHARE_OF_LIMIT * limit if push is None else min(push, limit)
-        self._travel = min(travel, *(0.5 * (most - least) for least, most in scene.device.travels(scene.channels)))
+        usual = [one.excited if travel is None else travel for one in scene.device.scales(scene.channels)]
+        rooms = [0.5 * (most - least) for least, most in scene.device.travels(scene.channels)]
+        self._travel = np.minimum(usual, min(rooms))
         self._run, self._scene = run, scene
 
     def excite(self, channel: int, forces: Floats, count: int) -> _Run:
@@ -173,7 +172,7 @@ class _Rig:
         """By what the device's mass alone would do: what holds it is not known yet."""
         lines, most = self.lines, self._most
         inertia = self._scene.device.masses(self._scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
-        amplitude = np.minimum(lines.each(most), lines.each(0.5 * self._travel) * inertia)
+        amplitude = np.minimum(lines.each(most), lines.each(0.5 * self._travel[channel]) * inertia)
         return multisine(lines, _SOFT * amplitude, _SOFT * most)
 
     def forces(self, answer: Periods, excited: int) -> Floats:
@@ -187,7 +186,9 @@ class _Rig:
         force = np.abs(np.mean(last.force - last.scene, axis=0)[:, excited])
         position = np.max(np.abs(np.mean(last.position, axis=0)), axis=1)
         with np.errstate(divide="ignore"):
-            amplitude = np.minimum(lines.each(self._most), lines.each(0.5 * self._travel) * force / position)
+            amplitude = np.minimum(
+                lines.each(self._most), lines.each(0.5 * self._travel[self.channels[excited]]) * force / position
+            )
         return multisine(lines, amplitude, self._most)
 
 

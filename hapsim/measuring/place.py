@@ -84,7 +84,7 @@ class Place:
             return math.inf
         if scene.device.port is not None:
             return _AT_A_PORT * self.room
-        quantum = scene.mock_device.quantum
+        quantum = scene.mock_device.quantum[self.channel]
         if self.largest_swing < _RESOLVED * quantum:
             raise UsageError(self.too_small(quantum))
         turn = math.sqrt(max(self.stiffness, 0.0) / self.mass) * scene.period

@@ -23,7 +23,6 @@ from hapsim.theory.links import Law, Linear
 _ALIKE = 1e-9  # of the largest: two stiffnesses, or two edges of a scene, that are the same
 _AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place to swing about
 _PRESSED = 0.125  # of the force limit: how hard a piece without an end is pressed
-_FREE_M = 1e-3  # so far from its edge is a place in a piece without an end that holds nothing
 _WITHIN = 1e-9  # of a piece's width, or of 1 m
 
 
@@ -80,6 +79,7 @@ class Characteristic:
         own_stiffness: of the device's own spring, N/m.
         low, high: m, the device's travel; without one infinite, or two periods of what repeats.
         force_limit: N.
+        free: m, so far from its edge is a place in a piece without an end that holds nothing.
     """
 
     links: dict[str, HandLink]
@@ -87,6 +87,7 @@ class Characteristic:
     low: float
     high: float
     force_limit: float
+    free: float
 
     @property
     def is_regional(self) -> bool:
@@ -205,7 +206,7 @@ class Characteristic:
         if not math.isfinite(edge):
             return 0.0
         slope = self._slope(_within(low, high))
-        return edge + way * (_PRESSED * self.force_limit / slope if slope > 0.0 else _FREE_M)
+        return edge + way * (_PRESSED * self.force_limit / slope if slope > 0.0 else self.free)
 
     def _with_sliding(self, piece: Piece) -> list[Piece]:
         rubs = sorted((one.law.reach, n) for n, one in self.links.items() if math.isfinite(one.law.reach))
@@ -267,7 +268,8 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0) -> Character
             for edge in one.edges(begin, begin + one.law.period)
         ]
         low, high = min(ends), max(ends)
-    return Characteristic(links, device.stiffnesses(scene.channels)[channel], low, high, device.force_limit)
+    own, free = device.stiffnesses(scene.channels)[channel], device.scales(scene.channels)[channel].free
+    return Characteristic(links, own, low, high, device.force_limit, free)
 
 
 def hand_at(scene: Scene, name: str, around: float = 0.0) -> Characteristic:

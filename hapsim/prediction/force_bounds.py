@@ -18,9 +18,8 @@ if TYPE_CHECKING:
 
 RISE_S = 1e-3  # from zero to the force limit, or a sample period where that is longer
 SOFT_START_S = 0.05
-ENERGY_M = 0.02  # of travel at the force limit
 SIGN_RATE_HZ = 500.0  # below, the guard of the sign has too few samples
-_SIGN_PULL, _SIGN_HZ = 15.0, 5.0  # m/s² and Hz: with less, it finds only every second motor that is wrong
+_SIGN_HZ = 5.0  # with less, it finds only every second motor that is wrong
 ONE_PERIOD = 1.0 + 1e-12  # so that what is meant to be a whole number of counts is one
 _IN_HAND = 0.1  # of a mode's kinetic energy: what moves the hand less is not swung by its force
 
@@ -51,7 +50,8 @@ def force_bounds(
     if soft is None:
         soft = max(SOFT_START_S, FIRST_SAMPLES * scene.period) if in_hand else 0.0
     if energy is None:
-        energy = ENERGY_M * most if in_hand or judges_energy else math.inf
+        least = min(one.energy for one in device.scales(scene.channels))
+        energy = least * most if in_hand or judges_energy else math.inf
     return ForceBounds(slew, soft, energy)
 
 
@@ -105,12 +105,14 @@ def slow_slew(scene: Scene, prediction: Prediction) -> str:
 
 def hidden_sign(scene: Scene, prediction: Prediction) -> str:
     """Why a motor that is wired the wrong way may not be found while `scene` runs: sentences; "" where it mostly is."""
-    heaviest = max(most for _, most in scene.device.mass_spans(scene.channels))
-    pull, fastest = scene.device.force_limit / heaviest, fastest_swing_hz(scene, prediction)
+    spans, scales = scene.device.mass_spans(scene.channels), scene.device.scales(scene.channels)
+    pulls = [(scene.device.force_limit / most, one.sign_pull) for (_, most), one in zip(spans, scales, strict=True)]
+    pull, enough = min(pulls, key=lambda one: one[0] / one[1])
+    fastest = fastest_swing_hz(scene, prediction)
     if scene.rate < SIGN_RATE_HZ:
         why = f"it samples at less than {SIGN_RATE_HZ:g} Hz"
-    elif pull < _SIGN_PULL:
-        why = f"its force limit accelerates the mass by {pull:.2g} m/s², less than {_SIGN_PULL:g} m/s²"
+    elif pull < enough:
+        why = f"its force limit accelerates the mass by {pull:.2g} m/s², less than {enough:g} m/s²"
     elif 0.0 < fastest < _SIGN_HZ:
         why = f"it swings at {fastest:.2g} Hz, below {_SIGN_HZ:g} Hz, as a hand does"
     else:
@@ -134,24 +136,20 @@ def fastest_swing_hz(scene: Scene, prediction: Prediction) -> float:
     return max((one for one in [*hands, *modes] if 0.0 < one < 0.5 * prediction.rate), default=0.0)
 
 
-HAND_DAMPING = 5.0
-"""N·s/m, of a light grip (0.5 kg and 300 N/m beside it; a firm one has 20)."""
-
-
 def refused_travel(scene: Scene) -> str:
     """Why the force fades over too short a way for the loop, a sentence without a full stop; "" where it does not."""
     device = scene.device
     if device.travel is None:
         return ""
     for channel, margin in enumerate(device.travel_margins(scene.channels)):
-        stable = fade_stiffness(scene, channel)
+        stable, damping = fade_stiffness(scene, channel), device.scales(scene.channels)[channel].grip_damping
         if not device.force_limit <= stable * margin:
             where = f" on channel {channel}" if scene.channels > 1 else ""
             hints = "".join(f". {hint.removesuffix('.')}" for hint in unlikely(scene))
             return (
                 f"device.travel_margin: the force of up to {device.force_limit:g} N fades over {margin:g} m{where}, "
                 f"which is a stiffness of {device.force_limit / margin:.4g} N/m and shakes the hand: with no damper "
-                f"but the hand's {HAND_DAMPING:g} N·s/m and the device's friction this loop renders up to "
+                f"but the hand's {damping:g} N·s/m and the device's friction this loop renders up to "
                 f"{stable:.4g} N/m; expected at least {rounded_up(device.force_limit / stable)} m, or a lower "
                 f"device.force_limit{hints}"
             )
@@ -163,7 +161,8 @@ def fade_stiffness(scene: Scene, channel: int) -> float:
     the least mass that the scene declares."""
     loop = replace(configuration_of(on_wire(scene), channel), spring_lag=0.0)  # the force fades once in a sample
     least, _ = scene.device.mass_spans(scene.channels)[channel]
-    _, most = replace(loop, mass=least, friction=loop.friction + HAND_DAMPING).stable_stiffness(0.0)
+    damping = scene.device.scales(scene.channels)[channel].grip_damping
+    _, most = replace(loop, mass=least, friction=loop.friction + damping).stable_stiffness(0.0)
     return float(most) if math.isfinite(most) else 0.0
 
 

@@ -79,8 +79,6 @@ ROTARY = {
 _DELAYED, _LATE_SAMPLES, _LATE_S = 0.01, 10.0, 0.02  # sample periods; the slowest USB converter takes 16 ms
 _STOPS_S, _COASTS_S, _FRICTION = 1e-3, 100.0, 50.0  # how soon friction stops a free device; N·s/m
 _CREEPS = 5.0  # times critical damping: what has more friction does not swing back
-_RIGID_M = 5e-4  # the force limit stretches a device's own spring by more
-_BRIEF_M = 1e-4  # the force limit gives the energy limit within that
 _FELT_STIFFNESS, _FELT_DAMPING, _UNDAMPED = 5.0, 2e-3, 4e-4  # of a link at a hand: N/m; N·s/m, times sqrt(K m)
 _STRONG, _JUMPS, _PRESSES = 10.0, 3.0, 30.0  # times the force limit: a link's own force; that at arming, far and near
 _BEYOND = 3.0  # times the stiffest link at a hand that any damping makes stable
@@ -192,12 +190,15 @@ def _of_device(scene: Scene) -> Iterator[_Value]:
     late = Range(_DELAYED, most, f"it counts sample periods, here of {duration(scene.period)}", slips)
     for part, delay in (("device", device.delay), ("mock", mock.delay or 0.0)):
         yield _Value(f"{part}.delay", delay, "samples", late)
-    brief = Range(_BRIEF_M * limit, math.inf, f"{named} gives that within {_BRIEF_M * 1e3:g} mm", (_MORE,))
+    scales = device.scales(scene.channels)
+    least = min((one.brief for one in scales), default=0.0)
+    brief = Range(least * limit, math.inf, f"{named} gives that within {least * 1e3:g} mm", (_MORE,))
     yield _Value("device.energy_limit", device.energy_limit or 0.0, "J", brief)
     start = Range(scene.period, math.inf, "nothing ramps within a sample period", (_MORE,))
     yield _Value("device.soft_start", device.soft_start or 0.0, "s", start)
-    rigid = Range(0.0, limit / _RIGID_M, f"{named} stretches it by less than {_RIGID_M * 1e3:g} mm", (_LESS,))
-    yield from (_Value("device.stiffness", one, "N/m", rigid) for one in device.stiffnesses(scene.channels))
+    for one, scale in zip(device.stiffnesses(scene.channels), scales, strict=True):
+        why = f"{named} stretches it by less than {scale.rigid * 1e3:g} mm"
+        yield _Value("device.stiffness", one, "N/m", Range(0.0, limit / scale.rigid, why, (_LESS,)))
     yield _Value("mock.coulomb", mock.coulomb, "N", Range(0.0, limit, f"{named} does not overcome it", _FORCES))
     for name, point in scene.device_points.items():
         of_channel = (device.masses, device.frictions, device.stiffnesses)

@@ -181,7 +181,7 @@ def _set_guards(
     in_hand = connection.behind_port and scene.device.clock != "lockstep"  # no hand lives in virtual time
     bounds = force_bounds(scene, in_hand=in_hand, judges_energy=options.judges_energy, force_limit=limit)
     set_slew(record, scene, description, bounds)
-    loop.energy_guard = energy_guard_of(record, scene, description, bounds)
+    loop.energy_guard = energy_guard_of(record, scene, bounds)
     if options.unstable and loop.energy_guard is not None:
         loop.energy_guard.follow(unstable=surely_shaken_by(scene) is not None)
     samples = timing.samples_if_late(scene, connection.round_trip_s)

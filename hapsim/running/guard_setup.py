@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol.description import Description
 from hapsim.compiling.native import address_of
@@ -15,7 +13,7 @@ from hapsim.cordis.stored_energy import Tank
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop.force_history import ForceHistory
-from hapsim.loop.guards.energy_guard import FIRST_FORCE_M, EnergyGuard
+from hapsim.loop.guards.energy_guard import EnergyGuard
 from hapsim.loop.guards.frozen_sensor import watch_sensor
 from hapsim.loop.guards.leap import watch_for_leaps
 from hapsim.loop.guards.slew import NO_LIMIT, shape_force
@@ -23,9 +21,7 @@ from hapsim.loop.guards.travel import NOISE_RMS, fade
 from hapsim.prediction.force_bounds import ONE_PERIOD, SOFT_START_S, ForceBounds, below_a_count
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
-from hapsim.scene.modules import Buffer, Click, Detent, Ground, Link, MaterialPoint, Module, Nonlinear, Structure
 
-MOST_HELD_M = 10.0  # of travel at the force limit: the most energy that a scene counts as stored at the start
 REFILL_S = 10.0  # the tank of live changes fills within this time
 
 
@@ -42,6 +38,7 @@ def set_leap(leap: Any, scene: Scene, description: Description) -> None:
         force=np.full(channels, device.force_limit + mock.coulomb),
         noise_m=mock.noise,
         count_m=np.array(description.position_scale[:channels]),
+        scales=device.scales(channels),
     )
 
 
@@ -100,9 +97,9 @@ def history_of(loop: Any, scene: Scene) -> ForceHistory:
     return ForceHistory(loop.history, delay=device.delay + shift, keeps_last_force=hold.keeps_last_force)
 
 
-def energy_guard_of(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> EnergyGuard | None:
+def energy_guard_of(loop: Any, scene: Scene, bounds: ForceBounds) -> EnergyGuard | None:
     """Returns the energy guard of a scene, in the ENERGY_GUARD of `loop`, a LOOP; None where it is off."""
-    limit_j, force_limit = bounds.energy_limit, scene.device.force_limit
+    limit_j, force_limit, scales = bounds.energy_limit, scene.device.force_limit, scene.device.scales(scene.channels)
     if not math.isfinite(limit_j):
         return None
     return EnergyGuard(
@@ -110,69 +107,7 @@ def energy_guard_of(loop: Any, scene: Scene, description: Description, bounds: F
         Tank(loop.tank, capacity_j=limit_j, refill_j=limit_j / (REFILL_S * scene.rate)),
         rate_hz=scene.rate,
         friction=np.array(scene.device.frictions(scene.channels)),
-        compliance=_compliance(scene, description.channels),
-        force_limit=force_limit,
         limit_j=limit_j,
-        held_j=held_energy(scene.modules, force_limit),
+        usual_j=force_limit * min(one.energy for one in scales),
+        credit_j=force_limit * max(one.credit for one in scales),
     )
-
-
-def _compliance(scene: Scene, channels: int) -> NDArray[np.float64]:
-    """(channels,) m/N: 1/K of all that is linked to each channel's device point; 0 where nothing is."""
-    stiffness = np.zeros(channels)
-    for point, module in scene.device_points.items():
-        held = (link for link in scene.links.values() if point in link.between)
-        stiffness[module.channel] += sum(float(getattr(link, "stiffness", 0.0)) for link in held)
-    return np.divide(1.0, stiffness, out=np.zeros(channels), where=stiffness > 0.0)
-
-
-def held_energy(modules: Mapping[str, Module], force_limit: float) -> float:
-    """Returns the energy (J) that moving masses and stretched links store before any hand moves.
-
-    It is at most MOST_HELD_M at the force limit: the guard would wait for ever for an energy without bounds. What a
-    link at a device point stores is known with its first force only."""
-    places = dict(_initial_places(modules))
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = float(sum(_held_by(module, places, force_limit) for module in modules.values()))
-    most = MOST_HELD_M * force_limit
-    return total if total <= most else most  # also where the total is NaN
-
-
-def _initial_places(modules: Mapping[str, Module]) -> Iterator[tuple[str, float]]:
-    """Yields the initial position (m) of every point that no hand holds."""
-    for name, module in modules.items():
-        if isinstance(module, Ground):
-            yield name, module.position
-        elif isinstance(module, MaterialPoint):
-            yield name, module.start()[0]
-        elif isinstance(module, Structure):
-            names = (f"{name}.{point}" for point in module.point_names())
-            yield from zip(names, module.initial_positions(), strict=True)
-
-
-def _held_by(module: Module, places: Mapping[str, float], force_limit: float) -> float:
-    """Returns the energy (J) that a module stores with the points at `places` (m)."""
-    if isinstance(module, MaterialPoint):
-        position, velocity = module.start()
-        held = module.held_by()
-        spring = 0.0 if held is None else _of_spring(held.stiffness, position - held.rest)
-        return 0.5 * module.mass * velocity * velocity + spring
-    if isinstance(module, Structure):
-        at = np.array(module.initial_positions())
-        rest = float(getattr(module, "position", 0.0))
-        if np.all(at == rest):
-            return 0.0
-        links = np.array(module.elements().links)
-        ends = np.append(at, rest)[links[:, :2].astype(int)]  # -1 is what stays
-        return float(np.sum(_of_spring(np.abs(links[:, 2]), ends[:, 0] - ends[:, 1])))
-    if isinstance(module, Link) and all(end in places for end in module.between):
-        first, second = (places[end] for end in module.between)
-        if isinstance(module, Nonlinear | Detent | Click):
-            return FIRST_FORCE_M * force_limit
-        apart = min(first - second - module.distance, 0.0) if isinstance(module, Buffer) else first - second
-        return _of_spring(float(getattr(module, "stiffness", 0.0)), apart)
-    return 0.0
-
-
-def _of_spring(stiffness: Any, stretched: Any) -> Any:
-    return 0.5 * stiffness * stretched * stretched

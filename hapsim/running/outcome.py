@@ -26,6 +26,7 @@ from hapsim.running.assemble import LoopMemory
 from hapsim.scene import Scene
 
 _MUCH_SLEWED = 0.1  # of all ticks
+_COUNTS, _NEAR_END = 2.0**31, 0.99  # to either side; a device that wraps round was nearer in the sample before
 _STEADIER = "`hapsim doctor` reports what would help this machine, and `--realtime` requests it"
 
 
@@ -222,7 +223,22 @@ def _position_leapt(loop: LoopMemory, report: Report) -> str:
         f"the position of channel {leap.channel} leapt at tick {report.ticks}: {leap.leapt_m:.4g} m away from "
         f"where its motion led, where no hand gets farther than {rounded_down(leap.bound_m)} m (hapsim/STABILITY.md); "
         "its force was not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a "
-        "force_limit that is not the device's"
+        f"force_limit that is not the device's{_at_end_of_counts(loop, _NEAR_END)}"
+    )
+
+
+def _at_end_of_counts(loop: LoopMemory, near: float) -> str:
+    """A sentence where a channel's position is beyond this share of what its counts can say; else ""."""
+    io, n = loop.record.io, loop.wire.channels
+    counts = [abs(int(io.position_counts[c]) + int(io.origin_counts[c])) for c in range(n)]
+    c = max(range(n), key=lambda one: counts[one])
+    if counts[c] < near * _COUNTS:
+        return ""
+    scale = float(io.position_scale[c])
+    return (
+        f". The position's count is at its end on channel {c} (±{_COUNTS * scale:.4g} m at {scale:g} m per count): the "
+        "device went as far as 32 bits reach. Keep it within by a spring, a stop or device.travel, or have larger counts, by "
+        "mock.quantum or by the position scale of a device's firmware"
     )
 
 
@@ -342,7 +358,7 @@ def _stop_reason(loop: LoopMemory, report: Report) -> str:
             "it is idle or latched (PROTOCOL.md, section 7)"
         )
     if fault != schema.HOST_QUIET:
-        return fault_text(fault)
+        return fault_text(fault) + (_at_end_of_counts(loop, 0.0) if fault == schema.POSITION_OUT_OF_RANGE else "")
     watchdog_s = 1e-9 * loop.watchdog_samples * int(loop.control.period_ns)
     position_s, force_s = (1e-9 * (int(state.stopped_ns) - int(ns)) for ns in (state.newest_ns, state.sent_ns))
     useless = _useless_input(loop, report)

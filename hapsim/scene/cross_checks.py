@@ -6,6 +6,7 @@ They take whatever parts are sound, so that a fault in one place does not hide f
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
 
+from hapsim.scales import SCALES
 from hapsim.units import MOTIONS
 
 from .issue import Issue, Path, quote
@@ -50,9 +51,8 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
         yield from _predicted_mean(per_channel[("device",)])
     if isinstance(sound, Mapping):
         yield from sound_issues(sound, around, scene.get("scheme"))
-    quantum = per_channel[("mock",)].get("quantum", 1e-9)
-    if per_channel[("device",)].get("port") is None and isinstance(quantum, int | float):
-        yield from narrow_detents(around, lambda _: float(quantum), "mock.quantum")
+    if per_channel[("device",)].get("port") is None:
+        yield from narrow_detents(around, _counts_of_mock(per_channel), "mock.quantum")
     yield from lists_of_another_length(per_channel, _channels(around))
     yield from _links_of_both_motions(around, per_channel[("device",)].get("motion"))
 
@@ -81,6 +81,19 @@ def _predicted_mean(device: Mapping[str, object]) -> Iterator[Issue]:
             f"found mean with correction: {correction}, whose force answers one state, that of the last substep; "
             "expected last, or correction: poles",
         )
+
+
+def _counts_of_mock(per_channel: Fields) -> Callable[[int], float]:
+    """A function of a channel: m per count. 0 where the file has something else."""
+    quantum, motions = per_channel[("mock",)].get("quantum"), per_channel[("device",)].get("motion", "linear")
+
+    def count(channel: int) -> float:
+        if isinstance(quantum, int | float):
+            return float(quantum)
+        each = motions[channel : channel + 1] if isinstance(motions, list | tuple) else [motions]
+        return 0.0 if quantum is not None else sum(SCALES[one].position_count for one in each if one in SCALES)
+
+    return count
 
 
 def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], source: str) -> Iterator[Issue]:

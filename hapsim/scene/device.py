@@ -5,6 +5,7 @@ from typing import Annotated, Literal, cast
 
 from pydantic import Field
 
+from hapsim.scales import Scale, scale_of
 from hapsim.units import MOTIONS, Motion
 
 from .choices import (
@@ -68,7 +69,7 @@ ENERGY_LIMIT = quantity(
     "Energy that the scene may give the hand before the loop stops",
     "J",
     above=0,
-    left_out="behind a port, and in `hapsim run`, force_limit times 0.02 m; before the mock none",
+    left_out="behind a port, and in `hapsim run`, force_limit times 0.02 m, or 0.1 rad; before the mock none",
 )
 TRAVEL = interval(
     "How far the device moves, by the scene's positions: outside the force fades to zero", "m", "no limit"
@@ -124,6 +125,11 @@ class Device(Part):
     def motions(self, channels: int) -> tuple[Motion, ...]:
         """Motion of each of ``channels`` channels."""
         return self.motion if isinstance(self.motion, tuple) else (self.motion,) * channels
+
+    def scales(self, channels: int) -> tuple[Scale, ...]:
+        """What holds of each of ``channels`` channels where nothing is declared."""
+        each = zip(self.motions(channels), self.mass_spans(channels), self.travels(channels), strict=True)
+        return tuple(scale_of(motion, mass, high - low) for motion, (mass, _), (low, high) in each)
 
     def masses(self, channels: int) -> tuple[float, ...]:
         """Mass of each of ``channels`` channels, in kg; of one that is not known, the middle of its span."""

@@ -57,7 +57,10 @@ class Mock(Part):
     initial: Initial = Field(default=Initial(), description="Where the moving parts are when the run starts")
     hand: Hand = Field(default=Hand(), description="The hand that holds the moving parts")
     coulomb: Annotated[float, quantity("Dry friction", "N", least=0)] = 0.0
-    quantum: Annotated[float, quantity("Step of the position on the wire", "m per count", above=0)] = 1.0e-9
+    quantum: Annotated[
+        float | None,
+        quantity("Step of the position on the wire", "m per count", above=0, left_out="1e-9 m, or 1e-6 rad"),
+    ] = None
     force_quantum: Annotated[
         float | None,
         quantity("Step of the force on the wire", "N per count", above=0, left_out="as fine as its 32 bits are"),
@@ -103,7 +106,7 @@ class MockDevice:
     initial_velocity: tuple[float, ...]
     force_limit: float
     coulomb: float
-    quantum: float
+    quantum: tuple[float, ...]
     noise: float
     seed: int
     baud: int | None = None
@@ -125,7 +128,7 @@ class MockDevice:
 
 
 #: The fields that a `Mock` says alone.
-_OF_MOCK = ("coulomb", "quantum", "noise", "seed", "baud", "turnaround", "misses", "force_quantum", "hand")
+_OF_MOCK = ("coulomb", "noise", "seed", "baud", "turnaround", "misses", "force_quantum", "hand")
 
 
 def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
@@ -142,5 +145,6 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         initial_velocity=per_channel(mock.initial.velocity, channels),
         force_limit=min(device.force_limit, MOST_FORCE),
         grips=mock.grips or (),
+        quantum=tuple(mock.quantum or scale.position_count for scale in device.scales(channels)),
         **{name: getattr(mock, name) for name in _OF_MOCK},
     )

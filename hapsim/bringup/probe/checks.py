@@ -55,7 +55,7 @@ class Leave:
     force: float
     """N at most, to either side."""
     travel: float
-    """m at most, from where the pushing began."""
+    """m at most, from where the pushing began; 0: what is usual for the device's motion."""
     channel: int = 0
     mass: float | None = None
     """kg, with the hand; None if it is unknown."""

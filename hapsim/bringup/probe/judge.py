@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from firmware_protocol.description import Description
 from hapsim.bringup.probe.armed_steps import probe_arming, probe_forces
@@ -17,6 +17,7 @@ from hapsim.bringup.probe.set_up_steps import probe_conversation, probe_refusals
 from hapsim.bringup.probe.wire import StoppedError, Wire
 from hapsim.device.serial_port import open_portable_port, open_serial_port
 from hapsim.errors import DeviceError, UsageError
+from hapsim.scales import SCALES
 
 _PROBES: tuple[tuple[str, Callable[[Probing], bool | None]], ...] = (
     ("conversation", probe_conversation),
@@ -121,6 +122,8 @@ def _run(probing: Probing, steps: tuple[str, ...], on_step: OnStep, say: Callabl
             if not 0 <= channel < channels:
                 expected = f"0 to {channels - 1}: the device has {channels}"
                 raise UsageError(f"--channel: found {channel}, expected {expected}")
+            usual = SCALES[probing.device.motions[channel]].travel
+            probing.leave = replace(probing.leave, travel=probing.leave.travel or usual)
             say(probing.units(what_will_be_done(probing, probing.leave)))
         try:
             goes_on = run(probing) is not False

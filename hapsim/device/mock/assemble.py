@@ -28,10 +28,10 @@ def describe_mock(scene: Scene) -> Description:
         rate_hz=scene.rate,
         pacings=1 << schema.PACED_BY_DEVICE | 1 << schema.PACED_BY_HOST | 1 << schema.LOCKSTEP,
         max_watchdog_samples=schema.MAX_WATCHDOG_SAMPLES,
-        position_scale=(mock.quantum,) * channels,
+        position_scale=mock.quantum,
         force_scale=(mock.force_scale,) * channels,
         force_limit=(mock.force_limit,) * channels,
-        velocity_scale=(mock.quantum * scene.rate,) * channels,
+        velocity_scale=tuple(one * scene.rate for one in mock.quantum),
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
 

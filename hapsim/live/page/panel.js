@@ -9,7 +9,6 @@ import { Plane } from "./plane.js";
 import { Samples } from "./samples.js";
 import { Scope } from "./scope.js";
 
-const HAND = { "mock.hand.stiffness": 200, "mock.hand.damping": 2 };
 const MOST_EVENTS = 200;
 
 /** @param {string} id @returns {any} */
@@ -71,6 +70,9 @@ async function describe() {
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   part("hand-part").hidden = !model.has_mock;
+  const { hand, unit_force, unit_position } = model.channels[0];
+  reach = Math.max(reach, hand.reach);
+  part("hand-note").textContent = `Drag: a spring of ${Number(hand.stiffness.toPrecision(3))} ${unit_force}/${unit_position} pulls the handle along.`;
   part("events").replaceChildren();
   model.events.forEach(list);
   predict({}, true);
@@ -261,7 +263,7 @@ addEventListener("keydown", (event) => {
 
 /** @type {HTMLCanvasElement} */
 const handle = part("handle");
-let reach = 0.02;
+let reach = 0;
 /** @type {number | null} */
 let dragged = null;
 let isSent = true;
@@ -313,8 +315,9 @@ function drawHandle() {
 function frame() {
   if (model) {
     if (!isSent && dragged !== null) {
+      const { hand } = model.channels[0];
       const value = model.channels.length > 1 ? model.channels.map((/** @type {any} */ _, /** @type {number} */ c) => (c ? 0 : dragged)) : dragged;
-      demand("hand-part", { type: "set", values: { ...HAND, "mock.hand.position": value } });
+      demand("hand-part", { type: "set", values: { "mock.hand.stiffness": hand.stiffness, "mock.hand.damping": hand.damping, "mock.hand.position": value } });
       isSent = true;
     }
     scope.draw();

@@ -19,10 +19,10 @@ K/2 (dx[n-j]² + dx[n]²): summed, at most K T · dx²/T. The damper, however la
 |B| dx²/T. Friction takes all of it. That is Colgate's condition (`theory/hand/passivity.py`) sample by sample. Where a
 force is clipped the spring is softer; two channels are two sums.
 
-Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. At arming S is minus
-what the scene holds (running/guard_setup.py). A change of K while the scene runs adds (K[n] - K[n-1]) x[n]²/2 to it.
-That is subtracted from S when the change acts, with its sign, for all modules alike, and bounded by a tank
-(cordis/stored_energy.py). The guard trips where S is above `limit`.
+Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. At the first
+sample S is minus what the scene holds then (cordis/stored_energy.py): what nothing connects to a hand counts as
+nothing. A change of K while the scene runs adds (K[n] - K[n-1]) x[n]²/2 to that. This is subtracted from S when the
+change acts, with its sign, for all modules alike, and bounded by a tank. The guard trips where S is above `limit`.
 
 **Two accounts.** The proof holds for forces in time; the account SCENE counts those (force_history.py). Late forces
 give energy, too, but that is the host's fault: no reason to stop a run in which a hand knocks while the host stalls.
@@ -73,13 +73,9 @@ from hapsim.compiling.native import address_of, function_at, native, record_at
 from hapsim.cordis.stored_energy import Tank, tank_at
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, IN_TIME, OF_SCENE, acting_force
-from hapsim.loop.guards.force_limit import clip
 
-# Energies are lengths of travel at the force limit.
-CREDIT_M = 0.25  # the most that a scene could hold
-FIRST_FORCE_M = 0.1  # at the first force: the least that a link holds which is stretched at arming
-SWING_M, LATE_M = 0.02, 0.1  # what swings at the limit, and late forces, may give
-LATE_SWINGS = 64
+MOST_HELD = 40.0  # credits: the guard would wait for ever for an energy without bounds
+LATE_GIVES, LATE_SWINGS = 5.0, 64  # times the usual limit
 SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
 SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
 ALIKE = 0.01
@@ -102,9 +98,10 @@ ENERGY_GUARD = np.dtype(
         ("tank", np.uint64),  # address of the TANK of live changes
         ("taken", np.float64),  # J, of what these spent
         ("changed_ticks", np.int64),  # of that TANK, at the last sample
-        ("compliance", np.float64, _EACH),  # m/N, of what is linked to each device point; 0: not known
         ("begun", np.int64),  # 1: there was a sample
-        ("given", np.float64, _ACCOUNTS),  # S, J; before the first sample minus what the scene holds
+        ("held", np.float64),  # J, what the scene holds at the first sample,
+        ("most_held", np.float64),  # J, and as much as counts of that
+        ("given", np.float64, _ACCOUNTS),  # S, J
         ("position", np.float64, _EACH),  # m, of the last sample
         ("side", np.int64, _EACH),  # to which the force is out; 0: it is not
         ("most_gap", np.int64),  # samples from one episode to the next
@@ -144,7 +141,8 @@ def judge_energy(energy, history, io, gap):
     if has_begun:
         energy.elapsed += gap
     else:
-        _begin(energy, io)
+        energy.begun = 1
+        energy.given[:] = -(energy.held if energy.held < energy.most_held else energy.most_held)  # also NaN
     begins = _follow_sides(energy, history, io, gap) and gap == 1
     energy.gap += gap
     follows = energy.gap <= energy.most_gap
@@ -173,16 +171,6 @@ def judge_energy(energy, history, io, gap):
     if energy.why == 0 and energy.shakes >= SHAKES:
         energy.why = SHAKING
     return energy.why
-
-
-@helper
-def _begin(energy, io):
-    energy.begun = 1
-    for c in range(io.channels):
-        first = abs(clip(io.asked[c], io.force_limit[c]))
-        held = first * min(max(0.5 * first * energy.compliance[c], FIRST_FORCE_M), CREDIT_M)
-        for account in range(2):
-            energy.given[account] -= held
 
 
 @helper
@@ -284,22 +272,18 @@ class EnergyGuard:
         *,
         rate_hz: float,
         friction: NDArray[np.float64],
-        compliance: NDArray[np.float64],
-        force_limit: float,
         limit_j: float,
-        held_j: float,
+        usual_j: float,
+        credit_j: float,
     ) -> None:
-        """`tank`: of live changes; `friction`: (channels,) N·s/m; `compliance`: (channels,) m/N, 0 where unknown;
-        `force_limit`: N; `limit_j`: the energy that the scene may give; `held_j`: the energy that it holds at the
-        start."""
+        """`tank`: of live changes; `friction`: (channels,) N·s/m; `limit_j`: the energy that the scene may give;
+        `usual_j`: that of a scene that declares none; `credit_j`: the most that a hand is credited with."""
         self._record, self.tank = record, tank
         record.address, record.tank, record.judge = address_of(record), tank.address, judge_energy.address()
         record.braked[: friction.size] = friction * rate_hz
-        record.compliance[: compliance.size] = compliance
-        late_j = max(limit_j, LATE_M * force_limit)
-        record.limit[:], record.swing_limit[:] = (limit_j, late_j), (min(limit_j, SWING_M * force_limit), late_j)
-        record.given[:] = -held_j
-        record.credit = CREDIT_M * force_limit
+        late_j = max(limit_j, LATE_GIVES * usual_j)
+        record.limit[:], record.swing_limit[:] = (limit_j, late_j), (min(limit_j, usual_j), late_j)
+        record.credit, record.most_held = credit_j, MOST_HELD * credit_j
         record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
         record.most_turn = round(SHAKE_S * rate_hz)
         record.least_peak[:] = math.inf

@@ -5,17 +5,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from firmware_protocol import schema
 from hapsim.compiling import inlined
+from hapsim.scales import Scale
 
-HAND_N = 200.0  # a hand pushes and pulls with less
-LEAST_MASS = 0.1  # of the declared one, where the hand lets go. It also allows blows of ten times HAND_N
-HAND_M_PER_S = 10.0  # a hand, or an obstacle, may reverse this speed within a sample
-SENSOR_M = 0.005  # error of a sensor, beside its noise
+LEAST_MASS = 0.1  # of the declared one, where the hand lets go. It also allows blows of ten times a hand's force
 NOISE_RMS = 20.0  # of the noise; one sample in 1e15 has more than 8 (a second difference has 2.45 rms)
 
 _EACH = (schema.MAX_CHANNELS,)
@@ -32,7 +31,7 @@ LEAP = np.dtype(
         ("accelerated", np.float64, _EACH),  # m per sample period squared, by all forces together,
         ("sprung", np.float64, _EACH),  # and by the device's own spring, per m of stretch
         ("braked", np.float64, _EACH),  # share of the pace that the device's friction may take in a period
-        ("reversed", np.float64),  # m per sample period: the fastest that a blow reverses
+        ("reversed", np.float64, _EACH),  # m per sample period: the fastest that a blow reverses
         ("sensed", np.float64, _EACH),  # m
         ("leapt_m", np.float64),  # the leap that was found,
         ("bound_m", np.float64),  # its bound,
@@ -66,7 +65,7 @@ def is_leap(leap, io, state, gap, now, period_ns):
         speed = now_at if now_at > before else before
         leap.pace_before[c] = leap.pace[c]
         leap.pace[c] = step / periods
-        turned = 2.0 * (speed if speed < leap.reversed else leap.reversed)
+        turned = 2.0 * (speed if speed < leap.reversed[c] else leap.reversed[c])
         braked = leap.braked[c] * mean
         bound = leap.sensed[c] + periods * (
             turned
@@ -90,24 +89,27 @@ def watch_for_leaps(
     force: np.ndarray,
     noise_m: float,
     count_m: np.ndarray,
+    scales: Sequence[Scale],
 ) -> None:
     """Fills a LEAP. Arrays have the shape (channels,), in SI units: the least declared mass, the largest friction and
-    stiffness of the device, the sum of all forces but the hand's, and the m per count; `noise_m`: rms.
+    stiffness of the device, the sum of all forces but the hand's, and the m per count; `noise_m`: rms;
+    `scales`: of each channel's motion.
 
-    With A = (force + HAND_N) / (LEAST_MASS mass), T the sample period, v the larger speed of the last two steps, a
+    With A = (force + hand_force) / (LEAST_MASS mass), T the sample period, v the larger speed of the last two steps, a
     position may be off the line through the two before it by
 
-        A T² + 2 min(v, HAND_M_PER_S) T + min(1, b0 T / (LEAST_MASS m)) v T + k0 T² / (LEAST_MASS m) abs(x) + S
+        A T² + 2 min(v, hand_speed) T + min(1, b0 T / (LEAST_MASS m)) v T + k0 T² / (LEAST_MASS m) abs(x) + S
 
-    with S = SENSOR_M + NOISE_RMS noise + 4 counts; over lost positions by more, for the longer time.
+    with S = sensor + NOISE_RMS noise + 4 counts; over lost positions by more, for the longer time.
     """
     period, channels = 1.0 / rate_hz, mass.size
     least = LEAST_MASS * mass
+    hand_force, speed, sensor = np.transpose([(one.hand_force, one.hand_speed, one.sensor) for one in scales])
     with np.errstate(over="ignore"):
         leap.channels, leap.by_host, leap.span = channels, by_host, 1.0
-        leap.accelerated[:channels] = (force + HAND_N) / least * period**2
+        leap.accelerated[:channels] = (force + hand_force) / least * period**2
         leap.sprung[:channels] = stiffness / least * period**2
         # Where the host paces, the length of a sample is uncertain: a whole step may be wrong.
         leap.braked[:channels] = 1.0 if by_host else friction / least * period
-        leap.reversed = HAND_M_PER_S * period
-        leap.sensed[:channels] = SENSOR_M + NOISE_RMS * noise_m + 4.0 * count_m
+        leap.reversed[:channels] = speed * period
+        leap.sensed[:channels] = sensor + NOISE_RMS * noise_m + 4.0 * count_m
