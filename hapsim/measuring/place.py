@@ -18,7 +18,7 @@ from hapsim.measuring.converters import Floats
 from hapsim.measuring.limits import force_limit
 from hapsim.measuring.measure_trace import Attempt, Measurement, asks_by_one_law
 from hapsim.number_format import number, percent
-from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, piece_at
+from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, piece_at, starts_at
 from hapsim.recording.trace import Trace
 from hapsim.running.options import Guide
 from hapsim.scene import Scene
@@ -33,6 +33,7 @@ _EDGE = 1e-6  # of the region's width, or of 1 m: nearer to its edge is on it
 _MOST_GROWTH = 64.0  # of a swing, from one run to the next
 _STRAIGHT, _BENT = 1e-6, 0.01  # a curve that bends less over a swing is a straight line; one that bends more is none
 _BENT_NOISES = 10.0  # from a straight line: the motion shows that
+_PASSED = 1.25  # times the way to where a plectrum grips: how closely the hand follows the guide's path
 _LAST, _ARRIVED = 64, 0.5  # samples before the first push; of the room: farther from its place the hand is elsewhere
 
 
@@ -143,7 +144,15 @@ class Place:
         settling_s = min(max(_SETTLING_S[0], 40.0 * swing_s, 6.0 * summing_s), max(_SETTLING_S[1], 40.0 * swing_s))
         reach = math.inf if self.piece is None else self.piece.reach
         beyond = reach if math.isfinite(reach) else 0.0  # and back: where friction sticks with no bristle bent
+        beyond = max(beyond, _PASSED * self.ahead(starts_at(scene, self.channel) or 0.0))
         return Guide(self.at, stiffness, beyond, (_WAY_S, settling_s, max(_MEAN_S, 5.0 * swing_s), _MEAN_S))
+
+    def ahead(self, start: float) -> float:
+        """The way in m that a hand coming from `start` has to go on until each plectrum that is to grip there does."""
+        if self.hand is None or self.piece is None:
+            return 0.0
+        grips = [one.fixed_m for name, one in self.hand.links.items() if self.piece.states.get(name) == "gripping"]
+        return max([math.copysign(1.0, self.at - start) * (one - self.at) for one in grips], default=0.0)
 
     def left_by(self, trace: Trace, noise_m: float, predicts: bool) -> str:
         """How the hand left the region in a trace, or what is straight of a curve, in words: the links that changed;

@@ -18,7 +18,7 @@ from hapsim.number_format import number
 from hapsim.prediction.linear import LinearScene, law_of, linear_scene
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Floats
-from hapsim.theory.links import Law, Linear
+from hapsim.theory.links import RELEASED, Law, Linear
 
 _ALIKE = 1e-9  # of the largest: two stiffnesses, or two edges of a scene, that are the same
 _AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place to swing about
@@ -44,10 +44,16 @@ class HandLink(NamedTuple):
         ends = sorted(float(self.distance(x)) for x in (low, high))
         return [self.fixed_m + self.sign * d for d in self.law.edges_between(ends[0], ends[1])]
 
+    def as_reached(self, start: float, low: float, high: float) -> HandLink:
+        """Itself; or, where it is a plectrum that neither grips where the hand starts nor is passed at d = 0 within the
+        travel (m), one that is always released."""
+        released = self.law.grips and abs(float(self.distance(start))) > self.law.edges[-1]
+        return self._replace(law=RELEASED) if released and not low <= self.fixed_m <= high else self
+
     @property
     def is_regional(self) -> bool:
         """Whether it is not the same spring and damper everywhere."""
-        return bool(self.law.edges) or math.isfinite(self.law.reach)
+        return bool(self.law.edges) or math.isfinite(self.law.reach) or self.law is RELEASED
 
 
 class Piece(NamedTuple):
@@ -68,6 +74,11 @@ class Piece(NamedTuple):
     reach: float
     """m: how far the hand moves about its place before another friction link slides."""
     is_curved: bool
+
+    @property
+    def within(self) -> tuple[float, float]:
+        """m: its ends, so little inside that no link is in the next piece: where a plectrum releases, force jumps."""
+        return _inside(self.low, self.high)
 
 
 @dataclass(frozen=True)
@@ -171,6 +182,7 @@ class Characteristic:
         if is_curved:
             from scipy.optimize import brentq
 
+            low, high = _inside(low, high)
             ends = float(self.force(low)), float(self.force(high))
             return float(brentq(self.force, low, high, xtol=1e-15)) if ends[0] * ends[1] < 0.0 else None
         inner = _within(low, high)
@@ -234,6 +246,11 @@ class Characteristic:
         )
 
 
+def _inside(low: float, high: float) -> tuple[float, float]:
+    within = _WITHIN * min(high - low, 1.0)
+    return low + within, high - within
+
+
 def _within(low: float, high: float) -> float:
     """A place between two of which either may be infinite."""
     if math.isfinite(low) and math.isfinite(high):
@@ -243,9 +260,10 @@ def _within(low: float, high: float) -> float:
     return high - max(1.0, abs(high)) if math.isfinite(high) else 0.0
 
 
-def characteristic_of(scene: Scene, name: str, around: float = 0.0) -> Characteristic | None:
+def characteristic_of(scene: Scene, name: str, around: float = 0.0, *, wherever: bool = False) -> Characteristic | None:
     """That of the hand at this device point; None where a link of it ends on a mass or on another hand. What repeats
-    without a travel is known for whole pieces within a period from position 0, and from `around` (m)."""
+    without a travel is known for whole pieces within a period from position 0, and from `around` (m). `wherever`: where
+    the hand is when the scene begins is not known."""
     links: dict[str, HandLink] = {}
     for link_name, link in scene.links.items():
         if name in link.between:
@@ -256,6 +274,9 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0) -> Character
             links[link_name] = HandLink(law_of(link), 1.0 if first == name else -1.0, scene.grounds[other].position)
     device, channel = scene.device, scene.device_points[name].channel
     low, high = device.travels(scene.channels)[channel]
+    start = None if wherever else starts_at(scene, channel)
+    if start is not None:
+        links = {link: one.as_reached(start, low, high) for link, one in links.items()}
     repeats = [one for one in links.values() if one.law.period]
     if repeats and not (math.isfinite(low) and math.isfinite(high)):
         period = max(one.law.period for one in repeats)
@@ -272,9 +293,17 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0) -> Character
     return Characteristic(links, own, low, high, device.force_limit, free)
 
 
-def hand_at(scene: Scene, name: str, around: float = 0.0) -> Characteristic:
+def starts_at(scene: Scene, channel: int) -> float | None:
+    """m: where the hand on this channel is at arming; None: where a device at a port happens to be."""
+    origin = scene.device.origins(scene.channels)[channel]
+    if origin is None:
+        return 0.0
+    return None if scene.device.port is not None else scene.mock_device.initial_position[channel] - origin
+
+
+def hand_at(scene: Scene, name: str, around: float = 0.0, *, wherever: bool = False) -> Characteristic:
     """`characteristic_of` a hand that has one."""
-    found = characteristic_of(scene, name, around)
+    found = characteristic_of(scene, name, around, wherever=wherever)
     assert found is not None
     return found
 
@@ -319,5 +348,5 @@ def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
         reach = f"{number(one.low)} to {number(one.high)} m"
         raise UsageError(f"at: found {number(at)} m, which {name} does not reach; expected a position from {reach}")
     piece = one.at(at, pieces)
-    within = _WITHIN * min(piece.high - piece.low, 1.0)  # on an edge a slope would be the mean of two
-    return piece._replace(place=min(max(at, piece.low + within), piece.high - within))
+    low, high = piece.within  # on an edge a slope would be the mean of two
+    return piece._replace(place=min(max(at, low), high))

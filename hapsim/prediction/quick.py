@@ -63,7 +63,7 @@ def _holds(alone: Scene) -> bool:
     if len(dampers) > 1 or (late_by_mean(alone) and dampers != {("backward", None)}):
         return False
     configuration = _known(configuration_of(alone, point.channel, *next(iter(dampers), ())))
-    hand, own = hand_at(alone, name), configuration.stiffness
+    hand, own = hand_at(alone, name, wherever=True), configuration.stiffness
     if hand.is_regional:
         pieces = hand.pieces()
         found = [(one.stiffness, one.damping) for one in pieces]

@@ -24,9 +24,9 @@ def regions_of(rendering: Rendering, name: str, around: float = 0.0) -> tuple[Re
     linear = scene_at(seen)
     if hand is None or why_coupled(seen, linear, name):
         return ()
-    regions = []
+    simulated, regions = hand_at(seen, name), []
     for piece in hand.pieces():
-        here = linear_at(seen, linear, name, piece)
+        here = linear_at(simulated, linear, piece)
         felt = felt_by(rendering, here, name)
         kind = _kind(felt.stiffness + felt.configuration.stiffness)
         stable = felt.stable if kind == "held" else modulus_without(felt.poles, kind) < _GROWS
@@ -43,12 +43,12 @@ def growth(regions: tuple[Region, ...]) -> float:
 def growth_of(seen: Scene, linear: LinearScene, name: str) -> tuple[float, str]:
     """The same from the poles of the hand `name` alone, where it feels different springs, and the hand's name with the
     stiffest link there; 0 for another hand."""
-    hand = characteristic_of(seen, name)
+    hand = characteristic_of(seen, name, wherever=True)
     if hand is None or not hand.is_regional:
         return 0.0, name
     (grown, whose), known = (0.0, name), set()
     for piece in hand.pieces():
-        here = linear_at(seen, linear, name, piece)
+        here = linear_at(hand, linear, piece)
         element = hand_of(seen, here, name)
         if element not in known:
             known.add(element)
@@ -62,9 +62,9 @@ def growth_of(seen: Scene, linear: LinearScene, name: str) -> tuple[float, str]:
     return grown, whose
 
 
-def linear_at(seen: Scene, linear: LinearScene, name: str, piece: Piece) -> LinearScene:
-    """`linear`, which is the scene `seen` as the theory takes it, with the hand `name` in this piece."""
-    taken = hand_at(seen, name).taken(piece.place, piece.sliding)
+def linear_at(hand: Characteristic, linear: LinearScene, piece: Piece) -> LinearScene:
+    """`linear`, a scene as the theory takes it, with this hand of it in this piece."""
+    taken = hand.taken(piece.place, piece.sliding)
     here = {
         link: linear.links[link]._replace(stiffness=one.stiffness, damping=one.damping) for link, one in taken.items()
     }
@@ -88,6 +88,6 @@ def _snap_energy(piece: Piece, hand: Characteristic) -> float:
     """The work of the force at the snap's beginning over its width, less that of the scene."""
     if not np.isfinite(piece.high - piece.low):
         return 0.0
-    x = np.linspace(piece.low, piece.high, _POINTS if piece.is_curved else 2)
+    x = np.linspace(*piece.within, _POINTS if piece.is_curved else 2)
     force = hand.force(x)
     return float(np.trapezoid(np.max(force) - force, x))

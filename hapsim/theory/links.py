@@ -87,6 +87,11 @@ class Law:
         """Whether the slope changes within a piece; `slopes` has the steepest then."""
         return False
 
+    @property
+    def grips(self) -> bool:
+        """Whether it holds between its edges once its ends have met there, and not before."""
+        return False
+
     def edges_between(self, low: float, high: float) -> list[float]:
         """The edges in [low, high], m; of a law with a period both have to be finite, and it raises ValueError where
         there are more than some thousand."""
@@ -127,7 +132,7 @@ class Law:
 
     def linear(self, d: float | None = None) -> Linear:
         """The spring and damper that stand for the link about d, in m; None: about `taken_at`, as `assumption` says."""
-        at, assumption = (self.taken_at, self.assumption) if d is None else (d, "")
+        at, assumption = (self.taken_at, self.assumption) if d is None or self is RELEASED else (d, "")
         return Linear(self.slope(at), self.damping(at), assumption, self.memoryless, self.in_a_matrix)
 
     @property
@@ -196,9 +201,17 @@ def plectrum(stiffness: float, damping: float, release: float = math.inf) -> Law
     )
 
 
+RELEASED = Law((), (0.0,), (0.0,), ("released",), assumption="never grips: its ends do not meet within the travel")
+"""A plectrum that never grips."""
+
+
 @dataclass(frozen=True)
 class _Plectrum(Law):
     """Without a force beyond its edges."""
+
+    @property
+    def grips(self) -> bool:
+        return True
 
     def tension(self, d: Floats) -> Floats:
         return np.where(np.abs(d) <= self.edges[-1], self.slopes[1] * np.asarray(d, float), 0.0)

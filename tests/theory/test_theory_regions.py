@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hapsim
 from hapsim.errors import UsageError
 from hapsim.prediction import Region, predict, warnings_about
 from hapsim.scene import parse_scene
@@ -54,6 +55,72 @@ def test_no_region_is_missed_and_none_invented(seed: int) -> None:
                 x = np.linspace(region.piece.low, region.piece.high, 1001)
                 force = formulas(document, x, sticks=False)[0]
                 assert region.snap_energy == pytest.approx(np.trapezoid(force.max() - force, x), rel=1e-4)
+
+
+def plucked(seed: int) -> dict[str, Any]:
+    """A hand on a plectrum and a table, each with its ground within the travel or somewhat beyond."""
+    draw = np.random.default_rng(seed)
+    at = np.sort(draw.uniform(-0.02, 0.02, 5))
+    release = float(draw.uniform(0.001, 0.008))
+    plectrum = {
+        "between": ["hand", "far"],
+        "stiffness": float(draw.uniform(50, 900)),
+        "release": release,
+        "damping": 1.0,
+    }
+    modules: dict[str, Any] = {
+        "hand": {"type": "device", "channel": 0},
+        "wall": {"type": "ground"},
+        "far": {"type": "ground", "position": float(draw.uniform(-0.018, 0.018))},
+        "pick": {"type": "plectrum"} | plectrum,
+    }
+    if draw.random() < 0.7:
+        points = [[float(x), float(f)] for x, f in zip(at, np.cumsum(draw.uniform(-0.6, 1.0, 5)), strict=True)]
+        modules["table"] = {"type": "nonlinear", "between": ["hand", "wall"], "force_over_distance": points}
+    device = {"clock": "lockstep", "mass": 0.2, "friction": 2.0, "stiffness": float(draw.choice([0.0, 150.0]))}
+    limits = {"delay": 0.0, "force_limit": 20.0, "travel": [-0.012, 0.012], "travel_margin": 0.05}
+    return {"version": 1, "rate": 1000, "device": device | limits, "modules": modules}
+
+
+def plucked_force(document: dict[str, Any], x: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    modules = document["modules"]
+    pick, d = modules["pick"], x - modules["far"]["position"]
+    force = document["device"]["stiffness"] * x
+    if -0.012 <= modules["far"]["position"] <= 0.012 or abs(modules["far"]["position"]) <= pick["release"]:
+        force = force + np.where(np.abs(d) < pick["release"], pick["stiffness"] * d, 0.0)
+    if "table" in modules:
+        force = force + np.interp(x, *zip(*modules["table"]["force_over_distance"], strict=True))
+    return force
+
+
+@pytest.mark.parametrize("seed", range(SCENES))
+def test_a_plectrum_s_regions_are_those_in_which_it_can_grip_and_their_energy_is_without_its_release(seed: int) -> None:
+    document = plucked(seed)
+    prediction = predict(as_scene(document), with_margins=False)
+    regions = prediction.regions.get("hand", ())
+    for region in regions:
+        width = region.piece.high - region.piece.low
+        x = np.linspace(region.piece.low + 1e-7 * width, region.piece.high - 1e-7 * width, 1001)
+        force = plucked_force(document, x)
+        slope = (force[-1] - force[0]) / (x[-1] - x[0])
+        assert region.piece.stiffness + document["device"]["stiffness"] == pytest.approx(slope, rel=1e-5, abs=1e-3)
+        if region.kind == "snap":
+            assert region.snap_energy == pytest.approx(np.trapezoid(force.max() - force, x), rel=1e-5)
+    if not regions:
+        x = np.linspace(-0.0119, 0.0119, 1001)
+        whole = document["device"]["stiffness"] + prediction.felt[0].stiffness
+        assert np.allclose(plucked_force(document, x), whole * x)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_where_a_plectrum_is_said_to_grip_or_not_it_does(seed: int) -> None:
+    """Measured in virtual time, in every region with a spring that is wide enough."""
+    document = plucked(100 + seed)
+    document["mock"] = {"quantum": 1e-11}
+    scene = as_scene(document)
+    for region in predict(scene, with_margins=False).regions.get("hand", ()):
+        if region.kind == "held" and region.piece.high - region.piece.low > 2e-3:
+            assert hapsim.measure(scene, at=region.piece.place).k == pytest.approx(region.felt.k, rel=1e-3)
 
 
 KNOB = """\
