@@ -71,8 +71,7 @@ def set_slew(loop: Any, scene: Scene, description: Description, bounds: ForceBou
 
 def set_frozen_sensor(loop: Any, scene: Scene, description: Description, bounds: ForceBounds) -> None:
     """Fills the FROZEN_SENSOR of a LOOP."""
-    device, channels = scene.device, scene.channels
-    used = slice(channels)
+    device, channels, used = scene.device, scene.channels, slice(scene.channels)
     low, high = np.transpose(device.travels(channels))
     margin = np.array(device.travel_margins(channels)) if device.travel is not None else 0.0
     watch_sensor(

@@ -69,11 +69,8 @@ FROZEN_SENSOR = np.dtype(
         ("channel", np.int64),  # on this channel
         ("jumps_on", np.int64),  # the channel whose position is a staircase
         ("begun", np.int64),  # 1: there was a sample
-        ("most_wait", np.float64),  # samples
-        ("least_ramp", np.float64),
-        ("most_ramp", np.float64),
-        ("least_return", np.float64),
-        ("soft_start", np.float64),
+        ("rate", np.float64),  # Hz
+        ("soft_start", np.float64),  # samples
         ("moved", np.float64, _EACH),  # T²/m, m per N in a sample
         ("floor", np.float64, _EACH),  # N, below which a force says nothing
         ("low", np.float64, _EACH),  # m: the travel without its margins
@@ -137,8 +134,9 @@ def judge_sensor(sensor, history, io, gap):
                 sensor.jumps_on, ends = c, 1
         else:
             sensor.still[c] += gap
-            if says:
-                _lead_on(sensor, history, c, gap)
+            for before in range(gap - 1 if says else -1, -1, -1):
+                sensor.step[c] += acting_force(history, IN_ALL + c, before) * sensor.moved[c]
+                sensor.way[c] += sensor.step[c]
         _ask(sensor, c, gap, says, says or abs(io.asked[c]) > sensor.floor[c])
         if sensor.frozen[c] and sensor.still[c] > sensor.longest:
             sensor.longest, sensor.channel = sensor.still[c], c
@@ -166,17 +164,9 @@ def _has_moved(sensor, c, counts, gap, scale, says):
         sensor.back[c] = sensor.soft_start
     elif sensor.asked[c] >= 0:
         sensor.trust[c] = min(TRUST * sensor.trust[c], MOST_TRUST)
-        sensor.back[c] = max(sensor.asked[c], sensor.least_return)
+        sensor.back[c] = max(sensor.asked[c], LEAST_RETURN_S * sensor.rate)
     sensor.frozen[c], sensor.asked[c] = 0, -1
     return sensor.stairs[c] >= STAIRS
-
-
-@helper
-def _lead_on(sensor, history, c, gap):
-    """Leads the free handle on by the forces that acted in the last `gap` samples."""
-    for before in range(gap - 1, -1, -1):
-        sensor.step[c] += acting_force(history, IN_ALL + c, before) * sensor.moved[c]
-        sensor.way[c] += sensor.step[c]
 
 
 @helper
@@ -186,14 +176,14 @@ def _ask(sensor, c, gap, says, wants):
     still, share = sensor.still[c], sensor.share[c]
     if sensor.frozen[c]:
         return
-    way, waits = abs(sensor.way[c]), still < min(LIVE * sensor.held[c], sensor.most_wait)
+    way, waits = abs(sensor.way[c]), still < min(LIVE * sensor.held[c], MOST_WAIT_S * sensor.rate)
     is_due = way > sensor.trust[c] * sensor.far[c] or (way > sensor.least_way[c] and not waits)
     if sensor.asked[c] < 0 and share < 1.0:
         share = min(share + gap / sensor.back[c], 1.0)
     elif sensor.asked[c] < 0 and says and is_due:
         sensor.asked[c] = 0
         sensor.tests += 1
-        sensor.ramp[c] = min(max(RAMP * still, sensor.least_ramp), sensor.most_ramp)
+        sensor.ramp[c] = min(max(RAMP * still, LEAST_RAMP_S * sensor.rate), MOST_RAMP_S * sensor.rate)
     if sensor.asked[c] >= 0 and wants:
         sensor.asked[c] += gap
         share = 1.0 - sensor.asked[c] / sensor.ramp[c]
@@ -217,20 +207,12 @@ def watch_sensor(
     """Fills a FROZEN_SENSOR. Arrays have an entry for each channel, in SI units: the least declared mass, the force
     limit, the position per count, and (2, channels) the ends of the travel without its margins."""
     used, one_sample = slice(len(motions)), rate_hz**-2 / mass
-    hand = np.array([HAND[one] for one in motions])
+    way, far, place, hand = (np.array([length[one] for one in motions]) for length in (WAY, FAR, PLACE, HAND))
     sensor.moved[used], sensor.floor[used] = one_sample, np.maximum(FLOOR * force_limit, HELD_BY * dry_friction)
     sensor.low[used], sensor.high[used] = travel
-    sensor.least_way[used] = [WAY[one] for one in motions] + COUNTS * count
-    sensor.far[used] = sensor.least_way[used] + [FAR[one] for one in motions]
-    sensor.place[used] = np.maximum([PLACE[one] for one in motions] / count, COUNTS)
+    sensor.least_way[used], sensor.far[used] = way + COUNTS * count, way + COUNTS * count + far
+    sensor.place[used] = np.maximum(place / count, COUNTS)
     sensor.stair[used] = np.maximum((force_limit + hand) * one_sample / count, COUNTS)
-    for name, seconds in (
-        ("most_wait", MOST_WAIT_S),
-        ("least_ramp", LEAST_RAMP_S),
-        ("most_ramp", MOST_RAMP_S),
-        ("least_return", LEAST_RETURN_S),
-        ("soft_start", soft_start_s),
-    ):
-        sensor[name] = seconds * rate_hz
+    sensor.rate, sensor.soft_start = rate_hz, soft_start_s * rate_hz
     sensor.asked[:], sensor.share[:], sensor.trust[:] = -1, 1.0, 1.0
     sensor.address, sensor.judge = address_of(sensor), judge_sensor.address()
