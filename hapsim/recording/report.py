@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import cache
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
 
 from hapsim.loop.histogram import Histogram, Spread
 from hapsim.units import Motion
+
+NO_RECORD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
+"""What reading a document raises that is none of ours, or a damaged one."""
 
 NOT_FINISHED = "not finished"
 """How the `ending` begins of a record that does not say how its run ended."""
@@ -116,15 +121,35 @@ class Statistics:
     age: Histogram
 
 
-_LISTS = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained", "motion")
+@dataclass(frozen=True)
+class _Sparse:
+    """A histogram in a file: the bins in which there is a count, and the counts."""
+
+    unit: float
+    maximum: float
+    bins: Annotated[int, Field(ge=1, le=1 << 16)]
+    counted: tuple[list[int], list[int]]
+
+
+_adapter = cache(TypeAdapter)
+
+
+def validated(kind: Any, value: Any) -> Any:
+    """Returns what JSON made of a `kind` as one again. ValueError, in one line, where it is none."""
+    try:
+        return _adapter(kind).validate_python(value)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        if first["type"] == "missing":
+            raise ValueError(f"found no {where}, expected one") from error
+        raise ValueError(f"{where}: found {first['input']!r:.40}: {first['msg']}") from error
 
 
 def report_from(values: dict[str, Any]) -> Report:
-    """What `asdict` made of a report, after JSON. TypeError where it is none."""
-    spreads = {name: Spread(**values[name]) for name in ("lateness_s", "exchange_s", "age_samples")}
-    lists = {name: tuple(values.get(name, ())) for name in _LISTS}
-    latency = values.get("sound_latency_s")
-    return Report(**values | spreads | lists | {"sound_latency_s": latency and tuple(latency)})
+    """What `asdict` made of a report, after JSON. ValueError where it is none."""
+    report: Report = validated(Report, values)
+    return report
 
 
 def summary_document(report: Report, statistics: Statistics, finished: bool) -> dict[str, Any]:
@@ -137,7 +162,7 @@ def summary_document(report: Report, statistics: Statistics, finished: bool) -> 
 
 
 def read_summary(document: dict[str, Any]) -> tuple[Report, Statistics]:
-    """What `summary_document` made a document of. KeyError, TypeError or ValueError where it is none."""
+    """What `summary_document` made a document of. An error of `NO_RECORD` where it is none."""
     histograms = {name: _whole(one) for name, one in document["histograms"].items()}
     return report_from(document["report"]), Statistics(**histograms)
 
@@ -149,7 +174,8 @@ def _sparse(histogram: Histogram) -> dict[str, Any]:
 
 
 def _whole(sparse: dict[str, Any]) -> Histogram:
-    counts = np.zeros(sparse["bins"], np.int64)
-    bins, counted = sparse["counted"]
+    found: _Sparse = validated(_Sparse, sparse)
+    counts = np.zeros(found.bins, np.int64)
+    bins, counted = found.counted
     counts[np.array(bins, np.int64)] = counted
-    return Histogram(counts, sparse["maximum"], sparse["unit"])
+    return Histogram(counts, found.maximum, found.unit)

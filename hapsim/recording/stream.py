@@ -21,14 +21,16 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Annotated, Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from firmware_protocol import schema
 from hapsim.errors import UsageError
 from hapsim.loop.ring import row_type
-from hapsim.recording.report import read_summary
+from hapsim.recording.report import NO_RECORD, read_summary, validated
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
 VERSION = 2
@@ -41,13 +43,17 @@ _HEAD, _ROWS, _NOTE, _TOLD = b"HEAD", b"ROWS", b"NOTE", b"TOLD"
 _MOST_BYTES = 1 << 26  # of a chunk; one that says it is longer is damaged
 
 
+_AboveZero = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Scales = Annotated[list[_AboveZero], Field(min_length=1, max_length=schema.MAX_CHANNELS)]
+
+
 class Head(NamedTuple):
     """What holds for the whole file."""
 
-    rate_hz: float
-    position_scale: list[float]
+    rate_hz: _AboveZero
+    position_scale: _Scales
     """m per count, by channel."""
-    force_scale: list[float]
+    force_scale: _Scales
     """N per count, by channel."""
     scene: str = ""
     """Its file, where it has one."""
@@ -140,6 +146,19 @@ class StreamReader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        with reading(path):
+            self._read_head(path)
+        self.notes: list[dict[str, Any]] = []
+        """What happened beside the rows, once they were read."""
+        self.is_finished = False
+        """Whether the run came to its end and nothing of its record is missing, once the rows were read."""
+        self.count = 0
+        """The number of its rows, once they were read."""
+        self._end: int | None = None  # where reading stops in a file that still grows
+        self.on_rows: Callable[[int], None] = lambda _: None
+        """Called with the number of rows read so far."""
+
+    def _read_head(self, path: Path) -> None:
         with path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 wanted = "expected a .trace, as `hapsim run SCENE --record FILE.trace` writes it"
@@ -154,21 +173,19 @@ class StreamReader:
                 f"{path}: found version {head['version']} of hapsim's stream of rows, expected {VERSION}: it takes a "
                 "newer hapsim"
             )
-        self.head = Head(**{name: head[name] for name in Head._fields if name in head})
-        self.notes: list[dict[str, Any]] = []
-        """What happened beside the rows, once they were read."""
+        self.head: Head = validated(Head, {name: head[name] for name in Head._fields if name in head})
+        if len(self.head.force_scale) != self.head.channels:
+            raise ValueError(f"found {len(self.head.force_scale)} force scales, expected {self.head.channels}")
         self.summary: dict[str, Any] = head["told"]
         """The last report and histograms in the file, once the rows were read."""
-        self.is_finished = False
-        """Whether the run came to its end and nothing of its record is missing, once the rows were read."""
-        self.count = 0
-        """The number of its rows, once they were read."""
-        self._end: int | None = None  # where reading stops in a file that still grows
-        self.on_rows: Callable[[int], None] = lambda _: None
-        """Called with the number of rows read so far."""
+        read_summary(self.summary)
 
     def rows(self) -> Iterator[NDArray[Any]]:
-        """The rows of every whole chunk up to the first that is not."""
+        """The rows of every whole chunk up to the first that is not. UsageError where one is damaged."""
+        with reading(self._path):
+            yield from self._rows()
+
+    def _rows(self) -> Iterator[NDArray[Any]]:
         kind, of = b"", self.head.rows
         self.notes, self.count = [], 0
         with self._path.open("rb") as stream:
@@ -182,12 +199,13 @@ class StreamReader:
                     yield np.frombuffer(payload, of)
                     self.on_rows(self.count)
                 elif kind == _NOTE:
-                    self.notes.append(json.loads(payload))
+                    self.notes.append(validated(dict[str, Any], json.loads(payload)))
                 elif kind == _TOLD:
                     self.summary = json.loads(payload)
                 end = stream.tell()
             is_all = end == stream.seek(0, os.SEEK_END)
             self._end = end
+        read_summary(self.summary)
         self.is_finished = bool(self.summary["finished"]) and kind == _TOLD and is_all
 
 
@@ -196,18 +214,23 @@ def open_record(path: Path) -> StreamReader:
     UsageError where the file is no record, is damaged, or has no rows."""
     if not path.is_file():
         raise UsageError(f"{path}: found no file, expected a .trace that `hapsim run --record` wrote")
-    try:
-        reader = StreamReader(path)
-        for _ in reader.rows():
-            pass
-        read_summary(reader.summary)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise UsageError(f"{path}: the record is damaged: {error}") from error
+    reader = StreamReader(path)
+    for _ in reader.rows():
+        pass
     if not reader.count:
         raise UsageError(f"{path}: found a record without rows, expected some: the run ended before its first")
     return reader
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Raises UsageError where what is read within cannot be, or is not what hapsim writes."""
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except NO_RECORD as error:
+        raise UsageError(f"{path}: the record is damaged: {error}") from error
 
 
 def is_stream(path: Path) -> bool:
@@ -222,6 +245,7 @@ def _next_chunk(stream: BinaryIO) -> tuple[bytes, int, bytes] | None:
     if len(head) < _CHUNK.size:
         return None
     kind, count, size, check = _CHUNK.unpack(head)
-    payload = stream.read(size) if size <= _MOST_BYTES else b""
+    left = os.fstat(stream.fileno()).st_size - stream.tell()
+    payload = stream.read(size) if size <= min(_MOST_BYTES, left) else b""
     whole = len(payload) == size and zlib.crc32(payload, zlib.crc32(head[:12])) == check
     return (kind, count, payload) if whole else None

@@ -11,12 +11,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE, VELOCITY
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.recording.feed import Scales
-from hapsim.recording.stream import open_record
-from hapsim.running.recorded_run import prediction_of
+from hapsim.recording.stream import open_record, reading
+from hapsim.running.recorded_run import prediction_of, read_run
 from hapsim.scene import Scene, parse_scene
 from hapsim.units import Units
 
@@ -38,13 +37,17 @@ class Columns:
     def __init__(self, path: Path) -> None:
         """Reads it once. UsageError where it is no record, is damaged, or has no rows."""
         self.path, self.reader = path, open_record(path)
+        with reading(path):
+            self._read()
+
+    def _read(self) -> None:
         self.head, self.report = self.reader.head, self.reader.summary["report"]
         self.count, self.channels = self.reader.count, self.head.channels
         motions = [*self.report.get("motion", ()), *["linear"] * self.channels]
         self._units = [Units([motion]) for motion in motions[: self.channels]]
         self.has_velocity = VELOCITY in (self.head.rows.names or ())
         self.all = [column for column in _COLUMNS if self.has_velocity or column.name != "sensed_velocity"]
-        notes, run = self.reader.notes, self.head.run
+        notes = self.reader.notes
         self.markers = [(note["sample"], note["marker"]) for note in notes if "marker" in note]
         """Of each marker: the sample at which it was set, and its text."""
         self.documents: dict[str, Any] = {"report": self.report}
@@ -53,10 +56,9 @@ class Columns:
         """Of each change of the scene: the first row with it, and what changed, as JSON."""
         self.scene: Scene | None = None
         """None in an older record, which has neither documents nor changes."""
-        if run is None:
-            return
-        try:
-            self.scene = scene = parse_scene(json.dumps(run["scene"]), str(path))
+        if (run := self.head.run) is not None:
+            read_run(run, self.channels)
+            self.scene = scene = parse_scene(json.dumps(run["scene"]), str(self.path))
             predicted = [note["prediction"] for note in notes if "prediction" in note]  # not where it was cut off
             self.documents |= {name: run[name] for name in ("options", "excitation", "versions")} | {
                 "scene": yaml.safe_dump(run["scene"], sort_keys=False, allow_unicode=True),
@@ -67,8 +69,6 @@ class Columns:
                 if "tick" in note:
                     changed = {key: value for key, value in note.items() if key != "tick"}
                     self.changes.append((note["tick"] - run["first_tick"], json.dumps(changed)))
-        except KeyError as error:
-            raise UsageError(f"{path}: the record is damaged: {error}") from error
 
     def units_of(self, column: Column) -> list[str]:
         """Returns the unit of each number that the column has in a row."""

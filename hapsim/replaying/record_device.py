@@ -11,15 +11,19 @@ import numpy as np
 from hapsim.device.mock.recorded import RecordedDevice
 from hapsim.errors import UsageError
 from hapsim.loop.ring import VELOCITY
-from hapsim.recording.stream import open_record
-from hapsim.running.recorded_run import description_of
+from hapsim.recording.stream import StreamReader, open_record, reading
+from hapsim.running.recorded_run import read_run
 from hapsim.scene import parse_scene
 
 
 def device_of(path: Path) -> RecordedDevice:
     """Returns the device of a record: it describes itself as the recorded one did, and sends the positions that it
     sent, at its rate. UsageError where the record does not have that."""
-    reader = open_record(path)
+    with reading(path):
+        return _device_of(path, open_record(path))
+
+
+def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
     run, report = reader.head.run, reader.summary["report"]
     if run is None:
         raise UsageError(f"{path}: an older hapsim recorded it, without its device: it cannot be served")
@@ -27,10 +31,8 @@ def device_of(path: Path) -> RecordedDevice:
     has_velocity = VELOCITY in (reader.head.rows.names or ())
     words = ["position_counts", *[VELOCITY] * has_velocity]
     counts = np.concatenate([np.hstack([piece[name] for name in words]) for piece in reader.rows()])
-    try:
-        description, scene = description_of(run), parse_scene(json.dumps(run["scene"]), str(path))
-    except (KeyError, TypeError) as error:
-        raise UsageError(f"{path}: the record is damaged: {error}") from error
+    description = read_run(run, reader.head.channels).description
+    scene = parse_scene(json.dumps(run["scene"]), str(path))
     for c, origin in enumerate(scene.device.origins(scene.channels)):  # rows count from there
         counts[:, c] += round((origin or 0.0) / description.position_scale[c])
     if not has_velocity:

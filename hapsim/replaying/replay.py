@@ -18,11 +18,11 @@ from hapsim.errors import UsageError
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.replay import VALUES, replay_rows
 from hapsim.loop.ring import BEFORE, VELOCITY
-from hapsim.recording.stream import open_record
+from hapsim.recording.stream import open_record, reading
 from hapsim.running.assemble import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
-from hapsim.running.recorded_run import description_of, options_of, versions_of_now
+from hapsim.running.recorded_run import options_of, read_run, versions_of_now
 from hapsim.scene import Scene, parse_scene
 from hapsim.sound.output import SoundOutput
 from hapsim.sound.wav import WavFile, require_writable_as_wav
@@ -52,17 +52,15 @@ class Record:
         run = self.reader.head.run
         if run is None:
             raise UsageError(f"{path}: an older hapsim recorded it, without its scene: it cannot be replayed")
-        if run["first_tick"]:
+        if run.get("first_tick"):
             raise UsageError(
                 f"{path}: it was begun {run['first_tick']} samples after the run, and what the scene was like then is "
                 "not known: only a record from the beginning can be replayed (`hapsim run --record`)"
             )
-        self.run: dict[str, Any] = run
-        try:
+        with reading(path):
+            self.run = read_run(run, self.reader.head.channels)
             self.scene = parse_scene(json.dumps(run["scene"]), str(path))
-            self.description, self.options = description_of(run), options_of(run)
-        except (KeyError, TypeError, ValueError) as error:
-            raise UsageError(f"{path}: the record is damaged: {error}") from error
+            self.description, self.options = self.run.description, options_of(self.run)
         self.notes = self.reader.notes
         """Changes and markers, as they were noted."""
 
@@ -86,11 +84,11 @@ class Replay:
         record's positions."""
         self.record, self.is_same = record, scene is None
         self.scene = record.scene if scene is None else _as_recorded(record, scene)
-        connection = Connection(None, str(record.path), lambda: None, behind_port=record.run["behind_port"])  # type: ignore[arg-type]
+        connection = Connection(None, str(record.path), lambda: None, behind_port=record.run.behind_port)  # type: ignore[arg-type]
         self.loop: LoopMemory = assemble_loop(self.scene, connection, record.description, record.options)
         self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
         self._decoder = new_decoder(self.loop.wire, to_device=False)
-        self._flushes = not record.run["in_python"]
+        self._flushes = not record.run.in_python
         self._ticks, self.changes = 0, 0
         self._sound = self._sound_output(sound_file, pick_up)
         compile_ahead(("replay",), Counted(lambda *_: None))
@@ -155,11 +153,12 @@ class Replay:
 
     def _change(self, change: dict[str, Any]) -> None:
         self.changes += 1
-        if "set" in change:
-            self.live.set(change["set"], change["over"])
-        else:
-            wanted = parse_scene(json.dumps(change["adopt"]), "the adopted scene")
-            self.live.adopt(wanted.model_copy(update={"mock": self.live.scene.mock}), change["over"])
+        with reading(self.record.path):
+            if "set" in change:
+                self.live.set(change["set"], change["over"])
+            else:
+                wanted = parse_scene(json.dumps(change["adopt"]), "the adopted scene")
+                self.live.adopt(wanted.model_copy(update={"mock": self.live.scene.mock}), change["over"])
 
     def _words(self, piece: Rows, before: int) -> NDArray[np.int64]:
         """Rows as `replay_rows` takes them."""
@@ -228,7 +227,7 @@ def _why(record: Record) -> str:
     if record.lost_rows:
         return f". {record.lost_rows} rows are missing from the record: its reader was too slow"
     now = versions_of_now()
-    before = record.run["versions"]
+    before = record.run.versions
     other = [f"{name} {before[name]}, now {now[name]}" for name in before if before[name] != now.get(name)]
     return f". It was recorded with {'; '.join(other)}" if other else ""
 

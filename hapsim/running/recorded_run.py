@@ -2,27 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from typing import Any, cast
+from typing import Any, Literal
 
 from firmware_protocol.description import Description
 from hapsim.number_format import plain
 from hapsim.prediction import predict
 from hapsim.prediction.felt import felt_document
+from hapsim.recording.report import validated
 from hapsim.running.assemble import LoopMemory
 from hapsim.running.changes import document_of
-from hapsim.running.options import Excitation, Guide, PeriodicExcitation, RunOptions
+from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 
 _OPTIONS = ("unstable", "judges_energy", "judges_sign")
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """A document of `run_of`, read."""
+
+    scene: dict[str, Any]
+    first_tick: int
+    description: Description
+    behind_port: bool
+    in_python: bool
+    options: dict[Literal["unstable", "judges_energy", "judges_sign"], bool | None]
+    excitation: Excitation | dict[str, Any] | None
+    versions: dict[str, str]
+
+
+def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
+    """Returns what a record of so many channels says of its run. ValueError where it is damaged."""
+    found: RecordedRun = validated(RecordedRun, run)
+    of = found.description
+    if {channels} != {len(of.position_scale), len(of.force_scale), len(of.force_limit)}:
+        raise ValueError(f"found a device of {of.channels} channels, expected {channels}")
+    if of.velocity_scale and len(of.velocity_scale) != channels:
+        raise ValueError(f"found {len(of.velocity_scale)} velocity scales, expected {channels}")
+    return found
 
 
 def run_of(
     scene: Scene, loop: LoopMemory, description: Description, behind_port: bool, in_python: bool, options: RunOptions
 ) -> dict[str, Any]:
     """Returns the document of a run. `behind_port`: as of a Connection; `in_python`: whether the loop is not compiled.
-    `options_of`, `description_of` and `hapsim.scene.parse_scene` read it."""
+    `read_run`, `options_of` and `hapsim.scene.parse_scene` read it."""
     return {
         "scene": document_of(scene),
         "first_tick": int(loop.state.ticks),
@@ -56,23 +82,11 @@ def versions_of_now() -> dict[str, str]:
     return {"processor": get_host_cpu_name()} | {name: version(name) for name in packages}
 
 
-def options_of(run: dict[str, Any]) -> RunOptions:
-    """Returns the options of a recorded run that its forces depend on. KeyError or TypeError where it is damaged."""
-    pushes = run["excitation"]
-    excitation: Excitation | PeriodicExcitation | None = None
-    if pushes is not None and "forces" in pushes:
-        excitation = PeriodicExcitation(**pushes)
-    elif pushes is not None:
-        guide = pushes["guide"]
-        found = None if guide is None else Guide(**{**guide, "seconds": tuple(guide["seconds"])})
-        excitation = Excitation(**{**pushes, "guide": found})
-    return RunOptions(**run["options"], excitation=excitation)
-
-
-def description_of(run: dict[str, Any]) -> Description:
-    """Returns how the device of a recorded run described itself. KeyError or TypeError where it is damaged."""
-    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in run["description"].items()}
-    return Description(**cast(dict[str, Any], fields))
+def options_of(run: RecordedRun) -> RunOptions:
+    """Returns the options of a recorded run that its forces depend on. TypeError or ValueError where it is damaged."""
+    pushes = PeriodicExcitation(**run.excitation) if isinstance(run.excitation, dict) else run.excitation
+    options: dict[str, Any] = {str(name): value for name, value in run.options.items()}
+    return RunOptions(**options, excitation=pushes)
 
 
 def _document_of_pushes(excitation: Excitation | PeriodicExcitation | None) -> dict[str, Any] | None:

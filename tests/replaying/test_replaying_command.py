@@ -102,7 +102,7 @@ def test_what_cannot_be_replayed_is_refused_with_the_reason(hapsim: Hapsim, tmp_
         ((tmp_path / "none.trace",), "found no file"),
         ((late,), "it was begun"),
         ((older,), "an older hapsim recorded it"),
-        ((damaged,), "the record is damaged: 'description'"),
+        ((damaged,), "the record is damaged: found no description, expected one"),
         ((cut,), "cut off, or damaged, before its first row"),
         ((whole, slow), "found rate 500 Hz, expected the record's, 1000 Hz"),
         ((whole, "--sound-file", tmp_path / "s.wav"), "found no pick-up in the scene"),
