@@ -378,7 +378,11 @@ def _connected(scene: Scene) -> frozenset[str]:
 
 
 def _potential(curve: Any) -> list[float]:
-    """How many points, where they are (m), the tension (N) and what is stored there (J), from the least on."""
+    """How many points, where they are (m), the tension (N) and what is stored there (J), from the least on: that of a
+    point, or where the tension rises through 0 between two."""
     at, tension = np.array(curve, np.float64).T
-    stored = np.concatenate([[0.0], np.cumsum(0.5 * (tension[1:] + tension[:-1]) * np.diff(at))])
-    return [len(at), *at, *tension, *(stored - stored.min())]
+    way, rise = np.diff(at), np.diff(tension)
+    stored = np.concatenate([[0.0], np.cumsum(0.5 * (tension[1:] + tension[:-1]) * way)])
+    rests = (tension[:-1] < 0.0) & (tension[1:] > 0.0)
+    least = stored[:-1][rests] - 0.5 * tension[:-1][rests] ** 2 * way[rests] / rise[rests]
+    return [len(at), *at, *tension, *(stored - min(stored.min(), least.min(initial=np.inf)))]

@@ -117,8 +117,9 @@ def identify_device(
 
     `force`: N, at most, to either side [default: a quarter of the scene's force_limit]. `travel`: m, at most, from
     where it is found [default: 0.005 m, 0.2 rad]. `duration`: seconds that are recorded for the fit, beside
-    a few seconds that find out how hard to push. It begins with a fraction of the force that the declared mass would need, and pushes
-    harder as it learns how far the device gets. Mass, friction and delay may be declared wrong by a factor of three.
+    a few seconds that find out how hard to push. It begins with a fraction of the force that the declared mass would
+    need, and pushes harder as it learns how far the device gets. Mass, friction and delay may be declared wrong by a
+    factor of three.
 
     Raises what `hapsim.running.run` raises, GuardError where the device moved farther than `travel`, and UsageError
     where too little moves to identify anything, or what moves does not answer to the force.

@@ -237,8 +237,8 @@ def _at_end_of_counts(loop: LoopMemory, near: float) -> str:
     scale = float(io.position_scale[c])
     return (
         f". The position's count is at its end on channel {c} (±{_COUNTS * scale:.4g} m at {scale:g} m per count): the "
-        "device went as far as 32 bits reach. Keep it within by a spring, a stop or device.travel, or have larger counts, by "
-        "mock.quantum or by the position scale of a device's firmware"
+        "device went as far as 32 bits reach. Keep it within by a spring, a stop or device.travel, or make its counts "
+        "larger: mock.quantum, or the position scale of a device's firmware"
     )
 
 

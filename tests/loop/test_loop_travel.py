@@ -13,10 +13,11 @@ from hapsim.errors import DescriptionError, GuardError, UsageError
 from hapsim.loop.endings import HEARD, OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED, LIMITED
 from hapsim.measuring.measure import _pushes
-from hapsim.prediction.force_bounds import HAND_DAMPING, fade_stiffness, refused_travel
+from hapsim.prediction.force_bounds import fade_stiffness, refused_travel
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
 from hapsim.running.requirements import require_known_zero
+from hapsim.scales import SCALES
 from hapsim.scene import Scene
 
 LIMIT, MARGIN = 0.003, 0.01
@@ -183,7 +184,7 @@ def test_the_band_that_is_accepted_does_not_shake_a_hand(share: float, grows: bo
     """Pulled outward by the force limit, held in the middle of the band by a light hand that pushes with half of it."""
     at_limit = fade_stiffness(scene_of(device=BAND), 0)
     force = share * at_limit * MARGIN
-    hand = {"force": -0.5 * force, "damping": HAND_DAMPING}
+    hand = {"force": -0.5 * force, "damping": SCALES["linear"].grip_damping}
     mock = {"initial": {"position": LIMIT + 0.5 * MARGIN + 2e-6}, "hand": hand}
     scene = scene_of(stiffness=1e6, damping=0.0, mock=mock, device={**BAND, "force_limit": force})
     far = {"wall": scene.modules["wall"].model_copy(update={"position": 1.0})}

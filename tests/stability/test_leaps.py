@@ -11,7 +11,10 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.exchange import STATE
-from hapsim.loop.guards.leap import HAND_M_PER_S, HAND_N, LEAP, SENSOR_M, is_leap, watch_for_leaps
+from hapsim.loop.guards.leap import LEAP, is_leap, watch_for_leaps
+from hapsim.scales import SCALES, Scale
+
+SCALE = SCALES["linear"]
 
 
 @entry
@@ -42,14 +45,14 @@ def judged(
     by_host: bool = False,
     samples: Any = None,
     arrived: Any = None,
+    scale: Scale = SCALE,
 ) -> int | None:
     """The row at which the guard finds a leap in `positions` (m); None where it finds none. `arrived`: in periods, by
     the host's clock, where that is not when they were sampled."""
     leap, io, state = new_record(LEAP), new_record(IO_BUFFER), new_record(STATE)
     each = {"mass": mass, "friction": friction, "stiffness": stiffness, "force": force, "count_m": quantum}
-    watch_for_leaps(
-        leap, rate_hz=rate, by_host=by_host, noise_m=noise, **{key: np.array([value]) for key, value in each.items()}
-    )
+    arrays = {key: np.array([value]) for key, value in each.items()}
+    watch_for_leaps(leap, rate_hz=rate, by_host=by_host, noise_m=noise, scales=[scale], **arrays)
     numbers = np.arange(len(positions)) if samples is None else np.asarray(samples)
     at = np.asarray(positions, float)
     times = numbers if arrived is None else arrived
@@ -80,14 +83,14 @@ def test_a_hand_that_pushes_with_all_it_has_against_all_the_device_has_is_none(r
     """And with a tenth of the declared mass, as where the hand lets go, at any speed to begin with."""
     rng = np.random.default_rng(1)
     for velocity in (0.0, 0.1, 30.0):
-        forces = rng.choice([-1.0, 0.0, 1.0], 400) * (10.0 + HAND_N)
+        forces = rng.choice([-1.0, 0.0, 1.0], 400) * (10.0 + SCALE.hand_force)
         for mass in (0.2, 0.0201):
             assert judged(moved_by(forces, rate, mass, velocity=velocity), rate=rate, by_host=by_host) is None
 
 
 @pytest.mark.parametrize("rate", RATES)
 def test_a_blow_against_a_stop_is_none_wherever_in_a_period_it_falls(rate: float) -> None:
-    for speed in (0.1, 3.0, HAND_M_PER_S):
+    for speed in (0.1, 3.0, SCALE.hand_speed):
         for phase in np.linspace(0.0, 1.0, 23):
             time = (np.arange(60) - 30 - phase) / rate
             for bounce in (0.0, 0.5, 1.0):
@@ -98,7 +101,7 @@ def test_a_blow_against_a_stop_is_none_wherever_in_a_period_it_falls(rate: float
 @pytest.mark.parametrize("by_host", [False, True])
 def test_lost_positions_are_none(rate: float, by_host: bool) -> None:
     rng = np.random.default_rng(2)
-    forces = np.repeat(rng.choice([-1.0, 1.0], 40), 20) * (10.0 + HAND_N)
+    forces = np.repeat(rng.choice([-1.0, 1.0], 40), 20) * (10.0 + SCALE.hand_force)
     positions = moved_by(forces, rate, 0.2, velocity=3.0)
     for share in (0.1, 0.5, 0.9):
         kept = np.flatnonzero(rng.uniform(size=positions.size) > share)
@@ -127,7 +130,7 @@ def test_friction_and_a_spring_of_the_device_are_none(rate: float) -> None:
 @pytest.mark.parametrize("rate", [500.0, 1000.0, 4000.0])
 @pytest.mark.parametrize("by_host", [False, True])
 def test_from_rest_the_bound_is_the_one_that_is_stated(rate: float, by_host: bool) -> None:
-    stated = 10.0 * (10.0 + HAND_N) / 0.2 / rate**2 + SENSOR_M + 4e-9
+    stated = 10.0 * (10.0 + SCALE.hand_force) / 0.2 / rate**2 + SCALE.sensor + 4e-9
     for side in (-1.0, 1.0):
         rest = np.full(50, 0.3)
         for share, row in ((0.999, None), (1.001, 40)):
@@ -146,3 +149,13 @@ def test_a_host_that_was_held_up_takes_no_hand_for_a_leap() -> None:
     passed = np.cumsum([*[1] * 20, 60, *[1] * 20, 7, *[1] * 20])
     assert judged(2.5 * passed / 1000.0, arrived=passed, by_host=True) is None
     assert judged(2.5 * passed / 1000.0, arrived=passed, by_host=False) == 20
+
+
+@pytest.mark.parametrize("speed", [20.0, 60.0, SCALES["rotary"].hand_speed])
+def test_a_knob_that_fingers_flick_against_a_stop_leaps_no_more_than_a_handle(speed: float) -> None:
+    """As a handle at 10 m/s it would."""
+    time = (np.arange(60) - 30.4) / 1000.0
+    bounced = np.where(time < 0.0, speed * time, -speed * time)
+    told: dict[str, Any] = {"mass": 0.1, "force": 5.0}
+    assert judged(bounced, **told, scale=SCALES["rotary"]) is None
+    assert judged(bounced, **told) is not None

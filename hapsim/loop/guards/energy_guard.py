@@ -33,10 +33,10 @@ episodes.
 the guard also trips after SWINGS episodes in a row, each beginning within GAP_S (GAP_SAMPLES at least) of the one
 before, if over them the force did at least the work that friction took, and more than `swing_limit`. An episode begins
 where the scene's own force, without an excitation, reaches the limit on another side or after a sample within it, but
-not behind lost positions. The sums begin anew where the force did less work than friction took: between two crossings
-of the limit at one place a spring holds the same energy, so any gain comes from the sampling. They also begin anew when
-a parameter changes, which moves the crossing. A hand that presses, knocks or shakes a passive object loses energy from
-episode to episode.
+neither at arming, where what is wound up holds more than at any crossing, nor behind lost positions. The sums begin
+anew where the force did less work than friction took: between two crossings of the limit at one place a spring holds
+the same energy, so any gain comes from the sampling. They also begin anew when a parameter changes, which moves the
+crossing. A hand that presses, knocks or shakes a passive object loses energy from episode to episode.
 
 **Shaking at the limit.** A mass that diverges, or a damper too large for the rate, throws the force from limit to limit
 so fast that the hand hardly moves. So the guard also trips after SHAKES turns in a row of one channel's force from one
@@ -143,7 +143,7 @@ def judge_energy(energy, history, io, gap):
     else:
         energy.begun = 1
         energy.given[:] = -(energy.held if energy.held < energy.most_held else energy.most_held)  # also NaN
-    begins = _follow_sides(energy, history, io, gap) and gap == 1
+    begins = _follow_sides(energy, history, io, gap) and gap == 1 and has_begun
     energy.gap += gap
     follows = energy.gap <= energy.most_gap
     energy.gap = 0 if begins else energy.gap
