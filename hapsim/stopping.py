@@ -16,12 +16,15 @@ from typing import Any
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """SIGINT, SIGTERM and, where a system has it, SIGHUP."""
 
+ARMING = {"run", "measure", "identify", "doctor", "probe", "mock", "faults"}
+"""Commands that arm a device, or are one: of the others it is no news that none was armed."""
+
 INTERRUPTED = 130
 """The exit status of a command that one of them ended while no run was under way."""
 
 
 class _Command:
-    ended = "before anything was armed"
+    ended = ""
     armed = False
     interrupted = False
     stops = 0
@@ -41,7 +44,8 @@ def end_interrupted() -> int:
     """Prints that the command was stopped while no run was under way, with --json as a document; returns the exit
     status."""
     ignore_stops()
-    sentence = f"hapsim: stopped {_Command.ended}"
+    default = "before anything was armed" if ARMING & {*sys.argv} else "before it was finished"
+    sentence = f"hapsim: stopped {_Command.ended or default}"
     if _Command.armed:
         sentence = "hapsim: stopped while no run was under way; nothing was printed of what it had found"
     print(sentence, file=sys.stderr)
@@ -64,8 +68,7 @@ def is_urgent() -> bool:
 @contextlib.contextmanager
 def stops_as_interrupts() -> Iterator[None]:
     """While open, each of these signals raises KeyboardInterrupt."""
-    _Command.armed, _Command.interrupted, _Command.stops = False, False, 0
-    _Command.ended = "before anything was armed"
+    _Command.ended, _Command.armed, _Command.interrupted, _Command.stops = "", False, False, 0
 
     def interrupt(*_: object) -> None:
         _Command.interrupted = True
