@@ -6,6 +6,7 @@ Only the standard library is imported here: this file is loaded before everythin
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import signal
 import sys
@@ -16,11 +17,10 @@ from typing import Any
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """SIGINT, SIGTERM and, where a system has it, SIGHUP."""
 
-ARMING = {"run", "measure", "identify", "doctor", "probe", "mock", "faults"}
-"""Commands that arm a device, or are one: of the others it is no news that none was armed."""
-
 INTERRUPTED = 130
 """The exit status of a command that one of them ended while no run was under way."""
+
+_ARMING = {"run", "measure", "identify", "doctor", "probe", "mock", "faults"}  # of others it is no news that none was
 
 
 class _Command:
@@ -44,7 +44,8 @@ def end_interrupted() -> int:
     """Prints that the command was stopped while no run was under way, with --json as a document; returns the exit
     status."""
     ignore_stops()
-    default = "before anything was armed" if ARMING & {*sys.argv} else "before it was finished"
+    words = " ".join(itertools.takewhile(lambda word: not word.startswith("-"), ["hapsim", *sys.argv[1:]]))
+    default = "before anything was armed" if _ARMING & {*sys.argv} else f"before {words} was finished"
     sentence = f"hapsim: stopped {_Command.ended or default}"
     if _Command.armed:
         sentence = "hapsim: stopped while no run was under way; nothing was printed of what it had found"

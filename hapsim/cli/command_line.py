@@ -25,7 +25,7 @@ from hapsim.cli.streams import output_failure, standing_streams
 from hapsim.errors import HapsimError, UsageError, refused_by_system
 from hapsim.scene.issue import as_argument
 from hapsim.scene.shipped import shipped_boards, shipped_scenes, shipped_scripts
-from hapsim.stopping import ARMING, end_interrupted, note_work, was_interrupted
+from hapsim.stopping import end_interrupted, was_interrupted
 from hapsim.units import LINEAR
 
 
@@ -46,8 +46,6 @@ class _Commands(TyperGroup):
         name, command, rest = super().resolve_command(ctx, args)
         if not ctx.resilient_parsing:  # completion
             rest = take_cache(rest)  # the command's module decides where compiled code is
-            if name not in ARMING:
-                note_work(f"before {ctx.command_path} {name} was finished")
         if name not in self.table:
             return name, command, rest
         return name, outline(f"{ctx.command_path} {name}") if ctx.resilient_parsing else self._loaded(name), rest

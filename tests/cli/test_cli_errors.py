@@ -203,16 +203,16 @@ def test_a_signal_before_anything_is_armed_is_status_130_with_a_sentence(
     assert [signal.getsignal(one) for one in STOPS] == before
 
 
-TO_STOP: dict[str, tuple[str, str]] = {  # by command: what it calls late, and what it says when it is stopped there
+TO_STOP: dict[str, tuple[str, str]] = {  # by command: what it calls late, and what it says it did, beside its words
     "check": ("hapsim.cli.check.predict", "while working out modes and gain margins"),
     "check --explain": ("hapsim.cordis.explain.explain", "while compiling"),
-    "chart plane": ("hapsim.chart.plane.draw_plane", "before hapsim chart plane was finished"),
-    "chart felt": ("hapsim.chart.felt.felt_chart", "before hapsim chart felt was finished"),
-    "chart force": ("hapsim.chart.force.draw_force", "before hapsim chart force was finished"),
-    "chart transparency": ("hapsim.chart.impedance.transparency", "before hapsim chart transparency was finished"),
-    "chart table1": ("hapsim.chart.table1.table1", "before hapsim chart table1 was finished"),
-    "compile": ("hapsim.cli.prepare.load", "before hapsim compile was finished"),
-    "sweep touch.stiffness=1,2 --out s.nc": ("hapsim.sweeping.sweep.sweep", "before hapsim sweep was finished"),
+    "chart plane": ("hapsim.chart.plane.draw_plane", ""),
+    "chart felt": ("hapsim.chart.felt.felt_chart", ""),
+    "chart force": ("hapsim.chart.force.draw_force", ""),
+    "chart transparency": ("hapsim.chart.impedance.transparency", ""),
+    "chart table1": ("hapsim.chart.table1.table1", ""),
+    "compile": ("hapsim.cli.prepare.load", ""),
+    "sweep touch.stiffness=1,2 --out s.nc": ("hapsim.sweeping.sweep.sweep", ""),
 }
 
 
@@ -238,6 +238,7 @@ def test_a_command_without_a_device_says_in_a_line_what_ended(
     first, *rest = command.split()
     words = [first, rest.pop(0), scene] if first == "chart" else [first, scene]
     answer = hapsim(*words, *rest)
+    said = said or f"before hapsim {' '.join(map(str, words + rest)).partition(' --')[0]} was finished"
     assert (answer.status, answer.sentence) == (130, f"hapsim: stopped {said}\n")
     assert not any(tmp_path.iterdir())
 
@@ -269,10 +270,10 @@ def test_a_record_whose_export_is_stopped_leaves_no_file(
     assert (answer.status, answer.sentence) == (130, f"hapsim: stopped while exporting {record}\n")
     assert not out.exists()
     monkeypatch.setattr("hapsim.replaying.replay.compare", interrupt)
-    assert hapsim("replay", record).sentence == "hapsim: stopped before hapsim replay was finished\n"
+    assert hapsim("replay", record).sentence == f"hapsim: stopped before hapsim replay {record} was finished\n"
     monkeypatch.setattr("hapsim.chart.trace.draw_trace", interrupt)
     answer = hapsim("chart", "trace", record, "--picture", tmp_path / "p.svg")
-    assert answer.sentence == "hapsim: stopped before hapsim chart trace was finished\n"
+    assert answer.sentence == f"hapsim: stopped before hapsim chart trace {record} was finished\n"
 
 
 LOADING = """
@@ -288,9 +289,9 @@ main()
 
 
 @pytest.mark.parametrize("number", STOPS)
-@pytest.mark.parametrize(("command", "said"), [("run", "anything was armed"), ("check", "it was finished")])
+@pytest.mark.parametrize(("command", "said"), [("run", "anything was armed"), ("check", "hapsim check x was finished")])
 def test_a_signal_while_the_command_is_loaded_is_told_like_a_later_one(number: int, command: str, said: str) -> None:
-    words = [sys.executable, "-c", LOADING, command, "configs/first_touch.yaml", "--json", str(int(number))]
+    words = [sys.executable, "-c", LOADING, command, "x", "--json", str(int(number))]
     ended = subprocess.run(words, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (130, f"hapsim: stopped before {said}\n")
     assert json.loads(ended.stdout) == {"error": ended.stderr.strip(), "exit_status": 130}
