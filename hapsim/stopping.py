@@ -6,6 +6,7 @@ Only the standard library is imported here: this file is loaded before everythin
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import signal
 import sys
@@ -19,9 +20,11 @@ STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") 
 INTERRUPTED = 130
 """The exit status of a command that one of them ended while no run was under way."""
 
+_ARMING = {"run", "measure", "identify", "doctor", "probe", "mock", "faults"}  # of others it is no news that none was
+
 
 class _Command:
-    ended = "before anything was armed"
+    ended = ""
     armed = False
     interrupted = False
     stops = 0
@@ -41,7 +44,9 @@ def end_interrupted() -> int:
     """Prints that the command was stopped while no run was under way, with --json as a document; returns the exit
     status."""
     ignore_stops()
-    sentence = f"hapsim: stopped {_Command.ended}"
+    words = " ".join(itertools.takewhile(lambda word: not word.startswith("-"), ["hapsim", *sys.argv[1:]]))
+    default = "before anything was armed" if _ARMING & {*sys.argv} else f"before {words} was finished"
+    sentence = f"hapsim: stopped {_Command.ended or default}"
     if _Command.armed:
         sentence = "hapsim: stopped while no run was under way; nothing was printed of what it had found"
     print(sentence, file=sys.stderr)
@@ -64,8 +69,7 @@ def is_urgent() -> bool:
 @contextlib.contextmanager
 def stops_as_interrupts() -> Iterator[None]:
     """While open, each of these signals raises KeyboardInterrupt."""
-    _Command.armed, _Command.interrupted, _Command.stops = False, False, 0
-    _Command.ended = "before anything was armed"
+    _Command.ended, _Command.armed, _Command.interrupted, _Command.stops = "", False, False, 0
 
     def interrupt(*_: object) -> None:
         _Command.interrupted = True

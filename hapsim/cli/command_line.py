@@ -25,10 +25,8 @@ from hapsim.cli.streams import output_failure, standing_streams
 from hapsim.errors import HapsimError, UsageError, refused_by_system
 from hapsim.scene.issue import as_argument
 from hapsim.scene.shipped import shipped_boards, shipped_scenes, shipped_scripts
-from hapsim.stopping import end_interrupted, note_work, was_interrupted
+from hapsim.stopping import end_interrupted, was_interrupted
 from hapsim.units import LINEAR
-
-_ARMING = ("run", "measure", "identify", "doctor", "probe", "mock", "faults")  # what is stopped before that says so
 
 
 class _Commands(TyperGroup):
@@ -48,8 +46,6 @@ class _Commands(TyperGroup):
         name, command, rest = super().resolve_command(ctx, args)
         if not ctx.resilient_parsing:  # completion
             rest = take_cache(rest)  # the command's module decides where compiled code is
-            if name not in _ARMING:
-                note_work(f"before {ctx.command_path} {name} was finished")
         if name not in self.table:
             return name, command, rest
         return name, outline(f"{ctx.command_path} {name}") if ctx.resilient_parsing else self._loaded(name), rest

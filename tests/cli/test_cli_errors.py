@@ -187,9 +187,7 @@ def test_a_defect_of_ours_is_status_1_and_can_be_traced(
 
 
 @pytest.mark.parametrize("number", STOPS)
-@pytest.mark.parametrize(
-    "command", [["run"], ["compile"], ["measure"], ["identify"], ["mock"], ["faults", "noisy_wire", "--scene"]]
-)
+@pytest.mark.parametrize("command", [["run"], ["measure"], ["identify"], ["mock"], ["faults", "noisy_wire", "--scene"]])
 def test_a_signal_before_anything_is_armed_is_status_130_with_a_sentence(
     hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, command: list[str], number: int
 ) -> None:
@@ -205,6 +203,79 @@ def test_a_signal_before_anything_is_armed_is_status_130_with_a_sentence(
     assert [signal.getsignal(one) for one in STOPS] == before
 
 
+TO_STOP: dict[str, tuple[str, str]] = {  # by command: what it calls late, and what it says it did, beside its words
+    "check": ("hapsim.cli.check.predict", "while working out modes and gain margins"),
+    "check --explain": ("hapsim.cordis.explain.explain", "while compiling"),
+    "chart plane": ("hapsim.chart.plane.draw_plane", ""),
+    "chart felt": ("hapsim.chart.felt.felt_chart", ""),
+    "chart force": ("hapsim.chart.force.draw_force", ""),
+    "chart transparency": ("hapsim.chart.impedance.transparency", ""),
+    "chart table1": ("hapsim.chart.table1.table1", ""),
+    "compile": ("hapsim.cli.prepare.load", ""),
+    "sweep touch.stiffness=1,2 --out s.nc": ("hapsim.sweeping.sweep.sweep", ""),
+}
+
+
+@pytest.mark.parametrize("number", STOPS)
+@pytest.mark.parametrize("command", TO_STOP)
+@pytest.mark.parametrize("raises", ["itself", "another failure"])
+def test_a_command_without_a_device_says_in_a_line_what_ended(
+    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: str, number: int, raises: str
+) -> None:
+    called, said = TO_STOP[command]
+
+    def interrupt(*_: object, **__: object) -> None:
+        try:
+            os.kill(os.getpid(), number)
+        except KeyboardInterrupt:
+            if raises == "itself":
+                raise
+            raise RuntimeError("a library's") from None
+
+    monkeypatch.setattr(called, interrupt)
+    scene = Path("configs/first_touch.yaml").resolve()
+    monkeypatch.chdir(tmp_path)
+    first, *rest = command.split()
+    words = [first, rest.pop(0), scene] if first == "chart" else [first, scene]
+    answer = hapsim(*words, *rest)
+    said = said or f"before hapsim {' '.join(map(str, words + rest)).partition(' --')[0]} was finished"
+    assert (answer.status, answer.sentence) == (130, f"hapsim: stopped {said}\n")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_sweep_that_is_stopped_says_in_the_same_line_what_it_keeps(
+    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        (tmp_path / "s.nc.parts").mkdir()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("hapsim.sweeping.sweep.sweep", interrupt)
+    answer = hapsim("sweep", "configs/first_touch.yaml", "touch.stiffness=1,2", "--out", tmp_path / "s.nc")
+    resumed = f"run the same command again to go on with what {tmp_path}/s.nc.parts keeps"
+    assert (answer.status, answer.sentence) == (130, f"hapsim: stopped before it was finished; {resumed}\n")
+
+
+def test_a_record_whose_export_is_stopped_leaves_no_file(
+    hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, scene_file: SceneFile, tmp_path: Path
+) -> None:
+    record, out = tmp_path / "r.trace", tmp_path / "r.csv"
+    assert hapsim("run", scene_file("spring"), "--duration", "1", "--record", record).status == 0
+
+    def interrupt(*_: object, **__: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("hapsim.cli.export.write", interrupt)
+    answer = hapsim("export", record, out)
+    assert (answer.status, answer.sentence) == (130, f"hapsim: stopped while exporting {record}\n")
+    assert not out.exists()
+    monkeypatch.setattr("hapsim.replaying.replay.compare", interrupt)
+    assert hapsim("replay", record).sentence == f"hapsim: stopped before hapsim replay {record} was finished\n"
+    monkeypatch.setattr("hapsim.chart.trace.draw_trace", interrupt)
+    answer = hapsim("chart", "trace", record, "--picture", tmp_path / "p.svg")
+    assert answer.sentence == f"hapsim: stopped before hapsim chart trace {record} was finished\n"
+
+
 LOADING = """
 import os, sys
 class Finder:
@@ -218,10 +289,11 @@ main()
 
 
 @pytest.mark.parametrize("number", STOPS)
-def test_a_signal_while_the_command_is_loaded_is_told_like_a_later_one(number: int) -> None:
-    words = [sys.executable, "-c", LOADING, "run", "configs/first_touch.yaml", "--json", str(int(number))]
+@pytest.mark.parametrize(("command", "said"), [("run", "anything was armed"), ("check", "hapsim check x was finished")])
+def test_a_signal_while_the_command_is_loaded_is_told_like_a_later_one(number: int, command: str, said: str) -> None:
+    words = [sys.executable, "-c", LOADING, command, "x", "--json", str(int(number))]
     ended = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert (ended.returncode, ended.stderr) == (130, "hapsim: stopped before anything was armed\n")
+    assert (ended.returncode, ended.stderr) == (130, f"hapsim: stopped before {said}\n")
     assert json.loads(ended.stdout) == {"error": ended.stderr.strip(), "exit_status": 130}
 
 

@@ -224,6 +224,20 @@ def test_of_strangers_those_of_the_most_crowded_address_go_first(
         assert gone([slow]) == 0
 
 
+def test_a_crowd_of_other_machines_takes_no_place_of_this_one(
+    serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sockets, "ip_of", lambda peer: ip_of(peer if peer == "127.0.0.1" else "192.0.2.1"))
+    port = serve(address="0.0.0.0:0").view.address.port
+    with contextlib.ExitStack() as stack:
+        own = stack.enter_context(socket.create_connection(("127.0.0.1", port), 30, ("127.0.0.1", 0)))
+        others = (f"127.0.1.{i}" for i in range(1, 201))
+        crowd = [stack.enter_context(socket.create_connection(("127.0.0.1", port), 30, (one, 0))) for one in others]
+        while gone(crowd) < 200 - sockets._MOST_CONNECTIONS:
+            pass
+        assert gone([own]) == 0
+
+
 def test_strangers_lock_nobody_out_of_oscquery() -> None:
     with serving() as served:
         osc = OscView(served.hub, address_of("--osc-at", ":0", 0), (), served.warnings.append)

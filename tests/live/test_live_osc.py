@@ -21,9 +21,11 @@ from pythonosc.osc_packet import OscPacket
 
 from hapsim.errors import UsageError
 from hapsim.live.access import address_of
+from hapsim.live.hub import Hub
 from hapsim.live.osc import OscView
 from hapsim.live.server import Server
 from hapsim.running.parameters import Parameter
+from hapsim.scene import parse_scene
 
 PACKETS = int(os.environ.get("HAPSIM_POINTS", "2000"))
 BATCH = 50  # that fit in a socket's buffer
@@ -118,6 +120,7 @@ class Recorder:
     def __init__(self) -> None:
         self.made: list[tuple[dict[str, Any], float]] = []
         self.at: list[float] = []
+        self.session = object()  # as of a hub whose device is armed
         self.parameters = {
             "touch.stiffness": Parameter("touch.stiffness", "number", 200.0, "N/m", ""),
             "touch.damping": Parameter("touch.damping", "number", 2.0, "N·s/m", ""),
@@ -356,3 +359,36 @@ def test_osc_goes_on_after_the_device_was_away(client: tuple[Any, Client, OscVie
     while osc.hear("/hapsim/ticks")[0] > 150:
         pass
     assert osc.ask("/hapsim/touch/stiffness") == [150.0]
+
+
+@pytest.mark.parametrize(
+    ("address", "arguments"),
+    [
+        ("/hapsim/mock/hand/force", [1.0]),  # known once a mock is armed
+        ("/hapsim/mock/hand/force", []),
+        ("/hapsim/mock/*/force", [1.0]),
+        ("/hapsim/touch/stiffness", [150.0]),
+        ("/hapsim/*/stiffness", [150.0]),
+        ("/hapsim/position", []),
+        ("/hapsim/marker", ["here"]),
+        ("/hapsim/stop", []),
+    ],
+)
+def test_before_arming_every_refusal_says_that_nothing_is_armed_yet(address: str, arguments: list[Any]) -> None:
+    with answering(Hub(parse_scene(SLOW))) as view:
+        client = Client(view)
+        sentence = client.refused(message(address, *arguments).dgram)
+        assert "not armed" in sentence
+        assert "no such address" not in sentence
+
+
+def test_without_a_device_for_a_while_it_says_so_and_afterwards_what_is_wrong(
+    client: tuple[Any, Client, OscView],
+) -> None:
+    served, osc, _ = client
+    served.pause()
+    assert "not armed" in osc.refused(message("/hapsim/mock/hand/force", 1.0).dgram)
+    served.resume()
+    assert "no such address" in osc.refused(message("/hapsim/mock/hand/farce", 1.0).dgram)
+    osc.tell("/hapsim/mock/hand/force", 0.5)
+    assert osc.ask("/hapsim/mock/hand/force") == [0.5]
