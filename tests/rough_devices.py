@@ -122,7 +122,7 @@ def measured(device: RoughDevice) -> Said:
         "mode": "A second mode swings along" in text,
         "mass": mass is not None,
         "device": "further apart" in text,
-        "dry": "has dry friction of" in text,
+        "dry": "The device has dry friction" in text,
         "limits": "k and b hold for motions" in text,
         "nothing": not found.dominant,
     }
@@ -131,7 +131,7 @@ def measured(device: RoughDevice) -> Said:
         "mode": says["mode"],
         "mass": mass is not None and (not device.wrong_mass or abs(mass / true_mass - 1.0) > 0.1),
         "device": says["device"] and not (device.wrong_mass or device.wrong_friction or device.dry),
-        "dry": "has dry friction of" in text and not device.dry,
+        "dry": "The device has dry friction" in text and not device.dry,
     }
     apart = abs(found.k - device.k) / found.k_uncertainty if found.dominant else math.nan
     words = tuple(name for name, said in says.items() if said)

@@ -40,6 +40,7 @@ _LEAST_ORDER = 3  # that a record has to tell: a pair of poles and one that foll
 _MOST_SPOILT = 0.1  # of the samples: with more, it is not motion that is missing
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
 _SEEN = 5.0  # uncertainties: dry friction that is less clear is not there
+_FAR_BETTER = 0.5  # of a residual: as much less is no chance, and no other order of a fit
 _SPOILT = LATE_FORCE | BRIDGED | OFF_GRID
 
 
@@ -94,8 +95,8 @@ class Measurement:
     trace: Trace = field(repr=False, compare=False)
     """Its source."""
     dry_friction_n: float = 0.0
-    """N, where the motion shows dry friction, which is then no part of b; 0 where it shows none, NaN where nothing that
-    it contains shows how much."""
+    """N, where the motion shows dry friction, which is then no part of b; 0 where it shows none. NaN where it does not
+    show how much: k and b may then be off by more than their uncertainty."""
     failure: RunError | None = field(default=None, repr=False, compare=False)
     """Why the run ended early; the record until then was enough for the values above."""
     seen_rate: SeenRate | None = field(default=None, compare=False)
@@ -136,7 +137,7 @@ def measure_trace(
     nothing moves.
     """
     with one_thread():
-        segments, fits = _fitted(trace, channel, pressed)
+        segments, fits, sticks = _fitted(trace, channel, pressed)
         read = dominant_pairs(fits, _free_motion(segments, fits[0][0].order), segments[0].stands)
     at = next((i for i, one in enumerate(read) if one.pair is not None), 0)
     best, found = fits[at][0], read[at]
@@ -167,7 +168,7 @@ def measure_trace(
         samples=best.rows,
         residual_m=best.residual * float(trace.position_scale[channel]),
         trace=trace,
-        dry_friction_n=_dry_friction(segments, best),
+        dry_friction_n=_dry_friction(segments, best, sticks),
         seen_rate=seen_rate(trace),
     )
 
@@ -184,8 +185,9 @@ def asks_by_one_law(trace: Trace, channel: int) -> bool:
     )
 
 
-def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, Fit | None]]]:
-    """The usable segments, and the fits that they speak for, as `_fits` gives them. UsageError where there is none."""
+def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, Fit | None]], bool]:
+    """The usable segments, the fits that they speak for, as `_fits` gives them, and whether dry friction moves the hand
+    besides that these do not have. UsageError where there is none."""
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
     # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
@@ -197,7 +199,7 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
     for spoilt, without_quiet in attempts:
         segments = _segments(trace, channel, spoilt, pressed, without_quiet)
         if fits := _fits(segments):
-            return _with_dry_friction(segments) or (segments, fits)
+            return _with_dry_friction(segments, fits)
     late, lost, limited = (int(np.count_nonzero(trace.flags & flag)) for flag in (LATE_FORCE, BRIDGED, LIMITED))
     if moved > _FAINT_COUNTS and late + lost > _MOST_SPOILT * rows:
         raise UsageError(
@@ -211,21 +213,29 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
     )
 
 
-def _with_dry_friction(segments: list[Segment]) -> tuple[list[Segment], list[tuple[Fit, Fit | None]]] | None:
-    """Where the hand moves, and the fits with dry friction; None where the motion is as well explained without."""
+def _with_dry_friction(
+    segments: list[Segment], fits: list[tuple[Fit, Fit | None]]
+) -> tuple[list[Segment], list[tuple[Fit, Fit | None]], bool]:
+    """As `_fitted`: fits with dry friction where the motion shows it clearly, or else these without.
+
+    Between two turns dry friction is a constant force. Where the pieces between them are explained far better than the
+    whole, it is there, too, but sticks in too many samples to be told from a spring."""
     moving = [
         Segment(one.position[first:last], one.surplus[first:last], one.slides[first:last], stands=one.stands)
         for one in segments
         for first, last in _runs(~stands(one.position) & (np.abs(one.slides) > 0.999))
     ]
-    fits = [(fit, beside) for fit, beside in _fits(moving, with_slides=True) if fit.dry_clearly > _SEEN]
-    return (moving, fits) if fits else None
+    pieces = _fits(moving, with_slides=True)
+    rubbed = [one for one in pieces if one[0].dry_clearly > _SEEN]
+    if rubbed:
+        return moving, rubbed, False
+    return segments, fits, bool(pieces) and pieces[0][0].residual < _FAR_BETTER * fits[0][0].residual
 
 
-def _dry_friction(segments: list[Segment], fit: Fit) -> float:
-    """N; NaN where no push tells how much that is, or not what it does to this hand."""
+def _dry_friction(segments: list[Segment], fit: Fit, sticks: bool) -> float:
+    """N; NaN where no push tells how much that is."""
     if fit.dry_clearly == 0.0:
-        return 0.0
+        return math.nan if sticks else 0.0
     pushed = max(float(np.max(np.abs(one.surplus))) for one in segments) > _PUSH_NEWTON
     return fit.dry if pushed and fit.dry > 0.0 else math.nan
 
@@ -263,7 +273,9 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool
         for first, last in _loud(position, *whole) if loud else [whole]:
             end = min(last, first + _MOST_ROWS - rows)
             if end > first:
-                found.append(Segment(position[first:end], surplus[first:end], slides(position[first:end]), known, stands_still))
+                found.append(
+                    Segment(position[first:end], surplus[first:end], slides(position[first:end]), known, stands_still)
+                )
                 rows += end - first
     return found
 

@@ -19,7 +19,7 @@ _LOOKED_AT = 4000  # samples of the motion
 _CLEARLY = 30.0  # times the residual's variance: a pole without which the motion fits clearly worse
 _LASTING = 0.7  # what loses more in a sample is gone after three: poles of delays, filters and holds
 _STILL = 0.1  # of itself: what changes by less over the motion is as good as constant
-_MOST = 0.9  # of the energy; of two parts that swing along with more than a tenth each, the longest ringing is meant
+_MOST = 0.95  # of the energy: what rings longer beside that is a small disturbance; two real modes share it more evenly
 _SOME = 1e-3  # of the energy
 
 
