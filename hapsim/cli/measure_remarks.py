@@ -39,14 +39,26 @@ def _unsure(share: float) -> str:
 
 
 def dry_friction(scene: Scene, measurement: Measurement, channel: int) -> Iterator[str]:
-    """Yields what the dry friction that the scene declares adds to b: the viscous friction that takes as much energy of
-    a swing of the same size."""
-    dry, swing = scene.mock_device.coulomb, 0.5 * float(np.ptp(measurement.trace.position[:, channel], axis=0))
+    """Yields the dry friction that the motion shows, or that the scene declares, and what it is in a swing of the same
+    size: the viscous friction that takes as much energy."""
+    seen, declared = measurement.dry_friction_n, scene.mock_device.coulomb
+    dry, swing = seen or declared, 0.5 * float(np.ptp(measurement.trace.position[:, channel], axis=0))
     angular = 2.0 * math.pi * measurement.frequency_hz
-    if dry > 0.0 and swing > 0.0:
-        takes = 4.0 * dry / (math.pi * angular * swing)
-        like = f"like another {number(takes, 2)} N·s/m" if math.isfinite(takes) else "much"
+    takes = 4.0 * dry / (math.pi * angular * swing) if swing > 0.0 else math.nan
+    like = f"like another {number(takes, 2)} N·s/m" if math.isfinite(takes) else "the more"
+    damps = f"at the largest swing, {number(1e3 * swing, 2)} mm, it damps {like}, at smaller ones more"
+    if math.isnan(seen):
         yield (
-            f"The prediction leaves out the dry friction of {number(dry, 3)} N (mock.coulomb): at the largest swing, "
-            f"{number(1e3 * swing, 2)} mm, it damps {like}, at smaller ones more. Push harder (--push) for less of it."
+            "[yellow]The device has dry friction[/yellow], as its motion shows, but not how much: k and b may be off "
+            "by more than is stated. Push harder (--push), so that it sticks less."
+        )
+    elif seen > 0.0:
+        yield (
+            f"[yellow]The device has dry friction of {number(seen, 3)} N[/yellow], as its motion shows: k and b are "
+            f"those without it; {damps}."
+        )
+    elif declared > 0.0 and swing > 0.0:
+        yield (
+            f"The prediction leaves out the dry friction of {number(dry, 3)} N (mock.coulomb): {damps}. Push harder "
+            "(--push) for less of it."
         )

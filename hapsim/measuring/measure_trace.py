@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.measuring.converters import Floats
+from hapsim.measuring.dry_friction import slides, stands
 from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pairs
-from hapsim.measuring.regression import MOST_ORDER, Fit, Regression, Segment
+from hapsim.measuring.regression import MOST_ORDER, Fit, Regression, Segment, shaken
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
@@ -30,6 +31,7 @@ _PUSH_NEWTON = 1e-6  # a smaller surplus is the rounding of the force, not a pus
 _DRIFTS = tuple(
     1.0 - d for d in (0, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 1.0)
 )
+_SHAKEN = tuple(shaken(10.0**exponent) for exponent in np.arange(-3.0, 0.5, 0.4))  # what is less off is not told
 _LAWFUL = 1e-9  # of the largest force: what misses a law by less obeys it
 _NO_SPRING = 1e-6  # of the largest force
 _CERTAIN = 0.02  # counts: a rest that is known so well is as good as exact
@@ -37,6 +39,8 @@ _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no r
 _LEAST_ORDER = 3  # that a record has to tell: a pair of poles and one that follows from delay, filter or hold
 _MOST_SPOILT = 0.1  # of the samples: with more, it is not motion that is missing
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
+_SEEN = 5.0  # uncertainties: dry friction that is less clear is not there
+_FAR_BETTER = 0.5  # of a residual: as much less is no chance, and no other order of a fit
 _SPOILT = LATE_FORCE | BRIDGED | OFF_GRID
 
 
@@ -90,6 +94,9 @@ class Measurement:
     """Standard deviation of what the fit leaves, in m: the rounding of the position where all is well."""
     trace: Trace = field(repr=False, compare=False)
     """Its source."""
+    dry_friction_n: float = 0.0
+    """N, where the motion shows dry friction, which is then no part of b; 0 where it shows none. NaN where it does not
+    show how much: k and b may then be off by more than their uncertainty."""
     failure: RunError | None = field(default=None, repr=False, compare=False)
     """Why the run ended early; the record until then was enough for the values above."""
     seen_rate: SeenRate | None = field(default=None, compare=False)
@@ -130,7 +137,7 @@ def measure_trace(
     nothing moves.
     """
     with one_thread():
-        segments, fits = _fitted(trace, channel, pressed)
+        segments, fits, sticks = _fitted(trace, channel, pressed)
         read = dominant_pairs(fits, _free_motion(segments, fits[0][0].order), segments[0].stands)
     at = next((i for i, one in enumerate(read) if one.pair is not None), 0)
     best, found = fits[at][0], read[at]
@@ -161,6 +168,7 @@ def measure_trace(
         samples=best.rows,
         residual_m=best.residual * float(trace.position_scale[channel]),
         trace=trace,
+        dry_friction_n=_dry_friction(segments, best, sticks),
         seen_rate=seen_rate(trace),
     )
 
@@ -177,8 +185,9 @@ def asks_by_one_law(trace: Trace, channel: int) -> bool:
     )
 
 
-def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, Fit | None]]]:
-    """The usable segments, and the fits that they speak for, as `_fits` gives them. UsageError where there is none."""
+def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, Fit | None]], bool]:
+    """The usable segments, the fits that they speak for, as `_fits` gives them, and whether dry friction moves the hand
+    besides that these do not have. UsageError where there is none."""
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
     # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
@@ -190,7 +199,7 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
     for spoilt, without_quiet in attempts:
         segments = _segments(trace, channel, spoilt, pressed, without_quiet)
         if fits := _fits(segments):
-            return segments, fits
+            return _with_dry_friction(segments, fits)
     late, lost, limited = (int(np.count_nonzero(trace.flags & flag)) for flag in (LATE_FORCE, BRIDGED, LIMITED))
     if moved > _FAINT_COUNTS and late + lost > _MOST_SPOILT * rows:
         raise UsageError(
@@ -202,6 +211,39 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
     raise UsageError(
         "too little motion was recorded to identify a spring and damper: record longer, or push harder (--push)"
     )
+
+
+def _with_dry_friction(
+    segments: list[Segment], fits: list[tuple[Fit, Fit | None]]
+) -> tuple[list[Segment], list[tuple[Fit, Fit | None]], bool]:
+    """As `_fitted`: fits with dry friction where the motion shows it clearly, or else these without.
+
+    Between two turns dry friction is a constant force. Where the pieces between them are explained far better than the
+    whole, it is there, too, but sticks in too many samples to be told from a spring."""
+    moving = [
+        Segment(one.position[first:last], one.surplus[first:last], one.slides[first:last], stands=one.stands)
+        for one in segments
+        for first, last in _runs(~stands(one.position) & (np.abs(one.slides) > 0.999))
+    ]
+    pieces = _fits(moving, with_slides=True)
+    rubbed = [one for one in pieces if one[0].dry_clearly > _SEEN]
+    if rubbed:
+        return moving, rubbed, False
+    return segments, fits, bool(pieces) and pieces[0][0].residual < _FAR_BETTER * fits[0][0].residual
+
+
+def _dry_friction(segments: list[Segment], fit: Fit, sticks: bool) -> float:
+    """N; NaN where no push tells how much that is."""
+    if fit.dry_clearly == 0.0:
+        return math.nan if sticks else 0.0
+    pushed = max(float(np.max(np.abs(one.surplus))) for one in segments) > _PUSH_NEWTON
+    return fit.dry if pushed and fit.dry > 0.0 else math.nan
+
+
+def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Index ranges of the runs of True."""
+    edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _with_rivals(pair: FittedPair | None, others: list[FittedPair]) -> FittedPair:
@@ -223,7 +265,7 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool
     following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
     position = trace.position_counts[:, channel].astype(float)
     nowhere = float(np.median(position)), False, False
-    rest, known, stands = nowhere if pressed else _rest(position, asked, following)
+    rest, known, stands_still = nowhere if pressed else _rest(position, asked, following)
     surplus = surplus - np.median(surplus) if pressed else surplus
     position = position - rest
     found, rows = [], 0
@@ -231,7 +273,9 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool
         for first, last in _loud(position, *whole) if loud else [whole]:
             end = min(last, first + _MOST_ROWS - rows)
             if end > first:
-                found.append(Segment(position[first:end], surplus[first:end], known, stands))
+                found.append(
+                    Segment(position[first:end], surplus[first:end], slides(position[first:end]), known, stands_still)
+                )
                 rows += end - first
     return found
 
@@ -322,7 +366,7 @@ def _law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: 
     return _Law(obeyed, False, float(-law[-1] / law[0] * size), uncertainty)
 
 
-def _fits(segments: list[Segment]) -> list[tuple[Fit, Fit | None]]:
+def _fits(segments: list[Segment], with_slides: bool = False) -> list[tuple[Fit, Fit | None]]:
     """Fits for which the record speaks, best first, all of one order, each with one of the next order, which might as
     well have been chosen in its place.
 
@@ -330,15 +374,17 @@ def _fits(segments: list[Segment]) -> list[tuple[Fit, Fit | None]]:
     decides how certain they look: every p that the record does not distinguish from the best is kept.
     """
     with_surplus = any(np.any(segment.surplus) for segment in segments)
-    regression = Regression(segments, _DRIFTS, with_surplus, ROUNDING)
+    regression = Regression(segments, _DRIFTS + _SHAKEN, with_surplus, ROUNDING, with_slides=with_slides)
     if regression.most_order < _LEAST_ORDER:
         return []
     order = min(range(2, MOST_ORDER), key=regression.least_criterion)
     # Orders are compared with the rows that the largest leaves. Where the motion is over soon, or in short pieces, the
     # first rows say most: the next orders are compared with theirs.
     while True:
-        regression = Regression(segments, _DRIFTS, with_surplus, ROUNDING, order + 1)
+        regression = Regression(segments, _DRIFTS + _SHAKEN, with_surplus, ROUNDING, order + 1, with_slides)
         least = regression.least_criterion(order)
+        if not math.isfinite(least):
+            return []
         if order + 1 == MOST_ORDER or regression.least_criterion(order + 1) >= least:
             break
         order += 1

@@ -19,6 +19,7 @@ _LOOKED_AT = 4000  # samples of the motion
 _CLEARLY = 30.0  # times the residual's variance: a pole without which the motion fits clearly worse
 _LASTING = 0.7  # what loses more in a sample is gone after three: poles of delays, filters and holds
 _STILL = 0.1  # of itself: what changes by less over the motion is as good as constant
+_MOST = 0.95  # of the energy: what rings longer beside that is a small disturbance; two real modes share it more evenly
 _SOME = 1e-3  # of the energy
 
 
@@ -59,7 +60,7 @@ class Poles(NamedTuple):
 
 
 def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats, stands: bool = False) -> list[Poles]:
-    """The slowest-decaying pair of each of some fits of one order.
+    """The slowest-decaying pair of each of some fits of one order, or that with nearly all of the energy.
 
     Beside each fit: one of another order that might as well have been chosen; how far it lies from the fit adds to the
     uncertainty. `motion`: the position, shape (samples,), in which a pole has to be seen in order to count. `stands`:
@@ -67,7 +68,7 @@ def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats, stand
     """
     every = _roots([fit for fit, _ in fits])
     seen, energy = _seen_in(motion, every, stands)
-    order = np.argsort(~seen, axis=1, kind="stable")  # those that are seen come first
+    order = np.argsort(~seen * 1 - _is_hand(every, seen, energy), axis=1, kind="stable")  # then those that are seen
     every, energy = np.take_along_axis(every, order, 1), np.take_along_axis(energy, order, 1)
     shown = [(poles[:count], one[:count]) for poles, one, count in zip(every, energy, seen.sum(axis=1), strict=True)]
     reasons = [_why_no_pair(poles) for poles, _ in shown]
@@ -75,6 +76,13 @@ def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats, stand
     found = _pairs([fits[i] for i in paired], every[paired])
     pairs = dict(zip(paired, found, strict=True))
     return [Poles(pairs.get(i), one[0], reasons[i], _second_mode(*one)) for i, one in enumerate(shown)]
+
+
+def _is_hand(every: Complexes, seen: NDArray[np.bool_], energy: Floats) -> NDArray[np.bool_]:
+    """Which poles are the conjugate pair that has most of the motion's energy: what has that is the hand, and what
+    rings longer beside it is a small disturbance. Real poles share theirs."""
+    whole = np.sum(energy * seen, axis=1, keepdims=True)
+    return seen & (every.imag != 0.0) & (np.abs(every) >= _LASTING) & (2.0 * energy > _MOST * whole)
 
 
 def _pairs(fits: Sequence[tuple[Fit, Fit | None]], poles: Complexes) -> list[FittedPair]:

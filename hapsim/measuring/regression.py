@@ -17,6 +17,7 @@ order are the first ones of a higher order, so one triangular factor for each p 
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,10 +26,12 @@ from typing import Any
 
 import numpy as np
 
-from hapsim.measuring.converters import Floats
+from hapsim.measuring.converters import Complexes, Floats
 
 MOST_ORDER = 9
 _DEPENDENT = 1e-14  # of a column: what the ones before it leave, if it depends on them
+_FORGOTTEN = 1e-18  # of itself, beside a double's 1e-16
+_KNOWN = 5.0  # uncertainties: what a surplus does is known well enough to compare dry friction with it
 _MARGIN = 2.0  # rows per unknown below which a regression says nothing
 
 
@@ -38,6 +41,10 @@ class Segment:
 
     position: Floats
     surplus: Floats
+    slides: Floats
+    """The mean direction, -1 to 1, in which the hand moves until the next sample: what dry friction acts against. With
+    dry friction a segment has to be of one direction: it is then a force that stays the same, beside one that stays
+    the same in all segments, as the place of rest may not be known."""
     rest_known: bool = True
     """False where the position may not be counted from rest: a constant force then stays in the record."""
     stands: bool = False
@@ -49,8 +56,8 @@ class Fit:
     """A fitted A(q): coefficients g of G in the basis of `_factors`, their spread, and how well they fit."""
 
     order: int
-    drift: float
-    """p, the open loop's second pole."""
+    drift: complex
+    """p, the open loop's second pole; complex: of a conjugate pair, in place of both."""
     g: Floats
     """The coefficients, shape (order,)."""
     spread: Floats
@@ -58,6 +65,10 @@ class Fit:
     residual: float
     """Standard deviation of the equation's error, in counts."""
     rows: int
+    dry: float = math.nan
+    """Dry friction, N, by what it and the surplus do to a hand in the long run; NaN of a fit without both."""
+    dry_clearly: float = 0.0
+    """How many uncertainties the friction's part is above zero."""
 
     @property
     def polynomial(self) -> Floats:
@@ -79,30 +90,33 @@ class Regression:
     def __init__(
         self,
         segments: Sequence[Segment],
-        drifts: Sequence[float],
+        drifts: Sequence[complex],
         with_surplus: bool,
         floor: float,
         most_order: int = MOST_ORDER,
+        with_slides: bool = False,
     ) -> None:
-        """`floor`: the least error that rounding leaves, in counts. `most_order`: less where the record is short."""
-        self._drifts, self._floor, self._signals = np.array(drifts), floor, 2 if with_surplus else 1
+        """`floor`: the least error that rounding leaves, in counts. `most_order`: less where the record is short.
+        `with_slides`: with dry friction."""
+        self._drifts, self._floor = np.array(drifts, complex), floor
+        self._signals, self._slides = 2 if with_surplus else 1, 2 * with_slides
         self.most_order = next((one for one in range(most_order, 1, -1) if self._use(segments, one)), 0)
         if self.most_order == 0:
             self.criterion = np.full((len(drifts), 1), np.inf)
             return
-        columns = self._signals * self.most_order
-        factors = [_factors(one, self._drifts, with_surplus, self.most_order) for one in self._segments]
+        columns = self._columns(self.most_order)
+        factors = [_factors(one, self._drifts, with_surplus, self.most_order, with_slides) for one in self._segments]
         self._factors = factors[0] if len(factors) == 1 else _triangular(np.concatenate(factors, axis=1))
         self._scales = np.linalg.norm(self._factors[:, :, :columns], axis=1)
         self._scales[self._scales == 0.0] = 1.0
         left = np.cumsum(self._factors[:, ::-1, -1] ** 2, axis=1)[:, ::-1]  # what the first n columns leave, squared
         diagonal = np.abs(np.diagonal(self._factors, axis1=1, axis2=2)[:, :columns]) / self._scales
         depends = np.logical_or.accumulate(diagonal < _DEPENDENT, axis=1)
-        self._left = left[:, :: self._signals]
+        self._left = left[:, self._slides :: self._signals]
         self.criterion = self._rows * np.log(np.maximum(self._left / self._rows, 1e-300))
         """Schwarz's, shape (drifts, orders from 0 on): the lower the better, infinite where there is no fit."""
         self.criterion += self._unknowns(np.arange(self.most_order + 1)) * math.log(self._rows)
-        self.criterion[:, 1:][depends[:, self._signals - 1 :: self._signals]] = np.inf
+        self.criterion[:, 1:][depends[:, self._columns(1) - 1 :: self._signals]] = np.inf
         self.criterion[:, :2] = np.inf
 
     def least_criterion(self, order: int) -> float:
@@ -115,26 +129,46 @@ class Regression:
         self._rows = sum(one.position.size - most_order - 1 for one in self._segments)
         return self._rows >= _MARGIN * float(self._unknowns(most_order)) + 4
 
+    def _columns(self, order: Any) -> Any:
+        return self._slides + order * self._signals
+
     def _unknowns(self, order: Any) -> Any:
-        return order * self._signals + sum(_motions_of(one) for one in self._segments)
+        return self._columns(order) + sum(_motions_of(one) for one in self._segments)
 
     def fit(self, order: int, at: int) -> Fit | None:
         """Returns the fit for one order and the p of this number; None where the record does not tell its unknowns."""
         if order > self.most_order or not np.isfinite(self.criterion[at, order]):
             return None
-        columns, scale = self._signals * order, self._scales[at, : self._signals * order, None]
-        inverse = (np.linalg.inv(self._factors[at, :columns, :columns] / scale.T) / scale)[:: self._signals]
+        columns = self._columns(order)
+        scale = self._scales[at, :columns, None]
+        inverse = np.linalg.inv(self._factors[at, :columns, :columns] / scale.T) / scale
         residual = math.sqrt(self._left[at, order] / (self._rows - self._unknowns(order)))
         g, spread = -inverse @ self._factors[at, :columns, -1], inverse * max(residual, self._floor)
-        return Fit(order, float(self._drifts[at]), g, spread, residual, self._rows)
+        own = slice(self._slides, None, self._signals)
+        dry, clearly = math.nan, 0.0
+        if self._slides:
+            is_pushed = self._signals > 1 and abs(g[3]) > _KNOWN * float(np.linalg.norm(spread[3]))
+            dry = float(-g[0] / g[3]) if is_pushed else math.nan
+            clearly = float(g[0] / np.linalg.norm(spread[0]))
+        return Fit(order, complex(self._drifts[at]), g[own], spread[own], residual, self._rows, dry, clearly)
 
 
-def _open_loop(drift: float) -> Floats:
-    return np.array([1.0, -1.0 - drift, drift])
+def shaken(ratio: float) -> complex:
+    """Returns the pole p of C, with its conjugate, where a white force shakes the mass besides: by `ratio` of the white
+    error of its position in a sample. It factors the spectrum of both, |1 - 1/q|^4 + ratio^2 |(1 + 1/q) / 2|^2."""
+    u = ratio**2 / 8.0 + 1j * ratio * math.sqrt(1.0 - ratio**2 / 64.0)  # 2 - p - 1/p
+    half = 1.0 - u / 2.0
+    root = cmath.sqrt(half**2 - 1.0)
+    return min(half + root, half - root, key=abs)
+
+
+def _open_loop(drift: complex) -> Floats:
+    other = drift.conjugate() if drift.imag else 1.0
+    return np.array([1.0, -(other + drift).real, (other * drift).real])
 
 
 @cache
-def _directions(order: int, drift: float) -> Floats:
+def _directions(order: int, drift: complex) -> Floats:
     rows, polynomial = np.zeros((order, order)), np.array([1.0])
     for i in range(order):
         rows[i, : polynomial.size] = polynomial
@@ -146,7 +180,7 @@ def _motions_of(segment: Segment) -> int:
     return 2 if segment.rest_known else 3
 
 
-def _factors(segment: Segment, drifts: Floats, with_surplus: bool, order: int) -> Floats:
+def _factors(segment: Segment, drifts: Complexes, with_surplus: bool, order: int, with_slides: bool) -> Floats:
     """The triangular factors of one segment's equations, for each p: (drifts, rows, columns).
 
     Columns: the regressors from everything up to n - 1, of its position, and of its surplus where that counts: doubly
@@ -156,12 +190,15 @@ def _factors(segment: Segment, drifts: Floats, with_surplus: bool, order: int) -
     """
     signals = np.array([segment.position, segment.surplus] if with_surplus else [segment.position])
     motions, size = _motions_of(segment), segment.position.size
-    tables = np.empty((len(drifts), motions + len(signals) * order + 1, size - order - 1))
+    first = motions + 2 * with_slides
+    tables = np.empty((len(drifts), first + len(signals) * order + 1, size - order - 1))
     _fill_motions(tables[:, :motions], drifts)
-    columns = tables[:, motions:-1].reshape(len(drifts), order, len(signals), -1)
-    slowed = _slowed(signals, drifts)
-    columns[:, 1] = slowed[..., order:-1]
-    columns[:, 0] = np.cumsum(slowed, axis=-1)[..., order:-1]
+    if with_slides:
+        constant = np.array([segment.slides, np.ones(size)])
+        tables[:, motions:first] = _twice(constant, drifts)[1][..., order:-1]
+    columns = tables[:, first:-1].reshape(len(drifts), order, len(signals), -1)
+    slowed, twice = _twice(signals, drifts)
+    columns[:, 0], columns[:, 1] = twice[..., order:-1], slowed[..., order:-1]
     for i in range(2, order):
         columns[:, i] = signals[:, order:-1]
         signals = np.diff(signals, axis=-1, prepend=0.0)
@@ -174,20 +211,34 @@ def _triangular(tables: Floats) -> Floats:
     return np.asarray(np.linalg.qr(tables, mode="r"))
 
 
-def _slowed(signals: Floats, drifts: Floats) -> Floats:
+def _twice(signals: Floats, drifts: Complexes) -> tuple[Floats, Floats]:
+    """(The first difference of each signal divided by C, and that itself) for each p: (drifts, signals, samples)."""
+    once, pairs = np.empty((len(drifts), *signals.shape)), drifts.imag != 0.0
+    once[~pairs] = _slowed(signals, drifts[~pairs].real)
+    twice, p = np.cumsum(once, axis=-1), drifts[pairs, None, None]
+    twice[pairs] = (p * _slowed(signals, drifts[pairs])).imag / p.imag
+    once[pairs] = np.diff(twice[pairs], axis=-1, prepend=0.0)
+    return once, twice
+
+
+def _slowed(signals: Floats, drifts: Any) -> Any:
     """y[n] = p y[n-1] + x[n] of each signal, for each p: (drifts, signals, samples)."""
-    slowed, reach, ratio = np.repeat(signals[None], len(drifts), axis=0), 1, drifts[:, None, None]
-    while reach < signals.shape[-1]:  # a running sum of 2, 4, 8, ... terms until it holds all
+    slowed, ratio, reach = np.repeat(signals[None].astype(drifts.dtype), len(drifts), axis=0), drifts[:, None, None], 1
+    # A running sum of 2, 4, 8, ... terms until it holds all that count.
+    while reach < signals.shape[-1] and np.any(np.abs(ratio) ** reach > _FORGOTTEN):
         slowed[..., reach:] += ratio**reach * slowed[..., :-reach]
         reach *= 2
     return slowed
 
 
-def _fill_motions(motions: Floats, drifts: Floats) -> None:
+def _fill_motions(motions: Floats, drifts: Complexes) -> None:
     """Fills the rows that are projected out (drifts, 2 or 3, samples); at most 1."""
-    n, slowing = np.arange(motions.shape[-1], dtype=float), drifts < 1.0 - 1e-12
-    ramp = n / max(n[-1], 1.0)
+    n, slowing = np.arange(motions.shape[-1], dtype=float), np.abs(drifts) < 1.0 - 1e-12
+    ramp, pairs = n / max(n[-1], 1.0), np.flatnonzero(drifts.imag)
+    modes = drifts[:, None] ** n
     motions[:, 0] = 1.0
-    motions[:, 1] = np.where(slowing[:, None], drifts[:, None] ** n, ramp)
+    motions[:, 1] = np.where(slowing[:, None], modes.real, ramp)
+    motions[pairs, 0] = modes[pairs].imag
     if motions.shape[1] > 2:
         motions[:, 2] = np.where(slowing[:, None], ramp, ramp**2)
+        motions[pairs, 2] = 1.0

@@ -13,7 +13,8 @@ from records import held_by_a_hand
 from rich.console import Console
 
 import hapsim as python_api
-from hapsim.cli.measure import gives, measurement_document, probable_mass, show_measurement
+from hapsim.cli.measure import measurement_document, show_measurement
+from hapsim.cli.measure_device import gives, probable_mass
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.prediction import predict, with_mass
 from hapsim.scene import Scene, parse_scene
@@ -185,11 +186,26 @@ def test_a_second_mode_that_the_scene_has_is_none_of_the_hand_s(hapsim: Callable
     assert found["probable_mass_kg"] is None
 
 
-def test_a_disturbed_record_tells_nothing_of_the_mass() -> None:
+def test_a_record_with_late_forces_tells_nothing_of_the_mass() -> None:
     scene = scene_of(true=0.3)
     felt, measurement = predict(scene).felt[0], python_api.measure(scene)
     assert probable_mass(felt, measurement) is not None
     trace = measurement.trace
-    for count in ("limited_ticks", "slewed_ticks", "faded_ticks", "deadline_misses"):
-        spoilt = replace(trace, report=replace(trace.report, **{count: trace.report.ticks // 20}))
-        assert probable_mass(felt, replace(measurement, trace=spoilt)) is None
+    late = replace(trace, report=replace(trace.report, deadline_misses=trace.report.ticks // 20))
+    assert probable_mass(felt, replace(measurement, trace=late)) is None
+
+
+@pytest.mark.parametrize("friction", [1.0, 0.999])
+@pytest.mark.parametrize("limits", [{"soft_start": 0.05, "slew_limit": 2000.0}, {"force_limit": 1.5}])
+def test_a_force_that_is_limited_or_a_friction_a_little_off_does_not_hide_the_mass(
+    limits: dict[str, float], friction: float
+) -> None:
+    scene = scene_of(true=0.3)
+    device = scene.device.model_copy(update=limits)
+    scene = scene.model_copy(update={"device": device, "mock": scene.mock.model_copy(update={"friction": friction})})
+    measurement = python_api.measure(scene)
+    report = measurement.trace.report
+    assert report.slewed_ticks + report.limited_ticks > 0.01 * report.ticks
+    found = probable_mass(predict(scene, with_margins=False).felt[0], measurement)
+    assert found is not None
+    assert found.mass == pytest.approx(0.3, rel=1e-3)
