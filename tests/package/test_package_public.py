@@ -21,6 +21,7 @@ TIMES_THE_EXCHANGE = "times the compiled exchange itself, on a transport in memo
 PLAYS_THE_DEVICE = "plays the device itself, to see when a run arms it"
 FAULTS_IN_MEMORY = "puts the faults between the loop and the mock in memory, where no command does"
 RUNS_AGAIN = "runs a loop and its mock again in the same memory, with a hand of its own on the mock's body"
+A_GUARD_ALONE = "moves a hand of its own over one guard of the exchange, ten thousand times"
 ASKS_THE_DEVICE = "asks the device for its own counters once the run is over"
 INSIDE = {
     ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
@@ -47,6 +48,9 @@ INSIDE = {
     ("tools/bench/faults.py", "hapsim.cli.faults"): FAULTS_IN_MEMORY,
     ("tools/bench/identification.py", "hapsim.measuring"): "sees every run, to tell how far any of them went",
     ("tools/bench/inverted.py", "hapsim.bringup.faults"): FAULTS_IN_MEMORY,
+    ("tools/bench/frozen_sensor.py", "firmware_protocol"): A_GUARD_ALONE,
+    ("tools/bench/frozen_sensor.py", "hapsim.compiling"): A_GUARD_ALONE,
+    ("tools/bench/frozen_sensor.py", "hapsim.loop"): A_GUARD_ALONE,
     ("tools/bench/sign.py", "hapsim.compiling"): RUNS_AGAIN,
     ("tools/bench/sign.py", "hapsim.device"): RUNS_AGAIN,
     ("tools/bench/sign.py", "hapsim.loop"): RUNS_AGAIN,
