@@ -27,10 +27,11 @@ from hapsim.measuring.limits import (
     require_above_zero,
     require_device_point,
 )
-from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate
+from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, silence, silence_words
 from hapsim.one_thread import one_thread
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
+from hapsim.running.options import PeriodicExcitation
 from hapsim.running.run import run_to_end as run
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
@@ -45,6 +46,9 @@ _COUNTS_OF_DAMPING = 1.5  # steps of the damper's force, by a count of the posit
 _FIRST_MOVES, _FIRST_TRAVEL = 0.07, 0.2  # of the travel, at first: wired the wrong way it runs away
 _MOVES = 0.35  # of the travel: enough for a fit
 _MEANT = 0.6  # of the travel
+_UNSEEN, _UNSEEN_COUNTS, _HARDER = 0.07, 2.0, 2.0
+# Of the travel, and counts: how far a free mass as declared is moved, and back, until its position answers, so that one
+# ten times lighter stays in its travel, too. The next such push has this many times the force.
 _HARDLY = 0.02  # of the travel
 _A_LITTLE_HARDER, _MUCH_HARDER = 1.25, 3.0
 _MOST_ATTEMPTS = 36  # from the gentlest push on
@@ -184,12 +188,38 @@ class _Pusher:
         if scene.device.port is not None:  # whose guard ends a run that rounding shakes at the limit of its force
             clear = _COUNTS_OF_DAMPING * full.damping * scene.rate * self._count_m
             force = max(force, min(clear, 0.5 * _FIRST_TRAVEL * bounds.travel / (steepest / _MAY_BE_LIGHTER)))
-        gentle = replace(full, force=min(full.force, force))
+        force = min(full.force, force)
+        gentle = replace(full, force=self._answered(full, force))
+        first_travel = _FIRST_TRAVEL if gentle.force == force else 1.0  # it had to be torn loose
         duration = max(_GENTLE_HALVES * full.half, _GENTLE_TICKS) / scene.rate
-        drive, trace = self._far_enough(gentle, duration, steepest, _FIRST_TRAVEL * bounds.travel, _MOST_ATTEMPTS)
+        drive, trace = self._far_enough(gentle, duration, steepest, first_travel * bounds.travel, _MOST_ATTEMPTS)
         if self._stopped:
             raise UsageError("stopped before enough was recorded: nothing was identified")
         return self._sound_fit(drive, trace, [trace])
+
+    def _answered(self, drive: Drive, force: float) -> float:
+        """Returns the force (N), from `force` on, at which a count of the position changes. UsageError where none does.
+
+        Until then the position is no guide: a sensor may be dead. So each push is +F, -F, -F, +F, each so short that a
+        free mass as declared gets no farther than F t²/m, and comes back to rest where it was."""
+        device, travel, rate = self._scene.device, self._bounds.travel, self._scene.rate
+        mass = device.masses(self._scene.channels)[self._channel]
+        way = max(_UNSEEN * travel, min(_UNSEEN_COUNTS * self._count_m, _MOVES * travel))
+        acted, most = 0.0, min(self._bounds.push, way * mass * rate**2)  # within a sample no push is shorter
+        force = min(force, most)
+        while True:
+            ticks = max(min(math.floor(math.sqrt(way * mass / force) * rate), drive.half), 1)
+            signs = np.repeat([1.0, -1.0, -1.0, 1.0, 0.0], ticks)
+            push = PeriodicExcitation(self._channel, force * signs)
+            trace = self._run(replace(drive, force=force), self._bounds, (signs.size - 1) / rate, push)
+            if self._stopped:
+                raise UsageError("stopped before the device moved: nothing was identified")
+            if np.ptp(trace.position_counts[:, self._channel]):
+                return force
+            acted += 4 * ticks / rate
+            if force >= most:
+                raise UsageError(silence_words(acted, force))
+            force = min(_HARDER * force, most)
 
     def record(self, rough: DeviceFit, duration: float) -> None:
         """Records the device at several simulated (K, B), as far as it may be moved; with which ones."""
@@ -213,6 +243,11 @@ class _Pusher:
         for _ in range(attempts):
             bounds, travel = replace(self._bounds, travel=travel), self._bounds.travel
             trace = self._pushed(drive, duration, bounds)
+            if silence(trace, self._channel) and not self._stopped:
+                force = self._answered(drive, min(_HARDER * drive.force, self._bounds.push))
+                if drive.force < self._bounds.push:
+                    drive = replace(drive, force=force)
+                    continue
             peak = self._peak(trace)
             stuck = peak <= _HARDLY * travel
             if not (stuck or self._judged):
@@ -301,10 +336,12 @@ class _Pusher:
             raise error
         return trace
 
-    def _run(self, drive: Drive | None, bounds: Bounds, duration: float) -> Trace:
-        """A run, ended by the loop at the first sample that is too far away."""
+    def _run(
+        self, drive: Drive | None, bounds: Bounds, duration: float, push: PeriodicExcitation | None = None
+    ) -> Trace:
+        """A run, ended by the loop at the first sample that is too far away. `push`: in place of the drive's."""
         home = self._home_counts * self._count_m
-        excitation = None if drive is None else drive.excitation(self._channel)
+        excitation = push if drive is None or push is not None else drive.excitation(self._channel)
         scene = scene_of(self._scene, bounds, self._channel, drive, home)
         try:
             trace = self._run_scene(scene, duration=duration, excitation=excitation)

@@ -12,6 +12,7 @@ from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.measuring.limits import SHARE_OF_LIMIT, in_units_of_scene, require_above_zero, require_device_point
 from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
 from hapsim.measuring.place import Place, place_of
+from hapsim.measuring.trace_quality import silence
 from hapsim.number_format import number
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
@@ -115,9 +116,11 @@ def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: Dev
         mass, uncertainty = _mass_of(scene, trace, channel)
         found = measure_trace(_settled(scene, trace), mass, channel, uncertainty, pressed=guide is not None)
     except UsageError as nothing:
-        if failure is None:
-            raise
-        raise failure from nothing
+        if failure is not None:
+            raise failure from nothing
+        if said := silence(trace, channel):
+            raise UsageError(said) from nothing
+        raise
     return replace(found, failure=failure, push_n=excitation.force, at_m=None if guide is None else guide.target)
 
 
@@ -149,7 +152,7 @@ def _measure_at(
             bent = place.bend(place.swing_in(trace)) * found.k
             found = replace(found, k_uncertainty=math.hypot(found.k_uncertainty, bent))
         except UsageError:
-            if push is not None or place.largest_swing > _PLENTY * count_m:
+            if push is not None or place.largest_swing > _PLENTY * count_m or silence(trace, place.channel):
                 raise
         noise_m = max(count_m, 0.0 if found is None else found.residual_m)
         left = place.left_by(trace, noise_m, scene.device.correction in ("predictor", "adaptive"))

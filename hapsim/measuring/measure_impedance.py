@@ -17,7 +17,7 @@ from hapsim.measuring.converters import Converters, Floats
 from hapsim.measuring.impedance import LEAST_PERIODS, Impedance, impedance_of, settling
 from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, in_units_of_scene, require_above_zero
 from hapsim.measuring.multisine import Lines, Periods, lines_for, multisine, periods_of
-from hapsim.measuring.trace_quality import SeenRate, seen_rate
+from hapsim.measuring.trace_quality import SeenRate, seen_rate, silence
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation
@@ -205,6 +205,8 @@ def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
         soft = rig.excite(channel, rig.soft_forces(channel), _SOFT_PERIODS)
         if soft.stopped:
             raise StoppedError(done, enough_s)
+        if said := silence(soft.trace, channel):
+            raise UsageError(said)
         forces = rig.forces(soft.periods, place)
         one, is_last = rig.excite(channel, forces, periods), channel == rig.channels[-1]
         if one.stopped and not (is_last and one.periods.pairs >= LEAST_PERIODS):

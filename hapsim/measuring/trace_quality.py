@@ -97,3 +97,21 @@ def kept_rate(report: Report) -> SeenRate | None:
         return SeenRate(report.rate_hz, 0.0)
     latest = (report.lateness_s.max or 0.0) + (report.exchange_s.max or 0.0)
     return SeenRate(report.rate_hz, report.rate_hz * float(np.hypot(latest / report.duration_s, _CLOCK)))
+
+
+def silence(trace: Trace, channel: int) -> str:
+    """Returns that not one count changed while force acted, and what to do, in sentences without the last full stop; ""
+    where one did, or no force acted."""
+    acted = np.count_nonzero(trace.force_counts[:, channel])
+    if not acted or np.ptp(trace.position_counts[:, channel]):
+        return ""
+    return silence_words(acted / trace.rate, float(np.abs(trace.force[:, channel]).max()))
+
+
+def silence_words(seconds: float, force: float) -> str:
+    """The same, where force acted for so long, with at most `force` N."""
+    return (
+        f"the position has not changed by one count for {seconds:.2g} s while force acts ({force:.3g} N at most): "
+        "sensor or cable? Move the device by hand, and see whether `hapsim run` shows another position. If it does, "
+        "the device is held, stuck by dry friction, or its motor does not push: only then allow more with --push"
+    )

@@ -108,6 +108,7 @@ class Device:
         self.output = self.command = [0.0] * self.channels
         self.moved_at = self.due = now()
         self.heard_at, self.life = 0.0, math.inf
+        self.farthest = 0.0  # m
         self.largest = 0.0  # N, of what was asked for
         self.own = self.registers()
 
@@ -281,6 +282,9 @@ class Device:
     def say_position(self, kind):
         scale = self.scale * (0.5 if "wrong_scale" in self.faults else 1.0)
         counts = [round(body.x / scale) for body in self.bodies]
+        self.farthest = max(self.farthest, *(abs(body.x) for body in self.bodies))
+        if "frozen" in self.faults:
+            counts = [0] * self.channels
         if self.velocity:
             counts += [round(body.v / (self.scale * 100)) for body in self.bodies]
         self.write(self.wire.to_host(kind, self.n, counts))

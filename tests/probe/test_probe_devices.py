@@ -171,6 +171,18 @@ def test_positions_that_come_in_bursts_tell_no_rate(new_bench: NewBench) -> None
     assert "came in bursts" in checks["rate_kept"].found
 
 
+@pytest.mark.parametrize("mass", [0.2, None])
+@pytest.mark.parametrize("force", [0.1, 1.0, 10.0])
+def test_a_sensor_that_is_dead_is_named_and_the_device_stays_in_its_travel(
+    new_bench: NewBench, force: float, mass: float | None
+) -> None:
+    bench = new_bench("frozen")
+    checks = judged(bench, "push", leave=Leave(force=force, travel=0.005, mass=mass))
+    words = r"has not changed by one count for \S+ s while force acts \(\S+ N at most\): sensor or cable\?"
+    assert re.search(words, checks["sign"].found), told(checks)
+    assert 0.0 < bench.device.farthest < 0.005
+
+
 def test_pushing_stops_where_the_device_moves_too_far(new_bench: NewBench) -> None:
     bench = new_bench()
     checks = judged(bench, "push", leave=Leave(force=10.0, travel=1e-6))

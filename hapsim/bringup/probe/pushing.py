@@ -24,6 +24,8 @@ STEP = "push"
 _LAGS = 5
 _PATTERNS = 32  # at each length
 _LONGEST_S = 3.0  # for those of one length
+_UNSEEN_WAY, _UNSEEN_MASS = 0.3, 0.02  # of the travel, and kg (a light handle) where no mass is given: how far a free
+# mass is pushed, and back, while no count of the position changes
 _SURE = 30.0  # standard deviations: then nothing longer is tried
 _SEEN = 6.0  # standard deviations of a response that is one at all
 _CLEAR = 0.03  # of the response: then its lags can be distinguished
@@ -46,6 +48,7 @@ class Pusher:
         self.force_scale = device.force_scale[leave.channel]
         self.forces: dict[int, float] = {}
         """N, by the sample that they answer."""
+        self._rate_hz = device.rate_hz
         self._position_scale = device.position_scale[leave.channel]
         self._settling = probing.samples_in(3.0, 100, 20000)
         self._home: float | None = None
@@ -79,6 +82,21 @@ class Pusher:
             if max(recent) - min(recent) < max(0.01 * self.leave.travel, 2 * self._position_scale):
                 return True
         return False
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether no count of its position has changed since it was armed, although force acted."""
+        counts = {sample.counts[self.leave.channel] for sample in self.session.samples}
+        return len(counts) == 1 and any(self.forces.values())
+
+    def silence(self) -> str:
+        """Returns that nothing changes, and what to do."""
+        acted = [abs(force) for force in self.forces.values() if force]
+        return (
+            f"the position has not changed by one count for {len(acted) / self._rate_hz:.2g} s while force acts "
+            f"({max(acted):.3g} N at most): sensor or cable? Move the device by hand: if its position changes, it is "
+            "held, or stuck by dry friction, and only then try a greater --push"
+        )
 
     def why_stopped(self) -> str:
         """Returns why nothing more came of it."""
@@ -138,6 +156,8 @@ def _stages(probing: Probing, pusher: Pusher) -> Iterator[tuple[float, int]]:
         yield force / share, 1
     length = 1
     while length == 1 or 6 * length * _PATTERNS < probing.samples_in(_LONGEST_S, 200, 10000):
+        if pusher.is_silent and _blind_way(probing, force, length) > _UNSEEN_WAY * pusher.leave.travel:
+            return
         yield force, length
         length *= 2
 
@@ -163,6 +183,8 @@ def _respond(probing: Probing, pusher: Pusher) -> None:
             why = f"{went_too_far} (--travel allows more, --push asks less)"
         elif pusher.session.ended is not None:
             why = pusher.why_stopped()
+        elif pusher.is_silent:
+            why = pusher.silence()
         elif best is None:
             why = "too few of this host's forces were in time"
         else:
@@ -175,6 +197,12 @@ def _respond(probing: Probing, pusher: Pusher) -> None:
     probing.judge("sign", best.total > 0, f"{inverted}{found_response}, from {best.rows} samples, {pushes}")
     _judge_delay(probing, best)
     _judge_mass(probing, best, 1.0 / abs(probing.response))
+
+
+def _blind_way(probing: Probing, force: float, length: int) -> float:
+    """Returns how far a push moves a free mass, m: F t²/m, until the opposite one has stopped it."""
+    assert probing.leave is not None
+    return force * probing.periods(length) ** 2 / (probing.leave.mass or _UNSEEN_MASS)
 
 
 def _is_sure(found: Estimate) -> bool:

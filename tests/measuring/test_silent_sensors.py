@@ -1,0 +1,66 @@
+"""A sensor that is dead but answers: what pushes a device names it, and moves the handle no farther than it may."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from identification import Device
+
+import hapsim
+from hapsim.bringup.faults import Injector, parse_script
+from hapsim.bringup.faults.in_memory import in_memory
+from hapsim.errors import UsageError
+from hapsim.measuring import identify_device as room
+from hapsim.measuring.measure import measure_by
+from hapsim.measuring.measure_impedance import measure_impedance_by
+from hapsim.running import run
+
+Run = Callable[..., hapsim.Trace]
+WORDS = r"^the position has not changed by one count for \S+ s while force acts \(\S+ N at most\): sensor or cable\?"
+
+
+def frozen(traces: list[hapsim.Trace]) -> Run:
+    """Runs whose positions stand still from the first one on."""
+
+    def run_frozen(scene: hapsim.Scene, **options: Any) -> hapsim.Trace:
+        injector = Injector(parse_script("version: 1\nfaults: [{kind: freeze}]"))
+        traces.append(run(scene, between=in_memory(injector, scene.period), **options))
+        return traces[-1]
+
+    return run_frozen
+
+
+def farthest(traces: list[hapsim.Trace], mass: float) -> float:
+    """How far these forces, one run after the other, move a free mass from where it was, m."""
+    force = np.concatenate([trace.force[:, 0] for trace in traces])
+    speed = np.cumsum(force) / (mass * traces[0].rate)
+    return float(np.abs(np.cumsum(speed) / traces[0].rate).max())
+
+
+@pytest.mark.parametrize("mass", [0.05, 0.2, 2.0])
+@pytest.mark.parametrize(("force", "travel"), [(1.0, 0.005), (10.0, 0.005), (5.0, 2e-4)])
+def test_identify_moves_the_handle_within_its_travel(
+    monkeypatch: pytest.MonkeyPatch, mass: float, force: float, travel: float
+) -> None:
+    traces: list[hapsim.Trace] = []
+    monkeypatch.setattr(room, "run", frozen(traces))
+    with pytest.raises(UsageError, match=WORDS):
+        hapsim.identify_device(Device(1000.0, mass, 1.0, 0.0, 1.0, 0.0).scene(), force=force, travel=travel)
+    assert 0.0 < farthest(traces, mass) < travel
+
+
+@pytest.mark.parametrize("way", ["measure", "impedance"])
+def test_measure_names_the_sensor_and_does_not_push_harder(way: str) -> None:
+    traces: list[hapsim.Trace] = []
+    scene = Device(1000.0, 0.2, 1.0, 0.0, 1.0, 0.0).scene()
+    wall = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 500.0, "damping": 2.0}
+    document = scene.model_dump(mode="json", exclude_none=True)
+    document["modules"] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": wall}
+    scene = hapsim.Scene.model_validate(document)
+    measures = {"measure": measure_by, "impedance": measure_impedance_by}
+    with pytest.raises(UsageError, match=WORDS):
+        measures[way](frozen(traces), scene)
+    assert len(traces) == 1
