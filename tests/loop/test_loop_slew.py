@@ -212,7 +212,7 @@ def test_the_way_to_zero_is_immediate() -> None:
 def test_a_port_has_a_slew_limit_and_a_soft_start_and_the_mock_has_none() -> None:
     for rate, slew in ((100.0, 1000.0), (1000.0, 10_000.0), (4000.0, 10_000.0)):
         bounds = force_bounds(scene_of(rate=rate), in_hand=True)
-        assert bounds == (pytest.approx(slew), 0.05, pytest.approx(0.2))
+        assert bounds == (pytest.approx(slew), max(0.05, 64.0 / rate), pytest.approx(0.2))
     assert force_bounds(scene_of(), in_hand=False) == (math.inf, 0.0, math.inf)
     named = scene_of(device={"slew_limit": 5.0, "soft_start": 0.2, "energy_limit": 0.1})
     assert force_bounds(named, in_hand=False) == force_bounds(named, in_hand=True) == (5.0, 0.2, 0.1)

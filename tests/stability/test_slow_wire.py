@@ -168,7 +168,7 @@ def jittery(share: float, damping: float, seed: int = 0, **options: Any) -> Any:
 @pytest.mark.parametrize("seed", range(3))
 def test_where_most_of_the_first_forces_are_late_an_unstable_scene_is_released(seed: int) -> None:
     with pytest.raises(
-        GuardError, match=r"of the first \d+ forces were late: on a wire that takes 2 samples"
+        GuardError, match=r"of the first \d+ forces were late: .* a wire that takes 2 samples"
     ) as caught:
         jittery(0.9, 3.0, seed, unstable=False)
     assert caught.value.exit_status == 4
