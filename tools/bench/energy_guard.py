@@ -231,7 +231,8 @@ def judged(drawn: Drawn, stalls: int | None = None) -> Outcome:
     # What a stretched link gives is known with its first force, and so is what the device's own spring does.
     compliance = 0.5 / max(sum(getattr(link, "stiffness", 0.0) for link in drawn.scene.links.values()), 1e-9)
     bound = 0.5 * drawn.mass * drawn.speed**2 + device.scales(1)[0].energy * device.force_limit
-    bound += first * first * compliance
+    pressed = max((getattr(link, "distance", 0.0) for link in drawn.scene.links.values()), default=0.0)
+    bound += first * max(pressed - first * compliance, first * compliance)
     # What the last forces do before they end: of the sample in which it is found, and of the delay.
     steps = np.abs(np.diff(trace.position[:, 0]))
     bound += (2.0 + device.delay) * device.force_limit * float(np.max(steps, initial=0.0))
