@@ -31,6 +31,7 @@ from hapsim.prediction import (
 from hapsim.prediction.felt import felt_document
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
 from hapsim.prediction.linear import late_by_mean, with_device
+from hapsim.theory.network.margins import SEARCHED
 from hapsim.units import InUnits
 
 if TYPE_CHECKING:
@@ -207,18 +208,23 @@ def _margin_summary(prediction: Prediction) -> str:
     if any(one.kind == "snap" for one in prediction.region_here.values()):
         return "In a snap there is no gain margin"
     if not prediction.stable and not details.is_at_limit(prediction):
-        hands = [details.margin_sentence(felt) for felt in prediction.felt if not felt.stable]
+        hands = [
+            f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
+            for felt in prediction.felt
+            if felt.spectral_radius > 1.0
+        ]
         return " ".join(hands) or "--explain lists by how much each link has to change"
     if not prediction.margins:
         return "There is no link to have a gain margin"
     links = details.tightest(prediction)
     if not links:
         return "Gain margins were not worked out"
+    how = f" ({SEARCHED})" if SEARCHED in prediction.margins_method else ""
     if math.isinf(details.change_to_limit(links[0])):
-        return "Gain margin: no link makes it unstable"
+        return f"Gain margin: no link makes it unstable{how}"
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
     what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
-    return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}"
+    return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
 
 
 def prediction_document(

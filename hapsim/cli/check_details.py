@@ -112,9 +112,10 @@ def _felt_table(felt: Felt, desired: Desired | None) -> Table:
 def margin_sentence(felt: Felt) -> str:
     """Returns how far one hand is from the stability limit."""
     if felt.stiffness == 0.0:
-        return "There is no stiffness to have a margin."
+        unstable = felt.spectral_radius > 1.0 + _MARGINAL
+        return f"There is no stiffness to have a margin{_enough_damping(felt, '; stable is it') if unstable else ''}."
     if felt.stiffness_factor == 0.0:
-        return f"At this damping no stiffness is stable{_enough_damping(felt)}."
+        return f"At this damping no stiffness is stable{_enough_damping(felt, '; this one is')}."
     if not math.isfinite(felt.stiffness_factor):
         return "No stiffness makes it unstable at this damping."
     if felt.stable:
@@ -123,11 +124,11 @@ def margin_sentence(felt: Felt) -> str:
     return f"It becomes stable {stiffness}{_enough_damping(felt)}."
 
 
-def _enough_damping(felt: Felt) -> str:
+def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
     least, most = felt.stable_damping
     if not most > 0.0:
         return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
-    return f"; or where the damping is between {between(max(least, 0.0), most, ' and ')} N·s/m"
+    return f"{becomes} where the damping is between {between(max(least, 0.0), most, ' and ')} N·s/m"
 
 
 _PASSIVITY = {
