@@ -181,7 +181,7 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
         f"Guards: force {scene.device.force_limit:g} N{slew}{soft}, energy {bounds.energy_limit:g} J; zero force "
         f"{silence} after the host dies"
     )
-    for sentence in details.travel_sentences(scene):
+    for sentence in (*details.travel_sentences(scene), *details.count_sentences(scene, prediction)):
         out.print(sentence)
     for desired in prediction.desired:
         if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:

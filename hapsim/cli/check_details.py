@@ -13,6 +13,7 @@ from hapsim.cli.output import Table, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import Desired, Felt, Prediction, WireTime, correction_for, host_silence, robustness_of
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
+from hapsim.theory.interface import damper_named
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -354,6 +355,7 @@ def _bounds(scene: Scene, prediction: Prediction) -> Iterator[str]:
         "what counts as that)."
     )
     yield from travel_sentences(scene)
+    yield from count_sentences(scene, prediction)
     if scene.device.port is None and scene.device.clock != "lockstep":
         bounds = force_bounds(scene, in_hand=True)
         yield (
@@ -383,6 +385,28 @@ def travel_sentences(scene: Scene) -> Iterator[str]:
         if device.origin is not None:
             zero = "the device is when it is armed" if origin is None else f"the device says {origin:g} m"
             yield f"Origin{where}: position 0 is where {zero}."
+
+
+_NOTICED = 0.01  # of the force limit: a step of the force that a hand begins to notice
+
+
+def count_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
+    """Yields what a count of the mock's positions is worth as force, where a hand may notice, and the mock's misses."""
+    mock, limit = scene.mock_device, scene.device.force_limit
+    for felt in prediction.felt:
+        here = [felt, *(one.felt for one in prediction.regions.get(felt.name, ()))]
+        stiffness = mock.quantum * max(one.stiffness for one in here)
+        model = damper_named(felt.configuration.damper, felt.configuration.cutoff, scene.rate)
+        share = 0.0 if model.senses else model.of_positions[0]
+        damping = mock.quantum * scene.rate * share * max(one.damping for one in here)
+        if felt.predictor is None and max(stiffness, damping) > _NOTICED * limit:
+            yield (
+                f"{felt.name}: one count of {number(mock.quantum, 3)} m is worth {number(stiffness, 3)} N of stiffness "
+                f"and {number(damping, 3)} N of damping, of {limit:g} N: finer counts, or a filtered or sensed damper, "
+                "make it smoother."
+            )
+    if mock.misses:
+        yield f"mock.misses: {mock.misses:.3g} of the forces come too late on this mock, as in no prediction."
 
 
 RENDERED_S = 2.0
