@@ -32,6 +32,7 @@ from hapsim.prediction.felt import felt_document
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
 from hapsim.prediction.linear import late_by_mean, with_device
 from hapsim.prediction.timing import on_wire
+from hapsim.theory.network.margins import SEARCHED
 from hapsim.units import InUnits
 
 if TYPE_CHECKING:
@@ -183,7 +184,7 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
         f"Guards: force {scene.device.force_limit:g} N{slew}{soft}, energy {bounds.energy_limit:g} J; zero force "
         f"{silence} after the host dies"
     )
-    for sentence in details.travel_sentences(scene):
+    for sentence in (*details.travel_sentences(scene), *details.count_sentences(scene, prediction)):
         out.print(sentence)
     for desired in prediction.desired:
         if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:
@@ -207,18 +208,23 @@ def _margin_summary(prediction: Prediction) -> str:
     if any(one.kind == "snap" for one in prediction.region_here.values()):
         return "In a snap there is no gain margin"
     if not prediction.stable and not details.is_at_limit(prediction):
-        hands = [details.margin_sentence(felt) for felt in prediction.felt if not felt.stable]
+        hands = [
+            f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
+            for felt in prediction.felt
+            if felt.spectral_radius > 1.0
+        ]
         return " ".join(hands) or "--explain lists by how much each link has to change"
     if not prediction.margins:
         return "There is no link to have a gain margin"
     links = details.tightest(prediction)
     if not links:
         return "Gain margins were not worked out"
+    how = f" ({SEARCHED})" if SEARCHED in prediction.margins_method else ""
     if math.isinf(details.change_to_limit(links[0])):
-        return "Gain margin: no link makes it unstable"
+        return f"Gain margin: no link makes it unstable{how}"
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
     what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
-    return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}"
+    return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
 
 
 def prediction_document(

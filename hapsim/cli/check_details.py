@@ -14,6 +14,7 @@ from hapsim.number_format import between, duration, number, rounded_down, rounde
 from hapsim.prediction import Desired, Felt, Prediction, WireTime, correction_for, host_silence, robustness_of
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
 from hapsim.prediction.timing import what_helps, wire_parts
+from hapsim.theory.interface import damper_named
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -113,9 +114,10 @@ def _felt_table(felt: Felt, desired: Desired | None) -> Table:
 def margin_sentence(felt: Felt) -> str:
     """Returns how far one hand is from the stability limit."""
     if felt.stiffness == 0.0:
-        return "There is no stiffness to have a margin."
+        unstable = felt.spectral_radius > 1.0 + _MARGINAL
+        return f"There is no stiffness to have a margin{_enough_damping(felt, '; stable is it') if unstable else ''}."
     if felt.stiffness_factor == 0.0:
-        return f"At this damping no stiffness is stable{_enough_damping(felt)}."
+        return f"At this damping no stiffness is stable{_enough_damping(felt, '; this one is')}."
     if not math.isfinite(felt.stiffness_factor):
         return "No stiffness makes it unstable at this damping."
     if felt.stable:
@@ -124,11 +126,11 @@ def margin_sentence(felt: Felt) -> str:
     return f"It becomes stable {stiffness}{_enough_damping(felt)}."
 
 
-def _enough_damping(felt: Felt) -> str:
+def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
     least, most = felt.stable_damping
     if not most > 0.0:
         return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
-    return f"; or where the damping is between {between(max(least, 0.0), most, ' and ')} N·s/m"
+    return f"{becomes} where the damping is between {between(max(least, 0.0), most, ' and ')} N·s/m"
 
 
 _PASSIVITY = {
@@ -338,6 +340,7 @@ def _bounds(scene: Scene, prediction: Prediction) -> Iterator[str]:
         "what counts as that)."
     )
     yield from travel_sentences(scene)
+    yield from count_sentences(scene, prediction)
     if scene.device.port is None and scene.device.clock != "lockstep":
         bounds = force_bounds(scene, in_hand=True)
         yield (
@@ -367,6 +370,28 @@ def travel_sentences(scene: Scene) -> Iterator[str]:
         if device.origin is not None:
             zero = "the device is when it is armed" if origin is None else f"the device says {origin:g} m"
             yield f"Origin{where}: position 0 is where {zero}."
+
+
+_NOTICED = 0.01  # of the force limit: a step of the force that a hand begins to notice
+
+
+def count_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
+    """Yields what a count of the mock's positions is worth as force, where a hand may notice, and the mock's misses."""
+    mock, limit = scene.mock_device, scene.device.force_limit
+    for felt in prediction.felt:
+        here = [felt, *(one.felt for one in prediction.regions.get(felt.name, ()))]
+        stiffness = mock.quantum * max(one.stiffness for one in here)
+        model = damper_named(felt.configuration.damper, felt.configuration.cutoff, scene.rate)
+        share = 0.0 if model.senses else model.of_positions[0]
+        damping = mock.quantum * scene.rate * share * max(one.damping for one in here)
+        if felt.predictor is None and max(stiffness, damping) > _NOTICED * limit:
+            yield (
+                f"{felt.name}: one count of {number(mock.quantum, 3)} m is worth {number(stiffness, 3)} N of stiffness "
+                f"and {number(damping, 3)} N of damping, of {limit:g} N: finer counts, or a filtered or sensed damper, "
+                "make it smoother."
+            )
+    if mock.misses:
+        yield f"mock.misses: {mock.misses:.3g} of the forces come too late on this mock, as in no prediction."
 
 
 RENDERED_S = 2.0

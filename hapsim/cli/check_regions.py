@@ -63,8 +63,9 @@ def _rows(regions: tuple[Region, ...], here: Region | None = None) -> list[_Row]
     alike: dict[tuple[object, ...], list[Region]] = {}
     for one in regions:
         piece = one.piece
-        values = (piece.stiffness, piece.damping, piece.high - piece.low)
-        alike.setdefault((*(number(value, _ALIKE) for value in values), piece.sliding, one.kind), []).append(one)
+        values = (piece.stiffness, piece.damping, piece.high - piece.low, one.force if one.kind == "free" else 0.0)
+        end = piece.low if math.isinf(piece.high - piece.low) else 0.0  # what has no other end is like nothing else
+        alike.setdefault((end, *(number(value, _ALIKE) for value in values), piece.sliding, one.kind), []).append(one)
     rows = [
         _Row(min(group, key=lambda one: abs(one.piece.place)), len(group), any(one is here for one in group))
         for group in alike.values()
@@ -103,7 +104,7 @@ def _verdict(region: Region) -> str:
     if region.kind == "snap":
         return f"{slides}[yellow]snap[/yellow] {number(1e3 * region.snap_energy, 3)} mJ"
     if region.kind == "free":
-        return f"{slides}no spring"
+        return f"{slides}no spring" + (f", {number(abs(region.force), 3)} N" if region.force else "")
     return f"{slides}stable{', passive' if region.felt.passive else ''}"
 
 
@@ -121,6 +122,7 @@ def regions_document(regions: tuple[Region, ...]) -> list[dict[str, Any]]:
             "kind": one.kind,
             "stable": one.is_stable,
             "passive": one.felt.passive,
+            "force_n": one.force,
             "snap_energy_j": one.snap_energy,
             "links": one.piece.states,
             "slide": one.piece.sliding,

@@ -38,7 +38,7 @@ def felt_by(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
     scene = rendering.seen
     felt = _felt_of(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
     port = next((port for port in rendering.ports if port.name == name), None)
-    if port is None or rendering.kind is None or not rendering.kind.predicts or port.rendered == (0.0, 0.0):
+    if port is None or rendering.kind is None or not rendering.kind.predicts or felt.stiffness == felt.damping == 0.0:
         return felt
     return felt_of_predictor(felt, port.declared, rendering.predictor_of(port), (felt.stiffness, felt.damping))
 

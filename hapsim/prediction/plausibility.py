@@ -11,9 +11,11 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hapsim.number_format import duration, frequency, number, plural, short, short_duration
 from hapsim.prediction.characteristic import characteristic_of
-from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.linear import configuration_of, law_of
 from hapsim.scene import Mock, Scene
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import Expectation, Known, Span
@@ -112,10 +114,11 @@ class _Value(NamedTuple):
 def unlikely(scene: Scene) -> list[str]:
     """Returns sentences, one for each key of `scene` that is probably a mistake: what was found, why that is unlikely,
     and what to write. The same key of several modules shares one."""
-    off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off]
+    weights = set(_weights(scene, _ranges(scene)["m"].most))
+    off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off and one.path not in weights]
     for of_part in (_of_device, _of_links):
         if not any(one.unit in ("Hz", "kg", "samples") for one in off):  # by these the others are judged
-            off += [one for one in of_part(scene) if one.is_off]
+            off += [one for one in of_part(scene) if one.is_off and one.path not in weights]
     alike: dict[tuple[str, str], dict[str, _Value]] = {}
     for one in off:
         place, _, key = one.path.rpartition(".")
@@ -130,6 +133,20 @@ def unlikely(scene: Scene) -> list[str]:
         scene.units if len({*scene.device.motions(scene.channels)}) == 1 else str
     )  # of both: who prints them says so
     return [units(one) for one in (*sentences, *(() if is_explained else _jumps(scene)))]
+
+
+def _weights(scene: Scene, far_m: float) -> Iterator[str]:
+    """Yields the keys of grounds that are the far end of a constant force: their links pull, and so softly that
+    the device can give it, however far they are; and the keys of these links."""
+    for ground, module in scene.grounds.items():
+        laws = {name: (law_of(one), one.between) for name, one in scene.links.items() if ground in one.between}
+        at = {
+            name: module.position if between[0] == ground else -module.position for name, (_, between) in laws.items()
+        }
+        pulls = [abs(float(law.tension(np.array(at[name])))) for name, (law, _) in laws.items()]
+        if pulls and abs(module.position) > far_m and all(0.0 < one <= scene.device.force_limit for one in pulls):
+            yield f"modules.{ground}.position"
+            yield from (f"modules.{name}.stiffness" for name in laws)
 
 
 def _ranges(scene: Scene) -> dict[str, Range]:

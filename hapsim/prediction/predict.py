@@ -27,6 +27,7 @@ from hapsim.prediction.linear import (
     hand_of,
     instead_of,
     is_lone,
+    law_of,
     links_of,
     network_of,
     why_coupled,
@@ -37,8 +38,9 @@ from hapsim.prediction.quick import is_surely_stable
 from hapsim.prediction.regions import growth, growth_of, regions_of
 from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
 from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Region
-from hapsim.scene import Scene
+from hapsim.scene import Nonlinear, Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.modules import Link
 from hapsim.scene.quantity import per_channel
 from hapsim.theory import (
     Margins,
@@ -289,9 +291,11 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             else "how stable the scene is was worked out for a device that samples with every substep, not as it runs."
         )
     elif is_surely_unstable(prediction):
+        strongest = _strongest(scene)
+        most = f"the force limit of {limit:g} N" if strongest >= limit else f"the {number(strongest)} N of its links"
         warnings.append(
             "the scene is predicted unstable: `hapsim run` and `measure` refuse it. With --unstable the device "
-            f"oscillates with up to the force limit of {limit:g} N, until the energy guard ends the run "
+            f"oscillates with up to {most}, until the energy guard ends the run "
             "(hapsim/STABILITY.md says what it finds)."
         )
         warnings += own_limits(scene)
@@ -325,6 +329,17 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             "feels then). A USB device's own port does not mind."
         )
     return [*map(scene.units, warnings)]
+
+
+def _strongest(scene: Scene) -> float:
+    """N, which all links of a hand together never exceed; of the hand with the most."""
+
+    def of_link(link: Link) -> float:
+        by_speed = isinstance(link, Nonlinear) and link.force_over_velocity
+        return math.inf if by_speed else law_of(link).strongest(scene.rate)
+
+    hands = scene.device_points
+    return max(sum(of_link(link) for link in scene.links.values() if name in link.between) for name in hands)
 
 
 def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:

@@ -31,7 +31,7 @@ def regions_of(rendering: Rendering, name: str, around: float = 0.0) -> tuple[Re
         kind = _kind(felt.stiffness + felt.configuration.stiffness)
         stable = felt.stable if kind == "held" else modulus_without(felt.poles, kind) < _GROWS
         energy = _snap_energy(piece, hand) if kind == "snap" else 0.0
-        regions.append(Region(piece, felt, kind, stable, links_of(here, name), energy))
+        regions.append(Region(piece, felt, kind, stable, links_of(here, name), energy, float(hand.force(piece.place))))
     return tuple(regions)
 
 

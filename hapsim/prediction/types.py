@@ -104,6 +104,8 @@ class Region:
     """The simulated links of the hand there, by name."""
     snap_energy: float
     """J, that a hand gets which pushes through with the force at which the snap begins; 0 where it is none."""
+    force: float
+    """N, with which a hand at rest at its place pushes towards larger x."""
 
 
 class Robustness(NamedTuple):

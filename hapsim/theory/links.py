@@ -87,6 +87,17 @@ class Law:
         """Whether the slope changes within a piece; `slopes` has the steepest then."""
         return False
 
+    def strongest(self, rate: float) -> float:
+        """N, which the tension never exceeds at this rate of samples (Hz); infinite where nothing bounds it."""
+        reach = self.edges[-1] if self.grips else self.reach
+        if math.isfinite(reach):
+            stuck = self.slopes.index(max(self.slopes))
+            return max(self.slides_at, reach * (self.slopes[stuck] + 2.0 * self.dampings[stuck] * rate))
+        is_level = bool(self.period) or self.slopes[0] == self.slopes[-1] == 0.0
+        if any(self.dampings) or not is_level:
+            return math.inf
+        return float(np.abs(self.tension(np.array(self.edges or 0.0))).max())
+
     @property
     def grips(self) -> bool:
         """Whether it holds between its edges once its ends have met there, and not before."""

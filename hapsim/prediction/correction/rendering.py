@@ -13,7 +13,7 @@ from hapsim.prediction.correction.coupled import MOST_STATES, is_small, is_stabl
 from hapsim.prediction.correction.element import Element, element_for
 from hapsim.prediction.correction.kind import CorrectionKind, Observer, Port, ports_of, shared_out, with_modules
 from hapsim.prediction.correction.poles import POLES
-from hapsim.prediction.correction.predictor import PREDICTOR, observer_of, predictor_for
+from hapsim.prediction.correction.predictor import PREDICTOR, observer_of, predictor_for, without_delay
 from hapsim.prediction.linear import configuration_of, dampers_of, linear_scene, why_coupled, with_device
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Buffer, Scene
@@ -81,7 +81,8 @@ class Rendering:
 
     def predictor_of(self, port: Corrected) -> StatePredictor:
         """The one whose state this port's force answers, once an estimate of the mass has settled."""
-        return predictor_for(replace(port.declared, mass=port.made_for), port.element.observer)
+        predictor = predictor_for(replace(port.declared, mass=port.made_for), port.element.observer)
+        return predictor._replace(differences=port.rendered == (0.0, 0.0))  # contacts alone
 
     def predictors(self) -> dict[int, StatePredictor]:
         """Of every channel of a device point; none where nothing is predicted."""
@@ -189,6 +190,16 @@ class _Correction:
             return Element(0.0, 0.0, span[0] if self.kind.predicts else declared.mass, True)
         return element_for(self.kind, declared, span, (stiffness + declared.stiffness, damping + declared.friction))
 
+    def touched(self, port: Port, contact: Buffer) -> Element:
+        """The element of a port while this contact is touched. A contact takes the difference of positions: where a
+        predictor hands it those of the mass, that of a loop without delay. Beside links, which get velocities, it is
+        taken to get them too."""
+        declared, (least, most) = self.declared(port), self.spans[port.channel]
+        if not self.kind.predicts or port.linear or least < most:
+            return self.lone(port, (contact.stiffness, contact.damping))
+        desired = contact.stiffness + declared.stiffness, contact.damping + declared.friction
+        return element_for(POLES, replace(without_delay(declared), damper="backward"), (least, most), desired)
+
     def schedule(self, port: Port) -> Schedule | None:
         """None where there is nothing to adapt, or no span to adapt in."""
         declared, span = self.declared(port), self.spans[port.channel]
@@ -208,7 +219,8 @@ class _Correction:
         changed = self.contacts(port, element)
         for name, contact in port.contacts.items():
             simulated = changed.get(name, contact)
-            both = element.stiffness + simulated.stiffness, element.damping + simulated.damping
+            moving = simulated.damping if port.linear else 0.0  # at rest the difference of positions is 0
+            both = element.stiffness + simulated.stiffness, element.damping + moving
             given.append(((k + contact.stiffness, b + contact.damping), both))
         observer, senses = observer_of(model, given), bool(self.scene.sensed_links)
         return observer._replace(compliance=0.0 if port.others else observer.compliance, senses=senses)
@@ -218,7 +230,7 @@ class _Correction:
         all where the links follow an estimate."""
         changed: dict[str, Buffer] = {}
         for name, contact in ({} if self.kind.adapts else port.contacts).items():
-            touched = self.lone(port, (contact.stiffness, contact.damping))
+            touched = self.touched(port, contact)
             stiffness, damping = touched.stiffness - base.stiffness, touched.damping - base.damping
             if stiffness >= 0.0 and damping >= 0.0:
                 changed[name] = contact.model_copy(update={"stiffness": stiffness, "damping": damping})

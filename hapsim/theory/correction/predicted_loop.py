@@ -98,6 +98,10 @@ class PredictedLoop(NamedTuple):
     def _answers(self, K: ArrayLike, B: ArrayLike, size: int) -> Floats:
         """(..., size): -f, in T²/m f, of the state as `_open_loop` orders it."""
         K, B = np.broadcast_arrays(np.asarray(K, float), np.asarray(B, float))
+        if self.predictor.differences:
+            damping = B * self.plant.rate
+            now = self._of_velocity()._answers(K + damping, 0.0, size - 1)
+            return np.concatenate([now, -damping[..., None] / self.plant.stiffness_unit], axis=-1)
         gain = np.stack([K, B * self.plant.rate], axis=-1) / self.plant.stiffness_unit
         _, _, ahead = self._normalised()
         answers = np.zeros((*K.shape, size))
@@ -108,6 +112,9 @@ class PredictedLoop(NamedTuple):
             x, v, push = self.predictor.at_rest() @ np.stack([np.ones_like(K), -self.static * np.ones_like(K)])
             answers[..., -1] += (self.static - K * x - B * v) / push
         return answers
+
+    def _of_velocity(self) -> PredictedLoop:
+        return self._replace(predictor=self.predictor._replace(differences=False))
 
     def _normalised(self) -> tuple[Floats, Floats, Floats]:
         """Step with the reading, gains and ahead of the predictor, in m, sample periods and the plant's T²/m f."""
@@ -124,6 +131,11 @@ class PredictedLoop(NamedTuple):
         on the readings. The state: position and velocity of the plant, the forces before f[n], the observer's.
         ``moved``: whether the plant is there; where it is not, the readings are the noise."""
         c = self.plant
+        if self.predictor.differences:  # the position ahead, a sample later: the last number of the state
+            moves, pushes, reads = self._of_velocity()._open_loop(moved)
+            ahead = self._of_velocity()._answers(c.stiffness_unit, 0.0, len(moves))
+            moves = np.pad(np.vstack([moves, ahead]), ((0, 0), (0, 1)))
+            return moves, np.append(pushes, 0.0), np.pad(reads, ((0, 1), (0, 0)))
         own = device_step(c.friction / c.damping_unit, c.delay, c.hold, c.stiffness / c.stiffness_unit, c.sampling)
         known = max(self.predictor.lags, own.forces.shape[1] - 1)
         expects, gains, _ = self._normalised()

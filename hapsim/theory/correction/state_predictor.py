@@ -44,6 +44,8 @@ class StatePredictor(NamedTuple):
     """(2, R): the same of position and velocity, of the second sample that is read: no push is known yet."""
     ahead: Floats
     """(2, 3 + lags): position and velocity at (n + delay) T, just before the force that answers sample n."""
+    differences: bool = False
+    """Whether the damper that it is for takes the last two positions ahead, in place of the velocity ahead."""
 
     @property
     def lags(self) -> int:

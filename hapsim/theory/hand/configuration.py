@@ -138,7 +138,8 @@ class Configuration:
         """
         lead, _ = self._solved(K, B)
         sigma, kappa = oscillator_of_quadratic(lead.p, lead.q)
-        k = np.where(lead.dominant, kappa * self.stiffness_unit, np.nan)
+        held = (np.asarray(K) != 0.0) | (self.stiffness != 0.0)  # else what is left is rounding
+        k = np.where(lead.dominant, held * kappa * self.stiffness_unit, np.nan)
         b = np.where(lead.dominant, sigma * self.damping_unit, np.nan)
         return k, b
 

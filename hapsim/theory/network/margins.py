@@ -16,7 +16,7 @@ import numpy as np
 
 from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Complexes, Indices
-from hapsim.theory.network.changed_link import LIMIT, ChangedLink, Range
+from hapsim.theory.network.changed_link import LIMIT, STEPS, ChangedLink, Range
 from hapsim.theory.network.crossings import Crossings
 from hapsim.theory.network.large_margins import margins_along_circle
 from hapsim.theory.network.large_modes import solve
@@ -30,6 +30,8 @@ EIGENVALUES = 6  # problems for the two margins of a link: the crossings, and tw
 SEARCHES = 140  # the same, of a search by the poles; four times as many for the ranges of an unstable loop
 ONE_AT_LEAST = 200  # numbers in the state of the largest scene of another scheme of which one link is always searched
 FOLLOWED = 16  # links of a large scene
+SEARCHED = f"searched up to {STEPS[-1]:.0e} times, in steps of a tenth, beyond tenfold of double"
+"""How far and how finely the margins of other schemes, and with substeps, are looked for."""
 
 
 class Margin(NamedTuple):
@@ -119,7 +121,7 @@ def _by_crossings(network: Network, links: int, size: int, touching: int, unstab
 def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Search:
     most = int(WORK / (SEARCHES * (4 if unstable else 1)) / (size + 40) ** 3)
     most = max(most, int(size <= ONE_AT_LEAST))
-    how = "by the poles, in steps of a tenth, beyond tenfold of double: what comes and goes within one is not seen"
+    how = f"{SEARCHED}: what comes and goes within a step is not seen"
     if not most:
         under = f"under scheme: {network.scheme}" if network.substeps == 1 else "with substeps"
         how = f"none was worked out: {under} that is done for fewer masses only"

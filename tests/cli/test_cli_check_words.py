@@ -1,0 +1,129 @@
+"""What `hapsim check` says is true of the scene that it says it of."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim.prediction import predict, unlikely, warnings_about
+from hapsim.prediction.linear import law_of
+from hapsim.scene import Scene, parse_scene
+
+Hapsim = Callable[..., Any]
+HAND: dict[str, Any] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
+
+
+def scene_of(links: dict[str, Any], mock: dict[str, Any] | None = None, **device: Any) -> dict[str, Any]:
+    own = {"clock": "lockstep", "mass": 0.2, "friction": 1.0} | device
+    return {"version": 1, "rate": 1000, "device": own, "mock": mock or {}, "modules": HAND | links}
+
+
+def parsed(document: dict[str, Any]) -> Scene:
+    return parse_scene(json.dumps(document))
+
+
+def link(stiffness: float, damping: float, **more: Any) -> dict[str, Any]:
+    return {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": stiffness, "damping": damping} | more
+
+
+@pytest.fixture
+def told(hapsim: Hapsim, tmp_path: Path) -> Callable[[dict[str, Any]], str]:
+    def check(document: dict[str, Any]) -> str:
+        path = tmp_path / "scene.yaml"
+        path.write_text(json.dumps(document))
+        return " ".join(hapsim("check", path).out.split())
+
+    return check
+
+
+def test_beside_an_idle_port_the_unstable_hand_alone_is_advised(told: Callable[..., str]) -> None:
+    words = told(scene_of({"touch": link(4000, 5), "other": {"type": "device", "channel": 1}}))
+    assert "hand: It becomes stable where" in words
+    assert "no stiffness to have a margin" not in words
+    assert "e-" not in re.findall(r"other: k.*?N/m", words)[0]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_advice_to_an_unstable_hand_makes_it_stable(told: Callable[..., str], seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    stiffness, damping = float(10.0 ** draw.uniform(1, 5)), float(10.0 ** draw.uniform(0, 3))
+    words = told(scene_of({"touch": link(stiffness if seed % 4 else 0.0, damping)}))
+    assert "no stiffness is stable; or" not in words
+    for low, high in re.findall(r"where the damping is between (\S+) and (\S+) N", words):
+        for right in (float(low), float(high)):
+            prediction = predict(parsed(scene_of({"touch": link(stiffness if seed % 4 else 0.0, right)})))
+            assert prediction.spectral_radius <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_hand_without_a_spring_feels_none(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    device = {"mass": float(draw.uniform(0.01, 1)), "friction": float(draw.uniform(0, 5)), "delay": float(seed % 3)}
+    felt = predict(parsed(scene_of({"drag": link(0.0, float(draw.uniform(0, 5)))}, **device))).felt[0]
+    assert felt.k == 0.0 or np.isnan(felt.k)
+
+
+def test_the_far_end_of_a_weight_is_no_mistake_and_a_wall_in_mm_is_one() -> None:
+    far = {"far": {"type": "ground", "position": -10.0}}
+    weight = {"type": "spring", "between": ["hand", "far"], "stiffness": 0.3}
+    assert unlikely(parsed(scene_of(far | {"load": weight}))) == []
+    for wall in (weight | {"stiffness": 300.0}, {"type": "buffer", "between": ["hand", "far"], "stiffness": 300.0}):
+        assert any("write -0.01" in one for one in unlikely(parsed(scene_of(far | {"load": wall}))))
+
+
+def test_a_level_of_a_table_is_not_taken_for_free_space(told: Callable[..., str]) -> None:
+    points = [[0.001 * i, float(i % 2)] for i in range(16)]
+    table = {"type": "nonlinear", "between": ["hand", "wall"], "force_over_distance": points}
+    words = told(scene_of({"key": table}))
+    assert "below 0 0 0 no spring" in words
+    assert "above 15 0 0 no spring, 1 N" in words
+
+
+@pytest.mark.parametrize("kind", ["friction", "detent", "nonlinear", "plectrum"])
+@pytest.mark.parametrize("seed", range(5))
+def test_no_link_pulls_by_more_than_is_said_to_bound_it(kind: str, seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    force, x = float(draw.uniform(0.5, 3.0)), float(draw.uniform(0.001, 0.01))
+    links: dict[str, dict[str, Any]] = {
+        "friction": {"force": force, "static": 1.2 * force, "stiffness": force / x},
+        "detent": {"pitch": x, "depth": force, "shape": str(draw.choice(["sine", "snap", "notch"]))},
+        "nonlinear": {"force_over_distance": [[-x, -force], [0.0, force], [x, 0.2 * force]]},
+        "plectrum": {"stiffness": force / x, "release": x},
+    }
+    document = scene_of({"it": {"type": kind, "between": ["hand", "wall"]} | links[kind]}, force_limit=50.0)
+    scene = parsed(document)
+    law = law_of(scene.links["it"])
+    bound = law.strongest(scene.rate)
+    most = np.abs(law.tension(np.linspace(-3.0 * x, 3.0 * x, 4001))).max()
+    assert bound == pytest.approx(1.2 * force if kind == "friction" else most, rel=1e-2)
+    prediction = predict(scene)
+    for warning in warnings_about(scene, prediction):
+        if "oscillates" in warning:
+            assert f"with up to the {bound:.6g} N of its links" in warning
+    assert law_of(parsed(scene_of({"it": link(10, 1)})).links["it"]).strongest(1000.0) == np.inf
+
+
+def test_what_a_count_is_worth_is_said_where_it_matters(told: Callable[..., str]) -> None:
+    for damper, damping in (({}, "0.46"), ({"damper": "centred"}, "0.23"), ({"damper": "sensed"}, None)):
+        wheel = scene_of(
+            {"load": link(3, 0.3, **damper)}, {"quantum": 0.001534}, motion="rotary", force_limit=5, delay=0
+        )
+        words = told(wheel)
+        assert ("one count of 0.00153 rad is worth 0.0046 N·m of stiffness" in words) is (damping is not None)
+        assert damping is None or f"and {damping} N·m of damping" in words
+    assert "one count" not in told(scene_of({"load": link(300, 1)}, {"quantum": 1e-6}))
+    assert "mock.misses: 0.02" in told(scene_of({"load": link(300, 1)}, {"misses": 0.02}))
+
+
+def test_searched_margins_say_up_to_where_and_how_finely(told: Callable[..., str]) -> None:
+    links = {"touch": link(500, 2, between=["hand", "m"]), "back": link(300, 1, between=["m", "wall"])}
+    document = scene_of({"m": {"type": "mass", "mass": 0.01}} | links)
+    how = "(searched up to 5e+09 times, in steps of a tenth, beyond tenfold of double)"
+    assert how not in told(document)
+    assert how in told(document | {"substeps": 4})
