@@ -15,7 +15,6 @@ from hapsim.errors import HapsimError, UsageError
 from hapsim.live.blocks import block_of, modules_block, thinned
 from hapsim.live.hub import Hub
 from hapsim.live.messages import (
-    SHORT,
     Adopt,
     Done,
     Get,
@@ -69,6 +68,7 @@ class Viewer:
         self._answers: asyncio.Queue[asyncio.Task[BaseModel]] = asyncio.Queue(_MOST_ANSWERS)
         self._events: asyncio.Queue[str | None] = asyncio.Queue(_MOST_EVENTS)
         self._ending = asyncio.Event()
+        self._adopting: asyncio.Task[Any] | None = None  # the latest
         self._feed: asyncio.Task[None] | None = None
         self._subscribing = asyncio.Lock()
         self._going: asyncio.Task[None] | None = None
@@ -81,10 +81,7 @@ class Viewer:
         try:
             async for text in self._socket:
                 await self._wait_for_allowance()
-                task = asyncio.create_task(self._answer(text))
-                await self._answers.put(task)
-                if len(text) > SHORT:  # a scene: what follows is meant for it
-                    await asyncio.wait([task])
+                await self._answers.put(asyncio.create_task(self._answer(text)))
         except ConnectionClosed:
             pass
         finally:
@@ -105,7 +102,11 @@ class Viewer:
         id = None
         try:
             request = request_of(text)
-            id = request.id
+            id, before = request.id, self._adopting
+            if isinstance(request, Adopt):
+                self._adopting = asyncio.current_task()
+            if before is not None and not isinstance(request, Stop):  # what follows a scene is meant for it
+                await asyncio.wait([before])
             return await self._carried_out(request)
         except Exception as error:
             self._office.rejected += 1

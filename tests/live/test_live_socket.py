@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gc
 import json
+import threading
 import time
 import weakref
 from collections.abc import Callable
@@ -86,7 +87,7 @@ def test_blocks_have_every_sample_of_the_run(serve: Serve, tmp_path: Any) -> Non
     with served.client() as client:
         client.ask(type="subscribe", rate=200, history=60)
         blocks = [client.block() for _ in range(20)]
-        client.ask(type="stop")
+        client.send(type="stop")  # `ask` would pass over the blocks before the answer
         blocks += client.blocks_to_the_end()
         assert client.closed == (1001, "the run has ended")
     served.session.wait()
@@ -183,6 +184,37 @@ def test_a_scene_as_large_as_the_one_that_runs_may_be_adopted(serve: Serve, monk
         assert "found 25 modules" in larger
         assert "expected at most 24" in larger
         assert client.ask(type="adopt", scene=string(20).replace("2000", "1800"))["type"] == "done"
+
+
+@pytest.mark.parametrize("size", [0, 100_000])
+def test_a_stop_does_not_wait_for_a_scene_that_is_adopted_and_all_else_does(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    served, begun, may_end = serve(), threading.Event(), threading.Event()
+    adopt, session, order = served.session.adopt, served.session, list[str]()
+
+    def slowly(*scene: Any) -> None:
+        begun.set()
+        assert may_end.wait(60)
+        adopt(*scene)
+        order.append("adopted")
+
+    monkeypatch.setattr(session, "adopt", slowly)
+    monkeypatch.setattr(session, "mark", order.append)
+    with served.client() as client:
+        client.send(type="adopt", scene=SCENE.replace("2000", "1500") + "#" * size)
+        client.send(type="marker", text="later")
+        assert begun.wait(60)
+        with served.client() as other:  # whose requests wait for nobody
+            assert other.ask(type="marker", text="of another")["type"] == "done"
+        may_end.set()
+        assert client.ask(type="get")["type"] == "model"
+        assert order == ["of another", "adopted", "later"]
+        may_end.clear()
+        client.send(type="adopt", scene=SCENE)
+        client.send(type="stop")
+        assert session.wait(60), "though the scene is not adopted yet"
+        may_end.set()
 
 
 def test_a_client_stays_while_the_device_is_away(serve: Serve) -> None:
