@@ -51,6 +51,14 @@ class Scale(NamedTuple):
     """Of the hand with which the page pulls the mock,"""
     reach: float = 0.02
     """and how far it reaches to either side, at first."""
+    jerk: float = 0.005
+    """What nothing holds has visibly moved. This and the next three on the rim of a knob, 5 cm from its axis."""
+    runaway: float = 0.1
+    """What nothing holds has gone too far, as far as late forces may take it;"""
+    grip: float = 0.002
+    """a hand that holds a handle elsewhere has another grip;"""
+    grip_force: float = 20.0
+    """and one that moves a handle pulls with less."""
     position_count: float = 1e-9
     """Of the mock's position on the wire: 32 bits reach 2.1 m to either side, or 341 turns."""
 
@@ -71,6 +79,10 @@ SCALES: dict[Motion, Scale] = {
         brief=5e-4,
         free=0.01,
         reach=0.5,
+        jerk=0.1,
+        runaway=2.0,
+        grip=0.04,
+        grip_force=1.0,
         position_count=1e-6,
     ),
 }

@@ -77,7 +77,7 @@ def set_frozen_sensor(loop: Any, scene: Scene, description: Description, bounds:
     watch_sensor(
         loop.frozen_sensor,
         rate_hz=scene.rate,
-        motions=device.motions(channels),
+        scales=device.scales(channels),
         mass=np.array([least for least, _ in device.mass_spans(channels)]),
         dry_friction=scene.mock_device.coulomb,
         force_limit=loop.io.force_limit[used],

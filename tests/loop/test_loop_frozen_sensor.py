@@ -11,16 +11,17 @@ from loop_rig import arrive, assembled, frame, scene_of, served
 
 from hapsim.errors import GuardError
 from hapsim.loop.endings import HEARD
-from hapsim.loop.guards.frozen_sensor import FAR, MOST_RAMP_S, MOST_WAIT_S, WAY
+from hapsim.loop.guards.frozen_sensor import MOST_RAMP_S, MOST_WAIT_S
 from hapsim.loop.ring import FADED
 from hapsim.recording.trace import Trace
 from hapsim.running import run, start
 from hapsim.running.options import RunOptions
+from hapsim.scales import SCALES
 from hapsim.scene import Scene
 
 RATE = 1000.0
 SOFT = 50  # samples of the soft start
-MOST_M = 0.3  # of a free handle, until its force is zero: FAR, and the way of a question after it
+MOST_M = 0.3  # of a free handle, until its force is zero: a `runaway`, and the way of a question after it
 
 
 def guarded(scene: Scene, device: FrozenDevice | None = None, duration: float = 2.0, **options: Any) -> Trace:
@@ -93,7 +94,7 @@ def test_a_hand_that_holds_a_live_encoder_still_keeps_its_force(count: float) ->
     mock = {"quantum": count, "hand": hand, "initial": {"velocity": 0.0}, "coulomb": 1000.0 * count}
     trace = guarded(scene_of(damping=1.0, mock=mock))
     assert (trace.report.frozen_ticks, trace.report.frozen) == (0, "")
-    assert 1 <= trace.report.sensor_tests <= 20  # a free handle would be at FAR within a tenth of a second
+    assert 1 <= trace.report.sensor_tests <= 20  # a free handle would run away within a tenth of a second
     share = np.abs(trace.force[500:, 0] / trace.asked_force[500:, 0])
     assert np.median(share) == pytest.approx(1.0, abs=1e-6)
     assert share.min() > (0.8 if count <= 1e-5 else 0.2)
@@ -139,7 +140,8 @@ def test_a_wheel_is_judged_by_angles(torque: float) -> None:
     )
     device = FrozenDevice(after(30))
     trace = guarded(scene, device)
-    assert np.abs(device.way(1e-4)[: no_force_at_the_end(trace) - 30]).max() < MOST_M / FAR["linear"] * FAR["rotary"]
+    most = MOST_M / SCALES["linear"].runaway * SCALES["rotary"].runaway
+    assert np.abs(device.way(1e-4)[: no_force_at_the_end(trace) - 30]).max() < most
 
 
 @pytest.mark.parametrize(
@@ -191,7 +193,7 @@ def test_lost_positions_are_bridged() -> None:
         assert loop.record.frozen_sensor.frozen[0] == 1
         assert loop.record.io.force_counts[0] == 0
         assert int(loop.record.state.lost_frames) == (0 if step == 1 else 297)
-    fall = np.sqrt(2.0 * (WAY["linear"] + 4e-6) * 0.2 / 2.0) * RATE  # 2 N on 0.2 kg
+    fall = np.sqrt(2.0 * (SCALES["linear"].jerk + 4e-6) * 0.2 / 2.0) * RATE  # 2 N on 0.2 kg
     assert begun[1] == pytest.approx(fall, abs=3)
     assert 0 <= begun[4] - begun[1] < 8
 

@@ -31,6 +31,7 @@ from hapsim.compiling.native import address_of
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, call_keep
 from hapsim.loop.guards.frozen_sensor import FLOOR, FROZEN_SENSOR, call_judge_sensor, lower, watch_sensor
+from hapsim.scales import SCALES
 
 RATE, STEPS, MASS, SCALE = 1000.0, 5, 0.2, 1e-4  # Hz, steps of a hand in a sample, kg declared, N per count
 NEVER = 1e9  # s
@@ -147,7 +148,7 @@ def simulated(drawn: dict[str, float], *, declared: dict[str, Any] | None = None
     watch_sensor(
         sensor,
         rate_hz=RATE,
-        motions=("linear",),
+        scales=[SCALES["linear"]],
         mass=np.array([declared.get("mass", MASS)]),
         dry_friction=declared.get("dry", 0.0),
         force_limit=np.array([run.limit]),

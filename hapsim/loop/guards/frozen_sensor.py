@@ -6,9 +6,10 @@ would have come by the forces that acted since the last count, on from the veloc
 
     v += F/m T,   w += v T.
 
-Where w is above WAY and COUNTS counts, and the position has stood still for LIVE times as long as a live sensor did at
-this place, the guard asks. It asks in any case where w is above FAR, or after MOST_WAIT_S: so a free handle goes little
-farther. FAR grows by TRUST with every answer at this place, up to MOST_TRUST.
+Where w is above a `jerk` (hapsim/scales.py) and COUNTS counts, and the position has stood still for LIVE times as long
+as a live sensor did at this place, the guard asks. It asks in any case where w is above a `runaway`, or after
+MOST_WAIT_S: so a free handle goes little farther. That way grows by TRUST with every answer at this place, up to
+MOST_TRUST.
 
 A question ramps the channel's force down to zero, within RAMP of the time for which the position stood still, between
 LEAST_RAMP_S and MOST_RAMP_S: as gently as a hand that holds that still allows. If a count changes, a hand holds the
@@ -19,9 +20,9 @@ Standing still says nothing where declared dry friction can hold handle and hand
 towards which the force presses. There nothing is integrated.
 
 **A staircase.** A sensor that is refreshed too rarely stands still and then jumps. A jump after STAIR_SAMPLES and more
-is a stair if it is COUNTS counts and more, and farther than the force limit and a hand (HAND) take the handle from rest
-in a sample. STAIRS of them while force acts, with nothing but standing still between them, end the run: a handle that a
-hand or a blow moves so fast moves on in the next sample.
+is a stair if it is COUNTS counts and more, and farther than the force limit and a hand take the handle from rest in a
+sample. STAIRS of them while force acts, with nothing but standing still between them, end the run: a handle that a hand
+or a blow moves so fast moves on in the next sample.
 
 A scene without this guard never compiles it: its address is 0 then.
 """
@@ -40,16 +41,11 @@ from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, function_at, native, record_at
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, acting_force
-from hapsim.units import Motion
+from hapsim.scales import Scale
 
-# By motion: m or rad, N or N·m. An angle is the length at a radius of 5 cm, that of a large knob or a small wheel.
-WAY: dict[Motion, float] = {"linear": 0.005, "rotary": 0.1}  # of a free handle, before a question: a visible jerk
-FAR: dict[Motion, float] = {"linear": 0.1, "rotary": 2.0}  # and without waiting: as late forces may give a hand
 TRUST, MOST_TRUST = 2.0, 8.0  # a hand that keeps pressing at one place is asked less often
-PLACE: dict[Motion, float] = {"linear": 0.002, "rotary": 0.04}  # beyond it another grip: stillness is learnt anew
-HAND: dict[Motion, float] = {"linear": 20.0, "rotary": 1.0}  # a hand that moves a handle pulls with less
 COUNTS = 4  # a hand that holds still between two counts moves by one or two
-LIVE, MOST_WAIT_S = 3.0, 0.5  # what a hand that trembles seldom exceeds; what it takes a weak force to go FAR
+LIVE, MOST_WAIT_S = 3.0, 0.5  # what a hand that trembles seldom exceeds; what it takes a weak force to go too far
 RAMP, LEAST_RAMP_S, MOST_RAMP_S = 0.7, 0.005, 0.15  # with 0.5, counts of 0.1 mm fade three times as often
 LEAST_RETURN_S = 0.01  # a step of the force within less is felt as a click
 FLOOR = 0.02  # of the force limit: less moves no handle fast, and the dry friction of any device holds it
@@ -196,7 +192,7 @@ def watch_sensor(
     sensor: Any,
     *,
     rate_hz: float,
-    motions: Sequence[Motion],
+    scales: Sequence[Scale],
     mass: NDArray[np.float64],
     dry_friction: float,
     force_limit: NDArray[np.float64],
@@ -204,10 +200,11 @@ def watch_sensor(
     travel: NDArray[np.float64],
     soft_start_s: float,
 ) -> None:
-    """Fills a FROZEN_SENSOR. Arrays have an entry for each channel, in SI units: the least declared mass, the force
-    limit, the position per count, and (2, channels) the ends of the travel without its margins."""
-    used, one_sample = slice(len(motions)), rate_hz**-2 / mass
-    way, far, place, hand = (np.array([length[one] for one in motions]) for length in (WAY, FAR, PLACE, HAND))
+    """Fills a FROZEN_SENSOR. Arrays have an entry for each channel, in SI units: the scale of its motion, the least
+    declared mass, the force limit, the position per count, and (2, channels) the ends of the travel without its
+    margins."""
+    used, one_sample = slice(len(scales)), rate_hz**-2 / mass
+    way, far, place, hand = np.transpose([(one.jerk, one.runaway, one.grip, one.grip_force) for one in scales])
     sensor.moved[used], sensor.floor[used] = one_sample, np.maximum(FLOOR * force_limit, HELD_BY * dry_friction)
     sensor.low[used], sensor.high[used] = travel
     sensor.least_way[used], sensor.far[used] = way + COUNTS * count, way + COUNTS * count + far
