@@ -54,7 +54,7 @@ class Pusher:
         travel, counts = leave.travel, _UNSEEN_COUNTS * self._position_scale
         way = max(_UNSEEN * travel / (6 * _PATTERNS), min(counts, _UNSEEN * travel))
         self.unseen = (leave.mass or _UNSEEN_MASS) * way
-        """N·s²: force times the square of a push's length, at most, while no count changes; a free mass moves F t²/m."""
+        """N·s²: force times the square of a push's length, at most, while no count changes."""
         self._settling = probing.samples_in(3.0, 100, 20000)
         self._home: float | None = None
 
