@@ -46,9 +46,9 @@ _COUNTS_OF_DAMPING = 1.5  # steps of the damper's force, by a count of the posit
 _FIRST_MOVES, _FIRST_TRAVEL = 0.07, 0.2  # of the travel, at first: wired the wrong way it runs away
 _MOVES = 0.35  # of the travel: enough for a fit
 _MEANT = 0.6  # of the travel
-_UNSEEN, _UNSEEN_COUNTS, _HARDER = 0.07, 2.0, 2.0
+_UNSEEN, _UNSEEN_COUNTS = 0.07, 2.0
 # Of the travel, and counts: how far a free mass as declared is moved, and back, until its position answers, so that one
-# ten times lighter stays in its travel, too. The next such push has this many times the force.
+# ten times lighter stays in its travel, too.
 _HARDLY = 0.02  # of the travel
 _A_LITTLE_HARDER, _MUCH_HARDER = 1.25, 3.0
 _MOST_ATTEMPTS = 36  # from the gentlest push on
@@ -219,7 +219,7 @@ class _Pusher:
             acted += 4 * ticks / rate
             if force >= most:
                 raise UsageError(silence_words(acted, force))
-            force = min(_HARDER * force, most)
+            force = min(_A_LITTLE_HARDER * force, most)
 
     def record(self, rough: DeviceFit, duration: float) -> None:
         """Records the device at several simulated (K, B), as far as it may be moved; with which ones."""
@@ -244,7 +244,7 @@ class _Pusher:
             bounds, travel = replace(self._bounds, travel=travel), self._bounds.travel
             trace = self._pushed(drive, duration, bounds)
             if silence(trace, self._channel) and not self._stopped:
-                force = self._answered(drive, min(_HARDER * drive.force, self._bounds.push))
+                force = self._answered(drive, min(_A_LITTLE_HARDER * drive.force, self._bounds.push))
                 if drive.force < self._bounds.push:
                     drive = replace(drive, force=force)
                     continue

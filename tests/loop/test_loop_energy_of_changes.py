@@ -46,6 +46,27 @@ def test_a_modulation_that_pumps_is_slowed_and_ends_no_run() -> None:
     assert given < 0.4
 
 
+def test_an_adversary_gets_no_more_than_the_page_says() -> None:
+    """A spring beyond passivity that is stiff whenever the hand comes back, and soft when it goes."""
+    before, seconds, declared = [0.0, False], 5.0, 1.0
+
+    def act(session: Session, _sample: int) -> None:
+        io = session._loop.record.io
+        position = float(io.position_counts[0] * io.position_scale[0])
+        comes_back = position * (position - before[0]) < 0.0
+        before[0] = position
+        if comes_back != before[1]:
+            before[1] = comes_back
+            session.set({"touch": {"stiffness": 1900.0 if comes_back else 100.0}}, over=0.0)
+
+    outcome = changed_while_it_runs(spring(100.0, friction=2.0 * declared), seconds, act)
+    step = np.diff(outcome.position)
+    acted = np.concatenate([[0.0], np.clip(outcome.asked, -10.0, 10.0)[:-2]])  # a sample late
+    gained = np.cumsum(acted * step - declared * step**2 * 1e3)
+    assert within_the_tank(outcome)
+    assert LIMIT < gained.max() < 2.0 * LIMIT + REFILL * seconds
+
+
 def test_what_nothing_links_to_a_hand_adds_nothing() -> None:
     cell = {"type": "cell", "mass": 0.1, "stiffness": 50.0, "rest": 0.0, "position": 0.2}
     pinned = {"type": "spring", "between": ["cell", "wall"], "stiffness": 100.0}

@@ -195,3 +195,20 @@ def test_attributes_say_what_was_swept(scene: Path) -> None:
     found = hapsim.sweep(scene, {"touch.stiffness": [500.0]}, quantities=("predicted",))
     assert json.loads(found.attrs["scene"])["modules"]["touch"]["damping"] == 5.0
     assert json.loads(found.attrs["versions"]).keys() >= {"hapsim", "numpy", "processor"}
+
+
+def test_workers_wait_for_one_another_at_a_lock_that_follows_no_link(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from hapsim.sweeping import executors
+
+    monkeypatch.setenv("HAPSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(executors, "work", lambda *_: None)
+    executors.ready(None, None)  # type: ignore[arg-type]
+    assert (tmp_path / "cache" / "sweep.lock").stat().st_mode & 0o777 == 0o600
+    victim, lock = tmp_path / "victim", tmp_path / "cache" / "sweep.lock"
+    victim.write_text("mine")
+    lock.unlink()
+    lock.symlink_to(victim)
+    executors.ready(None, None)  # type: ignore[arg-type]
+    assert victim.read_text() == "mine"

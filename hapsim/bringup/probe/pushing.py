@@ -24,8 +24,9 @@ STEP = "push"
 _LAGS = 5
 _PATTERNS = 32  # at each length
 _LONGEST_S = 3.0  # for those of one length
-_UNSEEN_WAY, _UNSEEN_MASS = 0.3, 0.02  # of the travel, and kg (a light handle) where no mass is given: how far a free
-# mass is pushed, and back, while no count of the position changes
+# While no count changes, how far a free mass (kg; of a handle, where none is given) gets: of the travel, where one push
+# is lost, in all the time of those of one length; or in counts, with one push, but that much of the travel at most.
+_UNSEEN_MASS, _UNSEEN, _UNSEEN_COUNTS = 0.1, 0.3, 2.0
 _SURE = 30.0  # standard deviations: then nothing longer is tried
 _SEEN = 6.0  # standard deviations of a response that is one at all
 _CLEAR = 0.03  # of the response: then its lags can be distinguished
@@ -50,6 +51,10 @@ class Pusher:
         """N, by the sample that they answer."""
         self._rate_hz = device.rate_hz
         self._position_scale = device.position_scale[leave.channel]
+        travel, counts = leave.travel, _UNSEEN_COUNTS * self._position_scale
+        way = max(_UNSEEN * travel / (6 * _PATTERNS), min(counts, _UNSEEN * travel))
+        self.unseen = (leave.mass or _UNSEEN_MASS) * way
+        """N·s²: force times the square of a push's length, at most, while no count changes."""
         self._settling = probing.samples_in(3.0, 100, 20000)
         self._home: float | None = None
 
@@ -95,7 +100,7 @@ class Pusher:
         return (
             f"the position has not changed by one count for {len(acted) / self._rate_hz:.2g} s while force acts "
             f"({max(acted):.3g} N at most): sensor or cable? Move the device by hand: if its position changes, it is "
-            "held, or stuck by dry friction, and only then try a greater --push"
+            "held, or stuck by dry friction, and only then try a greater --push and --travel"
         )
 
     def why_stopped(self) -> str:
@@ -156,7 +161,7 @@ def _stages(probing: Probing, pusher: Pusher) -> Iterator[tuple[float, int]]:
         yield force / share, 1
     length = 1
     while length == 1 or 6 * length * _PATTERNS < probing.samples_in(_LONGEST_S, 200, 10000):
-        if pusher.is_silent and _blind_way(probing, force, length) > _UNSEEN_WAY * pusher.leave.travel:
+        if pusher.is_silent and force * probing.periods(length) ** 2 > pusher.unseen:
             return
         yield force, length
         length *= 2
@@ -197,12 +202,6 @@ def _respond(probing: Probing, pusher: Pusher) -> None:
     probing.judge("sign", best.total > 0, f"{inverted}{found_response}, from {best.rows} samples, {pushes}")
     _judge_delay(probing, best)
     _judge_mass(probing, best, 1.0 / abs(probing.response))
-
-
-def _blind_way(probing: Probing, force: float, length: int) -> float:
-    """Returns how far a push moves a free mass, m: F t²/m, until the opposite one has stopped it."""
-    assert probing.leave is not None
-    return force * probing.periods(length) ** 2 / (probing.leave.mass or _UNSEEN_MASS)
 
 
 def _is_sure(found: Estimate) -> bool:

@@ -1,0 +1,175 @@
+"""Records that say what no hapsim writes, disks that are full, and links that others planted."""
+
+from __future__ import annotations
+
+import json
+import random
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapsim.errors import HapsimError, UsageError
+from hapsim.recording.stream import MAGIC, StreamReader
+from hapsim.recording.trace import load_trace
+from hapsim.replaying.columns import Columns
+from hapsim.replaying.export import export
+from hapsim.replaying.record_device import device_of
+from hapsim.replaying.replay import Record
+from hapsim.running import run
+from hapsim.scene import parse_scene
+from hapsim.whole_file import whole_file
+
+SCENE = """
+version: 1
+rate: 1000
+device: {mass: 0.2, friction: 1.0, clock: lockstep}
+mock: {initial: {velocity: 0.1}}
+modules: {hand: {type: device, channel: 0}, wall: {type: ground},
+  touch: {type: viscoelastic, between: [hand, wall], stiffness: 500, damping: 2}}
+"""
+HEADS = 60
+MOST_MB = 200.0  # beside what was there before: a mutated head of 20 kB
+ODD: list[Any] = [
+    None,
+    True,
+    -1,
+    2**31,
+    2**70,
+    10**300,
+    1e308,
+    float("nan"),
+    float("inf"),
+    "",
+    "x",
+    [],
+    {},
+    [1e300] * 3,
+]
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("records") / "whole.trace"
+    run(parse_scene(SCENE), duration=2.0, record=path, keep=False)
+    return path
+
+
+def with_head(record: Path, text: bytes) -> bytes:
+    """The record with another head, whose check is right."""
+    whole = record.read_bytes()
+    at = len(MAGIC)
+    kind, count, size, _ = struct.unpack_from("<4sIII", whole, at)
+    check = zlib.crc32(text, zlib.crc32(kind + struct.pack("<II", count, len(text))))
+    return MAGIC + struct.pack("<4sIII", kind, count, len(text), check) + text + whole[at + 16 + size :]
+
+
+def head_of(record: Path) -> Any:
+    whole, at = record.read_bytes(), len(MAGIC)
+    return json.loads(whole[at + 16 : at + 16 + struct.unpack_from("<4sIII", whole, at)[2]])
+
+
+def places(document: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    if at:
+        yield at
+    if isinstance(document, dict | list):
+        for key in document if isinstance(document, dict) else range(len(document)):
+            yield from places(document[key], (*at, key))
+
+
+def test_every_mutated_head_loads_or_ends_with_a_sentence_in_little_memory(record: Path, tmp_path: Path) -> None:
+    chance, path = random.Random(1), tmp_path / "mutated.trace"
+    before, refused = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, 0
+    for _ in range(HEADS):
+        head = head_of(record)
+        for place in chance.sample(list(places(head)), chance.choice((1, 1, 2))):
+            inner = head
+            for key in place[:-1]:
+                inner = inner[key] if isinstance(inner, dict | list) and place[0] in head else {}
+            if isinstance(inner, dict | list) and (isinstance(inner, dict) or place[-1] < len(inner)):
+                inner[place[-1]] = chance.choice(ODD)
+        path.write_bytes(with_head(record, json.dumps(head).encode()))
+        for read in (load_trace, Record, lambda one: list(Columns(one).pieces()), device_of):
+            try:
+                read(path)
+            except HapsimError:
+                refused += 1
+    assert refused > HEADS
+    assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024 < MOST_MB
+
+
+@pytest.mark.parametrize("key", ["velocity", "by_host", "rate_hz", "position_scale", "force_scale", "run", "told"])
+def test_a_head_is_what_its_model_writes(record: Path, tmp_path: Path, key: str) -> None:
+    path = tmp_path / "damaged.trace"
+    for text in (json.dumps(head_of(record) | {key: 2**70}).encode(), b"[" * 100_000):
+        path.write_bytes(with_head(record, text))
+        with pytest.raises(UsageError, match="the record is damaged: "):
+            StreamReader(path)
+
+
+FULL = """
+import resource, signal, sys
+from pathlib import Path
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+from hapsim.errors import UsageError
+from hapsim.replaying.columns import Columns
+from hapsim.replaying.export import export
+columns, out = Columns(Path(sys.argv[1])), Path(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
+try:
+    export(columns, out, "position.0" if out.suffix == ".wav" else None, lambda _: None)
+except UsageError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("ending", ["h5", "mcap", "csv", "npz", "wav"])
+def test_a_full_disk_is_told_in_a_sentence_and_leaves_nothing(record: Path, tmp_path: Path, ending: str) -> None:
+    """HDF5 crashed, or printed its own words, where a write failed."""
+    pytest.importorskip({"h5": "h5py", "mcap": "mcap"}.get(ending, "numpy"))
+    out = tmp_path / f"out.{ending}"
+    command = [sys.executable, "-c", FULL, str(record), str(out), "3000"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"{out}: the file cannot be written: File too large\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_record_keeps_the_rows_that_there_was_room_for(tmp_path: Path) -> None:
+    path, before = tmp_path / "cut.trace", resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+        trace = run(parse_scene(SCENE), duration=30.0, record=path, keep=False)
+    except HapsimError as error:
+        assert "File too large" in str(error)  # noqa: PT017
+        trace = error.trace  # type: ignore[attr-defined]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    kept = load_trace(path).sample.size
+    assert 2500 < kept < 30_000
+    assert trace is None or trace.report.unrecorded_rows == 30_000 - kept
+
+
+def test_no_planted_link_is_written_through(record: Path, tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    out = tmp_path / "out.csv"
+    with whole_file(out) as one, whole_file(out) as other:
+        assert one.name != other.name
+        one.write_text("")
+        other.write_text("")
+    (tmp_path / "run.npz.part").symlink_to(victim)
+    (tmp_path / "run.npz.part.whole").symlink_to(victim)
+    with pytest.raises(UsageError, match="cannot be written"):
+        run(parse_scene(SCENE), duration=0.1, record=tmp_path / "run.npz", keep=False)
+    export(Columns(record), out, None, lambda _: None)
+    assert victim.read_text() == "mine"
