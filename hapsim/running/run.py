@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Concatenate, ParamSpec
 
+from hapsim.prediction.linear import with_device
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running.options import RunOptions
@@ -77,6 +78,8 @@ def start(scene: SceneSource, **options: Any) -> Session:
     """
     record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
     scene = as_scene(scene)
+    if record.transport != "auto":
+        scene = with_device(scene, port=None)  # nor has the mock the wire of a port
     with scene.units.in_errors():
         session = Session(scene, record)
         session.begin()

@@ -299,7 +299,7 @@ def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
     """23 bytes at 115200 baud take 1.997 ms: with the host's work they miss a tick at 500 Hz, and not at 480 Hz."""
 
     def wire(rate: float, delay: float) -> dict[str, Any]:
-        path = scene_file("spring", rate=rate, baud=115200, port="/dev/ttyNONE", delay=delay)
+        path = scene_file("spring", rate=rate, baud=115200, port="/dev/ttyACM77", delay=delay)
         return checked(path) | {"text": unwrapped(explained(path))}
 
     late, declared, fits = wire(500.0, 1.0), wire(500.0, 2.0), wire(480.0, 1.0)
