@@ -90,11 +90,11 @@ def test_the_first_scene_of_a_board_is_far_from_unstable_and_rings_as_its_commen
 def test_a_scene_that_ships_stays_within_its_force_limit_and_the_counts_of_the_wire(name: str) -> None:
     scene = load_scene(FOLDER / f"{name}.yaml")
     trace = run(scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})}), duration=3)
-    counts = np.abs(trace.position).max() / scene.mock_device.quantum
+    counts = np.abs(trace.position).max() / scene.mock_device.quantum[0]
     assert 0 < scene.mock_device.initial_velocity[0] <= 0.1
     assert np.abs(trace.asked_force).max() < 0.5 * scene.device.force_limit
     assert 10_000 < counts < 0.5 * 2**31
-    assert abs(trace.position[-1, 0]) <= 2.0 * scene.mock_device.quantum  # it has come to rest
+    assert abs(trace.position[-1, 0]) <= 2.0 * scene.mock_device.quantum[0]  # it has come to rest
 
 
 @pytest.mark.parametrize(

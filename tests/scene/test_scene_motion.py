@@ -44,7 +44,7 @@ def test_degrees_become_radians_wherever_a_scene_takes_a_length() -> None:
         math.radians(5.0),
     )
     assert (mock.initial_position, mock.initial_velocity) == ((math.radians(5.0),), (math.radians(-10.0),))
-    assert mock.quantum == math.radians(0.09)
+    assert mock.quantum == (math.radians(0.09),)
     assert scene.grounds["frame"].position == math.radians(15.0)
     assert scene.links["pick"].release == math.radians(3.0)  # type: ignore[attr-defined]
     assert scene.links["curve"].force_over_distance[0] == (math.radians(-1.0), 0.0)  # type: ignore[attr-defined]

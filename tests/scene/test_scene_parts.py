@@ -93,7 +93,7 @@ def test_what_is_left_out_has_the_defaults_of_the_format(good: str) -> None:
     )
     mock = scene.mock_device
     assert (mock.mass, mock.initial_position, mock.initial_velocity) == ((0.2,), (0.0,), (0.0,))
-    assert (mock.quantum, mock.force_quantum, mock.baud) == (1e-9, None, None)
+    assert (mock.quantum, mock.force_quantum, mock.baud) == ((1e-9,) * mock.channels, None, None)
 
 
 def test_the_mock_is_as_the_device_says_where_it_does_not_say_otherwise() -> None:
@@ -108,7 +108,7 @@ def test_the_mock_is_as_the_device_says_where_it_does_not_say_otherwise() -> Non
         initial_velocity=(0.1, 0.2),
         force_limit=10.0,
         coulomb=0.0,
-        quantum=1e-6,
+        quantum=(1e-6, 1e-6),
         noise=0.0,
         seed=0,
         force_quantum=0.01,

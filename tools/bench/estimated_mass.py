@@ -136,7 +136,7 @@ def estimated(seed: int, seconds: float = SECONDS) -> dict[str, Any]:
         "explained": explained,
         "known": uncertainty < 0.5 * (MOST - LEAST),
         "noise_m": mock.noise,
-        "quantum_m": mock.quantum,
+        "quantum_m": mock.quantum[0],
         "stiffness": touch.stiffness,
         "damping": touch.damping,
         "coulomb": mock.coulomb,
