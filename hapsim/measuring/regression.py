@@ -9,8 +9,8 @@ linear law of the scene: its rounding, clipping at the limit, an excitation. C i
 round the loop like the position itself, carried on by a mass that drifts (pole 1) and slows down (pole p). Divided by
 C, the equation has y doubly summed and the white error e: least squares is then the maximum-likelihood estimate, with
 an honest covariance. Only p is searched for; the residuals choose order and p together, for a wrong p makes the error
-coloured, and further poles are then fitted to its colour. Where a white force shakes the mass besides, as the rounding of
-a velocity that the device senses does, C has a conjugate pair of poles in place of 1 and p (`shaken`).
+coloured, and further poles are then fitted to its colour. Where a white force shakes the mass besides, as the rounding
+of a velocity that the device senses does, C has a conjugate pair of poles in place of 1 and p (`shaken`).
 
 Between two turns of the hand dry friction is a constant force of one sign or the other: a segment from turn to turn
 has it as one more regressor.
