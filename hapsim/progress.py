@@ -32,6 +32,8 @@ class Progress:
     """Standard uncertainty; the whole span where nothing is known."""
     mass_explained: tuple[float | None, ...] = ()
     """R²: the share of the motion that the forces explain."""
+    mass_age_s: tuple[float | None, ...] = ()
+    """Seconds since the motion last showed the mass."""
     slewed_ticks: int = 0
     faded_ticks: int = 0
     sensor_tests: int = 0

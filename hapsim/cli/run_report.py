@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hapsim.recording.trace import Report
     from hapsim.running.reconnecting import Lifetime
 
+_GRIP_S = 1.0  # a hand takes no longer for another grip: of an older mass nobody knows whether it is still that
 _MASS_KNOWN, _LITTLE_EXPLAINED = 0.1, 0.9  # relative uncertainty and share of the motion: a warning beyond either
 _NORMAL_REFUSALS = 9  # of the device, at arming and disarming
 _FEW = 0.01  # of the positions
@@ -127,6 +128,8 @@ def _estimated_mass(report: Report, channel: int, mass: float) -> str:
         note = " [yellow](not known: no force moved the hand clearly, or others moved it more)[/yellow]"
     elif explained < _LITTLE_EXPLAINED:
         note = f" [yellow](the forces explain {_share(explained)} of the latest motion)[/yellow]"
+    elif (age_s := dict(enumerate(report.mass_age_s)).get(channel) or 0.0) > _GRIP_S:
+        note = f" [yellow](of {age_s:.3g} s before the end: no motion showed it later)[/yellow]"
     return f"{mass:.4g} ± {uncertainty:.2g}{note}"
 
 

@@ -83,6 +83,7 @@ _LABELS = {
     "estimated_mass_kg": "estimated mass  kg",
     "estimated_mass_uncertainty_kg": "its uncertainty  kg",
     "mass_explained": "motion explained",
+    "mass_age_s": "mass last seen before  s",
 }
 _WIDEST = 25
 

@@ -16,8 +16,8 @@ blocks (as long as the sums look back), and of what neither forces nor noise exp
 
 Only blocks count in which the forces move the mass clearly more than the noise. The estimate comes from the latest
 BLOCKS of them, or, if these disagree after a grip, from the latest FEWEST_BLOCKS. While neither is certain to KNOWN,
-the last known estimate stays. After lost positions, and after late forces in a row, the force that acted is unknown:
-the sums start anew.
+the last known estimate stays, and `unwatched` counts for how long. After lost positions, and after late forces in a
+row, the force that acted is unknown: the sums start anew.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ MASS_ESTIMATE = np.dtype(
         ("log_most", np.float64, _EACH),
         ("log_mass", np.float64, _EACH),  # ln kg: the last estimate that was known; the least mass before there is one
         ("uncertainty", np.float64, _EACH),  # relative, standard; infinite before there is an estimate
+        ("unwatched", np.int64, _EACH),  # samples since the motion last showed it
         ("explained", np.float64, _EACH),  # R²: the share of the latest motion that the forces explain
         ("span", np.int64, _EACH),  # samples, L,
         ("slow_span", np.int64, _EACH),  # and D
@@ -88,6 +89,7 @@ def note_sample(estimate, gap, late):
 def estimate_mass(estimate, predictor, forces, c, position):
     """Adds a sample of a channel. Returns ln of the mass in kg."""
     seen = estimate.seen
+    estimate.unwatched[c] += 1
     ring, sums = estimate.rings[c], estimate.sums[c]
     ring[_POSITION, seen & _MASK] = position
     begins = 2 + estimate.first_lag + estimate.count  # from here on the forces are known
@@ -207,6 +209,7 @@ def _fit(estimate, c, count):
         return False
     estimate.log_mass[c] = min(max(log_mass, least), most)
     estimate.uncertainty[c] = uncertainty
+    estimate.unwatched[c] = 0
     return True
 
 

@@ -9,7 +9,11 @@ linear law of the scene: its rounding, clipping at the limit, an excitation. C i
 round the loop like the position itself, carried on by a mass that drifts (pole 1) and slows down (pole p). Divided by
 C, the equation has y doubly summed and the white error e: least squares is then the maximum-likelihood estimate, with
 an honest covariance. Only p is searched for; the residuals choose order and p together, for a wrong p makes the error
-coloured, and further poles are then fitted to its colour.
+coloured, and further poles are then fitted to its colour. Where a white force shakes the mass besides, as the rounding
+of a velocity that the device senses does, C has a conjugate pair of poles in place of 1 and p (`shaken`).
+
+Between two turns of the hand dry friction is a constant force of one sign or the other: a segment from turn to turn
+has it as one more regressor.
 
 With C split off, A = C + (1/q) G(q), nothing cancels: the regressors are sums and differences of y. Those of a lower
 order are the first ones of a higher order, so one triangular factor for each p has the fits of all orders.

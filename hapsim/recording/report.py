@@ -72,6 +72,8 @@ class Report:
     """Its standard uncertainty; the whole span if nothing was known."""
     mass_explained: tuple[float | None, ...] = ()
     """R²: the share of the latest motion that was compared which the forces explain."""
+    mass_age_s: tuple[float | None, ...] = ()
+    """Seconds since the motion last showed the mass: the hand may have become another one meanwhile."""
     slewed_ticks: int = 0
     """Ticks whose force the slew limit or the soft start brought closer to the one before."""
     faded_ticks: int = 0

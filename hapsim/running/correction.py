@@ -65,6 +65,7 @@ class LoopCorrection:
         """Fills an ADAPTIVE."""
         period = rendering.desired.period
         self._adaptive = record = new_record(ADAPTIVE)
+        self._period = period
         record.slew = 1.0 / max(SLEW_S / period, LEAST_SLEW)
         estimate = record.estimate
         numerator, estimate.first_lag = forces_in_second_difference(rendering.ports[0].declared)
@@ -106,15 +107,16 @@ class LoopCorrection:
     def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
         """Returns the estimated masses under their names in `Report` and `Progress`: a value per channel, None where
         none is estimated; no values if no channel has one."""
-        names = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained")
+        names = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained", "mass_age_s")
         if not self._ports:
             return {}
-        rows: list[tuple[float | None, ...]] = [(None, None, None)] * channels
+        rows: list[tuple[float | None, ...]] = [(None, None, None, None)] * channels
         estimate = self._adaptive.estimate
         for channel, port in self._ports.items():
             (least, most), mass = _span(port), float(np.exp(estimate.log_mass[channel]))
             uncertainty = min(float(estimate.uncertainty[channel]) * mass, most - least)
-            rows[channel] = mass, uncertainty, float(estimate.explained[channel])
+            age_s = float(estimate.unwatched[channel] * self._period)
+            rows[channel] = mass, uncertainty, float(estimate.explained[channel]), age_s
         return dict(zip(names, zip(*rows, strict=True), strict=True))
 
     def _table(self, tables: dict[int, Table]) -> Table:

@@ -165,6 +165,7 @@ class RunState:
             "estimated_mass_kg": progress.estimated_mass_kg,
             "estimated_mass_uncertainty_kg": progress.estimated_mass_uncertainty_kg,
             "mass_explained": progress.mass_explained,
+            "mass_age_s": progress.mass_age_s,
         }
 
     def _started(self, session: Session) -> None:

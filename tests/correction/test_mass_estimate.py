@@ -111,6 +111,12 @@ def test_the_last_known_estimate_stays_while_only_noise_moves() -> None:
     soon, later = (estimated(trace.report) for trace in traces)
     assert soon[0] == pytest.approx(0.3, rel=0.02)
     assert later == soon
+    ages = [trace.report.mass_age_s[0] for trace in traces]
+    assert ages[0] < 0.3
+    assert ages[1] == pytest.approx(ages[0] + 1.2, abs=0.01)
+    told = [table_of(trace.report) for trace in traces]
+    assert "no motion showed it later" not in told[0]
+    assert "s before the end: no motion showed it later)" in told[1]
 
 
 def test_a_hand_that_pushes_slowly_is_not_taken_for_mass(bench: Any) -> None:
