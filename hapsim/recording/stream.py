@@ -38,6 +38,7 @@ _READ = (1, 2)  # 1 has no `run`, and no notes
 MOST_ROWS = 1 << 15
 """In a chunk: what a reader has in memory at once."""
 
+_LEAST_ROWS = 1 << 10  # of a chunk on a full disk: what is left has room for the summary, as a rule
 _CHUNK = struct.Struct("<4sIII")
 _HEAD, _ROWS, _NOTE, _TOLD = b"HEAD", b"ROWS", b"NOTE", b"TOLD"
 _MOST_BYTES = 1 << 26  # of a chunk; one that says it is longer is damaged
@@ -102,9 +103,9 @@ class StreamWriter:
             try:
                 self._write_chunk(_ROWS, len(piece), piece.tobytes())
             except OSError:
-                if most == 1:
+                most = min(most, len(piece)) // 2
+                if most < _LEAST_ROWS:
                     raise
-                most = len(piece) // 2 or 1
                 continue
             self.written += len(piece)
             rows = rows[len(piece) :]
