@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.errors import GuardError
+from hapsim.errors import DeviceError, GuardError
 from hapsim.loop.guards.energy_guard import MOST_HELD
 from hapsim.prediction.characteristic import characteristic_of
 from hapsim.running import run
@@ -146,3 +146,13 @@ def test_a_wheel_that_diverges_is_ended(number: int) -> None:
     ending, ticks, _ = judged(wheel.scene, 20.0)
     deep = wheel.kind == "detent" and wheel.scene.modules["held"].depth <= wheel.scene.device.force_limit
     assert deep or (ending == "scene diverging" and ticks < 20.0 * wheel.scene.rate)
+
+
+def test_a_position_at_the_end_of_its_counts_is_named() -> None:
+    document = scene_of({"rub": WALL | {"type": "damper", "damping": 1e-6}}, velocity=10.0).model_dump(
+        mode="json", exclude_none=True
+    )
+    document["device"] |= {"motion": "rotary"}
+    document["mock"] |= {"quantum": 1e-9}
+    with pytest.raises(DeviceError, match=r"count is at its end on channel 0 \(±2.147 rad at 1e-09 rad per count\)"):
+        run(parse_scene(json.dumps(document)), duration=1.0)
