@@ -217,7 +217,7 @@ def _triangular(tables: Floats) -> Floats:
 
 def _twice(signals: Floats, drifts: Complexes) -> tuple[Floats, Floats]:
     """(The first difference of each signal divided by C, and that itself) for each p: (drifts, signals, samples)."""
-    once, pairs = np.empty((len(drifts), *signals.shape)), drifts.imag != 0.0
+    once, pairs = np.zeros((len(drifts), *signals.shape)), drifts.imag != 0.0
     once[~pairs] = _slowed(signals, drifts[~pairs].real)
     twice, p = np.cumsum(once, axis=-1), drifts[pairs, None, None]
     twice[pairs] = (p * _slowed(signals, drifts[pairs])).imag / p.imag
