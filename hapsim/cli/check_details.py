@@ -380,13 +380,14 @@ def count_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     mock, limit = scene.mock_device, scene.device.force_limit
     for felt in prediction.felt:
         here = [felt, *(one.felt for one in prediction.regions.get(felt.name, ()))]
-        stiffness = mock.quantum * max(one.stiffness for one in here)
+        count = mock.quantum[felt.channel]
+        stiffness = count * max(one.stiffness for one in here)
         model = damper_named(felt.configuration.damper, felt.configuration.cutoff, scene.rate)
         share = 0.0 if model.senses else model.of_positions[0]
-        damping = mock.quantum * scene.rate * share * max(one.damping for one in here)
+        damping = count * scene.rate * share * max(one.damping for one in here)
         if felt.predictor is None and max(stiffness, damping) > _NOTICED * limit:
             yield (
-                f"{felt.name}: one count of {number(mock.quantum, 3)} m is worth {number(stiffness, 3)} N of stiffness "
+                f"{felt.name}: one count of {number(count, 3)} m is worth {number(stiffness, 3)} N of stiffness "
                 f"and {number(damping, 3)} N of damping, of {limit:g} N: finer counts, or a filtered or sensed damper, "
                 "make it smoother."
             )
