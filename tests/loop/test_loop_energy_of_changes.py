@@ -60,11 +60,34 @@ def test_an_adversary_gets_no_more_than_the_page_says() -> None:
             session.set({"touch": {"stiffness": 1900.0 if comes_back else 100.0}}, over=0.0)
 
     outcome = changed_while_it_runs(spring(100.0, friction=2.0 * declared), seconds, act)
+    assert within_the_tank(outcome)
+    assert LIMIT < given(outcome, declared) < 2.0 * LIMIT + REFILL * seconds
+
+
+def test_what_a_scene_gave_is_not_forgotten_where_changes_add_and_take_away() -> None:
+    """A spring that gives energy by itself, stiffer for a few samples at the end of each swing: what the rise added the
+    fall takes away, and no more."""
+    before, left = [0.0, 0.0], [0]
+
+    def act(session: Session, _sample: int) -> None:
+        io = session._loop.record.io
+        position = float(io.position_counts[0] * io.position_scale[0])
+        turns = (position - before[0]) * (before[0] - before[1]) < 0.0
+        before[:] = position, before[0]
+        left[0] = 4 if turns else left[0] - 1
+        if left[0] in (4, 1):
+            session.set({"touch": {"stiffness": 3000.0 if turns else 2000.0}}, over=0.0)
+
+    outcome = changed_while_it_runs(spring(2000.0, friction=1.5, velocity=0.3), 10.0, act)
+    assert outcome.ending == "scene diverging"
+    assert LIMIT < given(outcome, 1.0) < LIMIT + outcome.spent + 0.01  # the work of a sample
+
+
+def given(outcome: Outcome, declared: float) -> float:
+    """J: the most that the force has given by then, beyond what the declared friction (N·s/m) takes."""
     step = np.diff(outcome.position)
     acted = np.concatenate([[0.0], np.clip(outcome.asked, -10.0, 10.0)[:-2]])  # a sample late
-    gained = np.cumsum(acted * step - declared * step**2 * 1e3)
-    assert within_the_tank(outcome)
-    assert LIMIT < gained.max() < 2.0 * LIMIT + REFILL * seconds
+    return float(np.cumsum(acted * step - declared * step**2 * 1e3).max())
 
 
 def test_what_nothing_links_to_a_hand_adds_nothing() -> None:

@@ -22,7 +22,9 @@ force is clipped the spring is softer; two channels are two sums.
 Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. At the first
 sample S is minus what the scene holds then (cordis/stored_energy.py): what nothing connects to a hand counts as
 nothing. A change of K while the scene runs adds (K[n] - K[n-1]) x[n]²/2 to that. This is subtracted from S when the
-change acts, with its sign, for all modules alike, and bounded by a tank. The guard trips where S is above `limit`.
+change acts, with its sign, for all modules alike, and bounded by a tank. Where credit was clipped, S is too high by
+`clipped`: so much of a rise above 0 is forgiven when a change takes energy away, and a passive scene stays below 0,
+whatever changes. The guard trips where S is above `limit`.
 
 **Two accounts.** The proof holds for forces in time; the account SCENE counts those (force_history.py). Late forces
 give energy, too, but that is the host's fault: no reason to stop a run in which a hand knocks while the host stalls.
@@ -102,6 +104,7 @@ ENERGY_GUARD = np.dtype(
         ("held", np.float64),  # J, what the scene holds at the first sample,
         ("most_held", np.float64),  # J, and as much as counts of that
         ("given", np.float64, _ACCOUNTS),  # S, J
+        ("clipped", np.float64, _ACCOUNTS),  # J, of the credit of the hand
         ("position", np.float64, _EACH),  # m, of the last sample
         ("side", np.int64, _EACH),  # to which the force is out; 0: it is not
         ("most_gap", np.int64),  # samples from one episode to the next
@@ -191,10 +194,13 @@ def _energy_of(energy, history, io, account, gap):
 @helper
 def _take_account(energy, account, gained, added):
     """Adds to S. A hand's credit is no larger than `credit`, but for what changes `added`. The scene had stored what
-    they take away, so S does not rise above 0 by that: a hand's credit may have been clipped."""
-    before = energy.given[account]
-    given = max(before + gained, min(before, -energy.credit))
-    energy.given[account] = given - added if added >= 0.0 else min(given - added, max(given, 0.0))
+    they take away, and so had lifted S for it where the credit was clipped: that much is forgiven, and no more."""
+    total = energy.given[account] + gained
+    given = max(total, min(energy.given[account], -energy.credit))
+    clipped = energy.clipped[account] + given - total
+    forgiven = min(max(given - added - max(given, 0.0), 0.0), clipped)
+    energy.clipped[account] = clipped - forgiven
+    energy.given[account] = given - added - forgiven
 
 
 @helper
