@@ -21,10 +21,15 @@ def slides(position: Floats) -> Floats:
     return np.append((velocity[:-1] + velocity[1:]) / np.maximum(least, 1e-300), 0.0)
 
 
+def noise_of(position: Floats) -> float:
+    """Returns the standard deviation of what is white in the positions, in counts."""
+    return float(np.median(np.abs(np.diff(position, 4))) / _MEDIAN / np.sqrt(_FOURTH)) if position.size > 4 else 0.0
+
+
 def stands(position: Floats) -> NDArray[np.bool_]:
     """Returns at which samples the hand stands still, as near as counts and noise tell, or has just begun or ceased to:
     dry friction then takes just the force that acts."""
-    noise = float(np.median(np.abs(np.diff(position, 4)))) / _MEDIAN / np.sqrt(_FOURTH) if position.size > 4 else 0.0
+    noise = noise_of(position)
     padded = np.pad(position, _REACH, mode="edge")
     still = np.abs(padded[2 * _REACH :] - padded[: -2 * _REACH]) <= _STILL * max(noise, 1.0)
     hardly = np.abs(np.diff(position, prepend=position[:1])) <= max(noise, 1.0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.measuring.converters import Floats
-from hapsim.measuring.dry_friction import slides, stands
+from hapsim.measuring.dry_friction import noise_of, slides, stands
 from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pairs
 from hapsim.measuring.regression import MOST_ORDER, Fit, Regression, Segment, shaken
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
@@ -40,6 +40,7 @@ _LEAST_ORDER = 3  # that a record has to tell: a pair of poles and one that foll
 _MOST_SPOILT = 0.1  # of the samples: with more, it is not motion that is missing
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
 _SEEN = 5.0  # uncertainties: dry friction that is less clear is not there
+_SUSPECTED, _SPOILT_FIT = 3.0, 2.0  # uncertainties; times rounding and noise: it is looked for with more
 _FAR_BETTER = 0.5  # of a residual: as much less is no chance, and no other order of a fit
 _SPOILT = LATE_FORCE | BRIDGED | OFF_GRID
 
@@ -220,6 +221,8 @@ def _with_dry_friction(
 
     Between two turns dry friction is a constant force. Where the pieces between them are explained far better than the
     whole, it is there, too, but sticks in too many samples to be told from a spring."""
+    if not _may_have_dry_friction(segments, fits[0][0]):
+        return segments, fits, False
     moving = [
         Segment(one.position[first:last], one.surplus[first:last], one.slides[first:last], stands=one.stands)
         for one in segments
@@ -232,12 +235,25 @@ def _with_dry_friction(
     return segments, fits, bool(pieces) and pieces[0][0].residual < _FAR_BETTER * fits[0][0].residual
 
 
+def _may_have_dry_friction(segments: list[Segment], fit: Fit) -> bool:
+    """Returns False where the fit leaves no more than rounding and noise, and a force that changes its sign with the
+    velocity makes it no better: that takes a tenth of the time of the fits between two turns."""
+    counts = max(ROUNDING, *(noise_of(one.position) for one in segments))
+    whole = Regression(segments, (fit.drift,), _is_pushed(segments), ROUNDING, fit.order, with_slides=True)
+    with_friction = whole.fit(fit.order, 0)
+    return with_friction is None or with_friction.dry_clearly > _SUSPECTED or fit.residual > _SPOILT_FIT * counts
+
+
 def _dry_friction(segments: list[Segment], fit: Fit, sticks: bool) -> float:
     """N; NaN where no push tells how much that is."""
     if fit.dry_clearly == 0.0:
         return math.nan if sticks else 0.0
     pushed = max(float(np.max(np.abs(one.surplus))) for one in segments) > _PUSH_NEWTON
     return fit.dry if pushed and fit.dry > 0.0 else math.nan
+
+
+def _is_pushed(segments: list[Segment]) -> bool:
+    return any(np.any(segment.surplus) for segment in segments)
 
 
 def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -373,7 +389,7 @@ def _fits(segments: list[Segment], with_slides: bool = False) -> list[tuple[Fit,
     Order and p are the criterion's choice. The open loop's p weighs the record; it hardly moves the poles, but it
     decides how certain they look: every p that the record does not distinguish from the best is kept.
     """
-    with_surplus = any(np.any(segment.surplus) for segment in segments)
+    with_surplus = _is_pushed(segments)
     regression = Regression(segments, _DRIFTS + _SHAKEN, with_surplus, ROUNDING, with_slides=with_slides)
     if regression.most_order < _LEAST_ORDER:
         return []
