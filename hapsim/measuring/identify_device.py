@@ -101,6 +101,7 @@ def bounds_of(scene: Scene, channel: int, force: float | None = None, travel: fl
     if force is not None and not 0.0 < force <= limit:
         raise UsageError(f"force: found {force:g} N, expected above 0 N, and at most the force_limit, {limit:g} N")
     require_above_zero("metres", travel=travel)
+    require_device_point(scene, channel)
     travel = scene.device.scales(scene.channels)[channel].travel if travel is None else travel
     return Bounds(SHARE_OF_LIMIT * limit if force is None else force, travel)
 

@@ -128,7 +128,9 @@ class Device(Part):
 
     def scales(self, channels: int) -> tuple[Scale, ...]:
         """What holds of each of ``channels`` channels where nothing is declared."""
-        each = zip(self.motions(channels), self.mass_spans(channels), self.travels(channels), strict=True)
+        each = zip(
+            self.motions(channels), self.mass_spans(channels), self.travels(channels), strict=False
+        )  # lists stay
         return tuple(scale_of(motion, mass, high - low) for motion, (mass, _), (low, high) in each)
 
     def masses(self, channels: int) -> tuple[float, ...]:

@@ -109,7 +109,7 @@ def test_the_force_follows_the_estimate_no_faster_than_it_says(n: int) -> None:
     elements = port.schedule.elements
     predictors = [predictor_for(replace(port.declared, mass=one.made_for), one.observer) for one in elements]
     K, B = (np.array([getattr(one, name) for one in elements]) for name in ("stiffness", "damping"))
-    numbers = [np.array(column) for column in zip(*predictors, strict=True)]
+    numbers = [np.array(column) for column in zip(*predictors, strict=True)][:5]
     rows, last = np.log(MOST / LEAST) / (len(elements) - 1), len(elements) - 1.0
 
     def at(log_mass: float, columns: NDArray[np.float64]) -> NDArray[np.float64]:

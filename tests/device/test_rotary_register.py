@@ -70,7 +70,7 @@ def test_on_a_port_probe_shows_it_and_run_refuses_a_linear_scene(hapsim: Callabl
         probed = " ".join(hapsim("probe", port, "--until", "registers").out.split())
         refused = hapsim("run", path, "--port", port, "--duration", 0.05)
     assert "pass rotary (§ 5): 0x1: channel 0 rotary" in probed
-    assert "pass position_scale (§ 5): 1e-09 rad per count" in probed
+    assert "pass position_scale (§ 5): 1e-06 rad per count" in probed
     assert "pass force_limit (§ 5): 10 N·m" in probed
     assert refused.status == 2
     assert "the scene has motion: linear there. Write motion: rotary under device" in " ".join(refused.err.split())

@@ -23,6 +23,7 @@ FAULTS_IN_MEMORY = "puts the faults between the loop and the mock in memory, whe
 RUNS_AGAIN = "runs a loop and its mock again in the same memory, with a hand of its own on the mock's body"
 A_GUARD_ALONE = "moves a hand of its own over one guard of the exchange, ten thousand times"
 ASKS_THE_DEVICE = "asks the device for its own counters once the run is over"
+WITHIN_THE_GUARDS = "draws what the guards allow a scene to hold"
 INSIDE = {
     ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
     ("tools/bench/speed/", "hapsim.chart"): ADDS_PEERS,
@@ -51,6 +52,9 @@ INSIDE = {
     ("tools/bench/frozen_sensor.py", "firmware_protocol"): A_GUARD_ALONE,
     ("tools/bench/frozen_sensor.py", "hapsim.compiling"): A_GUARD_ALONE,
     ("tools/bench/frozen_sensor.py", "hapsim.loop"): A_GUARD_ALONE,
+    ("tools/bench/frozen_sensor.py", "hapsim.scales"): A_GUARD_ALONE,
+    ("tools/bench/energy_guard.py", "hapsim.scales"): WITHIN_THE_GUARDS,
+    ("tools/bench/wheels.py", "hapsim.scales"): WITHIN_THE_GUARDS,
     ("tools/bench/sign.py", "hapsim.compiling"): RUNS_AGAIN,
     ("tools/bench/sign.py", "hapsim.device"): RUNS_AGAIN,
     ("tools/bench/sign.py", "hapsim.loop"): RUNS_AGAIN,

@@ -77,9 +77,8 @@ def _moved(run, now, h, force, x, v, hand_x, hand_v):
         hand_x += h * hand_v
     else:
         hand_x, hand_v = x, v
-    total, side = force + grip - run.friction * v, np.sign(v)
-    if side == 0.0:
-        side = np.sign(total)
+    total = force + grip - run.friction * v
+    side = math.copysign(1.0, v if v != 0.0 else total)
     total = 0.0 if v == 0.0 and abs(total) <= run.dry else total - run.dry * side
     faster = v + h * total / run.mass
     v = 0.0 if run.dry > 0.0 and faster * v < 0.0 else faster
@@ -96,9 +95,9 @@ def simulate(run, io, history, sensor, guarded, found):
     x, v, hand_x, hand_v, acting, before, read = run.position, run.velocity, run.position, run.velocity, 0.0, 0, 0
     asked_at, dead = x, False
     found.zero_at = -1.0
-    for n in range(int(run.lasts * RATE)):
+    for n in range(np.int64(run.lasts * RATE)):
         now = n * period
-        counts = int(np.rint(x / run.count))
+        counts = np.int64(np.rint(x / run.count))
         if now < run.dies:
             read = counts
         elif not dead:
@@ -107,7 +106,7 @@ def simulate(run, io, history, sensor, guarded, found):
         before, at = read, read * run.count
         force = _asked(run, at, speed, now)
         force = min(max(force, -run.limit), run.limit)
-        io.position_counts[0], io.asked[0], io.force_counts[0] = read, force, int(np.rint(force / SCALE))
+        io.position_counts[0], io.asked[0], io.force_counts[0] = read, force, np.int64(np.rint(force / SCALE))
         if sensor.lowers != 0:
             lower(sensor, io)
         call_keep(history.keep, (history.address, io.address, 1, 0, 0, 0, 0))
