@@ -54,7 +54,7 @@ def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | No
             "anything: it is held, stuck by dry friction, much heavier than declared, or its motor does not push. Let "
             "it move freely, or allow more with --push"
         )
-    if fit is None and moved > _MANY * pushed.floor:
+    if unsure > 1.0 and moved > _MANY * pushed.floor:
         return UsageError(
             f"pushed with {force:.3g} N the device moved by {1e3 * moved:.3g} mm, but in jerks, or only now and then: "
             "dry friction holds it, or the record is too short. Allow more with --push and --travel"

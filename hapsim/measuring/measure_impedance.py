@@ -168,12 +168,16 @@ class _Rig:
         stopped = trace.report.ending == IN_WORDS[STOPPED]
         return _Run(trace, periods.on(list(self.channels)), stopped, float(np.max(np.abs(forces))))
 
-    def soft_forces(self, channel: int) -> Floats:
-        """By what the device's mass alone would do: what holds it is not known yet."""
+    def soft_forces(self, channel: int, share: float = _SOFT) -> Floats:
+        """By what the device's mass alone would do, as what holds it is not known yet: a share of what it may have."""
         lines, most = self.lines, self._most
         inertia = self._scene.device.masses(self._scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
         amplitude = np.minimum(lines.each(most), lines.each(0.5 * self._travel[channel]) * inertia)
-        return multisine(lines, _SOFT * amplitude, _SOFT * most)
+        return multisine(lines, share * amplitude, share * most)
+
+    def moves_counts(self, channel: int, count_m: float) -> bool:
+        """Returns whether the soft forces move the mass alone by clearly more than a count."""
+        return bool(0.5 * _SOFT * self._travel[channel] > _FEW_COUNTS * count_m)
 
     def forces(self, answer: Periods, excited: int) -> Floats:
         """As strong at each frequency as the travel, and the force, allow: from what the soft excitation moved."""
@@ -205,10 +209,13 @@ def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
         soft = rig.excite(channel, rig.soft_forces(channel), _SOFT_PERIODS)
         if soft.stopped:
             raise StoppedError(done, enough_s)
-        if said := silence(soft.trace, channel):
+        said = silence(soft.trace, channel)
+        if said and rig.moves_counts(channel, float(soft.trace.position_scale[channel])):
             raise UsageError(said)
-        forces = rig.forces(soft.periods, place)
+        forces = rig.soft_forces(channel, share=1.0) if said else rig.forces(soft.periods, place)
         one, is_last = rig.excite(channel, forces, periods), channel == rig.channels[-1]
+        if said := silence(one.trace, channel):
+            raise UsageError(said)
         if one.stopped and not (is_last and one.periods.pairs >= LEAST_PERIODS):
             raise StoppedError([*done, one], enough_s)
         travel = _travel(one.trace, rig.lines, channel, one.peak_force)

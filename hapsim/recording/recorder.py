@@ -112,11 +112,15 @@ class RecordFile(BackgroundFile):
         """The run is over: writes what waits, the last notes, the report and the histograms, and the file that was
         asked for. Returns the report, with the count of rows that were not written."""
         self._join()
-        report = replace(report, unrecorded_rows=self.unwritten)
+        report, notes = replace(report, unrecorded_rows=self.unwritten), list(notes)
         try:
-            for note in notes:
-                self._writer.write_note(note)
-            self._writer.write_summary(summary_document(report, statistics, True))
+            try:
+                self._write_end(report, statistics, notes)
+            except OSError:  # of a full disk: what tells of the rows is worth more than the last of them
+                if not self._writer.drop_last_rows():
+                    raise
+                report = replace(report, unrecorded_rows=self.unwritten)
+                self._write_end(report, statistics, notes)
             if self._part != self._path:  # under its own name the file is whole, or the older file stays
                 with whole_file(self._path) as whole:
                     convert(StreamReader(self._part), whole, self._path.suffix)
@@ -125,6 +129,11 @@ class RecordFile(BackgroundFile):
             self.failure = self.failure or in_words(error)
         self._writer.close()
         return report
+
+    def _write_end(self, report: Report, statistics: Statistics, notes: list[dict[str, Any]]) -> None:
+        for note in notes:
+            self._writer.write_note(note)
+        self._writer.write_summary(summary_document(report, statistics, True))
 
     @property
     def path(self) -> Path:

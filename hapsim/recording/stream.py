@@ -87,6 +87,7 @@ class StreamWriter:
         self.written = 0
         """Rows so far."""
         self._descriptor, self._end = descriptor, 0
+        self._last = 0, 0  # where the file ended before the last rows, and the rows until then
         whole = {"version": VERSION, "channels": head.channels, **head._asdict(), "told": summary}
         try:
             self._write(MAGIC)
@@ -99,7 +100,7 @@ class StreamWriter:
         """Writes rows of `row_type`. OSError where not all could be written: then as many are as there is room for."""
         most = MOST_ROWS
         while len(rows):
-            piece = rows[:most]
+            piece, before = rows[:most], (self._end, self.written)
             try:
                 self._write_chunk(_ROWS, len(piece), piece.tobytes())
             except OSError:
@@ -108,7 +109,17 @@ class StreamWriter:
                     raise
                 continue
             self.written += len(piece)
-            rows = rows[len(piece) :]
+            self._last, rows = before, rows[len(piece) :]
+
+    def drop_last_rows(self) -> bool:
+        """Removes the rows that were written last, and what follows them, to make room. Returns whether there were
+        any."""
+        end, written = self._last
+        if written == self.written:
+            return False
+        self._end, self.written = end, written
+        self._cut()
+        return True
 
     def write_note(self, note: dict[str, Any]) -> None:
         """Writes what happened beside the rows. OSError where it cannot."""
@@ -135,11 +146,14 @@ class StreamWriter:
             while left:
                 left = left[os.write(self._descriptor, left) :]
         except OSError:
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._descriptor, self._end)
-                os.lseek(self._descriptor, self._end, os.SEEK_SET)
+            self._cut()
             raise
         self._end += len(data)
+
+    def _cut(self) -> None:
+        with contextlib.suppress(OSError):
+            os.ftruncate(self._descriptor, self._end)
+            os.lseek(self._descriptor, self._end, os.SEEK_SET)
 
 
 class StreamReader:
