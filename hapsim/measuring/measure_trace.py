@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -39,6 +39,7 @@ _FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no r
 _LEAST_ORDER = 3  # that a record has to tell: a pair of poles and one that follows from delay, filter or hold
 _MOST_SPOILT = 0.1  # of the samples: with more, it is not motion that is missing
 _UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
+_ROUNDED = 1.1  # times rounding: a fit that leaves no more is of rounding alone
 _SEEN = 5.0  # uncertainties: dry friction that is less clear is not there
 _SUSPECTED, _SPOILT_FIT = 3.0, 2.0  # uncertainties; times rounding and noise: it is looked for with more
 _FAR_BETTER = 0.5  # of a residual: as much less is no chance, and no other order of a fit
@@ -199,7 +200,7 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
     attempts = [(_SPOILT, loud), (_SPOILT & ~OFF_GRID, loud), *([(_SPOILT, False)] if pressed else [])]
     for spoilt, without_quiet in attempts:
         segments = _segments(trace, channel, spoilt, pressed, without_quiet)
-        if fits := _fits(segments):
+        if fits := _fits_shaken(segments):
             return _with_dry_friction(segments, fits)
     late, lost, limited = (int(np.count_nonzero(trace.flags & flag)) for flag in (LATE_FORCE, BRIDGED, LIMITED))
     if moved > _FAINT_COUNTS and late + lost > _MOST_SPOILT * rows:
@@ -228,7 +229,7 @@ def _with_dry_friction(
         for one in segments
         for first, last in _runs(~stands(one.position) & (np.abs(one.slides) > 0.999))
     ]
-    pieces = _fits(moving, with_slides=True)
+    pieces = _fits(moving, _DRIFTS + _SHAKEN, with_slides=True)
     rubbed = [one for one in pieces if one[0].dry_clearly > _SEEN]
     if rubbed:
         return moving, rubbed, False
@@ -382,7 +383,16 @@ def _law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: 
     return _Law(obeyed, False, float(-law[-1] / law[0] * size), uncertainty)
 
 
-def _fits(segments: list[Segment], with_slides: bool = False) -> list[tuple[Fit, Fit | None]]:
+def _fits_shaken(segments: list[Segment]) -> list[tuple[Fit, Fit | None]]:
+    """As `_fits`: with a force that shakes the hand only where more is left than rounding. Else the more there is to
+    choose from, the more certain a wrong fit may look."""
+    fits = _fits(segments, _DRIFTS)
+    return _fits(segments, _DRIFTS + _SHAKEN) if fits and fits[0][0].residual > _ROUNDED * ROUNDING else fits
+
+
+def _fits(
+    segments: list[Segment], drifts: Sequence[complex], with_slides: bool = False
+) -> list[tuple[Fit, Fit | None]]:
     """Fits for which the record speaks, best first, all of one order, each with one of the next order, which might as
     well have been chosen in its place.
 
@@ -390,14 +400,14 @@ def _fits(segments: list[Segment], with_slides: bool = False) -> list[tuple[Fit,
     decides how certain they look: every p that the record does not distinguish from the best is kept.
     """
     with_surplus = _is_pushed(segments)
-    regression = Regression(segments, _DRIFTS + _SHAKEN, with_surplus, ROUNDING, with_slides=with_slides)
+    regression = Regression(segments, drifts, with_surplus, ROUNDING, with_slides=with_slides)
     if regression.most_order < _LEAST_ORDER:
         return []
     order = min(range(2, MOST_ORDER), key=regression.least_criterion)
     # Orders are compared with the rows that the largest leaves. Where the motion is over soon, or in short pieces, the
     # first rows say most: the next orders are compared with theirs.
     while True:
-        regression = Regression(segments, _DRIFTS + _SHAKEN, with_surplus, ROUNDING, order + 1, with_slides)
+        regression = Regression(segments, drifts, with_surplus, ROUNDING, order + 1, with_slides)
         least = regression.least_criterion(order)
         if not math.isfinite(least):
             return []

@@ -118,7 +118,7 @@ DETENT = """
 version: 1
 rate: 2000
 device: {clock: lockstep, mass: 5.0e-5, friction: 0.0005, delay: 1, force_limit: 0.2, motion: rotary}
-mock: {initial: {position: 0.02}}
+mock: {initial: {position: 0.02}, quantum: 1.0e-9}
 modules:
   knob: {type: device, channel: 0}
   frame: {type: ground}

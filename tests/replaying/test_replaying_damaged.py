@@ -105,7 +105,7 @@ def test_every_mutated_head_loads_or_ends_with_a_sentence_in_little_memory(recor
     assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024 < MOST_MB
 
 
-@pytest.mark.parametrize("key", ["velocity", "by_host", "rate_hz", "position_scale", "force_scale", "run", "told"])
+@pytest.mark.parametrize("key", ["velocity", "by_host", "position_scale", "force_scale", "run", "told"])
 def test_a_head_is_what_its_model_writes(record: Path, tmp_path: Path, key: str) -> None:
     path = tmp_path / "damaged.trace"
     for text in (json.dumps(head_of(record) | {key: 2**70}).encode(), b"[" * 100_000):
@@ -155,7 +155,7 @@ def test_a_record_keeps_the_rows_that_there_was_room_for(tmp_path: Path) -> None
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, handler)
     kept = load_trace(path).sample.size
-    assert 2500 < kept < 30_000
+    assert 1500 < kept < 30_000
     assert trace is None or trace.report.unrecorded_rows == 30_000 - kept
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import hapsim as public
 from hapsim.errors import GuardError, UsageError
+from hapsim.live.messages import Predict
 from hapsim.live.plane import predicted
 from hapsim.prediction import predict, surely_shaken_by, warnings_about
 from hapsim.prediction.timing import on_wire, samples_if_late, samples_on_wire, wire_of
@@ -75,8 +76,9 @@ def test_every_verdict_is_that_of_a_device_with_the_delay_of_the_wire(
         wanted.margins,
     )
     assert surely_shaken_by(slow) == surely_shaken_by(same)
-    assert [predicted(slow, {}, {}, 0, True)[key] for key in ("stable", "plane")] == [
-        predicted(same, {}, {}, 0, True)[key] for key in ("stable", "plane")
+    asked = Predict(type="predict", plane=True)
+    assert [predicted(slow, {}, asked)[key] for key in ("stable", "plane")] == [
+        predicted(same, {}, asked)[key] for key in ("stable", "plane")
     ]
     document = text(rate, {"baud": baud, "turnaround": turnaround})
     swept = Task(document, ("predicted",)).at(slow)[0]
