@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hapsim.recording.trace import Report
     from hapsim.running.reconnecting import Lifetime
 
-_GRIP_S = 1.0  # a hand takes no longer for another grip: of an older mass nobody knows whether it is still that
+_GRIP_S = 1.0  # a hand takes no longer for another grip: an older mass may no longer be that
 _MASS_KNOWN, _LITTLE_EXPLAINED = 0.1, 0.9  # relative uncertainty and share of the motion: a warning beyond either
 _NORMAL_REFUSALS = 9  # of the device, at arming and disarming
 _FEW = 0.01  # of the positions

@@ -221,7 +221,8 @@ def _with_dry_friction(
     """As `_fitted`: fits with dry friction where the motion shows it clearly, or else these without.
 
     Between two turns dry friction is a constant force. Where the pieces between them are explained far better than the
-    whole, it is there, too, but sticks in too many samples to be told from a spring."""
+    whole, it is there, too, but sticks in too many samples to be distinguished from a
+    spring."""
     if not _may_have_dry_friction(segments, fits[0][0]):
         return segments, fits, False
     moving = [
@@ -246,7 +247,7 @@ def _may_have_dry_friction(segments: list[Segment], fit: Fit) -> bool:
 
 
 def _dry_friction(segments: list[Segment], fit: Fit, sticks: bool) -> float:
-    """N; NaN where no push tells how much that is."""
+    """Dry friction, N; NaN where no push shows how much it is."""
     if fit.dry_clearly == 0.0:
         return math.nan if sticks else 0.0
     pushed = max(float(np.max(np.abs(one.surplus))) for one in segments) > _PUSH_NEWTON

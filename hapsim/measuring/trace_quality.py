@@ -109,7 +109,7 @@ def silence(trace: Trace, channel: int) -> str:
 
 
 def silence_words(seconds: float, force: float) -> str:
-    """The same, where force acted for so long, with at most `force` N."""
+    """The same sentences for a force that acted for `seconds`, of at most `force` N."""
     return (
         f"the position has not changed by one count for {seconds:.2g} s while force acts ({force:.3g} N at most): "
         "sensor or cable? Move the device by hand, and see whether `hapsim run` shows another position. If it does, "

@@ -13,7 +13,7 @@ from hapsim.loop.histogram import Histogram, Spread
 from hapsim.units import Motion
 
 NO_RECORD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
-"""What reading a document raises that is none of ours, or a damaged one."""
+"""Exceptions that reading a foreign or damaged document raises."""
 
 NOT_FINISHED = "not finished"
 """How the `ending` begins of a record that does not say how its run ended."""

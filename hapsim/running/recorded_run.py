@@ -34,7 +34,7 @@ class RecordedRun:
 
 
 def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
-    """Returns what a record of so many channels says of its run. ValueError where it is damaged."""
+    """Returns the run of a record with this number of channels. ValueError where it is damaged."""
     found: RecordedRun = validated(RecordedRun, run)
     of = found.description
     if {channels} != {len(of.position_scale), len(of.force_scale), len(of.force_limit)}:
