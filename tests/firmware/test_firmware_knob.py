@@ -127,7 +127,9 @@ def test_a_first_touch_of_the_emulated_knob_feels_as_predicted(
         document = json.loads(measuring.out)
         predicted, measured = document.get("predicted"), document.get("measured") or {}
         spread = {one: measured.get(f"{one}_uncertainty") or 1.0 for one, _ in CERTAIN}
-        if certain := bool(measured) and all(spread[one] < part * predicted[one] for one, part in CERTAIN):
+        certain = bool(measured) and all(spread[one] < part * predicted[one] for one, part in CERTAIN)
+        late = document.get("deadline_misses", 0) > 0  # held up: a force that was late is no fault of the knob's
+        if certain and (not late or all(abs(measured[one] - predicted[one]) < 3 * spread[one] for one, _ in CERTAIN)):
             break
     if not certain and os.getloadavg()[0] > 2 * (os.cpu_count() or 1):
         pytest.skip("this machine has too much else to do to see a swing of the knob")
