@@ -52,8 +52,8 @@ def own_limits(scene: Scene) -> Iterator[str]:
 
 
 def _largest(network: Network, links: Any, rate: float) -> float:
-    """The largest (K T² + 2 B T)/M of a mode of these links, (L,) bools, at `rate` Hz. The damping of a damper that
-    remembers more than one position is left out: at z = -1 it has less, or none."""
+    """The largest (K T² + 2 B T)/M of a mode of these links, (L,) bools, at `rate` Hz. A damper that remembers
+    more than one position does not count: at z = -1 it damps less, or not at all."""
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import svds
 

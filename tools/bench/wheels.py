@@ -1,6 +1,6 @@
 """Random wheels and knobs for tools/bench/energy_guard, of 1e-5 to 0.1 kg·m² and 5 mN·m to 20 N·m.
 
-The passive ones are wound up by up to a turn and let go, or flicked at up to 60 rad/s: springs, stops,
+The passive ones are wound up by up to a turn and released, or flicked at up to 60 rad/s: springs, stops,
 detents, tables and clicks; on encoders of 1e-6 rad to 1024 counts a turn. Some have a
 travel of several turns. The unstable ones begin with a small flick, or a little off the middle of a detent.
 """
