@@ -40,7 +40,7 @@ def main() -> None:
             touch, mock = device.scene.links["touch"], device.scene.mock_device
             print(
                 f"{seed}: {'; '.join(notes)}; off by {said.off:.1e}, {said.apart:.1f} u; said {said.words}; "
-                f"{touch.damper}, {device.scene.device.hold}, dry {mock.coulomb:.3g} N, counts {mock.quantum[0]:.1e} m, "
+                f"{touch.damper}, {device.scene.device.hold}, dry {mock.coulomb:.3g} N, count {mock.quantum[0]:.1e} m, "
                 f"noise {mock.noise:.1e} m, mass {device.wrong_mass}, friction {device.wrong_friction}"
             )
         if (done := seed - options.first + 1) % 50 == 0:
