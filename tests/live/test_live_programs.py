@@ -97,10 +97,14 @@ def require_that_it_sets_and_reads(running: Program, served: Served, tell: Calla
         until(lambda: tell("stiffness", value) or session.parameters["touch.stiffness"].value == value, running)  # noqa: B023
         until(lambda: tell("ask", 0.0) or running.latest("is") == value, running)  # noqa: B023
     session.set({"mock.hand": {"stiffness": 300.0, "damping": 3.0, "position": 0.004}})
-    held = until(lambda: abs(session.state().velocity[0]) < 1e-6 and session.state().position[0] > 1e-4, running)
-    assert held
-    place = float(session.state().position[0])
-    until(lambda: running.latest("position") == pytest.approx(place, rel=1e-4), running)
+
+    def is_read_at_rest() -> bool:
+        """With the place as it is now: the velocity passes zero at each turn of the swing before."""
+        now = session.state()
+        held = abs(now.velocity[0]) < 1e-6 and now.position[0] > 1e-4
+        return held and running.latest("position") == pytest.approx(float(now.position[0]), rel=1e-4)
+
+    until(is_read_at_rest, running)
     session.set({"mock.hand": {"stiffness": 0.0, "damping": 0.0, "position": 0.0}})
 
 
