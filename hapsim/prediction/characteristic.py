@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.errors import UsageError
+from hapsim.laws import RELEASED, Law, Linear
 from hapsim.number_format import number
-from hapsim.prediction.linear import LinearScene, law_of, linear_scene
+from hapsim.prediction.linear import LinearScene, linear_scene
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Floats
-from hapsim.theory.links import RELEASED, Law, Linear
 
 _ALIKE = 1e-9  # of the largest: two stiffnesses, or two edges of a scene, that are the same
 _AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place to swing about
@@ -271,7 +271,7 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0, *, wherever:
             other = second if first == name else first
             if other not in scene.grounds:
                 return None
-            links[link_name] = HandLink(law_of(link), 1.0 if first == name else -1.0, scene.grounds[other].position)
+            links[link_name] = HandLink(link.law(), 1.0 if first == name else -1.0, scene.grounds[other].position)
     device, channel = scene.device, scene.device_points[name].channel
     low, high = device.travels(scene.channels)[channel]
     start = None if wherever else starts_at(scene, channel)

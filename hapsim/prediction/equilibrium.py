@@ -10,10 +10,9 @@ from scipy.sparse import coo_array, csc_array, eye_array
 from scipy.sparse.linalg import spsolve
 
 from hapsim.errors import UsageError
-from hapsim.prediction.linear import law_of
+from hapsim.laws import Law, Linear
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Floats, Indices
-from hapsim.theory.links import Law, Linear
 
 _MOST_STEPS = 100
 _AT_REST = 1e-12  # m, by which the last step still moves a mass
@@ -80,7 +79,7 @@ def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]
     for name, point in scene.material_points.items():
         if (own := point.held_by()) is not None:
             rows.append((number[name], -1, 0.0, own.rest, own.stiffness))
-    laws = [law_of(link) for link in scene.links.values()]
+    laws = [link.law() for link in scene.links.values()]
     for link in scene.links.values():
         first, second = link.between
         rows.append((number.get(first, -1), number.get(second, -1), held.get(first, 0.0), held.get(second, 0.0), 0.0))

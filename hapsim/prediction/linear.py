@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.scene import Buffer, Click, Damper, Detent, Friction, Nonlinear, Plectrum, Scene, Spring, ViscoElastic
-from hapsim.scene.modules import Link, MaterialPoint
+from hapsim.laws import Linear, spring_and_damper
+from hapsim.scene import Scene, ViscoElastic
+from hapsim.scene.modules import MaterialPoint
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.interface import damper_named, hold_lag
-from hapsim.theory.links import Law, Linear, buffer, click, detent, friction, nonlinear, plectrum, viscoelastic
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 
@@ -46,29 +46,6 @@ class LinearScene(NamedTuple):
 
 _STAYS = "."  # what is inside a structure and stays where it is: no module is called so
 
-_LAWS: dict[type[Any], Callable[[Any], Law]] = {
-    ViscoElastic: lambda link: viscoelastic(link.stiffness, link.damping),
-    Spring: lambda link: viscoelastic(link.stiffness, 0.0),
-    Damper: lambda link: viscoelastic(0.0, link.damping),
-    Buffer: lambda link: buffer(link.stiffness, link.damping, link.distance),
-    Nonlinear: lambda link: nonlinear(link.force_over_distance, link.force_over_velocity),
-    Friction: lambda link: friction(link.stiffness, link.damping, link.force, link.break_away),
-    Plectrum: lambda link: plectrum(link.stiffness, link.damping, link.release),
-    Detent: lambda link: detent(link.depth, link.pitch, link.shape, link.steepness, link.damping),
-    Click: lambda link: click(link.travel, link.peak, link.drop, link.bottom, link.damping),
-}
-"""For every type of link, and of material points that pull themselves."""
-
-
-def law_of(module: Link | MaterialPoint) -> Law:
-    """The law of this module's own force; KeyError where its type has none."""
-    return _LAWS[type(module)](module)
-
-
-def linear_of(module: Link | MaterialPoint) -> Linear:
-    """The spring and damper that this module's own force is taken for where nothing is known of its place."""
-    return law_of(module).linear()
-
 
 def with_device(scene: Scene, **changed: Any) -> Scene:
     """The scene with some keys of its device replaced; they are not validated."""
@@ -88,7 +65,7 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
     links: dict[str, LinearLink] = {}
     assumptions = []
     for name, link in scene.links.items():
-        linear = (taken or {}).get(name) or linear_of(link)
+        linear = (taken or {}).get(name) or link.law().linear()
         velocity = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
         outside = _is_outside(linear, scene.scheme)
         links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *velocity, outside)
@@ -115,9 +92,9 @@ def _own_links(point: MaterialPoint) -> Iterator[Linear]:
     """What pulls a material point by itself."""
     held = point.held_by()
     if held is not None:
-        yield viscoelastic(held.stiffness, held.damping).linear()
+        yield spring_and_damper(held.stiffness, held.damping).linear()
     if point.pulls_itself:
-        yield linear_of(point)
+        yield point.law().linear()
 
 
 def links_of(linear: LinearScene, name: str) -> dict[str, LinearLink]:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from hapsim.number_format import duration, frequency, number, plural, short, short_duration
 from hapsim.prediction.characteristic import characteristic_of
-from hapsim.prediction.linear import configuration_of, law_of
+from hapsim.prediction.linear import configuration_of
 from hapsim.scene import Mock, Scene
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import Expectation, Known, Span
@@ -137,8 +137,8 @@ def _weights(scene: Scene, far_m: float) -> Iterator[str]:
     """Yields the keys of grounds that are the far end of a constant force: their links pull, and so softly that
     the device can give it, however far they are; and the keys of these links."""
     for ground, module in scene.grounds.items():
-        laws = {name: law_of(one) for name, one in scene.links.items() if ground in one.between}
-        pulls = [0.0 if law.edges else law.slopes[0] * abs(module.position) for law in laws.values()]
+        laws = {name: one.law() for name, one in scene.links.items() if ground in one.between}
+        pulls = [0.0 if law.edges else law.below * abs(module.position) for law in laws.values()]
         if pulls and abs(module.position) > far_m and all(0.0 < one <= scene.device.force_limit for one in pulls):
             yield f"modules.{ground}.position"
             yield from (f"modules.{name}.stiffness" for name in laws)

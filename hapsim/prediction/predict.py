@@ -27,7 +27,6 @@ from hapsim.prediction.linear import (
     hand_of,
     instead_of,
     is_lone,
-    law_of,
     links_of,
     network_of,
     why_coupled,
@@ -336,7 +335,7 @@ def _strongest(scene: Scene) -> float:
 
     def of_link(link: Link) -> float:
         by_speed = isinstance(link, Nonlinear) and link.force_over_velocity
-        return math.inf if by_speed else law_of(link).strongest(scene.rate)
+        return math.inf if by_speed else link.law().strongest(scene.rate)
 
     hands = scene.device_points
     return max(sum(of_link(link) for link in scene.links.values() if name in link.between) for name in hands)

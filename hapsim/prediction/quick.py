@@ -14,7 +14,7 @@ import numpy as np
 
 from hapsim.prediction.characteristic import hand_at, scene_at
 from hapsim.prediction.correction import rendered
-from hapsim.prediction.linear import configuration_of, late_by_mean, linear_of, network_of
+from hapsim.prediction.linear import configuration_of, late_by_mean, network_of
 from hapsim.prediction.regions import modulus_without
 from hapsim.scene import DevicePoint, Ground, Link, Scene, ViscoElastic
 from hapsim.scene.part import Table
@@ -70,7 +70,7 @@ def _holds(alone: Scene) -> bool:
         if not any(one.stiffness + own > 0.0 and not one.sliding for one in pieces) and min(found)[0] + own < 0.0:
             return False  # the whole scene is judged where nothing holds it
     else:
-        linear = [linear_of(link) for link in links]
+        linear = [link.law().linear() for link in links]
         found = [(sum(one.stiffness for one in linear), sum(one.damping for one in linear))]
     held = np.array([one for one in found if one[0] + own > 0.0]).reshape(-1, 2)
     others = {one for one in found if not one[0] + own > 0.0}

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from hapsim.prediction import predict, unlikely, warnings_about
-from hapsim.prediction.linear import law_of
 from hapsim.scene import Scene, parse_scene
 
 Hapsim = Callable[..., Any]
@@ -98,7 +97,7 @@ def test_no_link_pulls_by_more_than_is_said_to_bound_it(kind: str, seed: int) ->
     }
     document = scene_of({"it": {"type": kind, "between": ["hand", "wall"]} | links[kind]}, force_limit=50.0)
     scene = parsed(document)
-    law = law_of(scene.links["it"])
+    law = scene.links["it"].law()
     bound = law.strongest(scene.rate)
     most = np.abs(law.tension(np.linspace(-3.0 * x, 3.0 * x, 4001))).max()
     assert bound == pytest.approx(1.2 * force if kind == "friction" else most, rel=1e-2)
@@ -106,7 +105,7 @@ def test_no_link_pulls_by_more_than_is_said_to_bound_it(kind: str, seed: int) ->
     for warning in warnings_about(scene, prediction):
         if "oscillates" in warning:
             assert f"with up to the {bound:.6g} N of its links" in warning
-    assert law_of(parsed(scene_of({"it": link(10, 1)})).links["it"]).strongest(1000.0) == np.inf
+    assert parsed(scene_of({"it": link(10, 1)})).links["it"].law().strongest(1000.0) == np.inf
 
 
 def test_what_a_count_is_worth_is_said_where_it_matters(told: Callable[..., str]) -> None:

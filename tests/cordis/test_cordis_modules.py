@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hapsim.cordis.modules.nonlinear_links import Frictions, Plectra
-from hapsim.prediction.linear import law_of, linear_scene
+from hapsim.prediction.linear import linear_scene
 
 sys.path.insert(0, str(Path(__file__).parent))
 from module_scenes import CUTOFF, HANDS, NUMBERS, SAMPLES, SCENES, Array, Bench, Numbers, Run, run_of, scene_with, walk
@@ -341,7 +341,7 @@ def test_at_rest_a_link_has_the_tension_of_its_law(name: str) -> None:
     bench, n, hand = Bench("double", hands), NUMBERS["double"], hands.index(name)
     link = bench.scene.links[name]
     sign = 1.0 if link.between[0] == f"h_{name}" else -1.0
-    law, rng = law_of(link), np.random.default_rng(22)
+    law, rng = link.law(), np.random.default_rng(22)
     near = rng.uniform(-0.05, 0.05, 150)
     far = rng.uniform(-1e5, 1e5, 50) if link.type == "detent" else near[:50]
     met = []

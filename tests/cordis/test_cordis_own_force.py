@@ -16,10 +16,10 @@ from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
-from hapsim.prediction import linear, predict
+from hapsim.laws import Law, line
+from hapsim.prediction import predict
 from hapsim.scene import Mass, Scene
 from hapsim.scene.modules import MODULE_TYPES
-from hapsim.theory.links import Law
 
 RATE = 1000.0
 K, B = 900.0, 0.7
@@ -29,6 +29,9 @@ class Sprung(Mass):
     """Pulls itself to 0."""
 
     pulls_itself: ClassVar[bool] = True
+
+    def law(self) -> Law:
+        return line(K, B, assumption="is taken as it is")
 
 
 class SprungPoints(NamedTuple):
@@ -56,7 +59,6 @@ def _a_type_more(monkeypatch: pytest.MonkeyPatch) -> None:
     sprung = PartType(all_of(Sprung), _build, memoryless=True)
     monkeypatch.setitem(MODULE_TYPES, "sprung", Sprung)
     monkeypatch.setattr(programs, "PART_TYPES", (*PART_TYPES, sprung))
-    monkeypatch.setitem(linear._LAWS, Sprung, lambda _point: Law((), (K,), (B,), ("",), assumption="is taken as it is"))
 
 
 def scene_of(scheme: str, sprung: bool) -> Scene:
@@ -104,6 +106,6 @@ def test_it_is_predicted_as_a_mass_on_a_link(scheme: str) -> None:
 
 
 def test_one_of_which_nothing_is_said_is_not_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(linear._LAWS, Sprung)
-    with pytest.raises(KeyError):
+    monkeypatch.delattr(Sprung, "law")
+    with pytest.raises(NotImplementedError):
         predict(scene_of("cordis", sprung=True))

@@ -14,7 +14,7 @@ from hapsim.cordis.program import compile_scene, positions_of
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.schemes.linear_subsystem import stiffness_and_damping
-from hapsim.prediction.linear import linear_of, linear_scene, network_of
+from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.running.compile_ahead import scenes_with_every_module
 from hapsim.scene import DamperScheme, Link, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
@@ -173,7 +173,7 @@ def test_theory_and_kernel_say_the_same_of_every_link() -> None:
         for name, one in kind.select(scene).items():
             if not isinstance(one, Link):
                 continue
-            linear = linear_of(one)
+            linear = one.law().linear()
             damper = damper_named(one.damper, one.cutoff, RATE) if isinstance(one, ViscoElastic) else BACKWARD
             assert kind.memoryless == (linear.memoryless and remembers_nothing(damper)), name
             assert kind.in_a_matrix == (linear.in_a_matrix and damper == BACKWARD), name

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 #: From those that stand on nothing to those that stand on all: a room imports itself, and rooms of lines above its own.
 ORDER = (
     ("hapsim", "hapsim.errors", "hapsim.number_format", "hapsim.progress", "hapsim.stopping", "firmware_protocol"),
-    ("hapsim.one_thread", "hapsim.units", "hapsim.whole_file"),
+    ("hapsim.laws", "hapsim.one_thread", "hapsim.units", "hapsim.whole_file"),
     ("hapsim.scales",),
     ("hapsim.theory", "hapsim.scene", "hapsim.compiling"),
     ("hapsim.prediction", "hapsim.cordis"),
@@ -97,7 +97,8 @@ HAVE_SCENES_RUN = {f"hapsim.measuring.{name}" for name in ("measure", "measure_i
     ],
 )
 def test_prediction_and_measurement_are_two_roads(room: str, never: str) -> None:
-    """Whatever the room imports, and what that imports in turn, or a comparison of the two would be worth nothing."""
+    """Whatever the room imports, and what that imports in turn, or a comparison of the two would be worth nothing. Both
+    roads may read `hapsim.laws`: each law's formula stands once more in the tests of links."""
     reached, ahead = set(), [module for module in GRAPH if module.startswith(f"{room}.")]
     if room == "hapsim.measuring":  # these have a scene run; a run looks at its prediction before it takes a change;
         # and of the scene's geometry, place.py knows where it changes

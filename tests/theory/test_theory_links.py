@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
+from hapsim.laws import Law, sector
 from hapsim.prediction import predict
 from hapsim.scene import parse_scene
-from hapsim.theory.links import Law, buffer, click, detent, friction, nonlinear, plectrum, sector, viscoelastic
+from hapsim.scene.modules import MODULE_TYPES, Link
 
 CURVE = ((-0.03, 3.0), (-0.01, -2.0), (0.0, 0.0), (0.01, 5.0), (0.02, 4.0))
 
@@ -23,6 +25,12 @@ modules:
 """
 
 
+def law_of(kind: str, **values: Any) -> Law:
+    link = MODULE_TYPES[kind].model_validate({"type": kind, "between": ("hand", "wall")} | values)
+    assert isinstance(link, Link)
+    return link.law()
+
+
 def test_the_sector_of_a_curve_has_its_steepest_slope_and_its_level_ends() -> None:
     assert sector(CURVE) == pytest.approx((-250.0, 500.0))
     assert sector(((-1.0, -5.0), (1.0, 5.0))) == (0.0, 5.0)
@@ -34,13 +42,13 @@ def test_the_sector_of_a_curve_has_its_steepest_slope_and_its_level_ends() -> No
     [(-0.04, 0.0), (-0.03, -125.0), (-0.02, -250.0), (-0.005, 200.0), (0.0, 350.0), (0.015, -100.0), (0.02, -50.0)],
 )
 def test_the_slope_at_a_corner_is_the_mean_of_those_beside_it(x: float, slope: float) -> None:
-    assert nonlinear(CURVE, None).slope(x) == pytest.approx(slope)
+    assert law_of("nonlinear", force_over_distance=CURVE).slope(x) == pytest.approx(slope)
 
 
 def test_a_swing_about_a_corner_feels_the_mean_of_both_slopes() -> None:
     swing = 0.004 * np.cos(2.0 * np.pi * np.arange(4000) / 4000)
     felt = 2.0 * np.mean(np.interp(swing, *zip(*CURVE, strict=True)) * swing) / 0.004**2
-    assert felt == pytest.approx(nonlinear(CURVE, None).slope(0.0), rel=1e-6)
+    assert felt == pytest.approx(law_of("nonlinear", force_over_distance=CURVE).slope(0.0), rel=1e-6)
 
 
 def _triangle(d: float, peak_at: float) -> float:
@@ -49,20 +57,21 @@ def _triangle(d: float, peak_at: float) -> float:
     return float(np.sign(u) * np.interp(abs(u), [0.0, peak_at, 0.5], [0.0, 1.0, 0.0]))
 
 
+DETENT = {"depth": 0.3, "pitch": 0.009, "damping": 0.1}
 LAWS = {
-    "link": (viscoelastic(300.0, 2.0), lambda d: 300.0 * d),
-    "buffer": (buffer(900.0, 1.0, 0.003), lambda d: 900.0 * min(d - 0.003, 0.0)),
-    "table": (nonlinear(CURVE, None), lambda d: float(np.interp(d, *zip(*CURVE, strict=True)))),
-    "plectrum": (plectrum(400.0, 0.1, 0.013), lambda d: 400.0 * d * (abs(d) < 0.013)),
-    "sine": (detent(0.3, 0.009, "sine", 2.0, 0.1), lambda d: 0.3 * np.sin(2.0 * np.pi * d / 0.009)),
-    "snap": (detent(0.3, 0.009, "snap", 3.0, 0.1), lambda d: 0.3 * _triangle(d / 0.009, 0.375)),
+    "link": (law_of("viscoelastic", stiffness=300.0, damping=2.0), lambda d: 300.0 * d),
+    "buffer": (law_of("buffer", stiffness=900.0, damping=1.0, distance=0.003), lambda d: 900.0 * min(d - 0.003, 0.0)),
+    "table": (law_of("nonlinear", force_over_distance=CURVE), lambda d: float(np.interp(d, *zip(*CURVE, strict=True)))),
+    "plectrum": (law_of("plectrum", stiffness=400.0, release=0.013), lambda d: 400.0 * d * (abs(d) < 0.013)),
+    "sine": (law_of("detent", **DETENT, shape="sine"), lambda d: 0.3 * np.sin(2.0 * np.pi * d / 0.009)),
+    "snap": (law_of("detent", **DETENT, shape="snap", sharpness=3.0), lambda d: 0.3 * _triangle(d / 0.009, 0.375)),
     "notch": (
-        detent(0.3, 0.009, "notch", 2.0, 0.1),
+        law_of("detent", **DETENT, shape="notch", sharpness=2.0),
         lambda d: 0.3 * np.sign(u := np.remainder(d + 0.0045, 0.009) - 0.0045)
         * np.interp(abs(u), [0.0, 0.001125, 0.00225], [0.0, 1.0, 0.0]),
     ),
     "click": (
-        click(0.004, 0.6, 0.35, 5000.0, 0.2),
+        law_of("click", travel=0.004, peak=0.6, drop=0.35, bottom=5000.0, damping=0.2),
         lambda d: -float(np.interp(-d, [0.0, 0.002, 0.003, 0.004, 1.004], [0.0, 0.6, 0.25, 0.55, 5000.55])),
     ),
 }  # fmt: skip
@@ -91,12 +100,12 @@ def test_between_its_edges_a_law_is_in_one_state_with_one_slope(name: str) -> No
 
 
 def test_a_bristle_has_its_reach_and_no_force_where_it_rests() -> None:
-    law = friction(3000.0, 1.0, 0.8, 1.2)
+    law = law_of("friction", stiffness=3000.0, damping=1.0, force=0.8, static=1.2)
     assert (law.reach, law.slides_at, float(law.tension(0.01))) == (pytest.approx(4e-4), 0.8, 0.0)
 
 
 def test_what_was_taken_for_a_curve_is_said_with_how_steep_it_is_elsewhere() -> None:
-    taken = nonlinear(CURVE, None).linear()
+    taken = law_of("nonlinear", force_over_distance=CURVE).linear()
     assert taken[:2] == pytest.approx((350.0, 0.0))
     assert taken.assumption == (
         "is taken with its slopes where its ends meet and stand; elsewhere they lie between -250 and 500 N/m"

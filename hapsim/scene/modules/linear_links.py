@@ -6,6 +6,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from hapsim.laws import Law, spring_and_damper
+
 from ..choices import DAMPER, WITH_CUTOFF, WITH_SENSOR, DamperScheme
 from ..issue import Issue, one_of, quote
 from ..quantity import quantity
@@ -24,6 +26,9 @@ class Spring(Link):
     type: Literal["spring"] = Field(default="spring", description="A spring")
     stiffness: Annotated[float, quantity("Stiffness", "N/m", least=0)]
 
+    def law(self) -> Law:
+        return spring_and_damper(self.stiffness, 0.0)
+
 
 class Damper(Link):
     """A viscous damper between two points: it holds nothing where it is, and slows what moves."""
@@ -32,6 +37,9 @@ class Damper(Link):
 
     type: Literal["damper"] = Field(default="damper", description="A viscous damper")
     damping: Annotated[float, quantity("Viscosity", "N·s/m", least=0)]
+
+    def law(self) -> Law:
+        return spring_and_damper(0.0, self.damping)
 
 
 class ViscoElastic(Link):
@@ -44,6 +52,9 @@ class ViscoElastic(Link):
     damping: Annotated[float, quantity("Viscosity of the damper", "N·s/m", least=0)] = 0.0
     damper: DamperScheme = Field(default="backward", description=DAMPER)
     cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
+
+    def law(self) -> Law:
+        return spring_and_damper(self.stiffness, self.damping)
 
     @check_of("damper", "cutoff")
     def _cutoff_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:

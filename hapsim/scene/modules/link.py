@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from typing import Annotated, ClassVar
 
+from hapsim.laws import Law
+
 from ..issue import Issue, did_you_mean, quote
 from ..quantity import names
 from .module import Module, ModuleContext, check_of
@@ -22,6 +24,14 @@ class Link(Module):
     is_point: ClassVar[bool] = False
     can_move: ClassVar[bool] = False
     between: Annotated[tuple[str, str], ENDS]
+
+    def law(self) -> Law:
+        """Returns what it does over the distance of its ends, as the theory takes it."""
+        raise NotImplementedError
+
+    def table(self) -> Law | None:
+        """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
+        return None
 
     @check_of("between")
     def _ends_fit(self, name: str, around: ModuleContext) -> Iterator[Issue]:

@@ -1,9 +1,12 @@
 """The nonlinear links: CORDIS's BUT (buffer) and LNL (nonlinear), dry friction, plectrum, detent and click."""
 
+import math
 from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
+
+from hapsim.laws import BristleLaw, GrippingLaw, Law, SineLaw, curve_law, sector
 
 from ..choices import DETENT_SHAPE, WITH_SHARPNESS, DetentShape
 from ..issue import Issue, one_of
@@ -34,6 +37,20 @@ class Buffer(Link):
     damping: Annotated[float, quantity("Viscosity of the contact", "N·s/m", least=0)] = 0.0
     distance: Annotated[float, quantity("First end minus second, below which they touch", "m")] = 0.0
 
+    def law(self) -> Law:
+        return Law(
+            knots=((self.distance, 0.0),),
+            dampings=(self.damping, 0.0),
+            states=("touched", "apart"),
+            below=self.stiffness,
+            pushes=True,
+            taken_at=-math.inf,
+            assumption="is taken as touched all the time; while its ends are apart, the hand does not feel it",
+        )
+
+    def table(self) -> Law:
+        return self.law()
+
 
 class Nonlinear(Link):
     """A spring and a damper of any characteristic: curves, straight between their points and level beyond the ends."""
@@ -51,6 +68,25 @@ class Nonlinear(Link):
         if self.force_over_distance is None and self.force_over_velocity is None:
             sentence = "found neither force_over_distance nor force_over_velocity, expected at least one of them"
             yield Issue((), sentence, at_key=True)
+
+    def law(self) -> Law:
+        """The curve over distance, with what the one over velocity does where the ends stand: at a corner the mean of
+        the slopes beside it."""
+        words = [
+            f"between {least:g} and {steepest:g} {unit}"
+            for (least, steepest), unit in (
+                (sector(self.force_over_distance), "N/m"),
+                (sector(self.force_over_velocity), "N·s/m"),
+            )
+            if (least, steepest) != (0.0, 0.0)
+        ]
+        reach = f"; elsewhere they lie {' and '.join(words)}" if words else ""
+        standing = curve_law(self.force_over_velocity)
+        assumption = f"is taken with its slopes where its ends meet and stand{reach}"
+        return curve_law(self.force_over_distance, standing.slope(0.0), float(standing.tension(0.0)), assumption)
+
+    def table(self) -> Law | None:
+        return None if self.force_over_distance is None else curve_law(self.force_over_distance)
 
 
 class Friction(Link):
@@ -77,6 +113,19 @@ class Friction(Link):
             expected = f"expected a number >= {self.force:g} (N)"
             yield Issue(("static",), f"found {self.static:g}, less than the force while it slides; {expected}")
 
+    def law(self) -> Law:
+        return BristleLaw(
+            knots=((0.0, 0.0),),
+            dampings=(self.damping,),
+            states=("stuck",),
+            below=self.stiffness,
+            beyond=self.stiffness,
+            assumption="is taken as stuck, a spring; while it slides, its force is constant and adds no stiffness",
+            reach=self.break_away / self.stiffness,
+            slides_at=self.force,
+            memoryless=False,
+        )
+
 
 class Plectrum(Link):
     """A visco-elastic link that releases where its ends are too far apart, and grips again where they meet."""
@@ -89,6 +138,17 @@ class Plectrum(Link):
     stiffness: Annotated[float, quantity("Stiffness while it grips", "N/m", least=0)]
     damping: Annotated[float, quantity("Viscosity while it grips", "N·s/m", least=0)] = 0.0
     release: Annotated[float, quantity("Distance of its ends beyond which it releases", "m", above=0)]
+
+    def law(self) -> Law:
+        force = self.stiffness * self.release
+        return GrippingLaw(
+            knots=((-self.release, -force), (self.release, force)),
+            dampings=(0.0, self.damping, 0.0),
+            states=("released", "gripping", "released"),
+            assumption="is taken as gripping all the time; once released, the hand does not feel it",
+            memoryless=False,
+            stiffness=self.stiffness,
+        )
 
 
 class Detent(Link):
@@ -129,6 +189,29 @@ class Detent(Link):
             expected = f"expected shape: {one_of(WITH_SHARPNESS)}, or no sharpness"
             yield Issue(("sharpness",), f"found a sharpness, which shape: {self.shape} does not have; {expected}")
 
+    def law(self) -> Law:
+        depth, inside, outside = self.depth, "in a notch", "between notches"
+        if self.shape == "notch":
+            q = 0.25 * self.pitch / self.steepness
+            flank = "at the edge of a notch" if self.steepness > 1.0 else outside
+            states: tuple[str, ...] = (flank, inside, flank, outside)
+            knots: tuple[tuple[float, float], ...] = ((-2.0 * q, 0.0), (-q, -depth), (q, depth), (2.0 * q, 0.0))
+        else:
+            sharp = self.steepness if self.shape == "snap" else 1.0
+            rise = 0.5 * self.pitch * sharp / (sharp + 1.0)
+            knots, states = ((-rise, -depth), (rise, depth)), (inside, outside)
+        kind = SineLaw if self.shape == "sine" else Law
+        return kind(
+            knots=knots,
+            dampings=(self.damping,) * len(states),
+            states=states,
+            period=self.pitch,
+            assumption="is taken in the middle of a notch",
+        )
+
+    def table(self) -> Law | None:
+        return None if self.shape == "sine" else self.law()
+
 
 class Click(Link):
     """A button: its first end is pressed down on its second, gives way, and meets the bottom."""
@@ -143,3 +226,18 @@ class Click(Link):
     drop: Annotated[float, quantity("How much less its force is then; more than the peak: it stays down", "N", least=0)]
     bottom: Annotated[float, quantity("Stiffness of the bottom", "N/m", above=0)]
     damping: Annotated[float, quantity("Viscosity while it is pressed", "N·s/m", least=0)] = 0.0
+
+    def law(self) -> Law:
+        travel, peak, low = self.travel, self.peak, self.peak - self.drop
+        return Law(
+            knots=((-travel, -(low + 0.5 * peak)), (-0.75 * travel, -low), (-0.5 * travel, -peak), (0.0, 0.0)),
+            dampings=(self.damping,) * 4 + (0.0,),
+            states=("at the bottom", "after the click", "in the click", "before the click", "apart"),
+            below=self.bottom,
+            pushes=True,
+            taken_at=-0.25 * travel,
+            assumption="is taken as pressed before its click",
+        )
+
+    def table(self) -> Law:
+        return self.law()

@@ -8,6 +8,8 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
+from hapsim.laws import Law
+
 from ..issue import Issue, quote
 from ..quantity import MOST_CHANNELS, count, quantity
 from .module import Module, ModuleContext, check_of
@@ -51,7 +53,7 @@ class MaterialPoint(Module):
     """A point with a mass at a place of its own, which forces move."""
 
     #: It pulls itself by a force of its own that is more than `held_by` says, or another: it has a part of the program
-    #: under every scheme, and the linear theory asks for a line of its own.
+    #: under every scheme, and a `law`.
     pulls_itself: ClassVar[bool] = False
     initial: ClassVar[tuple[str, ...]] = ("position", "velocity")
 
@@ -64,6 +66,10 @@ class MaterialPoint(Module):
     def held_by(self) -> Held | None:
         """Returns the spring and the damper of its own; None where it has none."""
         return None
+
+    def law(self) -> Law:
+        """Returns what it does over its position where it pulls itself."""
+        raise NotImplementedError
 
 
 class Mass(MaterialPoint):

@@ -1,0 +1,291 @@
+"""What each link does over the distance of its ends: springs and dampers, piece by piece (`Law`).
+
+Every link of a scene makes its own law (`law` in scene/modules). The kernel, the account of stored energy, live changes
+and predictions read that one.
+
+**Contact, plectrum, table, detent, click.** Each is a spring and a damper in every piece of its distance, and a hand
+that stays within one piece feels that piece's. That all pieces are stable does not make the whole stable. Passivity
+bounds it, with the steepest slope in place of the stiffness (Colgate and Schenkel; for curves, Miller, Colgate and
+Freeman 2000). A swing across a corner meets a weighted mean of the slopes beside it (the describing function).
+
+**Dry friction.** Stuck it is a spring, sliding a constant force. The larger the swing, the softer it is, and it always
+brakes (Dahl; Hayward and Armstrong) - in continuous time. Sampled and delayed, the stuck bristle is a spring like any
+other: where it is too stiff for the loop, the motion grows into a limit cycle about as wide as the bristle's reach.
+
+**Plectrum.** The release loses the energy of the spring, K release²/2. It grips again where its ends have passed each
+other by at most v T, which adds up to K (v T)²/2.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:  # a scene is read without NumPy
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+Points = Sequence[tuple[float, float]]
+"""Of a curve, by ascending abscissa: m or m/s, and N."""
+
+_MOST_EDGES = 4000  # of a law that repeats, within a travel
+
+
+class Linear(NamedTuple):
+    """A spring and a damper that stand for a link.
+
+    Attributes:
+        stiffness: N/m.
+        damping: N·s/m.
+        assumption: under which this holds, in words that follow the link's name; "" where it always holds.
+        memoryless: the force depends on the positions and velocities of the ends and on nothing earlier, apart from
+            what the link's damper remembers.
+        in_a_matrix: the link is exactly this spring and damper, so that a scheme can work it into a matrix.
+
+    The last two are as the kernel's `PartType` says.
+    """
+
+    stiffness: float
+    damping: float
+    assumption: str = ""
+    memoryless: bool = False
+    in_a_matrix: bool = False
+
+
+class Piece(NamedTuple):
+    """A straight piece of a law that begins at `edge` (m): its slope in N/m, damping in N·s/m, and state."""
+
+    edge: float
+    slope: float
+    damping: float
+    state: str
+
+
+@dataclass(frozen=True)
+class Law:
+    """The tension of a link at rest over the distance d of its ends, in m: straight between knots.
+
+    Attributes:
+        knots: by ascending distance: m, and N there. A law of one piece is a straight line through its only knot.
+        dampings, states: of each piece from the one below the first knot to the one above the last, N·s/m and a word or
+            two. Of a law with a period: from each knot to the next, none below the first.
+        below, beyond: N/m, the slopes below the first knot and above the last, of a law without a period.
+        period: m, in which the law repeats; 0: it does not.
+        pushes: its damper never makes it pull more than its knots do, however fast the ends part.
+        taken_at: m, the distance at which the theory takes the link where nothing is known of the place of its ends.
+        assumption: what that is, in words that follow the link's name.
+        reach: m, how far the ends may move about where they are before the link lets them slide; infinite: any way.
+        slides_at: N, the force while it slides.
+        memoryless, in_a_matrix: as of `Linear`.
+    """
+
+    knots: tuple[tuple[float, float], ...]
+    dampings: tuple[float, ...]
+    states: tuple[str, ...] = ("",)
+    below: float = 0.0
+    beyond: float = 0.0
+    period: float = 0.0
+    pushes: bool = False
+    taken_at: float = 0.0
+    assumption: str = ""
+    reach: float = math.inf
+    slides_at: float = 0.0
+    memoryless: bool = True
+    in_a_matrix: bool = False
+
+    @cached_property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Those that are not empty, by ascending edge."""
+        if len(self.states) == 1:
+            return (Piece(-math.inf, self.below, self.dampings[0], self.states[0]),)
+        edges, slopes = [edge for edge, _ in self._whole], self._slopes()
+        if not self.period:
+            edges, slopes = [-math.inf, *edges, math.inf], [self.below, *slopes, self.beyond]
+        pieces = map(Piece, edges, slopes, self.dampings, self.states)
+        return tuple(one for one, end in zip(pieces, edges[1:], strict=True) if one.edge < end)
+
+    @cached_property
+    def edges(self) -> tuple[float, ...]:
+        """m, where one piece ends and another begins; of one period."""
+        return tuple(piece.edge for piece in self.pieces if math.isfinite(piece.edge))
+
+    @property
+    def is_curved(self) -> bool:
+        """Whether the slope changes within a piece, which has the steepest then."""
+        return False
+
+    @property
+    def grips(self) -> bool:
+        """Whether it holds between its edges once its ends have met there, and not before."""
+        return False
+
+    @property
+    def most(self) -> float:
+        """N, above which the tension never goes, however fast the ends part."""
+        return self._highest if self.pushes else math.inf
+
+    @property
+    def _highest(self) -> float:
+        return max(tension for _, tension in self.knots)
+
+    def strongest(self, rate: float) -> float:
+        """N, which the tension never exceeds at this rate of samples (Hz); infinite where nothing bounds it."""
+        reach = self.edges[-1] if self.grips else self.reach
+        if math.isfinite(reach):
+            stuck = max(self.pieces, key=lambda piece: piece.slope)
+            return max(self.slides_at, reach * (stuck.slope + 2.0 * stuck.damping * rate))
+        if any(self.dampings) or self.below != 0.0 or self.beyond != 0.0:
+            return math.inf
+        return max(abs(tension) for _, tension in self.knots)
+
+    def edges_between(self, low: float, high: float) -> list[float]:
+        """The edges in [low, high], m; of a law with a period both have to be finite, and it raises ValueError where
+        there are more than some thousand."""
+        if not self.period:
+            return [edge for edge in self.edges if low <= edge <= high]
+        first, last = math.floor((low - self.edges[-1]) / self.period), math.ceil((high - self.edges[0]) / self.period)
+        if (last - first) * len(self.edges) > _MOST_EDGES:
+            raise ValueError(f"more than {_MOST_EDGES} edges")
+        repeated = (edge + n * self.period for n in range(first, last + 1) for edge in self.edges)
+        return [edge for edge in repeated if low <= edge <= high]
+
+    def tension(self, d: Floats | float) -> Floats:
+        """N, which pulls the ends together, at these distances in m."""
+        import numpy as np
+
+        edges, tensions = zip(*self._whole, strict=True)
+        inside = np.asarray(d, float)
+        if self.period:
+            inside = inside - self.period * np.floor((inside - edges[0]) / self.period)
+        below, beyond = np.minimum(inside - edges[0], 0.0), np.maximum(inside - edges[-1], 0.0)
+        return np.interp(inside, edges, tensions) + self.below * below + self.beyond * beyond
+
+    def slope(self, d: float) -> float:
+        """N/m at d, in m; on an edge the mean of those beside it, which is what a small swing about it meets."""
+        return 0.5 * sum(piece.slope for piece in self._beside(d))
+
+    def damping(self, d: float) -> float:
+        """N·s/m at d, as `slope`."""
+        return 0.5 * sum(piece.damping for piece in self._beside(d))
+
+    def state(self, d: float) -> str:
+        """How the link is at d, in a word or two; "" where it is always the same."""
+        return self._beside(d)[1].state
+
+    def linear(self, d: float | None = None) -> Linear:
+        """The spring and damper that stand for the link about d, in m; None: about `taken_at`, as `assumption` says."""
+        at, assumption = (self.taken_at, self.assumption) if d is None or self is RELEASED else (d, "")
+        return Linear(self.slope(at), self.damping(at), assumption, self.memoryless, self.in_a_matrix)
+
+    @cached_property
+    def _whole(self) -> tuple[tuple[float, float], ...]:
+        """The knots, with the first one of the next period."""
+        (edge, tension), *_ = self.knots
+        return (*self.knots, (edge + self.period, tension)) if self.period else self.knots
+
+    def _slopes(self) -> list[float]:
+        """N/m, from each knot to the next."""
+        pairs = pairwise(self._whole)
+        return [(up - f) / (right - x) if right > x else 0.0 for (x, f), (right, up) in pairs]
+
+    def _beside(self, d: float) -> tuple[Piece, Piece]:
+        """The pieces on both sides of d: the same one, unless d is on an edge."""
+        first = 1 if self.period else 0  # there the first edge begins the first piece, below which is the last
+        if self.period:
+            d -= self.period * math.floor((d - self.edges[0]) / self.period)
+        return self.pieces[bisect_left(self.edges, d) - first], self.pieces[bisect_right(self.edges, d) - first]
+
+
+def line(stiffness: float, damping: float, **more: Any) -> Law:
+    """A spring and a damper everywhere, N/m and N·s/m; `more`: of `Law`."""
+    one = Law(((0.0, 0.0),), (damping,), below=stiffness, beyond=stiffness)
+    return replace(one, **more)
+
+
+def spring_and_damper(stiffness: float, damping: float) -> Law:
+    """The visco-elastic link, N/m and N·s/m."""
+    return line(stiffness, damping, in_a_matrix=True)
+
+
+RELEASED = line(0.0, 0.0, states=("released",), assumption="never grips: its ends do not meet within the travel")
+"""A plectrum that never grips."""
+
+
+def curve_law(points: Points | None, damping: float = 0.0, more: float = 0.0, assumption: str = "") -> Law:
+    """Straight between points and level beyond them, with `more` N everywhere; without points that and nothing else."""
+    if not points:
+        return line(0.0, damping, knots=((0.0, more),), assumption=assumption)
+    states = ("level", *(f"piece {i + 1}" for i in range(len(points) - 1)), "level")
+    knots = tuple((x, tension + more) for x, tension in points)
+    return Law(knots, (damping,) * len(states), states, assumption=assumption)
+
+
+@dataclass(frozen=True)
+class SineLaw(Law):
+    """depth sin(2 pi d / period): its pieces end at its knots, where the slope is 0."""
+
+    @property
+    def is_curved(self) -> bool:
+        return True
+
+    def tension(self, d: Floats | float) -> Floats:
+        import numpy as np
+
+        return self._highest * np.sin(2.0 * np.pi * np.asarray(d, float) / self.period)
+
+    def slope(self, d: float) -> float:
+        angular = 2.0 * math.pi / self.period
+        return self._highest * angular * math.cos(angular * math.remainder(d, self.period))
+
+    def _slopes(self) -> list[float]:
+        steepest = 2.0 * math.pi * self._highest / self.period
+        return [steepest, -steepest]
+
+
+@dataclass(frozen=True)
+class GrippingLaw(Law):
+    """Without a force beyond its knots; `stiffness`, N/m, between them."""
+
+    stiffness: float = 0.0
+
+    @property
+    def grips(self) -> bool:
+        return True
+
+    def tension(self, d: Floats | float) -> Floats:
+        import numpy as np
+
+        return np.where(np.abs(d) <= self.edges[-1], self.stiffness * np.asarray(d, float), 0.0)
+
+    def _slopes(self) -> list[float]:
+        return [self.stiffness]
+
+
+@dataclass(frozen=True)
+class BristleLaw(Law):
+    """A stuck friction link: its anchor is where the ends rest, so that it has no force there."""
+
+    def tension(self, d: Floats | float) -> Floats:
+        import numpy as np
+
+        return np.zeros(np.shape(d))
+
+
+class Sector(NamedTuple):
+    """The slopes between which a whole curve lies, N/m or N·s/m."""
+
+    least: float
+    steepest: float
+
+
+def sector(points: Points | None) -> Sector:
+    """The least and the steepest slope of a curve, the level ends included; both are 0 where there is no curve."""
+    slopes = [piece.slope for piece in curve_law(points).pieces]
+    return Sector(min(slopes), max(slopes))
