@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 if TYPE_CHECKING:  # a scene is read without NumPy
     import numpy as np
@@ -86,6 +86,11 @@ class Law:
         memoryless, in_a_matrix: as of `Linear`.
     """
 
+    #: Whether the slope changes within a piece, which has the steepest then.
+    is_curved: ClassVar[bool] = False
+    #: Whether it holds between its edges once its ends have met there, and not before.
+    grips: ClassVar[bool] = False
+
     knots: tuple[tuple[float, float], ...]
     dampings: tuple[float, ...]
     states: tuple[str, ...] = ("",)
@@ -117,23 +122,15 @@ class Law:
         return tuple(piece.edge for piece in self.pieces if math.isfinite(piece.edge))
 
     @property
-    def is_curved(self) -> bool:
-        """Whether the slope changes within a piece, which has the steepest then."""
-        return False
-
-    @property
-    def grips(self) -> bool:
-        """Whether it holds between its edges once its ends have met there, and not before."""
-        return False
+    def sector(self) -> tuple[float, float]:
+        """N/m, the slopes between which the whole law lies: the least and the steepest."""
+        slopes = [piece.slope for piece in self.pieces]
+        return min(slopes), max(slopes)
 
     @property
     def most(self) -> float:
         """N, above which the tension never goes, however fast the ends part."""
-        return self._highest if self.pushes else math.inf
-
-    @property
-    def _highest(self) -> float:
-        return max(tension for _, tension in self.knots)
+        return max(tension for _, tension in self.knots) if self.pushes else math.inf
 
     def strongest(self, rate: float) -> float:
         """N, which the tension never exceeds at this rate of samples (Hz); infinite where nothing bounds it."""
@@ -157,7 +154,7 @@ class Law:
         return [edge for edge in repeated if low <= edge <= high]
 
     def tension(self, d: Floats | float) -> Floats:
-        """N, which pulls the ends together, at these distances in m."""
+        """N, which pulls the ends together, at these distances in m; where it may slide, it has rested there: none."""
         import numpy as np
 
         edges, tensions = zip(*self._whole, strict=True)
@@ -165,6 +162,8 @@ class Law:
         if self.period:
             inside = inside - self.period * np.floor((inside - edges[0]) / self.period)
         below, beyond = np.minimum(inside - edges[0], 0.0), np.maximum(inside - edges[-1], 0.0)
+        if math.isfinite(self.reach):
+            return np.zeros(np.shape(d))
         return np.interp(inside, edges, tensions) + self.below * below + self.beyond * beyond
 
     def slope(self, d: float) -> float:
@@ -205,13 +204,7 @@ class Law:
 
 def line(stiffness: float, damping: float, **more: Any) -> Law:
     """A spring and a damper everywhere, N/m and N·s/m; `more`: of `Law`."""
-    one = Law(((0.0, 0.0),), (damping,), below=stiffness, beyond=stiffness)
-    return replace(one, **more)
-
-
-def spring_and_damper(stiffness: float, damping: float) -> Law:
-    """The visco-elastic link, N/m and N·s/m."""
-    return line(stiffness, damping, in_a_matrix=True)
+    return replace(Law(((0.0, 0.0),), (damping,), below=stiffness, beyond=stiffness), **more)
 
 
 RELEASED = line(0.0, 0.0, states=("released",), assumption="never grips: its ends do not meet within the travel")
@@ -231,21 +224,19 @@ def curve_law(points: Points | None, damping: float = 0.0, more: float = 0.0, as
 class SineLaw(Law):
     """depth sin(2 pi d / period): its pieces end at its knots, where the slope is 0."""
 
-    @property
-    def is_curved(self) -> bool:
-        return True
+    is_curved: ClassVar[bool] = True
 
     def tension(self, d: Floats | float) -> Floats:
         import numpy as np
 
-        return self._highest * np.sin(2.0 * np.pi * np.asarray(d, float) / self.period)
+        return self.knots[-1][1] * np.sin(2.0 * np.pi * np.asarray(d, float) / self.period)
 
     def slope(self, d: float) -> float:
         angular = 2.0 * math.pi / self.period
-        return self._highest * angular * math.cos(angular * math.remainder(d, self.period))
+        return self.knots[-1][1] * angular * math.cos(angular * math.remainder(d, self.period))
 
     def _slopes(self) -> list[float]:
-        steepest = 2.0 * math.pi * self._highest / self.period
+        steepest = 2.0 * math.pi * self.knots[-1][1] / self.period
         return [steepest, -steepest]
 
 
@@ -253,11 +244,10 @@ class SineLaw(Law):
 class GrippingLaw(Law):
     """Without a force beyond its knots; `stiffness`, N/m, between them."""
 
-    stiffness: float = 0.0
+    grips: ClassVar[bool] = True
 
-    @property
-    def grips(self) -> bool:
-        return True
+    memoryless: bool = False
+    stiffness: float = 0.0
 
     def tension(self, d: Floats | float) -> Floats:
         import numpy as np
@@ -266,26 +256,3 @@ class GrippingLaw(Law):
 
     def _slopes(self) -> list[float]:
         return [self.stiffness]
-
-
-@dataclass(frozen=True)
-class BristleLaw(Law):
-    """A stuck friction link: its anchor is where the ends rest, so that it has no force there."""
-
-    def tension(self, d: Floats | float) -> Floats:
-        import numpy as np
-
-        return np.zeros(np.shape(d))
-
-
-class Sector(NamedTuple):
-    """The slopes between which a whole curve lies, N/m or N·s/m."""
-
-    least: float
-    steepest: float
-
-
-def sector(points: Points | None) -> Sector:
-    """The least and the steepest slope of a curve, the level ends included; both are 0 where there is no curve."""
-    slopes = [piece.slope for piece in curve_law(points).pieces]
-    return Sector(min(slopes), max(slopes))

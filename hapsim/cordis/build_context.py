@@ -45,35 +45,8 @@ Layout = Callable[[Any], tuple[Sequence[int], int]]
 """Where a structure's points stand in the piece of memory that it needs, and how many numbers that holds."""
 
 
-class PartType(NamedTuple):
-    """One type of module, or one variant of a type: all that a program has to know of it.
-
-    Attributes:
-        select: its modules in a scene.
-        build: their part of the program; the columns are those of `live_values`, kept, not copied.
-        layout: of a structure.
-        name: of its modules, in the plural, for people.
-        compiled_as: what they become, in words.
-        is_live: it has the modules' live values; no other type has them too.
-        moves_points: its `integrate` moves points; a scheme that moves all points itself does not use it.
-        memoryless: its links remember nothing, so that they can be asked for their forces between samples too.
-        in_a_matrix: its links are a spring and a backward damper and nothing else: `stiffness` and `damping`, or 0.
-    """
-
-    select: Callable[[Scene], Mapping[str, Any]]
-    build: Callable[[Mapping[str, Any], Sequence[Column], BuildContext], Part]
-    layout: Layout | None = None
-    name: str = ""
-    compiled_as: str = ""
-    is_live: bool = True
-    moves_points: bool = False
-    memoryless: bool = False
-    in_a_matrix: bool = False
-
-
-def all_of(module: type[Module], where: Callable[[Any], bool] = lambda _: True) -> Callable[[Scene], Mapping[str, Any]]:
-    """Selects every module of a type for which `where` holds."""
-    return lambda scene: {name: one for name, one in scene.modules.items() if type(one) is module and where(one)}
+LiveColumn = dict[tuple[str, str], float]
+"""Values that may change while a scene runs, one behind the other, each by its module and what it is of that."""
 
 
 _PER_SAMPLE = ("damping", "friction")
@@ -85,6 +58,49 @@ def live_values(module: Module, rate: float) -> list[float]:
     read_from = {"static": "break_away", "sharpness": "steepness"}  # with their defaults
     values = [float(getattr(module, read_from.get(field, field))) for field in module.live]
     return [value * rate if field in _PER_SAMPLE else value for field, value in zip(module.live, values, strict=True)]
+
+
+def live_columns(modules: Mapping[str, Any], rate: float) -> list[LiveColumn]:
+    """Those of modules of one type, a column for each field."""
+    rows = {name: live_values(one, rate) for name, one in modules.items()}
+    fields = next(iter(modules.values())).live
+    return [{(name, field): row[i] for name, row in rows.items()} for i, field in enumerate(fields)]
+
+
+def knot_field(what: str, name: str, knot: int, of: int) -> tuple[str, str]:
+    """The name in a LiveColumn of a number of one of a link's knots, of so many."""
+    return name, f"{what} {knot} of {of}"
+
+
+class PartType(NamedTuple):
+    """One type of module, or one variant of a type: all that a program has to know of it.
+
+    Attributes:
+        select: its modules in a scene.
+        build: their part of the program; the columns are those of `live`, kept, not copied.
+        layout: of a structure.
+        name: of its modules, in the plural, for people.
+        compiled_as: what they become, in words.
+        live: the modules' live values, in columns, as a tick at a rate in Hz works with them; None: another type's.
+        moves_points: its `integrate` moves points; a scheme that moves all points itself does not use it.
+        memoryless: its links remember nothing, so that they can be asked for their forces between samples too.
+        in_a_matrix: its links are a spring and a backward damper and nothing else: `stiffness` and `damping`, or 0.
+    """
+
+    select: Callable[[Scene], Mapping[str, Any]]
+    build: Callable[[Mapping[str, Any], Sequence[Column], BuildContext], Part]
+    layout: Layout | None = None
+    name: str = ""
+    compiled_as: str = ""
+    live: Callable[[Mapping[str, Any], float], list[LiveColumn]] | None = live_columns
+    moves_points: bool = False
+    memoryless: bool = False
+    in_a_matrix: bool = False
+
+
+def all_of(module: type[Module], where: Callable[[Any], bool] = lambda _: True) -> Callable[[Scene], Mapping[str, Any]]:
+    """Selects every module of a type for which `where` holds."""
+    return lambda scene: {name: one for name, one in scene.modules.items() if type(one) is module and where(one)}
 
 
 def live_shares(structure: Any, rate: float) -> Iterator[tuple[str | None, Any, float]]:

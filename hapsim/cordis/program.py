@@ -9,13 +9,14 @@ points of strings and membranes, each in one piece with the borders that its ste
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
-from hapsim.cordis.build_context import BuildContext, PartType, Taken, live_values
+from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, Taken
 from hapsim.cordis.dispatch import Column, Part, TickState, calls_of
 from hapsim.cordis.parameters import LiveValues
 from hapsim.cordis.registry import PART_TYPES
@@ -127,9 +128,10 @@ def parameter_values(scene: Scene) -> Column:
     Raises:
         UsageError: the scene's precision does not hold one.
     """
-    rows = [[live_values(one, scene.step_rate) for one in modules.values()] for _, modules in _by_type(scene)]
     with np.errstate(over="ignore"):
-        values = np.array([value for row in rows for column in zip(*row, strict=True) for value in column], np.float64)
+        values = np.array(
+            [value for *_, columns in _live(scene) for column in columns for value in column.values()], np.float64
+        )
         values = values.astype(real_of(scene))
     _require_finite(scene, [values])
     return values
@@ -137,12 +139,18 @@ def parameter_values(scene: Scene) -> Column:
 
 def places_of_values(scene: Scene) -> dict[tuple[str, str], int]:
     """Where each value that can be changed stands in `parameter_values`: by the name of its module, and its field."""
-    keys = [(name, field) for _, modules in _by_type(scene) for field in _live(modules) for name in modules]
+    keys = (key for *_, columns in _live(scene) for column in columns for key in column)
     return {key: i for i, key in enumerate(keys)}
 
 
-def _live(modules: Mapping[str, Any]) -> tuple[str, ...]:
-    return next(iter(modules.values())).live
+def _live(scene: Scene) -> Iterator[tuple[PartType, Mapping[str, Any], list[LiveColumn]]]:
+    """The types that the scene has, each with its modules, without those that are in its scheme's matrices, and what of
+    them is live."""
+    fixed = fixed_modules(scene)
+    for kind in PART_TYPES:
+        modules = {name: one for name, one in kind.select(scene).items() if name not in fixed}
+        if modules:
+            yield kind, modules, [] if kind.live is None else kind.live(modules, scene.step_rate)
 
 
 def fixed_modules(scene: Scene) -> frozenset[str]:
@@ -169,23 +177,13 @@ def numbers_of(scene: Scene) -> dict[str, int]:
     return dict(_numbers(scene)[0])
 
 
-def _by_type(scene: Scene, live: bool = True) -> Iterator[tuple[PartType, Mapping[str, Any]]]:
-    """The types that the scene has, each with its modules, without those that are in its scheme's matrices; `live`:
-    only types that have live values."""
-    fixed = fixed_modules(scene)
-    for kind in PART_TYPES:
-        modules = {name: one for name, one in kind.select(scene).items() if name not in fixed}
-        if modules and (kind.is_live or not live):
-            yield kind, modules
-
-
 def _taken(scene: Scene, values: Column) -> Iterator[Taken]:
     """All types with their columns of the parameters."""
     begin = 0
-    for kind, modules in _by_type(scene, live=False):
-        rows, count = len(_live(modules)) if kind.is_live else 0, len(modules)
-        yield Taken(kind, modules, list(values[begin : begin + rows * count].reshape(rows, count)))
-        begin += rows * count
+    for kind, modules, columns in _live(scene):
+        ends = begin + np.cumsum([0, *map(len, columns)])
+        yield Taken(kind, modules, [values[low:high] for low, high in pairwise(ends)])
+        begin = int(ends[-1])
 
 
 def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:

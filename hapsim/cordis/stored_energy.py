@@ -31,25 +31,25 @@ from numba import types
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
-from hapsim.cordis.build_context import live_shares, masses_of
-from hapsim.scene import Buffer, Click, Detent, Friction, Ground, Nonlinear, Plectrum, Scene
+from hapsim.cordis.build_context import knot_field, live_shares, masses_of
+from hapsim.scene import Detent, Friction, Ground, Plectrum, Scene
 from hapsim.scene.modules import Link
 
-SPRING, CONTACT, BRISTLE, GRIP, CURVE, SINE, SNAP, NOTCH, CLICK = range(9)
-_DETENTS = {"sine": SINE, "snap": SNAP, "notch": NOTCH}
+SPRING, BRISTLE, SINE, TABLE = range(4)
 
 _SPRING = np.dtype(
     [
         ("kind", np.int64),
         ("ends", np.int64, (2,)),  # numbers of points,
         ("at", np.uint64, (2,)),  # or, where not 0, addresses of where they stand
-        ("stiffness", np.uint64),  # address of K, N/m; of a curve's points
+        ("stiffness", np.uint64),  # address of K, N/m
         ("share", np.float64),  # of that
         ("offset", np.uint64),  # address of the distance at which it is not stretched; 0: none
         ("most", np.float64),  # N, beyond which no hand feels it
         ("side", np.uint64),  # address of what a bristle or a plectrum remembers
         ("force", np.uint64),  # address of a bristle's force while it slides
-        ("shape", np.uint64, (4,)),  # addresses of a detent's pitch, depth, sharpness; of a click's travel to bottom
+        ("shape", np.uint64, (5,)),  # addresses of a sine's pitch, depth; of a table's edges to period
+        ("knots", np.int64),  # of a table, how many
     ],
     align=True,
 )
@@ -132,15 +132,14 @@ def _spring_holds(stored, spring, position, way):
     d = _end(stored, spring, position, way, 0) - _end(stored, spring, position, way, 1)
     if spring.offset:
         d -= _value(stored, spring.offset, way)
-    if spring.kind == CURVE:
-        return _curve_holds(spring.stiffness, d)
-    if spring.kind == CLICK:
-        return _click_holds(stored, spring, -d, way)
-    if spring.kind >= SINE:
-        return _detent_holds(stored, spring, d, way)
+    if spring.kind == TABLE:
+        return _table_holds(spring, d, way, stored.single)
+    if spring.kind == SINE:
+        pitch, depth = _value(stored, spring.shape[0], way), _value(stored, spring.shape[1], way)
+        return depth * pitch / math.pi * math.sin(math.pi * d / pitch) ** 2
     stiffness = spring.share * _value(stored, spring.stiffness, way)
     side = number_at(spring.side, 0, stored.single) if spring.side else 0.0
-    if (spring.kind == CONTACT and d > 0.0) or (spring.kind == GRIP and side * d > 0.0):
+    if spring.kind == SPRING and side * d > 0.0:
         return 0.0
     if spring.kind == BRISTLE and side != 0.0:
         d = _value(stored, spring.force, way) / stiffness
@@ -165,63 +164,49 @@ def _value(stored, address, way):
 
 
 @helper
-def _curve_holds(address, d):
-    """Straight between its points, level beyond the ends."""
-    n = np.int64(_doubles_at(address, 1)[0])
-    points = _doubles_at(address, 1 + 3 * n)[1:]
-    i = 0
-    while i < n - 1 and d > points[i + 1]:
-        i += 1
-    way = d - points[i]
-    slope = (points[n + i + 1] - points[n + i]) / (points[i + 1] - points[i]) if way > 0 and i < n - 1 else 0.0
-    return points[2 * n + i] + way * (points[n + i] + 0.5 * slope * way)
-
-
-@helper
-def _detent_holds(stored, spring, d, way):
-    """What its force does from the nearest rest on: up to `depth` over `rise`, and down to 0 over `fall`."""
-    pitch, depth = _value(stored, spring.shape[0], way), _value(stored, spring.shape[1], way)
-    away = abs(d - pitch * math.floor(d / pitch + 0.5))
-    if spring.kind == SINE:
-        return depth * pitch / math.pi * math.sin(math.pi * away / pitch) ** 2
-    sharpness = _value(stored, spring.shape[2], way)
-    fall = 0.5 * pitch / (sharpness + 1.0) if spring.kind == SNAP else 0.25 * pitch / sharpness
-    rise = sharpness * fall if spring.kind == SNAP else fall
-    if away < rise:
-        return 0.5 * depth * away * away / rise
-    left = max(rise + fall - away, 0.0)
-    return 0.5 * depth * (rise + fall - left * left / fall)
-
-
-@helper
-def _click_holds(stored, spring, pressed, way):
-    """From the least on, which one that stays down has where the force is 0 again: beyond 3/4 of its travel."""
-    travel, peak = _value(stored, spring.shape[0], way), _value(stored, spring.shape[1], way)
-    drop, bottom = _value(stored, spring.shape[2], way), _value(stored, spring.shape[3], way)
-    slope, most = 2.0 * peak / travel, spring.most
-    down = 0.75 * travel + (drop - peak) / slope
-    if down > travel:
-        down = travel + (drop - 1.5 * peak) / bottom
-    least = min(_click_does(travel, peak, drop, bottom, most, down), 0.0) if drop > peak else 0.0
-    return _click_does(travel, peak, drop, bottom, most, pressed) - least
-
-
-@helper
-def _click_does(travel, peak, drop, bottom, most, pressed):
-    """The work of pressing it, J; on its bottom with no more than `most` N."""
-    quarter, slope = 0.25 * travel, 2.0 * peak / travel
-    work = _ramp_does(min(max(pressed, 0.0), 2.0 * quarter), 0.0, slope)
-    work += _ramp_does(min(max(pressed - 2.0 * quarter, 0.0), quarter), peak, -drop / quarter)
-    work += _ramp_does(min(max(pressed - 3.0 * quarter, 0.0), quarter), peak - drop, slope)
-    force, way = 1.5 * peak - drop, max(pressed - travel, 0.0)
-    bent = min(way, max(most - force, 0.0) / bottom)
-    work += _ramp_does(bent, force, bottom)
-    return work + (way - bent) * most if bent < way else work
+def _table_holds(spring, d, way, single):
+    """What a table does along its knots from the least on; beyond them with no more than `most` N."""
+    edges, tensions = spring.shape[0] + way, spring.shape[1] + way
+    below, beyond = number_at(spring.shape[2] + way, 0, single), number_at(spring.shape[3] + way, 0, single)
+    period = number_at(spring.shape[4] + way, 0, single)
+    first, at_first = number_at(edges, 0, single), number_at(tensions, 0, single)
+    if period > 0.0:
+        d -= period * math.floor((d - first) / period)
+    done, whole = _work_beyond(max(first - d, 0.0), -at_first, below, spring.most), 0.0
+    least = _least_beyond(-at_first, below)
+    at, tension = first, at_first
+    for i in range(1, spring.knots + (period > 0.0)):
+        if i < spring.knots:
+            width, rise = number_at(edges, i, single) - at, number_at(tensions, i, single) - tension
+        else:
+            width, rise = first + period - at, at_first - tension
+        if width > 0.0:
+            part = min(max(d - at, 0.0), width)
+            done += part * (tension + 0.5 * part * rise / width)
+            if tension < 0.0 < tension + rise:
+                least = min(least, whole - 0.5 * tension * tension * width / rise)
+        whole += width * (tension + 0.5 * rise)
+        at, tension = at + width, tension + rise
+        least = min(least, whole)
+    if period > 0.0:
+        return done - least
+    done += _work_beyond(max(d - at, 0.0), tension, beyond, spring.most)
+    return done - min(least, whole + _least_beyond(tension, beyond))
 
 
 @inlined
-def _ramp_does(way, force, slope):
-    return way * (force + 0.5 * slope * way)
+def _work_beyond(way, force, slope, most):
+    """J, done against a force that begins so and rises with this slope, up to `most` N."""
+    bent = min(way, max(most - force, 0.0) / slope) if slope > 0.0 else way
+    return (
+        bent * (force + 0.5 * slope * bent) + (way - bent) * most if bent < way else way * (force + 0.5 * slope * way)
+    )
+
+
+@inlined
+def _least_beyond(force, slope):
+    """J, the least of that, without a most."""
+    return -0.5 * force * force / slope if force < 0.0 < slope else 0.0
 
 
 @inlined
@@ -304,31 +289,29 @@ class StoredEnergy:
             ends = [self._program.numbers[end] for end in link.between]
             at = [self._live(end, "position") if end in grounds else 0 for end in link.between]
             most = self._force_limit if any(end in hands for end in link.between) else np.inf
-            offset = side = force = 0
-            if isinstance(link, Nonlinear):
-                if link.force_over_distance is not None:
-                    yield _spring(CURVE, ends, at, self._keep(_potential(link.force_over_distance), np.float64))
-            elif isinstance(link, Detent | Click):
-                kind = CLICK if isinstance(link, Click) else _DETENTS[link.shape]
-                fields = ("travel", "peak", "drop", "bottom") if kind == CLICK else ("pitch", "depth", "sharpness")
-                shape = [self._live(name, field) for field in fields]
-                yield _spring(kind, ends, at, most=most, shape=shape)
+            law, is_bristle = link.table(), isinstance(link, Friction)
+            if law is not None:
+                keys = [knot_field(what, name, 0, len(law.knots)) for what in ("edge", "tension")]
+                shape = [self._live(*key) for key in [*keys, *((name, of) for of in ("below", "beyond", "period"))]]
+                yield _spring(TABLE, ends, at, most=most, shape=shape, knots=len(law.knots))
+            elif isinstance(link, Detent):
+                shape = [self._live(name, field) for field in ("pitch", "depth")]
+                yield _spring(SINE, ends, at, shape=[*shape, 0, 0, 0])
             elif hasattr(link, "stiffness"):
-                kind = {Buffer: CONTACT, Plectrum: GRIP, Friction: BRISTLE}.get(type(link), SPRING)
-                if kind == CONTACT:
-                    offset = self._live(name, "distance")
-                elif kind == GRIP:
-                    (side,) = self._remembered(name)
-                elif kind == BRISTLE:
-                    (offset, side), force = self._remembered(name), self._live(name, "force")
-                yield _spring(kind, ends, at, self._live(name, "stiffness"), 1.0, offset, most, side, force)
+                fields: dict[str, Any] = {"stiffness": self._live(name, "stiffness"), "most": most}
+                if is_bristle:
+                    fields["offset"], fields["side"] = self._remembered(name)
+                    fields["force"] = self._live(name, "force")
+                elif isinstance(link, Plectrum):
+                    (fields["side"],) = self._remembered(name)
+                yield _spring(BRISTLE if is_bristle else SPRING, ends, at, **fields)
 
     def _points(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         for name, point in self._scene.material_points.items():
             if name in connected and point.held_by() is not None:
                 at = [0, self._live(name, "rest")]
                 ends = [self._program.numbers[name], 0]
-                yield _spring(SPRING, ends, at, self._live(name, "stiffness"))
+                yield _spring(SPRING, ends, at, stiffness=self._live(name, "stiffness"))
 
     def _structures(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         structures: dict[str, Any] = {name: one for name, one in self._scene.structures.items() if name in connected}
@@ -340,23 +323,15 @@ class StoredEnergy:
                 for first, second, share, _ in unit.elements().links:
                     ends, at = [numbers[first], numbers[second] if second >= 0 else 0], [0, 0 if second >= 0 else rest]
                     if share:
-                        yield _spring(SPRING, ends, at, stiffness, share)
+                        yield _spring(SPRING, ends, at, stiffness=stiffness, share=share)
 
 
-def _spring(
-    kind: int,
-    ends: Sequence[int],
-    at: Sequence[int],
-    stiffness: int = 0,
-    share: float = 1.0,
-    offset: int = 0,
-    most: float = np.inf,
-    side: int = 0,
-    force: int = 0,
-    shape: Sequence[int] = (),
-) -> tuple[Any, ...]:
+_SPRING_DEFAULTS = dict.fromkeys(_SPRING.names or (), 0) | {"share": 1.0, "most": np.inf, "shape": (0,) * 5}
+
+
+def _spring(kind: int, ends: Sequence[int], at: Sequence[int], **fields: Any) -> tuple[Any, ...]:
     """A _SPRING's fields, in its order."""
-    return kind, ends, at, stiffness, share, offset, most, side, force, (*shape, 0, 0, 0, 0)[:4]
+    return tuple((_SPRING_DEFAULTS | {"kind": kind, "ends": ends, "at": at} | fields).values())
 
 
 def _module(scene: Scene, point: str) -> str:
@@ -375,14 +350,3 @@ def _connected(scene: Scene) -> frozenset[str]:
     while more := {name for pair in pairs if found & {*pair} for name in pair} - found:
         found |= more
     return frozenset(found)
-
-
-def _potential(curve: Any) -> list[float]:
-    """How many points, where they are (m), the tension (N) and what is stored there (J), from the least on: that of a
-    point, or where the tension rises through 0 between two."""
-    at, tension = np.array(curve, np.float64).T
-    way, rise = np.diff(at), np.diff(tension)
-    stored = np.concatenate([[0.0], np.cumsum(0.5 * (tension[1:] + tension[:-1]) * way)])
-    rests = (tension[:-1] < 0.0) & (tension[1:] > 0.0)
-    least = stored[:-1][rests] - 0.5 * tension[:-1][rests] ** 2 * way[rests] / rise[rests]
-    return [len(at), *at, *tension, *(stored - min(stored.min(), least.min(initial=np.inf)))]

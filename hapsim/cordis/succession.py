@@ -67,6 +67,7 @@ def take_over_from(older: Program, older_scene: Scene, program: Program, scene: 
         for name in older_scene.modules.keys() & scene.modules.keys()
         if type(older_scene.modules[name]) is type(scene.modules[name])
     }
+    ramped = {name for name in same_type if scene.modules[name].live}  # a table that fades has no values to go on from
     before, after = _ends(older_scene), _ends(scene)
     links = {name for name in same_type if before[name] == after[name] and points.issuperset(after[name])}
     older.call_all_of("place")
@@ -74,7 +75,7 @@ def take_over_from(older: Program, older_scene: Scene, program: Program, scene: 
     taken, placed = _in_order(there, here, points)
     program.call("carry_points", [(carry_points, CarriedPoints(older.record, older.rows, taken, placed))])
     program.call(
-        "carry_numbers", [*_live(older, program, same_type | {*scene.sound}), *_remembered(older, program, links)]
+        "carry_numbers", [*_live(older, program, ramped | {*scene.sound}), *_remembered(older, program, links)]
     )
     program.call_all_of("place")
     program.call_all_of("resume")

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.laws import Linear, spring_and_damper
+from hapsim.laws import Linear, line
 from hapsim.scene import Scene, ViscoElastic
 from hapsim.scene.modules import MaterialPoint
 from hapsim.theory import Configuration, Network, NotWorkedOutError
@@ -92,7 +92,7 @@ def _own_links(point: MaterialPoint) -> Iterator[Linear]:
     """What pulls a material point by itself."""
     held = point.held_by()
     if held is not None:
-        yield spring_and_damper(held.stiffness, held.damping).linear()
+        yield line(held.stiffness, held.damping, in_a_matrix=True).linear()
     if point.pulls_itself:
         yield point.law().linear()
 

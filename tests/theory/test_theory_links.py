@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.laws import Law, sector
+from hapsim.laws import Law, curve_law
 from hapsim.prediction import predict
 from hapsim.scene import parse_scene
 from hapsim.scene.modules import MODULE_TYPES, Link
@@ -32,9 +32,9 @@ def law_of(kind: str, **values: Any) -> Law:
 
 
 def test_the_sector_of_a_curve_has_its_steepest_slope_and_its_level_ends() -> None:
-    assert sector(CURVE) == pytest.approx((-250.0, 500.0))
-    assert sector(((-1.0, -5.0), (1.0, 5.0))) == (0.0, 5.0)
-    assert sector(None) == (0.0, 0.0)
+    assert curve_law(CURVE).sector == pytest.approx((-250.0, 500.0))
+    assert curve_law(((-1.0, -5.0), (1.0, 5.0))).sector == (0.0, 5.0)
+    assert curve_law(None).sector == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ MASS = PartType(
     _masses,
     name="masses",
     compiled_as="one pass over contiguous memory",
-    is_live=False,
+    live=None,
     moves_points=True,
 )
 CELL = PartType(

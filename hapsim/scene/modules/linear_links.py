@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from hapsim.laws import Law, spring_and_damper
+from hapsim.laws import Law, line
 
 from ..choices import DAMPER, WITH_CUTOFF, WITH_SENSOR, DamperScheme
 from ..issue import Issue, one_of, quote
@@ -27,7 +27,7 @@ class Spring(Link):
     stiffness: Annotated[float, quantity("Stiffness", "N/m", least=0)]
 
     def law(self) -> Law:
-        return spring_and_damper(self.stiffness, 0.0)
+        return line(self.stiffness, 0.0, in_a_matrix=True)
 
 
 class Damper(Link):
@@ -39,7 +39,7 @@ class Damper(Link):
     damping: Annotated[float, quantity("Viscosity", "N·s/m", least=0)]
 
     def law(self) -> Law:
-        return spring_and_damper(0.0, self.damping)
+        return line(0.0, self.damping, in_a_matrix=True)
 
 
 class ViscoElastic(Link):
@@ -54,7 +54,7 @@ class ViscoElastic(Link):
     cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
 
     def law(self) -> Law:
-        return spring_and_damper(self.stiffness, self.damping)
+        return line(self.stiffness, self.damping, in_a_matrix=True)
 
     @check_of("damper", "cutoff")
     def _cutoff_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:

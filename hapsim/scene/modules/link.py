@@ -23,6 +23,8 @@ class Link(Module):
 
     is_point: ClassVar[bool] = False
     can_move: ClassVar[bool] = False
+    #: Its law, whatever its values are, is its `table`.
+    has_table: ClassVar[bool] = False
     between: Annotated[tuple[str, str], ENDS]
 
     def law(self) -> Law:
@@ -31,7 +33,7 @@ class Link(Module):
 
     def table(self) -> Law | None:
         """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
-        return None
+        return self.law() if self.has_table else None
 
     @check_of("between")
     def _ends_fit(self, name: str, around: ModuleContext) -> Iterator[Issue]:

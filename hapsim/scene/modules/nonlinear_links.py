@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from hapsim.laws import BristleLaw, GrippingLaw, Law, SineLaw, curve_law, sector
+from hapsim.laws import GrippingLaw, Law, SineLaw, curve_law, line
 
 from ..choices import DETENT_SHAPE, WITH_SHARPNESS, DetentShape
 from ..issue import Issue, one_of
@@ -28,6 +28,7 @@ OVER_VELOCITY = curve(
 class Buffer(Link):
     """Keeps its first end above its second: a visco-elastic contact that pushes them apart, and never pulls."""
 
+    has_table: ClassVar[bool] = True
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "distance")
 
     type: Literal["buffer"] = Field(
@@ -38,18 +39,9 @@ class Buffer(Link):
     distance: Annotated[float, quantity("First end minus second, below which they touch", "m")] = 0.0
 
     def law(self) -> Law:
-        return Law(
-            knots=((self.distance, 0.0),),
-            dampings=(self.damping, 0.0),
-            states=("touched", "apart"),
-            below=self.stiffness,
-            pushes=True,
-            taken_at=-math.inf,
-            assumption="is taken as touched all the time; while its ends are apart, the hand does not feel it",
-        )
-
-    def table(self) -> Law:
-        return self.law()
+        taken = "is taken as touched all the time; while its ends are apart, the hand does not feel it"
+        knots, dampings, states = ((self.distance, 0.0),), (self.damping, 0.0), ("touched", "apart")
+        return Law(knots, dampings, states, self.stiffness, pushes=True, taken_at=-math.inf, assumption=taken)
 
 
 class Nonlinear(Link):
@@ -72,18 +64,11 @@ class Nonlinear(Link):
     def law(self) -> Law:
         """The curve over distance, with what the one over velocity does where the ends stand: at a corner the mean of
         the slopes beside it."""
-        words = [
-            f"between {least:g} and {steepest:g} {unit}"
-            for (least, steepest), unit in (
-                (sector(self.force_over_distance), "N/m"),
-                (sector(self.force_over_velocity), "N·s/m"),
-            )
-            if (least, steepest) != (0.0, 0.0)
-        ]
-        reach = f"; elsewhere they lie {' and '.join(words)}" if words else ""
         standing = curve_law(self.force_over_velocity)
-        assumption = f"is taken with its slopes where its ends meet and stand{reach}"
-        return curve_law(self.force_over_distance, standing.slope(0.0), float(standing.tension(0.0)), assumption)
+        sectors = (*curve_law(self.force_over_distance).sector, "N/m"), (*standing.sector, "N·s/m")
+        words = " and ".join(f"between {low:g} and {high:g} {unit}" for low, high, unit in sectors if low or high)
+        taken = f"is taken with its slopes where its ends meet and stand{words and f'; elsewhere they lie {words}'}"
+        return curve_law(self.force_over_distance, standing.slope(0.0), float(standing.tension(0.0)), taken)
 
     def table(self) -> Law | None:
         return None if self.force_over_distance is None else curve_law(self.force_over_distance)
@@ -114,17 +99,10 @@ class Friction(Link):
             yield Issue(("static",), f"found {self.static:g}, less than the force while it slides; {expected}")
 
     def law(self) -> Law:
-        return BristleLaw(
-            knots=((0.0, 0.0),),
-            dampings=(self.damping,),
-            states=("stuck",),
-            below=self.stiffness,
-            beyond=self.stiffness,
-            assumption="is taken as stuck, a spring; while it slides, its force is constant and adds no stiffness",
-            reach=self.break_away / self.stiffness,
-            slides_at=self.force,
-            memoryless=False,
-        )
+        taken = "is taken as stuck, a spring; while it slides, its force is constant and adds no stiffness"
+        reach, force = self.break_away / self.stiffness, self.force
+        more = {"states": ("stuck",), "reach": reach, "slides_at": force, "memoryless": False, "assumption": taken}
+        return line(self.stiffness, self.damping, **more)
 
 
 class Plectrum(Link):
@@ -140,15 +118,10 @@ class Plectrum(Link):
     release: Annotated[float, quantity("Distance of its ends beyond which it releases", "m", above=0)]
 
     def law(self) -> Law:
-        force = self.stiffness * self.release
-        return GrippingLaw(
-            knots=((-self.release, -force), (self.release, force)),
-            dampings=(0.0, self.damping, 0.0),
-            states=("released", "gripping", "released"),
-            assumption="is taken as gripping all the time; once released, the hand does not feel it",
-            memoryless=False,
-            stiffness=self.stiffness,
-        )
+        taken = "is taken as gripping all the time; once released, the hand does not feel it"
+        knots = tuple((d, self.stiffness * d) for d in (-self.release, self.release))
+        dampings, states = (0.0, self.damping, 0.0), ("released", "gripping", "released")
+        return GrippingLaw(knots, dampings, states, assumption=taken, stiffness=self.stiffness)
 
 
 class Detent(Link):
@@ -201,13 +174,8 @@ class Detent(Link):
             rise = 0.5 * self.pitch * sharp / (sharp + 1.0)
             knots, states = ((-rise, -depth), (rise, depth)), (inside, outside)
         kind = SineLaw if self.shape == "sine" else Law
-        return kind(
-            knots=knots,
-            dampings=(self.damping,) * len(states),
-            states=states,
-            period=self.pitch,
-            assumption="is taken in the middle of a notch",
-        )
+        taken = "is taken in the middle of a notch"
+        return kind(knots, (self.damping,) * len(states), states, period=self.pitch, assumption=taken)
 
     def table(self) -> Law | None:
         return None if self.shape == "sine" else self.law()
@@ -216,6 +184,7 @@ class Detent(Link):
 class Click(Link):
     """A button: its first end is pressed down on its second, gives way, and meets the bottom."""
 
+    has_table: ClassVar[bool] = True
     live: ClassVar[tuple[str, ...]] = ("travel", "peak", "drop", "bottom", "damping")
 
     type: Literal["click"] = Field(
@@ -229,15 +198,7 @@ class Click(Link):
 
     def law(self) -> Law:
         travel, peak, low = self.travel, self.peak, self.peak - self.drop
-        return Law(
-            knots=((-travel, -(low + 0.5 * peak)), (-0.75 * travel, -low), (-0.5 * travel, -peak), (0.0, 0.0)),
-            dampings=(self.damping,) * 4 + (0.0,),
-            states=("at the bottom", "after the click", "in the click", "before the click", "apart"),
-            below=self.bottom,
-            pushes=True,
-            taken_at=-0.25 * travel,
-            assumption="is taken as pressed before its click",
-        )
-
-    def table(self) -> Law:
-        return self.law()
+        knots = (-travel, -low - 0.5 * peak), (-0.75 * travel, -low), (-0.5 * travel, -peak), (0.0, 0.0)
+        states = ("at the bottom", "after the click", "in the click", "before the click", "apart")
+        dampings, at, taken = (self.damping,) * 4 + (0.0,), -0.25 * travel, "is taken as pressed before its click"
+        return Law(knots, dampings, states, self.bottom, pushes=True, taken_at=at, assumption=taken)

@@ -1,0 +1,213 @@
+"""Links that are straight between knots: what they do while their numbers move, and one of a type that hapsim does not
+ship, which is a class and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+import pytest
+from pydantic import Field
+
+from firmware_protocol.compiled import new_record
+from hapsim.cordis.offline import follow_parameters, start, tick
+from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
+from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
+from hapsim.laws import Law
+from hapsim.prediction.characteristic import hand_at
+from hapsim.scene import Scene
+from hapsim.scene.modules import Link
+from hapsim.scene.part import Table
+from hapsim.scene.quantity import quantity
+
+RATE, RAMP = 1000.0, 50
+
+
+def scene_of(link: Any) -> Scene:
+    """A hand on this link: a document, or a module of a type that no document can have."""
+    spring = {"type": "spring", "between": ("hand", "wall"), "stiffness": 1.0}
+    own = isinstance(link, Link)
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "it": spring if own else link}
+    device = {"mass": 0.2, "friction": 1.0}
+    scene = Scene.model_validate({"version": 1, "rate": RATE, "device": device, "modules": modules})
+    return scene.model_copy(update={"modules": Table(dict(scene.modules) | {"it": link})}) if own else scene
+
+
+def changed_while_it_moves(before: Any, after: Any, d: np.ndarray, at: int) -> np.ndarray:
+    """The tension at every sample; from sample `at` on the link becomes another over RAMP samples."""
+    program, force = compile_scene(scene_of(before)), np.zeros((len(d), 1))
+    start(program, d[:1])
+    for n in range(len(d)):
+        if n == at:
+            program.parameters.post(parameter_values(scene_of(after)), RAMP)
+        follow_parameters(program)
+        tick(program, d[n : n + 1], np.zeros(1), force[n])
+    return -force[:, 0]
+
+
+# The formulas: tension at d, growing by v, in SI units.
+
+Values = dict[str, float]
+
+
+def buffer(p: Values, d: float, v: float) -> float:
+    push = max(0.0, p["stiffness"] * (p["distance"] - d) - p["damping"] * v)
+    return -push if d < p["distance"] else 0.0
+
+
+def flanks(p: Values, d: float, v: float, rise: float, end: float) -> float:
+    u = d - p["pitch"] * np.floor(d / p["pitch"] + 0.5)
+    height = np.interp(abs(u), [0.0, rise, end], [0.0, 1.0, 0.0])
+    return float(np.sign(u) * p["depth"] * height + p["damping"] * v)
+
+
+def snap(p: Values, d: float, v: float) -> float:
+    end = 0.5 * p["pitch"]
+    return flanks(p, d, v, end * p["sharpness"] / (p["sharpness"] + 1.0), end)
+
+
+def notch(p: Values, d: float, v: float) -> float:
+    end = 0.5 * p["pitch"] / p["sharpness"]
+    return flanks(p, d, v, 0.5 * end, end)
+
+
+def click(p: Values, d: float, v: float) -> float:
+    peak, low, travel = p["peak"], p["peak"] - p["drop"], p["travel"]
+    at, force = np.array([0.0, 0.5, 0.75, 1.0]) * travel, [0.0, peak, low, low + 0.5 * peak]
+    push = float(np.interp(-d, at, force)) + p["bottom"] * max(-d - travel, 0.0) - p["damping"] * v
+    return -max(push, min(0.0, low)) if d < 0.0 else 0.0
+
+
+LINKS: dict[str, tuple[Callable[[Values, float, float], float], dict[str, Any], Values, Values]] = {
+    "buffer": (
+        buffer,
+        {"type": "buffer"},
+        {"stiffness": 900.0, "damping": 0.4, "distance": 0.004},
+        {"stiffness": 200.0, "damping": 0.9, "distance": -0.003},
+    ),
+    "snap": (
+        snap,
+        {"type": "detent", "shape": "snap"},
+        {"pitch": 0.011, "depth": 0.7, "damping": 0.1, "sharpness": 3.0},
+        {"pitch": 0.007, "depth": 0.2, "damping": 0.3, "sharpness": 3.0},
+    ),
+    "notch": (
+        notch,
+        {"type": "detent", "shape": "notch"},
+        {"pitch": 0.011, "depth": 0.7, "damping": 0.1, "sharpness": 1.0},
+        {"pitch": 0.019, "depth": 0.9, "damping": 0.0, "sharpness": 1.0},
+    ),
+    "click": (
+        click,
+        {"type": "click"},
+        {"travel": 0.011, "peak": 0.7, "drop": 0.3, "bottom": 900.0, "damping": 0.1},
+        {"travel": 0.016, "peak": 0.5, "drop": 1.1, "bottom": 3000.0, "damping": 0.2},
+    ),
+}
+"""By name: the formula, what does not change, and what it is before and after."""
+
+
+def link_with(name: str, values: Values) -> dict[str, Any]:
+    return {**LINKS[name][1], "between": ("hand", "wall"), **values}
+
+
+def hand(seed: int, samples: int = 400) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return 0.02 * np.sin(np.cumsum(rng.normal(0.05, 0.2, samples)))
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_while_it_ramps_a_link_is_the_one_with_the_parameters_between(name: str) -> None:
+    formula, _, before, after = LINKS[name]
+    d, at = hand(3), 150
+    found = changed_while_it_moves(link_with(name, before), link_with(name, after), d, at)
+    s = np.clip((np.arange(len(d)) - at + 1) / RAMP, 0.0, 1.0)
+    shares = s * s * (3.0 - 2.0 * s)
+    v = RATE * np.diff(d, prepend=d[0])
+    expected = [
+        formula({key: before[key] + share * (after[key] - before[key]) for key in before}, *now)
+        for share, *now in zip(shares, d, v, strict=True)
+    ]
+    assert np.abs(found - expected).max() <= 1e-13 * np.abs(expected).max()
+    assert np.count_nonzero(expected[at : at + RAMP]) > RAMP / 4
+
+
+@pytest.mark.parametrize("shape", ["snap", "notch"])
+def test_while_its_sharpness_ramps_a_detent_is_a_detent(shape: str) -> None:
+    """Its knots move in straight lines, not its sharpness: in between it has its depth and its rests all the same."""
+    values = LINKS[shape][2] | {"damping": 0.0}
+    before, after = (link_with(shape, values | {"sharpness": sharpness}) for sharpness in (1.0, 4.0))
+    pitch, depth = values["pitch"], values["depth"]
+    for share in (0.0, 0.3, 1.0):
+        here, there = (parameter_values(scene_of(link)) for link in (before, after))
+        program, force = compile_scene(scene_of(before)), np.zeros(1)
+        program.parameters.post(here + share * (there - here), 1)
+        d = np.linspace(-2.0 * pitch, 2.0 * pitch, 1601)
+        tension = np.zeros_like(d)
+        for n, x in enumerate(d):
+            start(program, np.array([x]))
+            follow_parameters(program)
+            tick(program, np.array([x]), np.zeros(1), force)
+            tension[n] = -force[0]
+        assert np.abs(tension).max() == pytest.approx(depth, rel=0.05)
+        assert np.abs(tension).max() <= depth * (1.0 + 1e-12)
+        np.testing.assert_allclose(tension[::400], 0.0, atol=1e-13)
+        np.testing.assert_allclose(tension, -tension[::-1], atol=1e-12)
+        np.testing.assert_allclose(tension[400:], tension[:-400], atol=1e-11)
+
+
+def test_a_curve_of_many_points_is_found_in_and_beyond_it() -> None:
+    rng = np.random.default_rng(5)
+    for points in (2, 3, 8, 9, 10, 333):
+        at = np.sort(rng.uniform(-0.02, 0.02, points))
+        curve = np.column_stack([at, rng.normal(size=points)])
+        d = rng.permutation(np.concatenate([at, rng.uniform(-0.03, 0.03, 200)]))
+        link = {"type": "nonlinear", "between": ("hand", "wall"), "force_over_distance": curve.tolist()}
+        found = changed_while_it_moves(link, link, d, 0)
+        np.testing.assert_allclose(found, np.interp(d, *curve.T), rtol=0.0, atol=1e-12)
+
+
+class Stops(Link):
+    """A spring with play on both sides, of a type that hapsim does not ship."""
+
+    has_table: ClassVar[bool] = True
+    live: ClassVar[tuple[str, ...]] = ("stiffness", "play")
+
+    type: Literal["stops"] = Field(default="stops", description="Stops")
+    stiffness: Annotated[float, quantity("Stiffness", "N/m", least=0)]
+    play: Annotated[float, quantity("Half of it", "m", least=0)]
+
+    def law(self) -> Law:
+        knots, states = ((-self.play, 0.0), (self.play, 0.0)), ("left", "free", "right")
+        return Law(knots, (0.0,) * 3, states, below=self.stiffness, beyond=self.stiffness, taken_at=1.0)
+
+
+def stops(stiffness: float, play: float) -> Stops:
+    return Stops(between=("hand", "wall"), stiffness=stiffness, play=play)
+
+
+def energy(program: Program) -> float:
+    addresses = [np.uint64(row.ctypes.data) for row in positions_of(program)]
+    return float(evaluate(np.uint64(program.record.parameters.stored), *addresses, np.uint64(0)))
+
+
+def test_a_link_of_a_type_of_ones_own_is_a_class_and_nothing_else() -> None:
+    d = hand(8)
+    found = changed_while_it_moves(stops(400.0, 0.004), stops(100.0, 0.007), d, 0)
+    beyond = np.sign(d) * np.maximum(np.abs(d) - 0.007, 0.0)
+    np.testing.assert_allclose(found[RAMP:], 100.0 * beyond[RAMP:], rtol=0.0, atol=1e-13)
+    assert np.abs(found).max() > 0.5
+    pieces = hand_at(scene_of(stops(400.0, 0.004)), "hand").pieces()
+    assert [(one.high, one.stiffness) for one in pieces] == [(-0.004, 400.0), (0.004, 0.0), (np.inf, 400.0)]
+
+
+@pytest.mark.parametrize(("d", "most", "joules"), [(0.003, 9.0, 0.0), (0.006, 9.0, 8e-4), (-0.104, 10.0, 0.875)])
+def test_what_it_stores_is_read_from_its_knots_and_from_no_more_than_the_limit_of_force(
+    d: float, most: float, joules: float
+) -> None:
+    scene = scene_of(stops(400.0, 0.004))
+    program, record = compile_scene(scene), new_record(TANK)
+    program.stored = StoredEnergy(program, scene, Tank(record, capacity_j=1.0, refill_j=0.0), most)
+    start(program, np.array([d]))
+    assert energy(program) == pytest.approx(joules, rel=1e-12, abs=1e-15)
