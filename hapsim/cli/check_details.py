@@ -275,8 +275,9 @@ def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None, 
     if explain:
         whole = f"{wire_parts(budget)}; {whole} ({budget.exchange_s / budget.period:.0%})"
     if is_real:
+        on = "on a UART an" if prediction.wire_of == "unknown" else "an"
         verdict = "fits" if budget.fits else f"[red]does not fit[/red]: {what_helps(budget)}"
-        out.print(f"Wire: an exchange takes {whole}: {verdict}. {_delay(budget)}")
+        out.print(f"Wire: {on} exchange takes {whole}: {verdict}. {_delay(budget)}")
     else:
         fits = f"A UART at {budget.baud} baud would {'fit' if budget.fits else '[yellow]not fit[/yellow]'}"
         out.print(f"Wire: none (the mock). {fits}: {whole}.{f' {_delay(budget)}' if explain else ''}")

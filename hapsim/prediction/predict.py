@@ -320,13 +320,14 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     if prediction.wire_delay:
         warnings.append(f"{prediction.wire_delay}. The prediction is for that delay.")
     elif prediction.wire_of == "unknown" and not budget.fits and not is_explained:
-        delay = (
-            "the frames queue up" if budget.is_saturated else f"{budget.delay_samples} samples of delay in place of one"
+        late = (
+            f"{budget.delay_samples} samples of delay in place of one (`hapsim check` shows what the hand feels then)"
         )
+        delay = "the frames queue up" if budget.is_saturated else late
         warnings.append(
             f"an exchange takes {budget.exchange_s * 1e3:.4g} ms at {scene.device.baud} baud with the host's work, the "
-            f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay} (`hapsim check` shows what the hand "
-            "feels then). A USB device's own port does not mind."
+            f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay}. "
+            "A USB device's own port does not mind."
         )
     return [*map(scene.units, warnings)]
 
