@@ -119,7 +119,7 @@ def measured(device: RoughDevice) -> Said:
     named = re.search(r"The mass is probably .* one, (\S+) kg", text)
     mass = None if named is None else float(named[1])
     says = {
-        "mode": "A second mode swings along" in text,
+        "mode": "Something swings along" in text,
         "mass": mass is not None,
         "device": "further apart" in text,
         "dry": "The device has dry friction" in text,
@@ -128,7 +128,7 @@ def measured(device: RoughDevice) -> Said:
     }
     true_mass = scene.mock_device.mass[0]
     wrong = {
-        "mode": says["mode"],
+        "mode": says["mode"] and not device.dry,  # it names dry friction as the other cause
         "mass": mass is not None and (not device.wrong_mass or abs(mass / true_mass - 1.0) > 0.1),
         "device": says["device"] and not (device.wrong_mass or device.wrong_friction or device.dry),
         "dry": "The device has dry friction" in text and not device.dry,

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _ROWS = 12  # of a table
 _NAMES = 6  # of a sentence
 _HUGE = 100.0  # a pole beyond has no digit behind the point that matters
+_FAINT = 1e-9  # of m/T²: hardly a spring
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 _EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error, and a small one
 _NO_FACTOR, _UNKNOWN = "–", "?"
@@ -128,6 +129,9 @@ def margin_sentence(felt: Felt) -> str:
 
 def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
     least, most = felt.stable_damping
+    if felt.stiffness == 0.0:  # nothing holds a hand without a spring, whatever the damping: with hardly any
+        hand = felt.configuration
+        least, most = map(float, hand.stable_damping(_FAINT * hand.stiffness_unit))
     if not most > 0.0:
         return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
     return f"{becomes} where the damping is between {between(max(least, 0.0), most, ' and ')} N·s/m"
@@ -275,8 +279,9 @@ def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None, 
     if explain:
         whole = f"{wire_parts(budget)}; {whole} ({budget.exchange_s / budget.period:.0%})"
     if is_real:
+        on = "on a UART an" if prediction.wire_of == "unknown" else "an"
         verdict = "fits" if budget.fits else f"[red]does not fit[/red]: {what_helps(budget)}"
-        out.print(f"Wire: an exchange takes {whole}: {verdict}. {_delay(budget)}")
+        out.print(f"Wire: {on} exchange takes {whole}: {verdict}. {_delay(budget)}")
     else:
         fits = f"A UART at {budget.baud} baud would {'fit' if budget.fits else '[yellow]not fit[/yellow]'}"
         out.print(f"Wire: none (the mock). {fits}: {whole}.{f' {_delay(budget)}' if explain else ''}")

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 def faults(
     scripts: Annotated[
         list[str] | None,
-        typer.Argument(metavar="SCRIPT", help="Which faults happen when, in YAML; or the name of a shipped script."),
+        typer.Argument(metavar="SCRIPT", help="Which faults happen when, in YAML; or a name of --list."),
     ] = None,
     port: Annotated[str | None, option("DEV", "The device's port.")] = None,
     scene: Annotated[str | None, option("SCENE", "In place of a port: this scene's mock, started for it.")] = None,
@@ -99,7 +99,7 @@ def _print_list(json: bool) -> None:
 
 
 def _script(names: list[str]) -> Script:
-    """Returns the script of a file, or else one that ships."""
+    """Returns the script of a file, or else one that ships, or one fault of this kind as it is by default."""
     if not names:
         raise UsageError("found no SCRIPT, expected one, or --list, which lists them")
     if len(names) > 1:
@@ -107,6 +107,8 @@ def _script(names: list[str]) -> Script:
     name, ship = names[0], shipped_scripts()
     if name in ship and not Path(name).exists():
         return parse_script(shipped_script(name), name)
+    if name in KINDS and not Path(name).exists():
+        return parse_script(f"version: 1\nfaults: [{{kind: {name}}}]", name)
     try:
         return load_script(name)
     except UsageError as error:

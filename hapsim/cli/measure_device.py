@@ -14,7 +14,7 @@ from hapsim.prediction import Felt, Prediction
 from hapsim.prediction.other_mass import masses_with, oscillation_at
 
 _UNSURE = 4.0  # uncertainties: what is further apart is not the same
-_MANY = 10.0
+_MANY = 5.0
 _SAME = 1e-4  # a mass that is clearly off changes the frequency by 50 times as much
 _CLEARLY = 0.01  # of the mass, of what is predicted, of b of half the critical damping: what is less off is not said
 _FEW = 0.01  # of the ticks: forces that the device did not get in time act otherwise than the record says
@@ -127,9 +127,10 @@ def other_device(felt: Felt | None, measurement: Measurement, prediction: Predic
     if second is not None and gives(prediction, measurement):
         frequency, ratio = oscillation(measurement, second.pole)
         yield (
-            f"[yellow]A second mode swings along[/yellow] at {frequency:.3g} Hz, damping ratio {ratio:.2g}, with "
+            f"[yellow]Something swings along[/yellow] at {frequency:.3g} Hz, damping ratio {ratio:.2g}, with "
             f"{percent(second.share, 3)} of the motion's energy: the hand, or a part of the device, moves against the "
-            "rest like a mass on a spring. k and b are those of the longest ringing mode, not what the hand feels."
+            "rest like a mass on a spring; or dry friction bends the motion, which `hapsim identify` finds. "
+            "k and b are those of the longest ringing mode, not what the hand feels."
         )
     elif mass is not None:
         share = mass.factor

@@ -174,7 +174,7 @@ class _Pusher:
             raise GuardError(
                 f"without any force the device moved by {1e3 * moved:.3g} mm, farther than the "
                 f"{1e3 * self._bounds.travel:g} mm that it may: it was not pushed. Let it rest, or hold it, and try "
-                "again"
+                "again (a mock moves by itself where the scene has mock.initial)"
             )
         self._home_counts = float(np.median(counts))
         self._noise_counts = float(np.std(np.diff(counts, 2))) / math.sqrt(6.0)

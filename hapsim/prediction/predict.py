@@ -290,11 +290,9 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             else "how stable the scene is was worked out for a device that samples with every substep, not as it runs."
         )
     elif is_surely_unstable(prediction):
-        strongest = _strongest(scene)
-        most = f"the force limit of {limit:g} N" if strongest >= limit else f"the {number(strongest)} N of its links"
         warnings.append(
             "the scene is predicted unstable: `hapsim run` and `measure` refuse it. With --unstable the device "
-            f"oscillates with up to {most}, until the energy guard ends the run "
+            f"oscillates with up to {most_force(scene)}, until the energy guard ends the run "
             "(hapsim/STABILITY.md says what it finds)."
         )
         warnings += own_limits(scene)
@@ -319,26 +317,29 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     if prediction.wire_delay:
         warnings.append(f"{prediction.wire_delay}. The prediction is for that delay.")
     elif prediction.wire_of == "unknown" and not budget.fits and not is_explained:
-        delay = (
-            "the frames queue up" if budget.is_saturated else f"{budget.delay_samples} samples of delay in place of one"
+        late = (
+            f"{budget.delay_samples} samples of delay in place of one (`hapsim check` shows what the hand feels then)"
         )
+        delay = "the frames queue up" if budget.is_saturated else late
         warnings.append(
             f"an exchange takes {budget.exchange_s * 1e3:.4g} ms at {scene.device.baud} baud with the host's work, the "
-            f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay} (`hapsim check` shows what the hand "
-            "feels then). A USB device's own port does not mind."
+            f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay}. "
+            "A USB device's own port does not mind."
         )
     return [*map(scene.units, warnings)]
 
 
-def _strongest(scene: Scene) -> float:
-    """N, which all links of a hand together never exceed; of the hand with the most."""
+def most_force(scene: Scene) -> str:
+    """What bounds the force of an unstable scene, in words: its limit, or what all links of a hand pull together."""
 
     def of_link(link: Link) -> float:
         by_speed = isinstance(link, Nonlinear) and link.force_over_velocity
         return math.inf if by_speed else link.law().strongest(scene.rate)
 
     hands = scene.device_points
-    return max(sum(of_link(link) for link in scene.links.values() if name in link.between) for name in hands)
+    strongest = max(sum(of_link(link) for link in scene.links.values() if name in link.between) for name in hands)
+    limit = scene.mock_device.force_limit
+    return f"the force limit of {limit:g} N" if strongest >= limit else f"the {number(strongest)} N of its links"
 
 
 def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:

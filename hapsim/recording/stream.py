@@ -44,7 +44,8 @@ _HEAD, _ROWS, _NOTE, _TOLD = b"HEAD", b"ROWS", b"NOTE", b"TOLD"
 _MOST_BYTES = 1 << 26  # of a chunk; one that says it is longer is damaged
 
 
-_AboveZero = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+# So that its products with counts and with another are numbers, too.
+_AboveZero = Annotated[float, Field(gt=1e-100, lt=1e100)]
 _Scales = Annotated[list[_AboveZero], Field(min_length=1, max_length=schema.MAX_CHANNELS)]
 
 

@@ -185,9 +185,9 @@ def _frozen_sensor(loop: LoopMemory, channel: int, still_s: float) -> str:
     if still_s == 0.0:
         return ""
     return (
-        f"the position of {_hand_on(loop, channel)} has not changed by one count for {duration(still_s)} while force "
-        "acts: sensor or cable? Its force is zero until it changes. For a handle at a stop declare device.travel, and "
-        "for one with dry friction mock.coulomb"
+        f"the position of {_hand_on(loop, channel)} has not changed by one count for {duration(still_s)} although "
+        "force acted: sensor or cable? Its force is zero until it changes. For a handle at a stop declare "
+        "device.travel, and for one with dry friction mock.coulomb"
     )
 
 

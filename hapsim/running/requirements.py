@@ -21,6 +21,7 @@ from hapsim.loop.system import require_linux
 from hapsim.number_format import between, duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
 from hapsim.prediction.force_bounds import refused_travel
+from hapsim.prediction.predict import most_force
 from hapsim.prediction.timing import wire_delay
 from hapsim.recording.trace import require_writable_as_trace
 from hapsim.running.options import RunOptions
@@ -112,8 +113,7 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
     return (
         f"{path}: not armed: the scene is predicted unstable (spectral radius {prediction.spectral_radius:.6g}, stable "
         f"below 1{late}){why} `hapsim check` reports more. With --unstable it runs, and the device will oscillate with "
-        f"up to the force limit of {scene.device.force_limit:g} N until the energy guard ends the run "
-        "(hapsim/STABILITY.md)"
+        f"up to {most_force(scene)} until the energy guard ends the run (hapsim/STABILITY.md)"
     )
 
 

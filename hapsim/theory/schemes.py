@@ -52,51 +52,57 @@ class Scheme(NamedTuple):
     """A scheme other than CORDIS's.
 
     Attributes:
-        advance: returns z after a sample: (N, N) T A, (N, n) several z -> (N, n).
+        change: returns z[n+1] - z[n]: (N, N) T A, (N, n) several z, and (N, n) T times what else changes them, held
+            from sample to sample -> (N, n), arrays or scipy's sparse matrices; or, where that is not sparse, the share
+            for which (1 - share T A) (z[n+1] - z[n]) = T A z[n] + held.
         inside: whether a link is asked for its force between two samples, as in the kernel. The force of any other
             link is held from sample to sample.
-        large: `advance` for scipy's sparse matrices; or, where the result is not sparse, the share for which
-            (1 - share T A) z[n+1] = (1 + (1 - share) T A) z[n].
     """
 
-    advance: Callable[[Any, Any], Any]
+    change: Callable[[Any, Any, Any], Any] | float
     inside: Callable[[LinkNature], bool]
-    large: Callable[[Any, Any], Any] | float
+
+    def changed(self, rates: Any, z: Any, held: Any) -> Any:
+        """What ``change`` says, of arrays, or of sparse matrices where it is sparse."""
+        if callable(self.change):
+            return self.change(rates, z, held)
+        return np.linalg.solve(np.eye(len(rates)) - self.change * rates, rates @ z + held)
 
 
-def _midpoint(rates: Floats, start: Floats) -> Floats:
-    """z[n+1] = z[n] + T A (z[n] + z[n+1])/2: every exp(s T) becomes (1 + s T/2)/(1 - s T/2)."""
-    half = 0.5 * rates
-    return np.asarray(np.linalg.solve(np.eye(len(half)) - half, start + half @ start), float)
+def exactly(rates: Any, z: Any, held: Any) -> Any:
+    """(exp(T A) - 1) z and the integral of exp(T A s), s from 0 to 1, times ``held``: by the Taylor series of A/2^n,
+    doubled n times.
 
-
-def _exact(rates: Floats, start: Floats) -> Floats:
-    """exp(T A) z[n]."""
-    from scipy.linalg import expm
-
-    after: Floats = expm(rates) @ start
-    return after
-
-
-def _exact_sparse(rates: Any, start: Any) -> Any:
-    """The same by the Taylor series of A/2^n, squared n times: far from the diagonal there is next to nothing.
+    Of sparse matrices what is next to nothing, far from the diagonal, is dropped.
 
     Raises:
-        NotWorkedOutError: too much is left of it.
+        NotWorkedOutError: too much is left of a sparse one.
     """
-    from scipy.sparse import eye
+    size = float(abs(rates).sum(axis=1).max()) if rates.shape[0] else 0.0
+    if isinstance(rates, np.ndarray):
+        trimmed, one = _whole, np.eye(len(rates))
+        if not math.isfinite(size):
+            return np.full(z.shape, np.nan)
+    else:
+        from scipy.sparse import eye
 
-    largest = max(1.0, float(abs(rates).sum(axis=1).max()))
-    if not largest <= FASTEST:
-        raise NotWorkedOutError("its fastest motion is too fast for the rate")
-    halvings = math.ceil(math.log2(largest))
-    one = eye(rates.shape[0], format="csr")
-    flow, scaled = one, rates.tocsr() / 2.0**halvings
-    for n in reversed(range(1, TAYLOR_TERMS + 1)):
-        flow = _trimmed(one + scaled @ flow / n)
-    for _ in range(halvings):
-        flow = _trimmed(flow @ flow)
-    return flow @ start
+        trimmed, one = _trimmed, eye(rates.shape[0], format="csr")
+        if not size <= FASTEST:
+            raise NotWorkedOutError("its fastest motion is too fast for the rate")
+    halvings = math.ceil(math.log2(max(size, 1.0)))
+    scaled = rates / 2.0**halvings
+    mean = one
+    for n in reversed(range(2, TAYLOR_TERMS + 2)):
+        mean = trimmed(one + scaled @ mean / n)
+    flow = scaled @ mean
+    for _ in range(halvings):  # over twice the time
+        mean = trimmed(mean + 0.5 * (flow @ mean))
+        flow = trimmed(2.0 * flow + flow @ flow)
+    return flow @ z + mean @ held
+
+
+def _whole(matrix: Floats) -> Floats:
+    return matrix
 
 
 def _trimmed(matrix: Any) -> Any:
@@ -107,16 +113,17 @@ def _trimmed(matrix: Any) -> Any:
     return matrix
 
 
-def _rk4(z: Any, start: Any) -> Any:
+def _rk4(rates: Any, z: Any, held: Any) -> Any:
     """Runge-Kutta: every exp(s T) becomes 1 + z + z²/2 + z³/6 + z⁴/24 of z = s T. Arrays, or sparse matrices."""
-    return start + z @ (start + z @ (start + z @ (start + z @ start / 4.0) / 3.0) / 2.0)
+    rate = rates @ z + held
+    return rate + rates @ (rate + rates @ (rate + rates @ rate / 4.0) / 3.0) / 2.0
 
 
 SCHEMES: dict[str, Scheme | None] = {
     "cordis": None,
     "semi_implicit": None,  # v[n+1] = v[n] + T F[n]/m, x[n+1] = x[n] + T v[n+1]: CORDIS's scheme in other words
-    "midpoint": Scheme(_midpoint, in_a_matrix, 0.5),
-    "rk4": Scheme(_rk4, at_every_instant, _rk4),
-    "exact": Scheme(_exact, in_a_matrix, _exact_sparse),
+    "midpoint": Scheme(0.5, in_a_matrix),  # every exp(s T) becomes (1 + s T/2)/(1 - s T/2)
+    "rk4": Scheme(_rk4, at_every_instant),
+    "exact": Scheme(exactly, in_a_matrix),
 }
 """None: CORDIS's scheme, m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n] for every mass."""

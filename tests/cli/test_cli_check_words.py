@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hapsim.cli.check_details import margin_sentence
 from hapsim.prediction import predict, unlikely, warnings_about
+from hapsim.running.requirements import why_not_armed
 from hapsim.scene import Scene, parse_scene
 
 Hapsim = Callable[..., Any]
@@ -126,3 +128,31 @@ def test_searched_margins_say_up_to_where_and_how_finely(told: Callable[..., str
     how = "(searched up to 5e+09 times, in steps of a tenth, beyond tenfold of double)"
     assert how not in told(document)
     assert how in told(document | {"substeps": 4})
+
+
+@pytest.mark.parametrize(("damping", "end"), [(5.0, "margin."), (1000.0, "N·s/m.")])
+def test_an_unstable_drag_is_told_which_damping_is_stable(damping: float, end: str) -> None:
+    drag = {"drag": {"type": "damper", "between": ["hand", "wall"], "damping": damping}}
+    words = margin_sentence(predict(parsed(scene_of(drag))).felt[0])
+    assert words.startswith("There is no stiffness to have a margin")
+    assert words.endswith(end)
+    assert ("; stable is it where the damping is between" in words) is (damping > 100.0)
+
+
+def test_no_pole_has_digits_that_say_nothing(hapsim: Hapsim, tmp_path: Path) -> None:
+    gut = {"type": "string", "masses": 5, "mass": 1e-5, "stiffness": 1e12}
+    tie = {"type": "spring", "between": ["hand", "gut.2"], "stiffness": 100.0}
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(scene_of({"gut": gut, "tie": tie})))
+    said = hapsim("check", path, "--explain").out
+    assert "e+11" in said
+    assert not re.search(r"\d{9}", said)
+
+
+def test_a_refusal_says_what_bounds_the_force() -> None:
+    detent = {"it": {"type": "detent", "between": ["hand", "wall"], "pitch": 1e-5, "depth": 3.2, "damping": 0.0}}
+    for links, most in ((detent, "the 3.2 N of its links"), ({"it": link(1e6, 0.0)}, "the force limit of 10 N")):
+        scene = parsed(scene_of(links, force_limit=10.0))
+        prediction = predict(scene)
+        assert f"oscillate with up to {most} until" in why_not_armed("x.yaml", scene, prediction)
+        assert any(f"oscillates with up to {most}, until" in one for one in warnings_about(scene, prediction))

@@ -78,7 +78,7 @@ def test_every_counter_of_a_run_has_a_row_with_its_own_number(report: Any) -> No
 
 
 def test_a_position_that_does_not_answer_is_told_once_each_time_and_in_both_reports(report: Any, capsys: Any) -> None:
-    sentence = "the position of hand has not changed by one count for 0.2 s while force acts: sensor or cable? [x]"
+    sentence = "the position of hand has not changed by one count for 0.2 s although force acted: sensor or cable? [x]"
     assert f"Warning: {sentence}." in shown(report, frozen=sentence)
     line = Console(record=True, width=200)
     show_run(line, replace(report, frozen=sentence))

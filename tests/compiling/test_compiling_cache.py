@@ -317,3 +317,16 @@ def test_all_that_numba_compiles_for_a_function_is_looked_at(tmp_path: Path) -> 
         ("decoder", "encoding"),
     } <= names
     assert [(root, file) for root, file in ours if file not in sources_of(root)] == []
+
+
+def test_no_code_is_kept_behind_a_link_in_a_directory_of_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    shared, own = tmp_path / "tmp", tmp_path / "own"
+    shared.mkdir()
+    own.mkdir(0o700)
+    (shared / "cache").symlink_to(own)
+    monkeypatch.setenv(code_cache.CHOSEN, str(shared / "cache"))
+    for mode, followed in ((0o755, True), (0o777, False), (0o1777, False)):
+        shared.chmod(mode)
+        assert (own in [root for root, _ in code_cache.private_roots()]) is followed

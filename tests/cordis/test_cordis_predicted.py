@@ -20,10 +20,10 @@ from hapsim.scene import DamperScheme, Link, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network.layout import StateLayout, layout_of
+from hapsim.theory.network import transition
 from hapsim.theory.network.network import BACKWARD, inner_links, remembers_nothing
-from hapsim.theory.network.state import channel_steps
-from hapsim.theory.network.transitions import transition
+from hapsim.theory.rows import cut
+from hapsim.theory.sample import Sample
 from hapsim.theory.schemes import SCHEMES as THEORY
 
 RATE = 1000.0
@@ -37,7 +37,11 @@ def link(between: tuple[str, str], stiffness: float, damping: float, **more: Any
     return {"type": "viscoelastic", "between": between, "stiffness": stiffness, "damping": damping, **more}
 
 
-def scene_of(scheme: str, seed: int, state: np.ndarray | None = None) -> Scene:
+Steps = tuple[int, str]
+"""In a sample period, and which force is asked for."""
+
+
+def scene_of(scheme: str, seed: int, state: np.ndarray | None = None, steps: Steps = (1, "last")) -> Scene:
     """A hand and four masses with links of every kind that is linear; `state`: x and x before of hand and masses."""
     random = np.random.default_rng(seed)
     x, before = np.zeros((2, 1 + MASSES)) if state is None else state[: 2 * (1 + MASSES)].reshape(2, -1)
@@ -48,6 +52,8 @@ def scene_of(scheme: str, seed: int, state: np.ndarray | None = None) -> Scene:
         modules[f"m{i}"] = {"type": "mass", "mass": mass, "position": float(x[1 + i]), "velocity": velocity}
     joins = [("m0", "wall"), ("m0", "m1"), ("m2", "m1"), ("m3", "m0"), ("hand", "m1"), ("m2", "hand"), ("hand", "m3")]
     dampers = sorted(get_args(DamperScheme), key=lambda name: name in WITH_SENSOR)
+    if steps[0] > 1:
+        dampers.remove("centred")  # refused there
     how = [{"damper": name} | ({"cutoff": 90.0} if name in WITH_CUTOFF else {}) for name in dampers]
     for i in range(18):
         between = joins[i % len(joins)]
@@ -68,50 +74,58 @@ def scene_of(scheme: str, seed: int, state: np.ndarray | None = None) -> Scene:
     modules["skin"] = link(("held", "m2"), 100.0, 0.1)
     device = {"mass": HAND[0], "friction": HAND[1], "stiffness": HAND[2], "delay": DELAY}
     document = {"version": 1, "rate": RATE, "scheme": scheme, "device": device, "modules": modules}
+    if steps[0] > 1:
+        document |= {"substeps": steps[0]}
+        device |= {"decimation": steps[1]}
     return parse_scene(json.dumps(document))
 
 
-def network_and_layout(scene: Scene) -> tuple[Network, StateLayout]:
-    network, _ = network_of(scene, linear_scene(scene))
-    return network, layout_of(network, channel_steps(network))
+def network_in(scene: Scene) -> Network:
+    return network_of(scene, linear_scene(scene))[0]
 
 
-def lifted(network: Network, layout: StateLayout, reduced: np.ndarray) -> np.ndarray:
+def state_of(sample: Sample, reduced: np.ndarray) -> np.ndarray:
     """The theory's state of x, x before and the hand's velocity times T, with dampers that remember what the kernel's
     do as they begin: that the hand has rested, and everything else moved as it does."""
-    points = layout.now.stop
-    state = np.zeros(layout.size)
-    now, before = reduced[:points], reduced[points : 2 * points]
-    state[layout.now], state[layout.before], state[layout.velocity] = now, before, reduced[-1]
-
-    begun = np.append(before[:1], now[1:])
-
-    def stretch(x: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        padded = np.append(x, 0.0)
-        return padded[ends[:, 0]] - padded[ends[:, 1]]
-
-    for memory in layout.memories:
-        ends = network.ends[memory.links]
-        for back, slots in enumerate(memory.stretches, start=1):
-            state[slots] = stretch(before - back * (begun - before), ends)
-        for slots in memory.velocities:
-            state[slots] = stretch(begun - before, ends)
-    return state
+    points = reduced.size // 2
+    now, way, velocity = reduced[:points], reduced[:points] - reduced[points:-1], reduced[-1:]
+    mass_step = way[1:] / sample.network.substeps
+    moved = sample.tick.stretches @ np.append(0.0, mass_step)
+    parts = {"position": now[:1], "mass": now[1:], "velocity": velocity, "way": way[:1], "mass_step": mass_step}
+    parts |= {"turn": velocity, "held": np.zeros(sample.sizes["held"])}
+    for name, lists in (("older", sample.tick.older), ("past", sample.tick.past)):
+        parts[name] = np.concatenate([np.zeros(0), *(moved[links] for links in lists)])
+    return np.concatenate([parts[name] for name, size in sample.sizes.items() if size])
 
 
-def ticked(scheme: str, seed: int, reduced: np.ndarray) -> np.ndarray:
+def played(sample: Sample, state: np.ndarray) -> tuple[float, np.ndarray]:
+    """The force on the hand, and the state at the next sample: the rows of the theory as one column of numbers."""
+    parts = cut(state[:, None], sample.sizes)
+    begun = sample.begun(parts)
+    step = begun
+    for _ in range(sample.network.substeps):
+        more = sample.tick.step(step)
+        step = {name: step[name] + more[name] for name in step}
+    moved = {name: step[name] - begun[name] for name in step}
+    return float(moved["force"][0, 0]), state + sample.ended(parts, moved)[:, 0]
+
+
+def ticked(scheme: str, seed: int, reduced: np.ndarray, steps: Steps) -> np.ndarray:
     """Force on the hand, positions and positions before at the next sample, by one tick from a state."""
     points = (reduced.size - 1) // 2
     x, before = reduced[:points], reduced[points : 2 * points]
     # The cell is the last of the points, and begins where it is at rest.
-    scene = scene_of(scheme, seed, np.concatenate([x[: 1 + MASSES], before[: 1 + MASSES]]))
+    scene = scene_of(scheme, seed, np.concatenate([x[: 1 + MASSES], before[: 1 + MASSES]]), steps)
     held = scene.modules["held"]
     moved = held.model_copy(update={"position": float(x[-1]), "velocity": float(RATE * (x[-1] - before[-1]))})
     scene = scene.model_copy(update={"modules": {**scene.modules, "held": moved}})
     program = compile_scene(scene)
     start(program, before[:1])
-    force = np.zeros(1)
-    tick(program, x[:1], np.array([RATE * reduced[-1]]), force)
+    force, forces = np.zeros(1), []
+    for share in np.arange(1, steps[0] + 1) / steps[0]:
+        tick(program, before[:1] + share * (x - before)[:1], np.array([share * RATE * reduced[-1]]), force)
+        forces.append(force[0])
+    force[0] = forces[-1] if steps[1] == "last" else np.mean(forces)
     now, previous = positions_of(program)
     return np.concatenate([force, now[2:], previous[2:]])
 
@@ -126,25 +140,32 @@ def hand_step(delay: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return whole, scale @ second[:2, :2] @ first[:2, 2], scale @ second[:2, 2]
 
 
+@pytest.mark.parametrize("steps", [(1, "last"), (5, "last"), (12, "mean")], ids=str)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_a_tick_is_the_transition_that_is_predicted(scheme: str, seed: int) -> None:
-    """Every linear link, between a hand, masses and what stays: of each number of the state, one after the other."""
-    network, layout = network_and_layout(scene_of(scheme, seed))
-    points = layout.now.stop
-    matrix = transition(network)
-    at_rest = ticked(scheme, seed, np.zeros(2 * points + 1))
+def test_a_tick_is_the_transition_that_is_predicted(scheme: str, seed: int, steps: Steps) -> None:
+    """Every linear link, between a hand, masses and what stays: of each number of the state, one after the other; and
+    the theory's rows, on numbers, are the tick to a few digits of rounding."""
+    network = network_in(scene_of(scheme, seed, steps=steps))
+    sample, matrix = Sample(network), transition(network)
+    points = 1 + network.point_mass.size
+    at_rest = ticked(scheme, seed, np.zeros(2 * points + 1), steps)
     motion, _, now = hand_step(DELAY)
     for unit in np.eye(2 * points + 1):
         reduced = 1e-3 * unit
-        expected = matrix @ lifted(network, layout, reduced)
-        found = ticked(scheme, seed, reduced) - at_rest
+        state = state_of(sample, reduced)
+        asked, after = played(sample, state)
+        found = ticked(scheme, seed, reduced, steps) - at_rest
         force, found = found[0], found[1:]
         size = np.abs(found).max(initial=1e-3)
-        slots = np.concatenate([np.arange(1, points), points + np.arange(1, points)])
-        np.testing.assert_allclose(found, expected[slots], rtol=0.0, atol=1e-11 * size)
-        hand = motion @ [reduced[0], reduced[-1]] + now * force
-        np.testing.assert_allclose([expected[0], expected[layout.velocity.start]], hand, rtol=0.0, atol=1e-11 * size)
+        assert abs(asked - force) < 1e-11 * max(abs(force), 1.0)
+        for expected in (matrix @ state, after):
+            parts = cut(expected, sample.sizes)
+            mass, step = parts["mass"], parts["mass_step"]
+            np.testing.assert_allclose(found, [*mass, *(mass - step)], rtol=0.0, atol=1e-11 * size)
+            hand = motion @ [reduced[0], reduced[-1]] + now * force
+            moved = [parts["position"][0], parts["velocity"][0]]
+            np.testing.assert_allclose(moved, hand, rtol=0.0, atol=1e-11 * size)
 
 
 @pytest.mark.parametrize("scheme", [name for name, model in THEORY.items() if model])
@@ -156,7 +177,7 @@ def test_the_same_links_are_inside_as_in_the_kernel(scheme: str) -> None:
     types = {name: {"type": one.type} for name, one in scene.modules.items()}
     modules = {name: types[name] | one for name, one in document["modules"].items()} | {"rubs": rubs, "plucks": plucks}
     scene = parse_scene(json.dumps({"version": 1, **document, "modules": modules}))
-    linear, (network, _) = linear_scene(scene), network_and_layout(scene)
+    linear, network = linear_scene(scene), network_in(scene)
     names = list(linear.links)
     found = {names[link] for link in inner_links(network) if link < len(names)}
     in_matrices = SCHEMES[scheme].inside(scene)
@@ -192,7 +213,7 @@ def test_the_poles_are_those_of_the_run(scheme: str) -> None:
     modules["a"], modules["b"] = link(("wall", "m0"), 9e3, 20.0), link(("m0", "m1"), 9e3, 30.0)
     modules["touch"] = link(("hand", "m1"), 2e3, 3.0)
     scene = parse_scene(json.dumps(document | {"modules": modules}))
-    network, _ = network_and_layout(scene)
+    network = network_in(scene)
     whole, of_before, of_now = hand_step(DELAY)
     program = compile_scene(scene)
     start(program, np.zeros(1))

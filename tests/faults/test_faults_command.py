@@ -67,6 +67,8 @@ def test_every_kind_is_listed_with_its_sentence_within_80_columns(
         (["noisy_wire", "bad_device", "--port", "/dev/x"], "expected one script at a time"),
         (["noisy_wire", "--port", "/dev/x", "--scene", "y"], "found both --port and --scene, expected one of them"),
         (["loose_plug", "--port", "/dev/x"], "--path: found none, expected a name for the port: replug puts it back"),
+        (["refresh", "--port", "/dev/x"], "refresh:2:10: faults[0]: found neither every nor every_samples"),
+        (["freeze"], "found neither --port nor --scene, expected one of them"),
         (["nowhere.yaml", "--port", "/dev/x"], "nowhere.yaml: no such file, expected a script of faults in YAML"),
         (["noisy_wire", "--port", "/dev/x", "--duration", "-1"], "--duration: found -1"),
         (["noisy_wire", "--scene", "nowhere.yaml"], "nowhere.yaml: no such file, expected a scene in YAML"),

@@ -28,6 +28,7 @@ from hapsim.loop.guards.energy_guard import (
     SHAKES,
     SHAKING,
     SWINGING,
+    SWINGS,
     EnergyGuard,
     call_judge_energy,
 )
@@ -333,7 +334,8 @@ def test_on_such_a_scene_every_turn_from_limit_to_limit_is_shaking() -> None:
     slow = np.rint(1e6 * np.sin(2.0 * np.pi * 3.0 * time))
     shaken: dict[str, Any] = {"stiffness": 1.0, "friction": 1e4, "delay": 1.0, "limit": 0.8e6}
     assert judge(slow, **shaken)[0] == -1
-    assert judge(slow, **shaken, unstable=True)[2] == SHAKING
+    at, _, why, _ = judge(slow, **shaken, unstable=True)
+    assert (why, at) == (SHAKING, pytest.approx((SWINGS + 0.5) / (2.0 * 3.0) / T, rel=0.1))
     slower = np.rint(1e6 * np.sin(2.0 * np.pi * 0.8 * time))
     assert judge(slower, **shaken, unstable=True)[0] == -1
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from records import trace_of
 from rich.console import Console
 
 import hapsim
 from hapsim.cli.measure import show_measurement
+from hapsim.measuring.measure_trace import measure_trace
 from tests.rough_devices import TOO_FAR, measured, rough_device
 
 
@@ -55,9 +58,21 @@ def test_dry_friction_is_measured_and_k_and_b_are_those_without_it(coulomb: floa
     with out.capture() as said:
         show_measurement(out, scene, prediction, found)
     assert f"The device has dry friction of {coulomb:g} N, as its motion shows" in said.get()
-    assert "second mode" not in said.get()
+    assert "swings along" not in said.get()
 
 
 @pytest.mark.parametrize("quantum", [1e-9, 5e-6])
 def test_a_device_without_dry_friction_is_said_to_have_none(quantum: float) -> None:
     assert hapsim.measure(scene_with(quantum)).dry_friction_n == 0.0
+
+
+def test_what_has_nearly_all_of_the_energy_is_the_hand_whatever_rings_longer_beside_it() -> None:
+    n, mass = np.arange(2048), 0.2
+    hand = 1e-3 * np.exp(-0.02 * n) * np.cos(0.15 * n)
+    beside = 2e-5 * np.exp(-0.004 * n) * np.cos(0.4 * n)  # 0.2 % of the energy
+    found = measure_trace(trace_of(hand + beside, -500.0 * (hand + beside)), mass)
+    assert found.k == pytest.approx(mass * 1e6 * (0.02**2 + 0.15**2), rel=1e-2)
+    assert found.b == pytest.approx(2.0 * mass * 1e3 * 0.02, rel=1e-2)
+    assert found.second_mode is not None
+    assert abs(np.angle(found.second_mode.pole)) == pytest.approx(0.4, rel=1e-2)
+    assert found.second_mode.share < 0.05

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import io
 import json
+import os
 import random
 import resource
 import signal
@@ -12,12 +16,14 @@ import sys
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from hapsim.errors import HapsimError, UsageError
-from hapsim.recording.stream import MAGIC, StreamReader
+from hapsim.recording import report_file
+from hapsim.recording.stream import MAGIC, StreamReader, StreamWriter, _next_chunk
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.columns import Columns
 from hapsim.replaying.export import export
@@ -91,9 +97,9 @@ def test_every_mutated_head_loads_or_ends_with_a_sentence_in_little_memory(recor
         head = head_of(record)
         for place in chance.sample(list(places(head)), chance.choice((1, 1, 2))):
             inner = head
-            for key in place[:-1]:
-                inner = inner[key] if isinstance(inner, dict | list) and place[0] in head else {}
-            if isinstance(inner, dict | list) and (isinstance(inner, dict) or place[-1] < len(inner)):
+            with contextlib.suppress(KeyError, IndexError, TypeError):  # within what the first mutation took away
+                for key in place[:-1]:
+                    inner = inner[key]
                 inner[place[-1]] = chance.choice(ODD)
         path.write_bytes(with_head(record, json.dumps(head).encode()))
         for read in (load_trace, Record, lambda one: list(Columns(one).pieces()), device_of):
@@ -173,3 +179,69 @@ def test_no_planted_link_is_written_through(record: Path, tmp_path: Path) -> Non
         run(parse_scene(SCENE), duration=0.1, record=tmp_path / "run.npz", keep=False)
     export(Columns(record), out, None, lambda _: None)
     assert victim.read_text() == "mine"
+
+
+def test_a_report_is_begun_at_no_name_that_a_link_can_be_planted_at(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    begun: list[str] = []
+
+    class BegunError(Exception):
+        pass
+
+    def note(path: Path, *_: Any) -> None:
+        begun.append(Path(path).name)
+        raise BegunError
+
+    monkeypatch.setattr(report_file.zipfile, "ZipFile", note)
+    monkeypatch.setattr(report_file, "asdict", lambda _: {})
+    monkeypatch.setattr(report_file, "to_registers", lambda _: [])
+    monkeypatch.setattr(report_file, "last_frames", lambda _: b"")
+    trace: Any = SimpleNamespace(write_npz=lambda _: None, report=SimpleNamespace(ending="done"))
+    failure: Any = SimpleNamespace(exit_status=4)
+    scene: Any = SimpleNamespace(model_dump=lambda **_: {})
+    wire: Any = SimpleNamespace(from_device=None, to_device=None)
+    for _ in range(2):
+        with pytest.raises(BegunError):
+            report_file.write_report(tmp_path, "port", failure, trace, scene, None, wire)
+    assert len({name.rpartition(".")[2] for name in begun}) == 2
+    assert str(os.getpid()) not in " ".join(begun)
+
+
+def test_no_more_of_a_chunk_is_read_than_the_file_has(tmp_path: Path) -> None:
+    asked: list[int] = []
+
+    class Counted(io.FileIO):
+        def read(self, size: int = -1) -> bytes:
+            asked.append(size)
+            return super().read(size)
+
+    path = tmp_path / "cut.trace"
+    path.write_bytes(b"ROWS" + (9).to_bytes(4, "little") + (1 << 25).to_bytes(4, "little") + bytes(100))
+    with Counted(path) as stream:
+        assert _next_chunk(stream) is None  # type: ignore[arg-type]
+    assert max(asked) <= 100
+
+
+def test_on_a_full_disk_the_last_rows_make_room_for_the_summary(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    write, refused = StreamWriter.write_summary, list[int]()
+
+    def as_if_full(writer: StreamWriter, summary: dict[str, Any]) -> None:
+        if summary["finished"] and not refused:
+            refused.append(writer.written)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(writer, summary)
+
+    monkeypatch.setattr(StreamWriter, "write_summary", as_if_full)
+    path = tmp_path / "full.trace"
+    try:
+        report = run(parse_scene(SCENE), duration=60.0, record=path, keep=False).report
+    except HapsimError as error:
+        report = error.trace.report  # type: ignore[attr-defined]
+    reader = StreamReader(path)
+    kept = sum(len(rows) for rows in reader.rows())
+    assert reader.is_finished
+    assert 0 < kept < refused[0] == 60_000
+    assert reader.summary["report"]["unrecorded_rows"] == report.unrecorded_rows == 60_000 - kept

@@ -7,7 +7,10 @@ import pytest
 import yaml
 from jsonschema import Draft202012Validator
 
-from hapsim.scene import parse_scene, scene_schema
+from hapsim.live.web import _channels
+from hapsim.measuring.measure import _pushes
+from hapsim.prediction.force_bounds import fade_stiffness
+from hapsim.scene import Scene, parse_scene, scene_schema
 
 KNOB = """\
 version: 1
@@ -103,3 +106,32 @@ def test_a_point_takes_the_motion_of_the_hand_it_hangs_on_and_a_link_has_one(
     )
     (fault,) = faults(PAIR.replace("[frame, knob]", "[fader, knob]"))
     assert fault.startswith("10:33: between: linear and rotary mixed on one link")
+
+
+def device_of(motion: str, mass: float, friction: float) -> Scene:
+    return parse_scene(
+        "version: 1\nrate: 1000\n"
+        f"device: {{motion: {motion}, mass: {mass}, friction: {friction}, travel: [-1, 1], clock: lockstep}}\n"
+        "modules: {hand: {type: device, channel: 0}}\n"
+    )
+
+
+@pytest.mark.parametrize("inertia", [1e-5, 1e-3, 0.1])
+def test_a_hand_at_a_knob_is_that_at_a_handle_with_the_inertia_in_place_of_the_mass(inertia: float) -> None:
+    share = inertia / 0.5  # kg: that of a hand
+    fades = fade_stiffness(device_of("rotary", inertia, share * 0.4), 0)
+    assert fades == pytest.approx(share * fade_stiffness(device_of("linear", 0.5, 0.4), 0), rel=1e-9)
+    (knob,), (handle,) = (_channels(device_of(*one, 0.1)) for one in (("rotary", inertia), ("linear", 0.2)))
+    assert knob.hand.stiffness == pytest.approx(inertia / 0.2 * handle.hand.stiffness)
+    assert knob.hand.damping == pytest.approx(inertia / 0.2 * handle.hand.damping)
+    assert knob.hand.reach == 0.5
+
+
+def test_a_push_of_a_measurement_gives_a_knob_the_speed_of_angles() -> None:
+    for motion, speed in (("linear", 0.1), ("rotary", 1.0)):
+        scene = parse_scene(
+            f"version: 1\nrate: 1000\ndevice: {{motion: {motion}, mass: 0.002, clock: lockstep}}\n"
+            "modules: {hand: {type: device, channel: 0}}\n"
+        )
+        pushes = _pushes(scene, 0, 2.0, None)
+        assert pushes.force * pushes.ticks / scene.rate == pytest.approx(0.002 * speed, rel=0.05)

@@ -14,6 +14,8 @@ import hapsim
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
 from hapsim.sweeping import sweep as room
+from hapsim.sweeping.parts import Parts
+from hapsim.sweeping.sweep import write
 from hapsim.sweeping.vary import Varied
 
 AXES = {"touch.stiffness": [300.0, 2000.0, 5000.0], "device.delay": [0.0, 0.37, 1.0]}
@@ -212,3 +214,22 @@ def test_workers_wait_for_one_another_at_a_lock_that_follows_no_link(
     lock.symlink_to(victim)
     executors.ready(None, None)  # type: ignore[arg-type]
     assert victim.read_text() == "mine"
+
+
+def test_the_lock_of_a_sweep_follows_no_link(tmp_path: Path) -> None:
+    (tmp_path / "s.nc.parts").mkdir()
+    (tmp_path / "s.nc.parts" / "lock").symlink_to(tmp_path / "victim")
+    with pytest.raises(UsageError, match="cannot be written"):
+        Parts(tmp_path / "s.nc", {})
+    assert not (tmp_path / "victim").exists()
+
+
+def test_a_sweep_is_written_at_no_name_that_a_link_can_be_planted_at(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    names: list[str] = []
+    monkeypatch.setattr(Path, "replace", lambda one, _: names.append(one.name))
+    (tmp_path / "s.nc.parts").mkdir()
+    for _ in range(2):
+        write(xarray.Dataset({"k": ("point", [1.0])}), tmp_path / "s.nc")
+    assert len(set(names)) == 2

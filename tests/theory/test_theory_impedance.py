@@ -13,8 +13,8 @@ from hapsim.theory.hand.walls import stiffest_passive, stiffest_stable
 from hapsim.theory.interface import DAMPERS, SAMPLINGS, damper_named
 from hapsim.theory.network import impedance
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
-from hapsim.theory.network.state import channel_steps, entering_forces
-from hapsim.theory.network.transitions import transition
+from hapsim.theory.network.response import on_circle
+from hapsim.theory.sample import loop
 from hapsim.theory.schemes import SCHEMES
 
 RATE = 1000.0
@@ -57,21 +57,19 @@ def test_the_closed_loop_is_what_the_transition_makes_of_an_added_force(damper: 
     """The masses eliminated at each frequency, and the state moved from sample to sample: two ways to one matrix."""
     own = [damper_named(damper, 60.0 if damper == "filtered" else None, RATE)] * 5
     network = two_hands(damper=own, hold=hold, sampling=sampling)
-    theta = 2.0 * np.pi * F / RATE
-    read = impedance._by_state(network, np.exp(1j * theta))
-    through = impedance.late_and_held(theta, 1.3, hold, sampling) / S
-    expected = np.linalg.inv(read) * through[:, None, None]
-    np.testing.assert_allclose(loop_impedance(network, F).closed_loop, expected, rtol=1e-10)
+    places = on_circle(2.0 * np.pi * F / RATE)
+    through = impedance.late_and_held(np.angle(places.z), 1.3, hold, sampling) / S
+    expected = impedance._by_state(network, places, np.zeros(0)) * through[:, None, None]
+    np.testing.assert_allclose(loop_impedance(network, F).rendered, expected, rtol=1e-10)
 
 
 def test_a_force_that_is_added_enters_the_state_as_a_link_s_does() -> None:
-    """A spring's column of the transition, out of the one of the force that it is."""
+    """A spring's column of the change, out of the one of the force that it is."""
     for hold, sampling in itertools.product(HOLDS, SAMPLINGS):
         free = two_hands(stiffness=[0.0] * 5, damping=[0.0] * 5, hold=hold, sampling=sampling)
         tied = two_hands(stiffness=[0.0, 0.0, 0.0, 40.0, 0.0], damping=[0.0] * 5, hold=hold, sampling=sampling)
-        of_spring = transition(tied) - transition(free)
-        np.testing.assert_allclose(of_spring[:, 1], -40.0 * entering_forces(free)[:, 1], atol=1e-18)
-        assert channel_steps(free)
+        of_spring = loop(tied).change - loop(free).change
+        np.testing.assert_allclose(of_spring[:, 1], -40.0 * loop(free, inputs=True).push[:, 1], atol=1e-18)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

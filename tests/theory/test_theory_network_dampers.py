@@ -93,7 +93,7 @@ def test_a_mass_moves_as_its_recurrence_does(damper: tuple[str, float | None]) -
     x = [np.zeros(2), np.zeros(2), np.array([1e-3, -2e-3])]
     past = np.zeros(2)
     state = np.zeros(len(transition(network)))
-    state[:2] = x[-1]
+    state[:2] = state[2:4] = x[-1]  # positions, and steps
     for _ in range(40):
         y = [np.array([now[0] - now[1], -now[1]]) for now in x[:-4:-1]]
         v = sum(p * back for p, back in zip(made.of_positions, y, strict=False))

@@ -8,9 +8,10 @@ import resource
 import numpy as np
 import pytest
 
-from hapsim.theory import Network
+from hapsim.theory import Network, sample
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import is_large, margins, margins_of, solve, state, transition
+from hapsim.theory.network import is_large, margins, margins_of, solve, transition
+from hapsim.theory.network.large_loop import sparse_transition
 
 RATE = 1000.0
 M, K = 0.01, 1000.0
@@ -89,17 +90,17 @@ def test_a_large_string_has_some_of_them_and_says_which() -> None:
 def test_sparse_and_dense_agree_on_100_masses(damper: str, monkeypatch: pytest.MonkeyPatch) -> None:
     made = damper_named(damper, 80.0 if damper == "filtered" else None, RATE)
     scene = {"held": 40, "damper": [made] * 102}
-    monkeypatch.setattr(state, "LARGE", 10_000)
+    monkeypatch.setattr(sample, "LARGE", 10_000)
     dense = string(100, 0.2, **scene)
     solution_dense = solve(dense)
     every, by_crossings, matrix = solution_dense.poles, margins_of(dense).links, transition(dense)
     assert solution_dense.method == ""
-    monkeypatch.setattr(state, "LARGE", 100)
+    monkeypatch.setattr(sample, "LARGE", 100)
     monkeypatch.setattr(margins, "MOST_STATES", 0)
     sparse = string(100, 0.2, **scene)
     found_margins = margins_of(sparse)
     solution_sparse = solve(sparse)
-    np.testing.assert_array_equal(transition(sparse).toarray(), matrix)
+    np.testing.assert_array_equal(sparse_transition(sparse).right.toarray(), matrix)
     found = solution_sparse.poles
     assert nearest(found, every).max() < 1e-9
     assert found.size < every.size
@@ -114,13 +115,13 @@ def test_sparse_and_dense_agree_on_100_masses(damper: str, monkeypatch: pytest.M
 @pytest.mark.parametrize("places", [(0,), (0, 1)])
 def test_what_grows_is_found_wherever_it_is(places: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     """One link far from everything, so stiff that its masses fly apart."""
-    monkeypatch.setattr(state, "LARGE", 300)
+    monkeypatch.setattr(sample, "LARGE", 300)
     scene = string(180, 0.1, held=3)
     stiffness = scene.stiffness.copy()
     stiffness[[100 + place for place in places]] = 3.0 * M * RATE**2
     wild = string(180, 0.1, held=3, stiffness=stiffness)
     solution = solve(wild)
-    dense = transition(wild).toarray()
+    dense = transition(wild)
     assert not solution.is_stable
     assert solution.spectral_radius == pytest.approx(np.abs(np.linalg.eigvals(dense)).max(), rel=1e-9)
     assert "grow" in solution.method
@@ -156,7 +157,7 @@ class TestAVerdictOnALargeScene:
 
     @staticmethod
     def by_every_pole(network: Network) -> float:
-        return float(np.abs(np.linalg.eigvals(transition(network).toarray())).max())
+        return float(np.abs(np.linalg.eigvals(transition(network))).max())
 
     def test_a_hand_on_a_wall_and_in_the_middle_of_a_string_is_found_to_shake(self) -> None:
         masses = 520
@@ -198,7 +199,7 @@ class TestAVerdictOnALargeScene:
         assert not solve(network).is_stable
 
     def test_a_motion_that_dies_away_slowly_is_not_called_growing(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(state, "LARGE", 300)
+        monkeypatch.setattr(sample, "LARGE", 300)
         slow = string(200, 0.001, held=100)
         solution = solve(slow)
         assert is_large(slow)

@@ -12,14 +12,14 @@ import pytest
 
 from hapsim.prediction import predict
 from hapsim.scene import Scene
-from hapsim.theory import Configuration, Network, NotWorkedOutError, solve
+from hapsim.theory import Configuration, Network, NotWorkedOutError, sample, solve
+from hapsim.theory.device_step import device_step
 from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.hand.walls import stiffest_passive, stiffest_stable
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import large_modes, state, transition, transitions
-from hapsim.theory.network.device_step import device_step
+from hapsim.theory.network import large_loop, large_modes, transition
 from hapsim.theory.network.impedance import loop_impedance
-from hapsim.theory.network.transitions import sparse_transition
+from hapsim.theory.network.large_loop import sparse_transition
 from hapsim.theory.schemes import SCHEMES
 
 RATE, MASS = 1000.0, 0.2
@@ -190,8 +190,9 @@ class Played:
         new_own, new_read = np.zeros((2, 2)), np.zeros((2, 2))
         for c, (step, mass) in enumerate(zip(self.device, (0.2, 0.1), strict=True)):
             sent = np.concatenate([[asked[c] / (mass * RATE**2)], held[c]])
-            rows = step.motion @ own.reshape(2, 2)[:, c] + step.forces @ sent[: step.forces.shape[1]]
-            new_own[:, c], new_read[:, c] = rows[:2], rows[2:] * [1.0, RATE]
+            motion, forces = step.moves
+            moved = motion @ own.reshape(2, 2)[:, c] + forces @ sent[: forces.shape[1]]
+            new_own[:, c], new_read[:, c] = moved[:2], moved[2:] * [1.0, RATE]
             held[c] = sent[:-1]
         kept = np.where(np.array(self.KINDS) == "filtered", filtered, 0.0)
         out = [new_own, new_read, read, held, np.concatenate([here, before]), kept]
@@ -359,7 +360,7 @@ def test_an_operator_with_substeps_is_the_transition(scheme: str) -> None:
 def test_a_large_string_with_substeps_has_the_poles_of_its_whole_transition(monkeypatch: pytest.MonkeyPatch) -> None:
     one = held_string("cordis", 40, 30)
     every = solve(one)
-    monkeypatch.setattr(state, "LARGE", 50)
+    monkeypatch.setattr(sample, "LARGE", 50)
     monkeypatch.setattr(large_modes, "MOST_STEPS", 3000)
     some = solve(one)
     assert some.poles.size > 30
@@ -369,7 +370,7 @@ def test_a_large_string_with_substeps_has_the_poles_of_its_whole_transition(monk
         if mode.pole.imag:
             assert np.abs(np.array(pitches) / mode.frequency_hz - 1.0).min() < 1e-9
     assert {round(mode.frequency_hz / 440.0) for mode in some.modes} >= set(range(1, 9))
-    monkeypatch.setattr(transitions, "MOST_INVERSE", 1000)
+    monkeypatch.setattr(large_loop, "MOST_INVERSE", 1000)
     with pytest.raises(NotWorkedOutError, match="take too long"):
         solve(one)
 
@@ -379,9 +380,9 @@ def test_where_it_takes_too_long_the_pitch_is_predicted_and_the_rest_is_said(mon
     pull = {"type": "viscoelastic", "between": ["hand", "gut.8"], "stiffness": 20, "damping": 0.01}
     plucked = scene(MODULES | {"gut": gut, "pull": pull}, 48, "last")
     exact = predict(plucked, with_margins=False)
-    monkeypatch.setattr(state, "LARGE", 50)
+    monkeypatch.setattr(sample, "LARGE", 50)
     monkeypatch.setattr(large_modes, "MOST_STEPS", 3000)
-    monkeypatch.setattr(transitions, "MOST_INVERSE", 1000)
+    monkeypatch.setattr(large_loop, "MOST_INVERSE", 1000)
     taken = predict(plucked, with_margins=False)
     assert exact.by_its_scheme
     assert not taken.by_its_scheme

@@ -55,7 +55,7 @@ two turns before, within ALIKE of it: a loop repeats itself so, a hand does not.
 
 **A scene that is predicted unstable**, and runs at its user's request, is judged more strictly. Episodes count from LOW
 of the limit on, to find a contact that bounces below it; friction may take more than the work by NEARLY of it; and
-every turn from limit to limit within GAP_S is shaking.
+every turn from limit to limit within GAP_S is shaking, of which SWINGS are enough.
 
 A scene without this guard never compiles it: its address is 0 then.
 """
@@ -171,7 +171,7 @@ def judge_energy(energy, history, io, gap):
         energy.position[c] = io.position_counts[c] * io.position_scale[c]
         if energy.why == 0 and energy.alike[c] >= SWINGS:
             energy.why, energy.account, energy.shakes = SHAKING, LATE, energy.alike[c]
-    if energy.why == 0 and energy.shakes >= SHAKES:
+    if energy.why == 0 and energy.shakes >= (SWINGS if _is_unstable(energy) else SHAKES):
         energy.why = SHAKING
     return energy.why
 

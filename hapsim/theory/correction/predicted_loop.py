@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
 from hapsim.theory.correction.state_predictor import STATES, StatePredictor
+from hapsim.theory.device_step import device_step
 from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.hand.pole_pair import oscillator_of_quadratic
 from hapsim.theory.hand.poles import pair_of_poles
-from hapsim.theory.network.device_step import device_step
 
 NOTHING_LEFT = 1e-12  # of the noise of long ago: its square is beyond rounding
 MOVES = 2  # numbers of the state that are the plant's: position and velocity
@@ -142,7 +142,7 @@ class PredictedLoop(NamedTuple):
         size = MOVES + 1 + known + STATES  # with f[n] as the first of the forces
         plant, observer = np.zeros((4, size)), np.zeros((len(expects), size))
         if moved:
-            plant[:, :MOVES], plant[:, MOVES : MOVES + own.forces.shape[1]] = own.motion, own.forces
+            plant[:, :MOVES], plant[:, MOVES : MOVES + own.forces.shape[1]] = own.moves
         observer[:, -STATES:] = expects[:, :STATES]
         observer[:, MOVES : MOVES + self.predictor.lags] = expects[:, STATES:]
         state = np.zeros((STATES, size))

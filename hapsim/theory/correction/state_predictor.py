@@ -16,10 +16,10 @@ import numpy as np
 
 from hapsim.holds import Piece
 from hapsim.theory.arrays import Floats
+from hapsim.theory.device_step import DeviceStep, ages_of, device_step, split, through
 from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.sampled_plant import sampled_plant
-from hapsim.theory.interface import damper_named, hold_segments, whole_and_fraction
-from hapsim.theory.network.device_step import DeviceStep, ages_of, device_step, split, through
+from hapsim.theory.interface import SAMPLINGS, damper_named, hold_segments, whole_and_fraction
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
 STATES = 3  # position, velocity, push
@@ -83,14 +83,15 @@ def state_predictor(model: Configuration, senses: bool = False, pole: float = SL
     """
     own = model.friction / model.damping_unit, model.stiffness / model.stiffness_unit
     step = device_step(own[0], model.delay, model.hold, own[1], model.sampling)
-    pushed = device_step(own[0], 0.0, "zoh", own[1], model.sampling).forces.sum(axis=1)
+    pushed = device_step(own[0], 0.0, "zoh", own[1], model.sampling).moves[1].sum(axis=1)
     read = [READING, MEAN_VELOCITY] if senses else [READING]
     lags = step.forces.shape[1]
     every = np.zeros((4, STATES + lags))
-    every[:, :2], every[:, 2], every[:, STATES:] = step.motion, pushed, step.forces
+    every[:, :2], every[:, 2], every[:, STATES:] = step.moves[0], pushed, step.moves[1]
     moves = np.vstack([every[:2, :STATES], [0.0, 0.0, 1.0]])
     gains = (_of_velocities if senses else _of_positions)(moves, every[read, :STATES], pole)
-    before = np.array([0.5 * step.window, 1.0])  # what is unknown of a free motion at the first sample
+    # What is unknown of a free motion at the first sample.
+    before = np.array([SAMPLINGS[model.sampling].lag, 1.0])
     first = gains[:2] if senses else (moves[:2, :2] @ before / (every[READING, :2] @ before))[:, None]
     return _in_si(model, every[:2], every[read], gains, first, _ahead(model, own, step, pushed))
 
@@ -117,15 +118,15 @@ def _ahead(model: Configuration, own: tuple[float, float], step: DeviceStep, pus
     forces = state[:, STATES:]
     for later in range(1, whole + 1):
         # In the period that begins later - 1 samples after sample n, forces from n on do not act yet.
-        state[:] = step.motion[:2] @ state
+        state += step.motion[:2] @ state
         state[:, 2] += pushed[:2]
         acting = step.forces[:2, later:]  # age `later` is f[n-1] there
         forces[:, : acting.shape[1]] += acting
     segments, _ = split(hold_segments(model.hold, fraction), fraction)
     motion, made = through(segments, *own, max(ages_of(segments), 1))
-    state[:] = motion[:2] @ state
-    state[:, 2] += through([Piece(fraction, level=(1.0,))], *own, 1)[1][:2, 0] if segments else 0.0
-    older = made[:2, 1:]  # age 0 is f[n], before which these segments end
+    state += motion @ state
+    state[:, 2] += through([Piece(fraction, level=(1.0,))], *own, 1)[1][:, 0] if segments else 0.0
+    older = made[:, 1:]  # age 0 is f[n], before which these segments end
     forces[:, : older.shape[1]] += older
     return state
 

@@ -2,7 +2,7 @@
 
 Each sampling and damper is described twice, and different code reads the two descriptions on purpose: its
 transfer function the characteristic equation (``sampled_plant.py``, ``loop_equation.py``), its behaviour in time the
-state space (``device_step.py``, ``state.py``). That the two agree is a test of both.
+state space (``device_step.py``, ``rows.py``). That the two agree is a test of both.
 """
 
 from __future__ import annotations

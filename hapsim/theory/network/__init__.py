@@ -5,8 +5,7 @@ from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import Mode, Solution, poles_of
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.state import LARGE, is_large, state_size
-from hapsim.theory.network.transitions import transition
+from hapsim.theory.sample import LARGE, is_large, state_size, transition
 from hapsim.theory.schemes import NotWorkedOutError
 
 __all__ = [

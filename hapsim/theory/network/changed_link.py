@@ -12,7 +12,7 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.modes import settled
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.transitions import transition
+from hapsim.theory.sample import loop
 
 LIMIT = 1.0 + 1e-9  # a pole within it is not unstable: it may rest on 1, or never lose its energy
 FURTHER_THAN_ROUNDING = 1.001  # a pole outside of this radius is unstable, whatever rounding does
@@ -39,12 +39,12 @@ class ChangedLink:
         value = getattr(self._network, self._name).copy()
         value[self._link] *= factor
         changed = replace(self._network, **{self._name: value})
-        matrix = transition(changed)
-        if not np.isfinite(matrix).all():
+        change = loop(changed).change
+        if not np.isfinite(change).all():
             return False
-        poles = np.linalg.eigvals(matrix).astype(complex)
+        poles = np.asarray(1.0 + np.linalg.eigvals(change), complex)
         if LIMIT < np.abs(poles).max(initial=0.0) < FURTHER_THAN_ROUNDING:
-            poles = settled(changed, matrix, poles)
+            poles = settled(changed, change, poles)
         return bool(np.abs(poles).max(initial=0.0) <= LIMIT)
 
     def ranges_between(self, crossings: Floats, unstable: bool) -> tuple[Range, ...]:

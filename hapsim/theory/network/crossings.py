@@ -18,8 +18,7 @@ import numpy as np
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.response import SceneMatrix, on_circle
-from hapsim.theory.network.state import link_feedback
-from hapsim.theory.network.transitions import transition
+from hapsim.theory.sample import loop
 
 OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
 REAL = 1e-6  # of |y|: an imaginary part below this is rounding, or two crossings that nearly meet
@@ -30,12 +29,15 @@ class Crossings:
     """What all links have in common."""
 
     def __init__(self, network: Network) -> None:
-        matrix = transition(network) / (1.0 + OUTSIDE)
-        step = matrix - np.eye(len(matrix))
+        change, _, push, _, stretches = loop(network, inputs=True)
+        one = np.eye(len(change))
+        step = (change - OUTSIDE * one) / (1.0 + OUTSIDE)
+        matrix = one + step
         self._response = SceneMatrix(network)
         self._shift = _far_from_poles(matrix)
         shifted = step @ step + self._shift * matrix
-        u, self._v = link_feedback(network)
+        u = _between(push, network)
+        self._v = -stretches * np.stack([network.stiffness, network.damping * network.rate])[:, :, None]
         self._reached = np.linalg.solve(shifted, u)
         self._common = np.linalg.solve(shifted, matrix)
 
@@ -54,6 +56,12 @@ class Crossings:
         change = self._response.changes(on_circle(angles, OUTSIDE), np.array([link]))[quantity, 0]
         factors = 1.0 + change.real
         return np.sort(factors[np.isfinite(factors) & (factors > 0.0)])
+
+
+def _between(push: Floats, network: Network) -> Floats:
+    """(size, L): what a force of 1 N on a link's first end, and the opposite on its second, adds to the state."""
+    grounded = np.hstack([push, np.zeros((len(push), 1))])  # a ground, -1, is the last
+    return grounded[:, network.ends[:, 0]] - grounded[:, network.ends[:, 1]]
 
 
 def _far_from_poles(matrix: Floats) -> float:

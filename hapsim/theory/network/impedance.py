@@ -26,11 +26,10 @@ from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Complexes
 from hapsim.theory.hand.impedance import late_and_held
+from hapsim.theory.network.large_loop import factorised, sparse_transition
 from hapsim.theory.network.network import Network, is_centred
-from hapsim.theory.network.response import SceneMatrix, on_circle
-from hapsim.theory.network.sparse import factorised
-from hapsim.theory.network.state import entering_forces, is_large
-from hapsim.theory.network.transitions import sparse_transition, transition
+from hapsim.theory.network.response import Places, SceneMatrix, on_circle
+from hapsim.theory.sample import is_large, loop
 
 
 class LoopImpedance(NamedTuple):
@@ -63,7 +62,7 @@ def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
     if is_centred(network):
         scene = _eliminated(matrix, functions, channels)
     else:
-        scene = np.asarray(np.linalg.inv(_by_state(network, places.z)) - inverse_plant, complex)
+        scene = _by_state(network, places, inverse_plant)
     through = late_and_held(angle, network.delay, network.hold, network.sampling) / (2j * np.pi * f[some])
     found = np.full((2, f.size, channels, channels), np.nan, dtype=complex)
     found[:, some] = np.stack([inverse_plant, scene]) * through[:, None, None]
@@ -93,18 +92,18 @@ def _eliminated(matrix: SceneMatrix, functions: Complexes, channels: int) -> Com
     return out
 
 
-def _by_state(network: Network, z: Complexes) -> Complexes:
-    """(n, C, C): the positions that are read, over forces added to the computed ones."""
+def _by_state(network: Network, places: Places, inverse_plant: Complexes) -> Complexes:
+    """(n, C, C): force over the positions that are read, of the scene, a force added to the computed ones."""
     channels = network.channel_mass.size
-    entering = entering_forces(network)[:, :channels]
-    out = np.zeros((z.size, channels, channels), dtype=complex)
-    if not is_large(network):
-        matrix, one = transition(network), np.eye(len(entering))
-        for n, place in enumerate(z):
-            out[n] = np.linalg.solve(place * one - matrix, entering)[:channels]
-        return out
-    operator = sparse_transition(network)
-    for n, place in enumerate(z):
-        inverse = operator.inverse(complex(place))
-        out[n] = np.nan if inverse is None else -inverse(entering.astype(complex))[:channels]
-    return out
+    read, force = np.zeros((2, places.z.size, channels, channels), dtype=complex)
+    if is_large(network):
+        operator = sparse_transition(network)
+        for n, place in enumerate(places.z.tolist()):
+            inverse = operator.inverse(place)
+            read[n] = np.nan if inverse is None else -operator.points[:channels] @ inverse(operator.push + 0j)
+        return np.asarray(np.linalg.inv(read) - inverse_plant, complex)
+    change, points, push, asked, _ = loop(network, inputs=True)
+    for n, w in enumerate(places.w):
+        state = np.linalg.solve(w * np.eye(len(change)) - change, push[:, :channels])
+        read[n], force[n] = points[:channels] @ state, asked @ state
+    return np.asarray(-force @ np.linalg.inv(read))

@@ -1,6 +1,6 @@
 """Some of the poles of a large scene, by shift-inverted Arnoldi iterations on its sparse transition.
 
-No dense matrix of the state's size is ever formed (``transitions.py``).
+No dense matrix of the state's size is ever formed (``large_loop.py``).
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
-from hapsim.theory.network.layout import damping_links
+from hapsim.theory.network.large_loop import LiftedTransition, Transition, sparse_transition
 from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
-from hapsim.theory.network.network import Network, acting_links, is_centred
+from hapsim.theory.network.network import Network, acting_links, damping_links, is_centred
 from hapsim.theory.network.response import Places, SceneMatrix
 from hapsim.theory.network.rest_poles import poles_at_rest
-from hapsim.theory.network.state import is_large
-from hapsim.theory.network.transitions import LiftedTransition, Transition, sparse_transition
+from hapsim.theory.sample import is_large
 from hapsim.theory.schemes import SCHEMES
 
 BESIDE = 1e-6  # a shift stands this far beside 1, where a free motion's pole would make it singular
@@ -78,15 +77,16 @@ def _some_modes(network: Network) -> Solution:
     if isinstance(matrix, LiftedTransition):
         found.append(_lowest(matrix))
         places.append("those of the masses' own that are lowest in pitch")
-    poles, motions = np.concatenate([one for one, _ in found]), np.hstack([motions for _, motions in found])
-    every, motions = _once_each(network, refined(network, poles, motions), motions)
+    poles, states = np.concatenate([one for one, _ in found]), np.hstack([states for _, states in found])
+    motions = matrix.points @ states
+    every, kept = _once_each(network, refined(network, poles, motions), motions)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
     others = f"no other that grows by more than {_least_seen(matrix):.1g} of itself in a sample period was seen"
     if grown[0].size or growth:
         others = "and those that grow" if grown[0].size else "a random motion grew, whose pole was not found"
     listed = " and to ".join(filter(None, [", to ".join(places[:-1]), *places[-1:]]))
     how = f"{both.size} of {matrix.size} poles were worked out: those nearest to {listed}; {others}"
-    return Solution(both, modes_of(network, every, motions), matrix.size, how, growth)
+    return Solution(both, modes_of(network, every, motions[:, kept], states[:, kept]), matrix.size, how, growth)
 
 
 def _searches(network: Network) -> Iterator[PoleSearch]:
@@ -232,8 +232,9 @@ def _trusted(matrix: Transition, poles: Complexes, motions: NDArray) -> tuple[Co
     return poles[good], motions[:, good]
 
 
-def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
-    """Without those that an earlier search had found; equal parts of a scene that do not touch count once.
+def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Complexes, list[int]]:
+    """The poles, and which they are, without those that an earlier search had found; equal parts of a scene that do not
+    touch count once.
 
     But those that are known to be 1 as many times as they are: the searches find some of them, and about.
     """
@@ -246,7 +247,7 @@ def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Co
         if i not in resting and not (np.abs(seen - pole) < SAME * max(1.0, abs(pole))).any():
             kept.append(i)
             seen = poles[kept[first:]]
-    return np.concatenate([np.ones(first, complex), seen]), motions[:, kept]
+    return np.concatenate([np.ones(first, complex), seen]), kept
 
 
 def _hand_alone(network: Network, channel: int) -> complex:
@@ -306,7 +307,7 @@ def _highest(network: Network) -> tuple[complex, Floats | None] | None:
     # z² - (2 - kappa - beta) z + 1 - beta = 0: the centred mass on its spring and its backward damper
     step = np.array([[2.0 - kappa - beta, beta - 1.0], [1.0, 0.0]])
     if scheme is not None:
-        step = scheme.advance(np.array([[0.0, 1.0], [-kappa, -beta]]), np.eye(2))
+        step = np.eye(2) + scheme.changed(np.array([[0.0, 1.0], [-kappa, -beta]]), np.eye(2), np.zeros((2, 2)))
     poles = np.linalg.eigvals(step)
     pole = complex(poles[np.argmin(poles.real)]) ** network.substeps
     shift = complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
@@ -321,7 +322,7 @@ def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
     (Rayleigh's quotient). Of two poles of which the motions are almost one, those of a slow swing beside 1, iterations
     find the mean well and the difference badly: they move such a pole off the circle, by the root of rounding and more.
     """
-    if not is_centred(network) or any(damper.senses for damper in damping_links(network)):
+    if not is_centred(network) or any(network.damper[link].senses for link in damping_links(network).tolist()):
         return poles
     matrix = SceneMatrix(network)
     forms = matrix.forms(motions)
@@ -339,9 +340,8 @@ def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
 
 def at_rest(network: Network, poles: Complexes, motions: NDArray, same: float) -> Bools:
     """(n,) which of the poles within ``same`` of 1 are those of motions that stretch nothing, and not a brake's;
-    ``motions`` (points or more, n)."""
+    ``motions`` (points, n)."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
-    motions = motions[: mass.size]
     inertia = mass @ np.abs(motions) ** 2 * network.rate
     links = acting_links(network)
     first, second = network.ends[links].T

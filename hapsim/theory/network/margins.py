@@ -21,7 +21,7 @@ from hapsim.theory.network.crossings import Crossings
 from hapsim.theory.network.large_margins import margins_along_circle
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.network import Network, is_centred, margin_links, touches_channel
-from hapsim.theory.network.state import state_size
+from hapsim.theory.sample import state_size
 
 MOST_STATES = 300  # numbers in the state of a scene whose crossings are all worked out
 MANY_STATES = 40  # eigenvalues of fewer take one thread anyway

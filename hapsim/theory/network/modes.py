@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
+from hapsim.theory.network.large_loop import sparse_step
 from hapsim.theory.network.network import Network
 from hapsim.theory.network.rest_poles import poles_at_rest
-from hapsim.theory.network.transitions import steps_of_motions, transition
+from hapsim.theory.rows import cut, stack, unit_rows
+from hapsim.theory.sample import Sample, is_large, loop, step_of
+from hapsim.theory.schemes import SCHEMES
 
 NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion
 AT_THE_LIMIT = 1e-12  # a modulus this close to 1 is 1, to rounding
+MOST_DENSE = 150  # numbers of a state; above, sparse steps take less time
 SAME_AS_REST = 1e-4  # a double pole at 1 comes out of the eigenvalues this far off, at the worst
 
 
@@ -65,26 +69,26 @@ class Solution(NamedTuple):
 
 @np.errstate(all="ignore")  # what is out of range becomes NaN
 def all_modes(network: Network) -> Solution:
-    """Every pole, memories included, and every motion, from the eigenvalues of the whole transition.
+    """Every pole, memories included, and every motion, from the eigenvalues of the whole loop.
 
-    Without modes, and poles NaN, where the transition is not finite.
+    Without modes, and poles NaN, where the loop is not finite.
     """
-    matrix = transition(network)
-    size = matrix.shape[0]
-    if not np.isfinite(matrix).all():
+    change, points, *_ = loop(network)
+    size = len(change)
+    if not np.isfinite(change).all():
         return not_finite(size)
-    poles, vectors = np.linalg.eig(matrix)
-    poles = settled(network, matrix, poles.astype(complex))
-    return Solution(sort_by_modulus(poles), modes_of(network, poles, vectors), size)
+    w, states = np.linalg.eig(change)
+    poles = settled(network, change, np.asarray(1.0 + w, complex))
+    return Solution(sort_by_modulus(poles), modes_of(network, poles, points @ states, states), size)
 
 
 @np.errstate(all="ignore")
 def poles_of(network: Network) -> Complexes:
-    """Every pole, memories included, of a scene that is not large; NaN where the transition is not finite."""
-    matrix = transition(network)
-    if not np.isfinite(matrix).all():
-        return not_finite(matrix.shape[0]).poles
-    return np.asarray(np.linalg.eigvals(matrix).astype(complex))
+    """Every pole, memories included, of a scene that is not large; NaN where the loop is not finite."""
+    change = loop(network).change
+    if not np.isfinite(change).all():
+        return not_finite(len(change)).poles
+    return np.asarray(1.0 + np.linalg.eigvals(change), complex)
 
 
 def not_finite(size: int) -> Solution:
@@ -92,13 +96,13 @@ def not_finite(size: int) -> Solution:
     return Solution(np.full(size, complex(np.nan, np.nan)), [], size)
 
 
-def settled(network: Network, matrix: Floats, poles: Complexes) -> Complexes:
-    """The eigenvalues of the transition without what rounding alone makes of them."""
-    return snap_to_rest(network, snap_to_circle(matrix, poles))
+def settled(network: Network, change: Floats, poles: Complexes) -> Complexes:
+    """The poles, 1 + the eigenvalues of the change, without what rounding alone makes of them."""
+    return snap_to_rest(network, snap_to_circle(change, poles))
 
 
 @np.errstate(divide="ignore")
-def snap_to_circle(matrix: Floats, poles: Complexes) -> Complexes:
+def snap_to_circle(change: Floats, poles: Complexes) -> Complexes:
     """The poles, those on the circle that rounding may have moved outside of it.
 
     Rounding is as a change E of the matrix by its last digit (LAPACK Users' Guide, §4.8), which moves a pole by E over
@@ -111,7 +115,7 @@ def snap_to_circle(matrix: Floats, poles: Complexes) -> Complexes:
         return poles
     from scipy.linalg import eig, matrix_balance
 
-    balanced = matrix_balance(matrix, permute=False)[0]
+    balanced = matrix_balance(change, permute=False)[0]
     size, digit = float(np.linalg.norm(balanced)), float(np.finfo(float).eps)
     # Further than rounding moves a double pole; of enormous numbers it says nothing, and no pole is on the circle.
     if radius.max() > 1.0 + min(math.sqrt(digit) * size, 1.0):
@@ -120,7 +124,7 @@ def snap_to_circle(matrix: Floats, poles: Complexes) -> Complexes:
     reach = 2.0 * digit * size / np.abs((left.conj() * right).sum(axis=0))
     # The same poles once more, rounded otherwise: each takes the reach of the nearest.
     beyond = np.flatnonzero(radius > 1.0)
-    nearest = np.abs(poles[beyond, None] - found).argmin(axis=1)
+    nearest = np.abs(poles[beyond, None] - 1.0 - found).argmin(axis=1)
     moved = beyond[radius[beyond] - 1.0 <= reach[nearest]]
     on_circle = poles.copy()
     on_circle[moved] /= radius[moved]
@@ -138,17 +142,39 @@ def snap_to_rest(network: Network, poles: Complexes) -> Complexes:
     return poles
 
 
-def modes_of(network: Network, poles: Complexes, states: NDArray) -> list[Mode]:
-    """The modes, the slowest to decay first; ``states`` (size, n) are the poles' motions."""
+def modes_of(network: Network, poles: Complexes, motions: NDArray, states: NDArray) -> list[Mode]:
+    """The modes, the slowest to decay first; of the poles' motions ``motions`` (C + M, n) are the points', ``states``
+    (size, n) all of them."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
     order = np.lexsort((-poles.real, -np.abs(poles)))
     kept = [i for i in order if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]
-    energy, turns = mass[:, None] * np.abs(states[: mass.size]) ** 2, np.zeros(poles.size)
+    energy, turns = mass[:, None] * np.abs(motions) ** 2, np.zeros(poles.size)
     if network.substeps > 1:
-        turned, moving = steps_of_motions(network, poles, states)
+        turned, moving = _steps_of_motions(network, poles, states)
         turns = np.nan_to_num(np.round((turned - np.angle(poles)) / (2.0 * np.pi)))
         energy = np.where(moving.sum(axis=0) > NO_MOTION**2 * energy.sum(axis=0), moving, energy)
     return [_mode(complex(poles[i]), float(turns[i]), network.rate, energy[:, i] / energy[:, i].sum()) for i in kept]
+
+
+def _steps_of_motions(network: Network, poles: Complexes, states: NDArray) -> tuple[Floats, Floats]:
+    """Of motions (size, n) of a scene with substeps: the radians (n,) that they turn in a sample period, from step to
+    step, each point for as much energy as it has; and this energy (points, n), in any unit."""
+    sparse = is_large(network) or (SCHEMES[network.scheme] is None and len(states) > MOST_DENSE)
+    sample = Sample(network, sparse)
+    begun = sample.begun(cut(unit_rows(len(states), sparse), sample.sizes))
+    motion = stack([*begun.values()]) @ states
+    step = sparse_step(sample) if sparse else step_of(sample) + np.eye(len(motion))
+    places = cut(np.arange(len(motion))[:, None], sample.step_sizes)
+    points = np.concatenate([places["hand"].ravel(), places["mass"].ravel()])
+    mass = np.concatenate([network.channel_mass, network.point_mass])[:, None]
+    turned, energy, ways = np.zeros(states.shape[1]), np.zeros((mass.size, states.shape[1])), list[NDArray]()
+    for _ in range(network.substeps):
+        after = step @ motion
+        ways = [*ways[:1], *ways[-1:], (after - motion)[points]]  # the first, the last but one, the last
+        turned += np.angle((mass * ways[-2:][0].conj() * ways[-1]).sum(axis=0))
+        energy += mass * np.abs(ways[-1]) ** 2
+        motion = after
+    return turned + np.angle((mass * ways[-1].conj() * poles * ways[0]).sum(axis=0)), energy
 
 
 def _mode(pole: complex, turns: float, rate: float, participation: Floats) -> Mode:

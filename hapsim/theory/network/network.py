@@ -25,7 +25,7 @@ class Network:
     """Device channels, masses and links that run together at one rate.
 
     Points are numbered: 0 to C - 1 the device channels, C to C + M - 1 the simulated masses, -1 a ground. CORDIS's
-    scheme moves a simulated mass by m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n]; for the others see ``mass_rates.py``. A
+    scheme moves a simulated mass by m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n]; for the others see ``theory/schemes.py``. A
     link's force on its first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on its second; its damper makes
     v, in metres per sample period, of x (``DamperModel``). A channel's x[n] is its measured sample; the sum of its
     links' forces acts on its real mass from (n + delay) T on, by the hold. The mass itself moves in continuous time,
@@ -50,9 +50,9 @@ class Network:
         margin_links: the number of links, from the first on, whose margins are worked out. Default: all.
         scheme: the scheme that moves the masses, one of ``theory.schemes``.
         outside: (L,) the links whose force a scheme always takes at the sample, whatever they join
-            (``mass_rates.py``). Default: none.
-        substeps: N, how often the masses move in a sample period (``substeps.py``); the T and the n of the masses and
-            of ``damper`` are then those of a step.
+            (``theory/schemes.py``). Default: none.
+        substeps: N, how often the masses move in a sample period (``theory/sample.py``); the T and the n of the masses
+            and of ``damper`` are then those of a step.
         decimation: the force on a channel: that of the "last" step, or the "mean" of all N.
 
     Raises:
@@ -115,6 +115,12 @@ def is_centred(network: Network) -> bool:
 def acting_links(network: Network) -> Indices:
     """The links that join two different points, or a point and a ground."""
     return np.flatnonzero(network.ends[:, 0] != network.ends[:, 1])
+
+
+def damping_links(network: Network) -> Indices:
+    """The links that act and damp."""
+    links = acting_links(network)
+    return links[network.damping[links] != 0.0]
 
 
 def margin_links(network: Network) -> Indices:

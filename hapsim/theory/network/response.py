@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
+from hapsim.theory.device_step import DeviceStep
 from hapsim.theory.interface import DamperModel
-from hapsim.theory.network.device_step import DeviceStep
+from hapsim.theory.network.large_loop import factorised
 from hapsim.theory.network.network import Network, acting_links
-from hapsim.theory.network.sparse import factorised
-from hapsim.theory.network.state import channel_steps
+from hapsim.theory.sample import channel_steps
 
 AT_ONCE = 4_000_000  # complex numbers in memory
 MOST_DENSE = 400  # points; a sparse factorisation takes less time above
@@ -45,17 +45,17 @@ def damper_answer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
 def channel_answer(step: DeviceStep, z: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
     """What the device reads after a force T²/m F z^n: its position, and its velocity times T."""
     force = [sum((f * z**-age for age, f in enumerate(row) if f), 0.0 * z) for row in step.forces]
-    (aa, ab), (ba, bb) = step.motion[:2] - np.eye(2)
+    (aa, ab), (ba, bb) = step.motion[:2]
     determinant = (w - aa) * (w - bb) - ab * ba
     position = ((w - bb) * force[0] + ab * force[1]) / determinant
     velocity = (ba * force[0] + (w - aa) * force[1]) / determinant
-    if step.window == 0.0:
+    if not (step.motion[2].any() or step.forces[2].any()):
         return position, velocity
-    read, mean_velocity = (
+    ahead, mean_velocity = (
         (of_position * position + of_velocity * velocity + pushed) / z
         for (of_position, of_velocity), pushed in zip(step.motion[2:], force[2:], strict=True)
     )
-    return read, position * w / z if step.window == 1.0 else mean_velocity  # of a whole period nothing cancels
+    return position - ahead, mean_velocity
 
 
 class SceneMatrix:

@@ -1,0 +1,118 @@
+"""One device channel over one sample period, exactly: the real mass, moved by the hold from sample to sample.
+
+Lengths in metres, times in sample periods, forces as T²/m f. All of it is written as changes, so that slow motions keep
+their digits. By the matrix exponential, so that nothing is shared with the transforms of ``sampled_plant.py``, against
+which it is a check.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.holds import Piece
+from hapsim.theory.arrays import Floats
+from hapsim.theory.interface import SAMPLINGS, hold_segments, whole_and_fraction
+from hapsim.theory.schemes import exactly
+
+# What is added to position and velocity; the position's integral beyond its beginning; the force; and the beginning.
+POSITION, VELOCITY, TRAVEL, FORCE, SLOPE, FIRST_POSITION, FIRST_VELOCITY = range(7)
+SHORTEST = 1e-12  # sample periods
+BEGIN = np.eye(2)
+
+
+class DeviceStep(NamedTuple):
+    """What one sample period makes of a channel: rows (4) from the position and velocity before, ``motion`` (4, 2), and
+    from the computed forces, ``forces`` (4, ages), by their age in whole samples, the newest first.
+
+    The rows: what is added to position and velocity; by how much the new position is ahead of its reading; and the
+    velocity that is read.
+    """
+
+    motion: Floats
+    forces: Floats
+
+    @property
+    def moves(self) -> tuple[Floats, Floats]:
+        """(4, 2) and (4, ages): the new position and velocity, and the readings of them."""
+        motion, forces = self.motion.copy(), self.forces.copy()
+        motion[:2] += BEGIN
+        motion[2], forces[2] = motion[0] - motion[2], forces[0] - forces[2]
+        return motion, forces
+
+
+@lru_cache(maxsize=64)
+def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0, sampling: str = "ideal") -> DeviceStep:
+    """The step of a mass with the normalised friction b0 T/m and own spring k0 T²/m, and a delay in sample periods."""
+    whole, fraction = whole_and_fraction(delay)
+    window = SAMPLINGS[sampling].window
+    segments = hold_segments(hold, fraction)
+    before, after = split(segments, 1.0 - window)
+    opened = _moved(_at_begin(ages_of(segments)), before, damping, stiffness)
+    opened[TRAVEL] = 0.0
+    moved = _moved(opened, after, damping, stiffness)
+    rows = np.vstack([moved[:2], np.zeros_like(moved[0]), moved[VELOCITY] + moved[FIRST_VELOCITY]])
+    if window > 0.0:
+        rows[2] = moved[POSITION] - moved[TRAVEL] / window
+        rows[3] = (moved[POSITION] - opened[POSITION]) / window
+    step = DeviceStep(rows[:, :2], np.hstack([np.zeros((4, whole)), rows[:, 2:]]))
+    for shared in step:
+        shared.flags.writeable = False
+    return step
+
+
+def split(segments: list[Piece], at: float) -> tuple[list[Piece], list[Piece]]:
+    """The segments before ``at`` sample periods and those from there on; one that spans it is cut in two."""
+    before, after, begin = [], [], 0.0
+    for piece in segments:
+        first = at - begin
+        begin += piece.duration
+        if first >= piece.duration - SHORTEST:
+            before.append(piece)
+        elif first <= SHORTEST:
+            after.append(piece)
+        else:
+            level = np.zeros(max(len(piece.level), len(piece.slope)))
+            level[: len(piece.level)] = piece.level
+            level[: len(piece.slope)] += first * np.array(piece.slope)
+            before.append(piece._replace(duration=first))
+            after.append(Piece(piece.duration - first, level=tuple(level.tolist()), slope=piece.slope))
+    return before, after
+
+
+def ages_of(segments: list[Piece]) -> int:
+    """How many forces act in these segments of a hold."""
+    return max((len(weights) for _, *acting in segments for weights in acting), default=0)
+
+
+def through(segments: list[Piece], damping: float, stiffness: float, ages: int) -> tuple[Floats, Floats]:
+    """(2, 2) and (2, ages): what some segments of a hold add to position and velocity, from the position and velocity
+    before them and from the forces."""
+    moved = _moved(_at_begin(ages), segments, damping, stiffness)
+    return moved[:2, :2], moved[:2, 2:]
+
+
+def _at_begin(ages: int) -> Floats:
+    begin = np.zeros((7, 2 + ages))
+    begin[FIRST_POSITION, 0] = begin[FIRST_VELOCITY, 1] = 1.0
+    return begin
+
+
+def _moved(begin: Floats, segments: list[Piece], damping: float, stiffness: float) -> Floats:
+    """The mass, with friction and spring, after some segments of a hold, whose force grows evenly in each."""
+    rate = np.zeros((7, 7))
+    rate[POSITION, [VELOCITY, FIRST_VELOCITY]] = rate[VELOCITY, FORCE] = rate[TRAVEL, POSITION] = 1.0
+    rate[FORCE, SLOPE] = 1.0
+    rate[VELOCITY, [VELOCITY, FIRST_VELOCITY]] = -damping
+    rate[VELOCITY, [POSITION, FIRST_POSITION]] = -stiffness
+    moved = begin.copy()
+    for duration, kick, level, slope in segments:
+        moved[VELOCITY, 2 : 2 + len(kick)] += kick
+        moved[[FORCE, SLOPE]] = 0.0
+        moved[FORCE, 2 : 2 + len(level)] = level
+        moved[SLOPE, 2 : 2 + len(slope)] = slope
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite for a swing much faster than the period
+            moved += exactly(duration * rate, moved, 0.0 * moved)
+    return moved

@@ -1,0 +1,243 @@
+"""The loop of a large scene on sparse rows: what a sample makes of a state, and its shifted inverse.
+
+No dense matrix of the state's size is ever formed.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.theory.arrays import Floats
+from hapsim.theory.network.network import Network
+from hapsim.theory.rows import Rows, cut, stack, unit_rows
+from hapsim.theory.sample import Sample
+from hapsim.theory.schemes import SCHEMES, NotWorkedOutError
+
+Solve = Callable[[NDArray], NDArray]
+
+MOST_INVERSE = 200_000  # numbers of a state times steps in a sample period: some tens of inverses take half a minute
+A_CALL = 15_000  # numbers that are multiplied in the time that a multiplication takes to begin
+
+
+def factorised(matrix: Any, **how: Any) -> Solve | None:
+    """x -> matrix^-1 x; None where there is no inverse. ``how``: as for scipy's ``splu``."""
+    from scipy.sparse import linalg
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            solve: Solve = linalg.splu(matrix.tocsc(), **how).solve
+        except RuntimeError:
+            return None
+    return solve
+
+
+class Implicit(NamedTuple):
+    """Of a scheme whose change is not sparse: numbers d with left d = rate state, of which the change has by d more."""
+
+    by: Rows
+    rate: Rows
+    left: Rows
+
+
+class SparseTransition:
+    """The matrix that takes a state to the next, 1 + ``change``. ``work``: the cost of one step, in numbers of a state
+    that CORDIS's scheme moves. ``points`` (C + M, size) and ``push`` (size, C): as of ``Loop``."""
+
+    points: Rows
+    push: Floats
+
+    def __init__(self, change: Rows, implicit: Implicit | None = None) -> None:
+        self.size, self._implicit = change.shape[0], implicit
+        self.right = (change + unit_rows(self.size, True)).tocsr()
+        self.work = max(self.size, self.right.nnz // 4) if implicit is None else 3 * self.size
+        self.is_finite = all(bool(np.isfinite(one.data).all()) for one in (change, *(implicit or ())))
+        if implicit is not None and self.is_finite:
+            # Without looking for pivots: eliminating the positions leaves 1 + B T/2 m + K T²/4 m, which is definite.
+            how: dict[str, Any] = {
+                "permc_spec": "MMD_AT_PLUS_A",
+                "diag_pivot_thresh": 0.0,
+                "options": {"SymmetricMode": True},
+            }
+            self._solve = factorised(implicit.left, **how)
+            self.is_finite = self._solve is not None
+
+    def __matmul__(self, state: NDArray) -> NDArray:
+        """States (size,) or (size, n) at the next sample."""
+        after = np.asarray(self.right @ state)
+        if self._implicit is None:
+            return after
+        rate, solve = self._implicit.rate @ state, self._solve
+        assert solve is not None
+        found = solve(rate) if np.isrealobj(rate) else solve(rate.real) + 1j * solve(rate.imag)
+        return after + np.asarray(self._implicit.by @ found)
+
+    def power(self, most: int) -> tuple[Any, int]:
+        """(what moves a state by `steps` samples at once, steps): of 1, 2, 4, … up to `most` the quickest."""
+        if self._implicit is not None:
+            return self, 1
+        power, steps = self.right, 1
+        while 2 * steps <= most and (squared := power @ power).nnz < 2 * power.nnz + A_CALL:
+            power, steps = squared, 2 * steps
+        return power, steps
+
+    def part(self, slots: slice) -> SparseTransition:
+        """What it makes of these numbers out of themselves."""
+        own = (self.right - unit_rows(self.size, True))[slots, slots]
+        if self._implicit is None:
+            return SparseTransition(own)
+        by, rate, left = self._implicit
+        return SparseTransition(own, Implicit(by[slots], rate[:, slots], left))
+
+    def inverse(self, shift: complex) -> Solve | None:
+        """x -> (transition - shift)^-1 x; None where the shift is a pole, exactly."""
+        from scipy.sparse import bmat
+
+        whole = self.right - shift * unit_rows(self.size, True)
+        if self._implicit is not None:
+            by, rate, left = self._implicit
+            whole = bmat([[whole, by], [rate, -left]])
+        solve = factorised(whole, permc_spec="MMD_AT_PLUS_A")
+        return None if solve is None else lambda state: solve(_padded(state, whole.shape[0]))[: self.size]
+
+
+class LiftedTransition:
+    """The same of a scene with substeps, whose N-th power is never formed. A shifted inverse of it is
+
+        (A^N - z)^-1 = 1/(N z) times the sum of w (A - w)^-1 over the N roots w of w^N = z
+
+    for what the steps move; the device's few numbers are eliminated. One system of all steps' numbers takes four times
+    as long to factorise. ``step``: a step; ``held``: the same of what it moves, the hands held still.
+    """
+
+    def __init__(self, network: Network) -> None:
+        sample = Sample(network, sparse=True)
+        self.size, self.steps = sum(sample.sizes.values()), network.substeps
+        self.step, of_step = sparse_step(sample), sum(sample.step_sizes.values())
+        self.work, self.is_finite = self.steps * self.step.work, self.step.is_finite
+        first = 2 * sample.step_sizes["hand"] + 2 * sample.step_sizes["sensed"]
+        self.held = self.step.part(slice(first, of_step - sample.step_sizes["force"]))
+        own = cut(np.arange(self.size)[:, None], sample.sizes)
+        self._scene = np.concatenate([own[name].ravel() for name in ("mass", "mass_step", "older", "past")])
+        channels = network.channel_mass.size
+        rows = unit_rows(self.size + of_step + channels, True)
+        state = cut(rows, sample.sizes)
+        last, begun = cut(rows[self.size :], sample.step_sizes), sample.begun(state)
+        moved = {name: last[name] - begun[name] for name in begun}
+        ended = sample.ended(state, moved, rows[self.size + of_step :]) + rows[: self.size]
+        self.begun = stack([*begun.values()])[:, : self.size]
+        self.own, self.by_last = ended[:, : self.size], ended[:, self.size : self.size + of_step]
+        self.points, self.push = sample.points(state)[:, : self.size], ended[:, self.size + of_step :].toarray()
+        self._power = self.step.power(self.steps & -self.steps) if self.is_finite else (self.step, 1)
+
+    def __matmul__(self, state: NDArray) -> NDArray:
+        """States (size,) or (size, n) at the next sample."""
+        power, steps = self._power
+        moved = self.begun @ state
+        for _ in range(self.steps // steps):
+            moved = power @ moved
+        return np.asarray(self.own @ state + self.by_last @ moved)
+
+    def placed(self, held: NDArray) -> NDArray:
+        """States (size,) or (size, n) out of those of ``held``; what the device has is 0."""
+        state = np.zeros((self.size, *held.shape[1:]), held.dtype)
+        state[self._scene] = held
+        return state
+
+    def power(self, _most: int) -> tuple[Any, int]:
+        """As of ``SparseTransition``: a sample."""
+        return self, 1
+
+    def inverse(self, shift: complex) -> Solve | None:
+        """x -> (transition - shift)^-1 x; None where the shift is a pole, exactly.
+
+        Raises:
+            NotWorkedOutError: that takes too long.
+        """
+        if self.size * self.steps > MOST_INVERSE:
+            raise NotWorkedOutError(f"{self.steps} substeps of as many masses take too long")
+        turns = (np.angle(shift) + 2.0 * np.pi * np.arange(self.steps)) / self.steps
+        roots = abs(shift) ** (1.0 / self.steps) * np.exp(1j * turns)
+        solves = [self.held.inverse(root) for root in roots.tolist()]
+        if any(solve is None for solve in solves):
+            return None
+        others = np.setdiff1d(np.arange(self.size), self._scene)
+
+        def of_scene(wanted: NDArray) -> NDArray:
+            pairs = zip(roots, solves, strict=True)
+            parts = (root * solve(wanted.astype(complex)) for root, solve in pairs if solve is not None)
+            found: NDArray = sum(parts) / (shift * self.steps)
+            return found if np.iscomplexobj(wanted) or np.imag(shift) else found.real
+
+        units = np.zeros((self.size, others.size))
+        units[others, np.arange(others.size)] = 1.0
+        by_others = self @ units
+        pushed = of_scene(by_others[self._scene])
+        inner = by_others[others] - shift * np.eye(others.size) - (self @ self.placed(pushed))[others]
+
+        def solve(state: NDArray) -> NDArray:
+            found = self.placed(of_scene(state[self._scene]))
+            moved = np.linalg.solve(inner, state[others] - (self @ found)[others])
+            found = found - self.placed(pushed @ moved)
+            found[others] = moved
+            return found
+
+        return solve
+
+
+Transition = SparseTransition | LiftedTransition
+
+
+def _padded(state: NDArray, size: int) -> NDArray:
+    return np.concatenate([state, np.zeros((size - len(state), *state.shape[1:]), state.dtype)])
+
+
+def sparse_transition(network: Network) -> Transition:
+    """The transition of a large scene.
+
+    Raises:
+        NotWorkedOutError: its scheme's matrix is not sparse.
+    """
+    with np.errstate(all="ignore"):  # numbers out of range become NaN
+        if network.substeps > 1:
+            return LiftedTransition(network)
+        sample = Sample(network, sparse=True)
+        size = sum(sample.sizes.values())
+        unknown, channels = _unknowns(sample), network.channel_mass.size
+        rows = unit_rows(size + channels + unknown, True)
+        state = cut(rows, sample.sizes)
+        moved = sample.tick.step(sample.begun(state), unknown=rows[size + channels :] if unknown else None)
+        change = sample.ended(state, moved, rows[size : size + channels])
+        found = SparseTransition(change[:, :size], _implicit(sample, change, moved.get("unknown")))
+        found.points, found.push = sample.points(state)[:, :size], change[:, size : size + channels].toarray()
+        return found
+
+
+def _unknowns(sample: Sample) -> int:
+    scheme = SCHEMES[sample.network.scheme]
+    if scheme is None or callable(scheme.change) or not sample.network.point_mass.size:
+        return 0
+    return int(sample.tick.rates.shape[0])
+
+
+def _implicit(sample: Sample, change: Rows, rate: Rows | None) -> Implicit | None:
+    scheme, size = SCHEMES[sample.network.scheme], change.shape[0]
+    if rate is None or scheme is None:
+        return None
+    left = unit_rows(rate.shape[0], True) - scheme.change * sample.tick.rates
+    return Implicit(change[:, -rate.shape[0] :].tocsr(), rate[:, :size].tocsr(), left.tocsc())
+
+
+def sparse_step(sample: Sample) -> SparseTransition:
+    """What a step makes of what it moves."""
+    size, unknown = sum(sample.step_sizes.values()), _unknowns(sample)
+    rows = unit_rows(size + unknown, True)
+    moved = sample.tick.step(cut(rows[:size], sample.step_sizes), unknown=rows[size:] if unknown else None)
+    rate = moved.pop("unknown", None)
+    change = stack([*moved.values()])
+    return SparseTransition(change[:, :size], _implicit(sample, change, rate))

@@ -1,0 +1,248 @@
+"""The sample of a closed loop, written once, on rows.
+
+A row says what a signal is made of, out of the numbers that the loop remembers: the position of a point, a force on its
+way, what a damper takes for a velocity. One sample of the loop on rows in place of numbers, what is remembered then
+stacked, is the matrix that takes the state at one sample to the state at the next; what a scene lacks has no rows. On
+one column of numbers it is the simulation itself. Rows are arrays, or of a large scene scipy's sparse matrices.
+
+Everything is written as a change, state' = state + change state: the poles are 1 + the eigenvalues of the change, and
+slow motions keep their digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hapsim.theory.arrays import Floats, Indices
+from hapsim.theory.interface import DamperModel
+from hapsim.theory.network.network import Network, damping_links, inner_links, is_centred, touches_channel
+from hapsim.theory.schemes import SCHEMES
+
+MOST_DENSE = 30_000  # links times points; above, a sparse matrix of their ends takes less time
+
+Rows = Any
+"""(n, N), an array or one of scipy's sparse matrices by compressed rows."""
+
+
+def times(factors: NDArray[Any], rows: Rows) -> Rows:
+    """Each row multiplied by its factor."""
+    return factors[:, None] * rows if isinstance(rows, np.ndarray) else rows.multiply(factors[:, None]).tocsr()
+
+
+def stack(parts: Sequence[Rows]) -> Rows:
+    """One below the other."""
+    if isinstance(parts[0], np.ndarray):
+        return np.vstack(parts)
+    from scipy.sparse import vstack
+
+    return vstack(parts, format="csr")
+
+
+def unit_rows(count: int, sparse: bool) -> Rows:
+    """Each signal one of the numbers."""
+    if not sparse:
+        return np.eye(count)
+    from scipy.sparse import identity
+
+    return identity(count, format="csr")
+
+
+def spread(rows: Rows, index: Indices, count: int) -> Rows:
+    """``count`` rows, of which those at ``index`` are given and the others zero."""
+    if isinstance(rows, np.ndarray):
+        out = np.zeros((count, rows.shape[1]))
+        out[index] = rows
+        return out
+    return _matrix(index, np.arange(index.size), np.ones(index.size), (count, index.size), True) @ rows
+
+
+def _matrix(row: Indices, column: Indices, value: Floats, shape: tuple[int, int], sparse: bool) -> Any:
+    if sparse:
+        from scipy.sparse import csr_matrix
+
+        return csr_matrix((value, (row, column)), shape)
+    out = np.zeros(shape)
+    np.add.at(out, (row, column), value)
+    return out
+
+
+def cut(rows: Rows, sizes: dict[str, int]) -> dict[str, Rows]:
+    """The rows as parts of these sizes."""
+    ends = np.cumsum([0, *sizes.values()]).tolist()
+    return {name: rows[end - size : end] for (name, size), end in zip(sizes.items(), ends[1:], strict=True)}
+
+
+class Tick:
+    """One step of a scene's links and masses, on rows.
+
+    ``stretches`` (L, C + M): what each link is stretched by. ``older``, ``past``: by how far they look back, the links
+    whose dampers remember a step of their stretch, and a velocity. ``rates``: of a scheme other than CORDIS's, T A of
+    the masses' positions and steps, these in ``unit``, and where links inside ask for them of the channels' positions,
+    steps and sensed velocities (``theory.schemes``). ``inside``: (L,) 1 for a link that is in them.
+    """
+
+    def __init__(self, network: Network, sparse: bool = False) -> None:
+        self._network, self._rate = network, network.rate * network.substeps
+        self._channels, self._masses = network.channel_mass.size, network.point_mass.size
+        links, points = len(network.ends), self._channels + self._masses
+        link, end = np.nonzero(network.ends >= 0)
+        sparse_ends = sparse or links * points > MOST_DENSE
+        sign = np.array([1.0, -1.0])[end]
+        self.stretches = _matrix(link, network.ends[link, end], sign, (links, points), sparse_ends)
+        acting = damping_links(network)
+        kinds = list(dict.fromkeys(network.damper))
+        number = {damper: i for i, damper in enumerate(kinds)}
+        own = np.array([number[damper] for damper in network.damper], dtype=np.intp)
+        damps = np.isin(np.arange(links), acting)
+        self.senses = 1.0 * (damps & np.array([damper.senses for damper in kinds], dtype=bool)[own])
+        self._of_steps, self._of_velocities = (
+            _padded(list(map(of, kinds)))[own] for of in (of_steps, lambda damper: damper.of_velocities)
+        )
+        self.older, self.past = (
+            [np.flatnonzero(damps & (depth[own] > lag)) for lag in range(depth.max(initial=0))]
+            for depth in (np.array([len(of(kind)) for kind in kinds], int) for of in (_older, _past))
+        )
+        self.damping = np.where(damps, network.damping, 0.0) * self._rate
+        self._unit_force = 1.0 / network.point_mass / self._rate**2
+        self._scheme = None if is_centred(network) else SCHEMES[network.scheme]
+        if self._scheme is not None:
+            self.inside = np.isin(np.arange(links), inner := inner_links(network)) * 1.0
+            self._asks_channels = bool(touches_channel(network, inner).any())
+            self.rates, self.unit = self._rates_inside(sparse)
+
+    def forces(self, x: Rows, step: Rows, sensed: Rows, older: list[Rows], past: list[Rows]) -> tuple[Rows, Rows, Rows]:
+        """Each link's pull on its first end back to its second, N, its stretch, and the velocity of its damper, m a
+        step: of positions and steps of the points, the velocities that the device senses, and what dampers remember."""
+        stretch, moved = self.stretches @ x, self.stretches @ step
+        if self.senses.any():
+            aside = self.stretches[:, : self._channels] @ (sensed - step[: self._channels])
+            moved = moved + times(self.senses, aside)
+        rate = times(self._of_steps[:, 0], moved)
+        for lists, weights, first, memories in (
+            (self.older, self._of_steps, 1, older),
+            (self.past, self._of_velocities, 0, past),
+        ):
+            for lag, (links, memory) in enumerate(zip(lists, memories, strict=True), first):
+                rate = rate + spread(times(weights[links, lag], memory), links, len(self.senses))
+        return times(self._network.stiffness, stretch) + times(self.damping, rate), stretch, rate
+
+    def masses(self, begun: dict[str, Rows], pull: Rows, pushed: Rows, unknown: Rows | None = None) -> tuple[Rows, ...]:
+        """What is added to the masses' positions and to their steps, of the links' pulls and of what else pushes (N).
+
+        ``unknown``: of a scheme whose change is not sparse, rows that stand for it; then the third is what
+        (1 - share rates) times it is.
+        """
+        count, of_masses = self._masses, self.stretches[:, self._channels :].T
+        if self._scheme is None:
+            faster = times(self._unit_force, pushed - of_masses @ pull)
+            return begun["mass_step"] + faster, faster
+        held = times(self._unit_force / self.unit, pushed - of_masses @ times(1.0 - self.inside, pull))
+        z = [begun["mass"], begun["mass_step"] / self.unit]
+        if self._asks_channels:
+            z += [begun["hand"] + begun["gain"], begun["gain"], self._sensed(begun)]
+        z = stack(z)
+        held = spread(held, np.arange(count, 2 * count), z.shape[0])
+        if unknown is None:
+            change = self._scheme.changed(self.rates, z, held)
+            return change[:count], change[count : 2 * count] * self.unit
+        return unknown[:count], unknown[count : 2 * count] * self.unit, self.rates @ z + held
+
+    def _sensed(self, begun: dict[str, Rows]) -> Rows:
+        """(C, .) the velocities that the device senses, m a step."""
+        sensed = begun["sensed"] + begun["speeding"] if "speeding" in begun else begun["sensed"]
+        return spread(sensed / self._network.substeps, sensed_channels(self._network), self._channels)
+
+    def seen(self, begun: dict[str, Rows]) -> tuple[Rows, Rows, Rows]:
+        """What ``forces`` says as the hands have arrived."""
+        x, step = stack([begun["hand"] + begun["gain"], begun["mass"]]), stack([begun["gain"], begun["mass_step"]])
+        older, past = _by_lag(begun["older"], self.older), _by_lag(begun["past"], self.past)
+        return self.forces(x, step, self._sensed(begun), older, past)
+
+    def step(self, begun: dict[str, Rows], pushed: Rows | None = None, unknown: Rows | None = None) -> dict[str, Rows]:
+        """What a step adds to each part of what it moves (``Sample``): the hands arrive, the links pull, the masses
+        move. ``pushed``: N, on the masses. ``unknown``: as of ``masses``; then with its equation, "unknown"."""
+        network, gain, still = self._network, begun["gain"], 0.0 * begun["sensed"]
+        pull, _, rate = self.seen(begun)
+        force = -(self.stretches[:, : self._channels].T @ pull)
+        pushed = 0.0 * begun["mass"] if pushed is None else pushed
+        more, faster, *equation = self.masses(begun, pull, pushed, unknown)
+        before = self.stretches @ stack([gain, more - faster]) if self.older else begun["older"]
+        out = {
+            "hand": gain,
+            "gain": 0.0 * gain,
+            "sensed": begun.get("speeding", still),
+            "speeding": still,
+            "mass": more,
+            "mass_step": faster,
+            "older": _shifted(before, self.older, begun["older"]),
+            "past": _shifted(rate, self.past, begun["past"]),
+            "force": force / network.substeps if network.decimation == "mean" else force - begun["force"],
+        }
+        return {name: out[name] for name in begun} | ({} if unknown is None else {"unknown": equation[0]})
+
+    def _rates_inside(self, sparse: bool) -> tuple[Rows, float]:
+        """The rates (N, N), and about the radians that the fastest motion turns in a step: in this unit of the steps no
+        part of the rates dwarfs the others."""
+        count, channels, inside = self._masses, self._channels, self.inside
+        of_masses, stiffness = self.stretches[:, channels:].T, inside * self._network.stiffness
+        ends = np.asarray(abs(self.stretches).sum(axis=1)).ravel()
+        pace = self._unit_force * (abs(of_masses) @ (np.abs(stiffness) * ends))
+        unit = max(1.0, float(np.sqrt(pace.max(initial=0.0))))
+        sizes = {"mass": count, "step": count, "hand": channels, "way": channels, "sensed": channels}
+        if not self._asks_channels:
+            sizes |= {"hand": 0, "way": 0, "sensed": 0}
+        z = cut(unit_rows(sum(sizes.values()), sparse), sizes)
+        stretch, moved = of_masses.T @ z["mass"], of_masses.T @ (unit * z["step"])
+        if self._asks_channels:
+            of_channels = self.stretches[:, :channels]
+            stretch, moved = stretch + of_channels @ z["hand"], moved + of_channels @ z["way"]
+            moved = moved + times(self.senses, of_channels @ (z["sensed"] - z["way"]))
+        pull = times(stiffness, stretch) + times(inside * self.damping, moved)
+        faster = times(-self._unit_force / unit, of_masses @ pull)
+        return stack([unit * z["step"], faster, z["way"], 0.0 * z["way"], 0.0 * z["sensed"]]), unit
+
+
+@lru_cache(64)
+def of_steps(damper: DamperModel) -> tuple[float, ...]:
+    """The weights of y[n] - y[n-1], y[n-1] - y[n-2], ...: those of positions add up to 0."""
+    return tuple(np.cumsum(damper.of_positions)[:-1].tolist())
+
+
+def _older(damper: DamperModel) -> tuple[float, ...]:
+    return of_steps(damper)[1:]
+
+
+def _past(damper: DamperModel) -> tuple[float, ...]:
+    return damper.of_velocities
+
+
+def _padded(lists: Sequence[tuple[float, ...]]) -> Floats:
+    out = np.zeros((len(lists), max(map(len, lists), default=0) + 1))
+    for row, one in zip(out, lists, strict=True):
+        row[: len(one)] = one
+    return out
+
+
+def _by_lag(rows: Rows, lists: list[Indices]) -> list[Rows]:
+    return [*cut(rows, {str(lag): links.size for lag, links in enumerate(lists)}).values()]
+
+
+def _shifted(new: Rows, lists: list[Indices], before: Rows) -> Rows:
+    """What is added to what is remembered (by lag), as each moves one further back."""
+    if not lists:
+        return before
+    memories = _by_lag(before, lists)
+    moved = [memory[np.searchsorted(near, far)] for memory, near, far in zip(memories, lists, lists[1:], strict=False)]
+    return stack([new[lists[0]], *moved]) - before
+
+
+def sensed_channels(network: Network) -> Indices:
+    """The channels whose velocity a link takes as the device senses it."""
+    links = [link for link in damping_links(network).tolist() if network.damper[link].senses]
+    ends = network.ends[links]
+    return np.unique(ends[(ends >= 0) & (ends < network.channel_mass.size)])

@@ -1,0 +1,189 @@
+"""A sample of a whole loop, on rows (``rows.py``), and what it adds to the state: the loop's change."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.theory.arrays import Floats
+from hapsim.theory.device_step import DeviceStep, device_step
+from hapsim.theory.interface import SAMPLINGS
+from hapsim.theory.network.network import Network, damping_links
+from hapsim.theory.rows import Rows, Tick, cut, of_steps, sensed_channels, stack, times
+
+LARGE = 1000  # numbers in the state; above, eigenvalues of the whole matrix take longer than a user waits
+
+
+class Sample:
+    """A sample of the whole loop in three parts: what its steps begin with, the steps (``Tick``), and the device.
+
+    ``sizes``: of the state's parts, in metres: the channels' true positions and the masses'; the channels' velocities
+    times T; with averaged sampling by how much the positions are ahead of their readings; the last steps of these; with
+    averaged sampling the mean velocities that links sense, with substeps the last steps of what they sense; the masses'
+    steps; the forces computed for the channels, newest first and times T²/m, that a later sample still needs; and what
+    dampers remember. Nothing else is kept.
+    """
+
+    def __init__(self, network: Network, sparse: bool = False) -> None:
+        self.network, self.tick, self.sizes = network, Tick(network, sparse), sizes_of(network)
+        self._sensed = sensed_channels(network)
+        steps = channel_steps(network)
+        self._motion = np.array([step.motion for step in steps]).reshape(len(steps), 4, 2)
+        self._forces = np.array([step.forces for step in steps]).reshape(len(steps), 4, -1 if steps else 0)
+        self.step_sizes = {
+            "hand": len(steps),
+            "gain": len(steps),
+            "sensed": self._sensed.size,
+            "speeding": self._sensed.size,
+            "mass": network.point_mass.size,
+            "mass_step": network.point_mass.size,
+            "older": self.sizes["older"],
+            "past": self.sizes["past"],
+            "force": len(steps),
+        }
+        if network.substeps == 1:
+            del self.step_sizes["speeding"]
+
+    def points(self, state: dict[str, Rows]) -> Rows:
+        """(C + M): the positions as the computer has them."""
+        read = state["position"] - state["lag"] if state["lag"].shape[0] else state["position"]
+        return stack([read, state["mass"]])
+
+    def begun(self, state: dict[str, Rows]) -> dict[str, Rows]:
+        """Before the first step the hands are where they were a sample ago; they, and the velocities that the device
+        senses, go on evenly to what is read now."""
+        steps, read = self.network.substeps, self.points(state)[: len(self._motion)]
+        sensed = state["mean_velocity"] if state["lag"].shape[0] else state["velocity"][self._sensed]
+        out = {"hand": read - state["way"], "gain": state["way"] / steps, "sensed": sensed}
+        if steps > 1:
+            out |= {"sensed": sensed - state["turn"], "speeding": state["turn"] / steps}
+        return out | {name: state[name] for name in ("mass", "mass_step", "older", "past")} | {"force": 0.0 * read}
+
+    def ended(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
+        """What is added to the state in the whole sample, of what its steps have added. ``pushed``: N, on the
+        channels, beside what is computed."""
+        network, x, v = self.network, state["position"], state["velocity"]
+        unit, force = 1.0 / network.channel_mass / network.rate**2, moved["force"]
+        acting = times(unit, force if pushed is None else force + pushed)
+        held = range(0, self.sizes["held"], max(unit.size, 1))
+        ranks = [acting, *(state["held"][at : at + unit.size] for at in held)]
+
+        def row(of: int) -> Rows:
+            out = times(self._motion[:, of, 0], x) + times(self._motion[:, of, 1], v)
+            for age, rank in enumerate(ranks[: self._forces.shape[2]]):
+                out = out + times(self._forces[:, of, age], rank)
+            return out
+
+        new = {"position": row(0), "mass": moved["mass"], "velocity": row(1), "mass_step": moved["mass_step"]}
+        way = new["position"]
+        if averaged := state["lag"].shape[0]:
+            new["lag"] = row(2) - state["lag"]
+            way = way - new["lag"]
+        new["way"] = way - state["way"]
+        turned = new["velocity"][self._sensed]
+        if averaged:
+            turned = new["mean_velocity"] = row(3)[self._sensed] - state["mean_velocity"]
+        if network.substeps > 1:
+            new["turn"] = turned - state["turn"]
+        new["held"] = stack(ranks)[: self.sizes["held"]] - state["held"]
+        new |= {name: moved[name] for name in ("older", "past")}
+        return stack([new[name] for name in self.sizes if name in new])
+
+
+class Loop(NamedTuple):
+    """``change`` (n, n): what a sample adds to the state. ``points`` (C + M, n): positions as the computer has them.
+
+    Of the loop with its inputs: ``push`` (n, C + M): what a force of 1 N adds that is computed for a point (of a scene
+    whose points move once a sample; else the channels alone). ``force`` (C, n): N, computed for the channels.
+    ``stretches`` (2, L, n): each link's stretch, and its damper's velocity in metres per sample period.
+    """
+
+    change: Floats
+    points: Floats
+    push: Floats = np.zeros((0, 0))
+    force: Floats = np.zeros((0, 0))
+    stretches: Floats = np.zeros((2, 0, 0))
+
+
+def sizes_of(network: Network) -> dict[str, int]:
+    """How many numbers each part of the state has, in their order (``Sample``)."""
+    channels, masses, sensed = network.channel_mass.size, network.point_mass.size, sensed_channels(network).size
+    averaged, stepped = SAMPLINGS[network.sampling].window > 0.0, network.substeps > 1
+    dampers = [network.damper[link] for link in damping_links(network).tolist()]
+    return {
+        "position": channels,
+        "mass": masses,
+        "velocity": channels,
+        "lag": channels * averaged,
+        "way": channels,
+        "mean_velocity": sensed * averaged,
+        "turn": sensed * stepped,
+        "mass_step": masses,
+        "held": sum(step.forces.shape[1] - 1 for step in channel_steps(network)),
+        "older": sum(len(of_steps(damper)) - 1 for damper in dampers),
+        "past": sum(len(damper.of_velocities) for damper in dampers),
+    }
+
+
+def state_size(network: Network) -> int:
+    """How many numbers the state has."""
+    return sum(sizes_of(network).values())
+
+
+def is_large(network: Network) -> bool:
+    """Whether some of the poles are worked out in place of all."""
+    return state_size(network) > LARGE
+
+
+@np.errstate(all="ignore")  # numbers out of range become NaN
+def loop(network: Network, inputs: bool = False) -> Loop:
+    """The loop of a scene that is not large."""
+    sample = Sample(network)
+    size, points = sum(sample.sizes.values()), network.channel_mass.size + network.point_mass.size
+    one = np.eye(size + points * inputs)
+    state, pushed = cut(one[:size], sample.sizes), one[size:] if inputs else None
+    begun, channels = sample.begun(state), network.channel_mass.size
+    if network.substeps == 1:
+        moved = sample.tick.step(begun, None if pushed is None else pushed[channels:])
+    else:
+        moved = cut(_power(step_of(sample), network.substeps) @ stack([*begun.values()]), sample.step_sizes)
+    whole = sample.ended(state, moved, None if pushed is None else pushed[:channels])
+    read = sample.points(state)[:, :size]
+    if not inputs:
+        return Loop(whole, read)
+    _, *seen = sample.tick.seen(begun)
+    return Loop(whole[:, :size], read, whole[:, size:], moved["force"][:, :size], np.stack(seen)[:, :, :size])
+
+
+def step_of(sample: Sample) -> Floats:
+    """What a step adds to what it moves, an array."""
+    one = np.eye(sum(sample.step_sizes.values()))
+    return stack([*sample.tick.step(cut(one, sample.step_sizes)).values()])
+
+
+def _power(step: Floats, count: int) -> Floats:
+    """(1 + step)^count - 1, from the highest bit down."""
+    out = step
+    for bit in bin(count)[3:]:
+        out = 2.0 * out + out @ out
+        if bit == "1":
+            out = out + step + step @ out
+    return out
+
+
+def transition(network: Network) -> Floats:
+    """The matrix that takes the state at one sample to the state at the next, of a scene that is not large."""
+    change = loop(network).change
+    return change + np.eye(len(change))
+
+
+def channel_steps(network: Network) -> list[DeviceStep]:
+    """What one sample period makes of each channel, in normalised units."""
+    mass, rate = network.channel_mass, network.rate
+    friction = network.channel_friction / (mass * rate)
+    stiffness = network.channel_stiffness / (mass * rate) / rate
+    return [
+        device_step(float(b), network.delay, network.hold, float(k), network.sampling)
+        for b, k in zip(friction, stiffness, strict=True)
+    ]
