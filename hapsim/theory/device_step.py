@@ -1,8 +1,7 @@
 """One device channel over one sample period, exactly: the real mass, moved by the hold from sample to sample.
 
 Lengths in metres, times in sample periods, forces as T²/m f. All of it is written as changes, so that slow motions keep
-their digits. By the matrix exponential, so that nothing is shared with the transforms of ``sampled_plant.py``, against
-which it is a check.
+their digits. By the matrix exponential.
 """
 
 from __future__ import annotations

@@ -18,8 +18,9 @@ from hapsim.holds import Piece
 from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, ages_of, device_step, split, through
 from hapsim.theory.hand import Configuration
-from hapsim.theory.hand.sampled_plant import sampled_plant
+from hapsim.theory.hand.lone_hand import lone_hand
 from hapsim.theory.interface import SAMPLINGS, damper_named, hold_segments, whole_and_fraction
+from hapsim.theory.network.network import BACKWARD
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
 STATES = 3  # position, velocity, push
@@ -165,5 +166,7 @@ def _in_si(
 def forces_in_second_difference(model: Configuration) -> tuple[Floats, int]:
     """(weights, first): y[n] - 2 y[n-1] + y[n-2] of the readings of a mass that nothing but the hold pushes is T²/m
     times the sum of weights[i] f[n - first - i]; their sum is 1."""
-    plant = sampled_plant(0.0, 0.0, model.delay, model.hold, model.sampling)
-    return plant.numerator, plant.lead + 3 - plant.numerator.size
+    hand = lone_hand(0.0, 0.0, model.delay, model.hold, model.sampling, BACKWARD, 0.0)
+    of_forces = hand.polynomials[1]
+    acting = np.flatnonzero(of_forces)
+    return of_forces[acting[0] : acting[-1] + 1], int(acting[0])

@@ -14,7 +14,7 @@ from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.hand.impedance import damper_gain, late_and_held
 from hapsim.theory.hand.inverse_map import double_pole, element_of_oscillator, is_attainable, leads
 from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
-from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, loop_equation
+from hapsim.theory.hand.lone_hand import LoneHand, characteristic, lone_hand
 from hapsim.theory.hand.passivity import Wall, needed_friction
 from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.poles import (
@@ -26,7 +26,6 @@ from hapsim.theory.hand.poles import (
     why_not_attained,
     why_not_dominant,
 )
-from hapsim.theory.hand.sampled_plant import sampled_plant
 from hapsim.theory.interface import SAMPLINGS, damper_named, hold_lag
 
 MOST_EIGENVALUES = 8  # poles: of a longer delay they take too long to look for a stable interval by
@@ -125,7 +124,7 @@ class Configuration:
         """
         K, B, pair, good = self._element(k, b)
         if dominant:
-            good &= leads(self._equation, K, B, pair)
+            good &= leads(self._loop, K, B, pair)
         K, B = K * self.stiffness_unit, B * self.damping_unit
         return np.where(good, K, np.nan), np.where(good, B, np.nan)
 
@@ -159,7 +158,8 @@ class Configuration:
         """All poles (..., N) of the loop in the z-plane, by decreasing modulus.
 
         N is 2 for the impulse hold with ideal sampling and no delay, one more for each whole sample of delay, for a
-        fraction of one, for the zero-order hold, for averaged sampling and for what a damper remembers.
+        fraction of one, for the zero-order hold, for averaged sampling and for what a damper remembers; a sensed one
+        remembers nothing.
         """
         return self._solved(K, B)[1]
 
@@ -176,7 +176,8 @@ class Configuration:
         lead, poles = self._solved(K, B)
         # Without a spring of the device's own, q has the sign of K, even where K is too small to be seen in it.
         restores = lead.q > 0.0 if self.stiffness else np.asarray(K) > 0.0
-        return np.where(lead.dominant, restores & (lead.p > lead.q), np.abs(poles[:, 0]) < 1.0)
+        held = (np.asarray(K) != 0.0) | (self.stiffness != 0.0)  # else a pole is 1
+        return np.where(lead.dominant, restores & (lead.p > lead.q), held & (np.abs(poles[:, 0]) < 1.0))
 
     @_quietly
     def is_passive(self, K: ArrayLike, B: ArrayLike) -> Bools:
@@ -199,7 +200,7 @@ class Configuration:
             ValueError: the hold is not "zoh", the sampling not "ideal" or the damper "sensed": the condition is
                 not derived. (A velocity that is sampled passes every image of a motion: no friction suffices.)
         """
-        if HOLDS[self.hold].terms != HOLDS["zoh"].terms or self.sampling != "ideal" or self._equation.damper.senses:
+        if HOLDS[self.hold].terms != HOLDS["zoh"].terms or self.sampling != "ideal" or self._loop.damper.senses:
             raise ValueError(
                 "The passivity condition is derived for the zero-order hold with ideal sampling and a damper that "
                 f"differentiates positions only, not for hold {self.hold!r} with sampling {self.sampling!r} and the "
@@ -207,7 +208,7 @@ class Configuration:
             )
         K, B = np.broadcast_arrays(np.asarray(K, dtype=float), np.asarray(B, dtype=float))
         damping = B - self.spring_lag * self.period * K
-        wall = Wall(self.period * K.ravel(), damping.ravel(), self.delay, self._equation.damper)
+        wall = Wall(self.period * K.ravel(), damping.ravel(), self.delay, self._loop.damper)
         return needed_friction(wall).reshape(K.shape)[()]
 
     @_quietly
@@ -250,7 +251,7 @@ class Configuration:
         """
         decay = np.asarray(decay, dtype=float)
         fast = decay.ravel() * self.period
-        kappa, beta, slow = double_pole(self._equation, fast)
+        kappa, beta, slow = double_pole(self._loop, fast)
         K, B = kappa * self.stiffness_unit, beta * self.damping_unit
         k, b = slow * fast * self.stiffness_unit, (slow + fast) * self.damping_unit
         return tuple(value.reshape(decay.shape)[()] for value in (K, B, k, b))  # type: ignore[return-value]
@@ -265,7 +266,7 @@ class Configuration:
         f = np.asarray(frequency, dtype=float)
         jw, theta = 2j * np.pi * f, 2.0 * np.pi * f * self.period
         damping = np.asarray(B) - self.spring_lag * self.period * np.asarray(K)
-        element = np.asarray(K) / jw + damping * damper_gain(self._equation.damper, theta)
+        element = np.asarray(K) / jw + damping * damper_gain(self._loop.damper, theta)
         rendered = element * late_and_held(theta, self.delay, self.hold, self.sampling)
         rendered = rendered + self.friction + self.stiffness / jw
         return np.where((theta > 0.0) & (theta < np.pi), rendered, np.nan)[()]
@@ -282,7 +283,7 @@ class Configuration:
         """Why ``simulated`` is NaN, in words; "" where it is not."""
         K, B, pair, any_had = self._element(k, b)
         kappa, sigma = self._normalised(k, b)
-        had = any_had & leads(self._equation, K, B, pair), any_had
+        had = any_had & leads(self._loop, K, B, pair), any_had
         return why_not_attained(had, np.isfinite(kappa + sigma), is_attainable(sigma, kappa))
 
     @_quietly
@@ -292,30 +293,25 @@ class Configuration:
         The paper's P K + Q B + R (§6) divided by its leading coefficient.
         """
         kappa, beta = self._normalised(K, B)
-        return np.stack(characteristic(self._equation, kappa, beta), axis=-1)
+        return np.stack(characteristic(self._loop, kappa, beta), axis=-1)
 
     @cached_property
-    def _equation(self) -> LoopEquation:
-        plant = sampled_plant(
-            self.friction / self.damping_unit,
-            self.stiffness / self.stiffness_unit,
-            self.delay,
-            self.hold,
-            self.sampling,
-        )
-        return loop_equation(plant, damper_named(self.damper, self.cutoff, self.rate), self.spring_lag)
+    def _loop(self) -> LoneHand:
+        own = self.friction / self.damping_unit, self.stiffness / self.stiffness_unit
+        damper = damper_named(self.damper, self.cutoff, self.rate)
+        return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag)
 
     @cached_property
     def _undamped(self) -> Undamped:
-        return undamped_curve(self._equation)
+        return undamped_curve(self._loop)
 
     def _stable_interval(self, sought: int, given: Floats) -> tuple[Floats, Floats]:
         def is_stable(kappa: Floats, beta: Floats) -> Bools:
-            if self._equation.degree > MOST_EIGENVALUES:
-                return all_within(characteristic(self._equation, kappa, beta), np.ones(kappa.shape))
+            if self._loop.degree > MOST_EIGENVALUES:
+                return all_within(characteristic(self._loop, kappa, beta), np.ones(kappa.shape))
             return np.asarray(self.is_stable(kappa * self.stiffness_unit, beta * self.damping_unit))
 
-        least, most = stable_interval(self._equation, self._undamped, sought, given.ravel(), is_stable)
+        least, most = stable_interval(self._loop, self._undamped, sought, given.ravel(), is_stable)
         return least.reshape(given.shape), most.reshape(given.shape)
 
     def _normalised(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Floats, Floats]:
@@ -326,13 +322,13 @@ class Configuration:
         """(K T²/m, B T/m, the poles of (k, b), whether there is an answer), further poles not taken into account."""
         kappa, sigma = self._normalised(k, b)
         more_kappa, more_sigma = self._normalised(np.subtract(k, self.stiffness), np.subtract(b, self.friction))
-        K, B, pair = element_of_oscillator(self._equation, (sigma, kappa), (more_sigma, more_kappa))
-        return K, B, pair, np.isfinite(K) & np.isfinite(B) & is_attainable(sigma, kappa)
+        K, B, pair = element_of_oscillator(self._loop, (sigma, kappa), (more_sigma, more_kappa))
+        return K, B, pair, np.isfinite(kappa + sigma) & np.isfinite(K) & np.isfinite(B) & is_attainable(sigma, kappa)
 
     @cached_property
     def _own_swing_is_seen(self) -> bool:
         """Whether mass and real spring swing below the Nyquist frequency: of what is faster only an image is seen."""
-        return bool(is_attainable(self._equation.plant.damping, self._equation.plant.stiffness))
+        return bool(is_attainable(self._loop.damping, self._loop.stiffness))
 
     def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
         """The leading pair and all poles for (n,) stiffnesses and dampings."""
@@ -340,7 +336,7 @@ class Configuration:
         return _solved_at(self, float(one[0]), float(other[0])) if one.size == 1 else self._solve(one, other)
 
     def _solve(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
-        lead, poles = all_poles(self._equation, *self._normalised(K, B))
+        lead, poles = all_poles(self._loop, *self._normalised(K, B))
         return lead._replace(dominant=lead.dominant & self._own_swing_is_seen), poles
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hapsim.holds import HOLDS, Term
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import SAMPLINGS, DamperModel
+from hapsim.theory.interface import SAMPLINGS, DamperModel, damper_answer
 
 
 def late_and_held(theta: Floats, delay: float, hold: str, sampling: str) -> Complexes:
@@ -28,8 +28,7 @@ def damper_gain(damper: DamperModel, theta: Floats) -> Complexes:
 def velocity_read(damper: DamperModel, theta: Floats) -> Complexes:
     """What the damper makes of positions, in metres per sample, over the position, at z = exp(j theta)."""
     w = 2j * np.sin(0.5 * theta) * np.exp(0.5j * theta)  # z - 1, to all its digits
-    numerator, denominator = (np.polyval(part[::-1], w) for part in (damper.numerator, damper.denominator))
-    return np.asarray(w * numerator / denominator * np.exp(-1j * damper.delays * theta))
+    return damper_answer(damper, np.exp(1j * theta), w)
 
 
 def _through(terms: tuple[Term, ...], theta: Floats) -> Complexes:

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
-from hapsim.theory.hand.inverse_map import element_of_oscillator, undamped, undamped_parts
-from hapsim.theory.hand.loop_equation import LoopEquation, characteristic
+from hapsim.theory.hand.inverse_map import element_of_oscillator, relation_of_oscillator, undamped
+from hapsim.theory.hand.lone_hand import LoneHand, relation_on_pair
+from hapsim.theory.hand.pole_pair import PolePair
 
 SLOWEST = 1e-9  # radians per sample: what swings more slowly is not looked for
 POINTS_PER_DECADE = 24  # of the slow frequencies
@@ -37,33 +38,33 @@ class Undamped(NamedTuple):
     """(h, g) of frequencies at which a whole line K T²/m + B T/m h + g = 0 has its pole on the circle."""
 
 
-def undamped_element(equation: LoopEquation, theta: Floats) -> tuple[Floats, Floats]:
+def undamped_element(hand: LoneHand, theta: Floats) -> tuple[Floats, Floats]:
     """(K T²/m, B T/m) with which the hand swings undamped, theta radians per sample."""
-    return element_of_oscillator(equation, *undamped(equation, theta))[:2]
+    return element_of_oscillator(hand, *undamped(hand, theta))[:2]
 
 
-def undamped_curve(equation: LoopEquation) -> Undamped:
+def undamped_curve(hand: LoneHand) -> Undamped:
     """The whole curve, with its turning points among the frequencies."""
-    late = equation.plant.lead + equation.damper.delays + 3
+    late = hand.degree + 2
     slow = np.geomspace(SLOWEST, 0.05, 1 + POINTS_PER_DECADE * 8, endpoint=False)
     theta = np.concatenate([slow, np.linspace(0.05, np.pi, POINTS_PER_SAMPLE * late, endpoint=False)])
-    along = undamped_element(equation, theta)
-    turns = [_turning_points(equation, which, theta, along[which]) for which in (0, 1)]
+    along = undamped_element(hand, theta)
+    turns = [_turning_points(hand, which, theta, along[which]) for which in (0, 1)]
     theta = np.unique(np.concatenate([theta, *turns]))
-    return Undamped(theta, *undamped_element(equation, theta), _tied(equation, theta))
+    return Undamped(theta, *undamped_element(hand, theta), _tied(hand, theta))
 
 
 def stable_interval(
-    equation: LoopEquation, curve: Undamped, sought: int, given: Floats, is_stable: IsStable
+    hand: LoneHand, curve: Undamped, sought: int, given: Floats, is_stable: IsStable
 ) -> tuple[Floats, Floats]:
     """The lowest stable interval of kappa (``sought`` 0) or beta (1), for given values (n,) of the other.
 
     Between two values at which a pole may cross the unit circle stability does not change: one test of each interval
     is enough. Returns (least, most), NaN where nothing is stable, infinity where nothing ends it.
     """
-    with_real_pole = [at(equation, sought, given)[:, None] for at in (_with_pole_at_rest, _with_alternating_pole)]
+    with_real_pole = [at(hand, sought, given)[:, None] for at in (_with_pole_at_rest, _with_alternating_pole)]
     tied = [(-(g + h * given) if sought == 0 else -(g + given) / h)[:, None] for h, g in curve.tied]
-    crossings = np.concatenate([*with_real_pole, *tied, _crossings(equation, curve, sought, given)], axis=-1)
+    crossings = np.concatenate([*with_real_pole, *tied, _crossings(hand, curve, sought, given)], axis=-1)
     edges = np.sort(np.where(np.isfinite(crossings), crossings, np.inf), axis=-1)
     edges = np.concatenate([np.full((given.size, 1), -np.inf), edges, np.full((given.size, 1), np.inf)], axis=-1)
     inside = _between(edges[:, :-1], edges[:, 1:])
@@ -91,42 +92,42 @@ def _between(low: Floats, high: Floats) -> Floats:
     return np.where(both, np.sqrt(np.where(both, low * high, 1.0)), 0.5 * (low + high))
 
 
-def _with_pole_at_rest(equation: LoopEquation, sought: int, given: Floats) -> Floats:
+def _with_pole_at_rest(hand: LoneHand, sought: int, given: Floats) -> Floats:
     """The value that puts a pole at z = 1: nothing is left of what holds the hand in its place."""
-    plant = equation.plant
-    of_device = plant.q / plant.numerator.sum()
-    offset = plant.offset if equation.damper.senses else 0.0
+    rest = PolePair(np.zeros(1), np.zeros(1))
+    of_beta, of_device = (part.constant for part in relation_on_pair(hand, rest, (hand.p - rest.p, hand.q - rest.q)))
     if sought == 0:
-        return np.asarray(-of_device - offset * given)
-    return -(given + of_device) / offset if offset else np.full(given.shape, np.nan)
+        return np.asarray(-(of_device + of_beta * given))
+    return np.asarray(-(given + of_device) / (of_beta if hand.damper.senses else np.nan))
 
 
-def _with_alternating_pole(equation: LoopEquation, sought: int, given: Floats) -> Floats:
+def _with_alternating_pole(hand: LoneHand, sought: int, given: Floats) -> Floats:
     """The value that puts a pole at z = -1: the force swings to and fro with every sample."""
-    probes = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    coefficients = np.stack(characteristic(equation, probes[:, 0], probes[:, 1]), axis=-1)
-    values = coefficients @ (-1.0) ** np.arange(equation.degree, -1, -1)
-    slopes = values[1:] - values[0]
-    return np.asarray(-(values[0] + slopes[1 - sought] * given) / slopes[sought])
+    constant, *slopes = hand.polynomials @ (-1.0) ** np.arange(hand.degree, -1, -1)
+    slopes[0] -= hand.lag * slopes[1]
+    return np.asarray(-(constant + slopes[1 - sought] * given) / slopes[sought])
 
 
-def _tied(equation: LoopEquation, theta: Floats) -> list[tuple[float, float]]:
+def _tied(hand: LoneHand, theta: Floats) -> list[tuple[float, float]]:
     """Where the damper's reading is in phase with the position, and so is what moves the mass (a centred damper at half
     the Nyquist frequency): K and B cannot be distinguished there, and the curve has a hole."""
-    slope = np.asarray(undamped_parts(equation, theta)[0].slope) + 0.0 * theta
-    at = np.flatnonzero(np.sign(slope[1:]) != np.sign(slope[:-1]))
-    low, high, sign = theta[at], theta[at + 1], np.sign(slope[at])
+
+    def slope(theta: Floats) -> Floats:
+        return np.asarray(relation_of_oscillator(hand, *undamped(hand, theta))[0].slope) + 0.0 * theta
+
+    sign = np.sign(slope(theta))
+    at = np.flatnonzero(sign[1:] != sign[:-1])
+    low, high = theta[at], theta[at + 1]
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        before = np.sign(np.asarray(undamped_parts(equation, middle)[0].slope) + 0.0 * middle) == sign
+        before = np.sign(slope(middle)) == sign[at]
         low, high = np.where(before, middle, low), np.where(before, high, middle)
-    middle = 0.5 * (low + high)
-    h, g = undamped_parts(equation, middle)
+    h, g = relation_of_oscillator(hand, *undamped(hand, 0.5 * (low + high)))
     tied = np.abs(g.slope) <= IN_PHASE * np.abs(g.constant)
     return [(float(one), float(other)) for one, other in zip(h.constant[tied], g.constant[tied], strict=True)]
 
 
-def _crossings(equation: LoopEquation, curve: Undamped, sought: int, given: Floats) -> Floats:
+def _crossings(hand: LoneHand, curve: Undamped, sought: int, given: Floats) -> Floats:
     """(n, crossings): where the curve passes the given values, padded with NaN."""
     along = curve.beta if sought == 0 else curve.kappa
     above = along[None, :] > given[:, None]
@@ -135,9 +136,9 @@ def _crossings(equation: LoopEquation, curve: Undamped, sought: int, given: Floa
     low_above = above[row, piece]
     for _ in range(BISECTIONS):
         middle = np.where(high > 4.0 * low, np.sqrt(low * high), 0.5 * (low + high))
-        is_above = undamped_element(equation, middle)[1 - sought] > given[row]
+        is_above = undamped_element(hand, middle)[1 - sought] > given[row]
         low, high = np.where(is_above == low_above, middle, low), np.where(is_above == low_above, high, middle)
-    element = undamped_element(equation, 0.5 * (low + high))
+    element = undamped_element(hand, 0.5 * (low + high))
     # A sign that changes through infinity is no crossing.
     reached = np.abs(element[1 - sought] - given[row]) <= 1e-6 * (np.abs(given[row]) + np.abs(along[piece]))
     found = np.full((given.size, 1 + np.bincount(row, minlength=1).max()), np.nan)
@@ -146,7 +147,7 @@ def _crossings(equation: LoopEquation, curve: Undamped, sought: int, given: Floa
     return found
 
 
-def _turning_points(equation: LoopEquation, which: int, theta: Floats, values: Floats) -> Floats:
+def _turning_points(hand: LoneHand, which: int, theta: Floats, values: Floats) -> Floats:
     """Frequencies at which K or B turns back along the curve, by golden section between the neighbours."""
     rises = np.diff(values) > 0.0
     at = 1 + np.flatnonzero(rises[1:] != rises[:-1])
@@ -154,6 +155,6 @@ def _turning_points(equation: LoopEquation, which: int, theta: Floats, values: F
     sign = np.where(rises[at - 1], 1.0, -1.0)
     for _ in range(BISECTIONS):
         one, other = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-        left = sign * undamped_element(equation, one)[which] > sign * undamped_element(equation, other)[which]
+        left = sign * undamped_element(hand, one)[which] > sign * undamped_element(hand, other)[which]
         low, high = np.where(left, low, one), np.where(left, other, high)
     return 0.5 * (low + high)

@@ -55,7 +55,8 @@ def needed_friction(wall: Wall) -> Floats:
 
 def _upper_bound(wall: Wall) -> Floats:
     """The best point of a grid, then parabolas through three points about it."""
-    count = math.ceil(POINTS_PER_SWING * (wall.delay + wall.damper.delays + 1.0))
+    late = wall.delay + len(wall.damper.of_positions) - len(wall.damper.of_velocities)
+    count = math.ceil(POINTS_PER_SWING * late)
     spacing = math.pi / count
     # One point beyond either end, where the demand goes on smoothly.
     theta = spacing * np.arange(-1.0, count + 2.0, dtype=np.float64)

@@ -1,8 +1,8 @@
 """Poles of the closed loop: the roots of its characteristic polynomial, and the pair that moves the hand.
 
 All of them are eigenvalues; the two slowest are then polished as one quadratic factor, in which slow poles and poles
-that meet keep their digits. Everything here is in the normalised units kappa = K T²/m and beta = B T/m (see
-``loop_equation.py``), arrays of one shape.
+that meet keep their digits: as the one whose element is the given one. Everything here is in the normalised units
+kappa = K T²/m and beta = B T/m (see ``lone_hand.py``), arrays of one shape.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
-from hapsim.theory.hand.loop_equation import LoopEquation, characteristic, equation_on_pair
+from hapsim.theory.hand.lone_hand import LoneHand, characteristic, element_of_relation, relation_on_pair
 from hapsim.theory.hand.pole_pair import PolePair
 
 POLISH_STEPS = 8
-POLISH_DONE = 1e-11  # relative size of a step
+POLISH_DONE = 1e-9  # relative size of a step: of Newton's next one nothing would be seen
+POLISH_TRIES = 1e-5  # relative, of a pair beside it, by which the slope is worked out
 POLISH_ACCEPTED = 1e-6  # the same: close to a further pole the last digits do not settle
 POLISH_MAY_MOVE = 1e-5  # eigenvalues are better than that: a step further leads to another pair
 FREE_MASS = 1e-40  # a p or q smaller than this is zero
@@ -61,12 +62,12 @@ class LeadingPair(NamedTuple):
     dominant: Bools
 
 
-def all_poles(equation: LoopEquation, kappa: Floats, beta: Floats) -> tuple[LeadingPair, Complexes]:
+def all_poles(hand: LoneHand, kappa: Floats, beta: Floats) -> tuple[LeadingPair, Complexes]:
     """The leading pair, for kappa and beta (n,), and all poles (n, N) by decreasing modulus."""
-    poles = roots(np.stack(characteristic(equation, kappa, beta), axis=-1))
+    poles = roots(np.stack(characteristic(hand, kappa, beta), axis=-1))
     p, q, is_pair = _two_slowest(poles)
     others = poles[:, 2:]
-    p, q = _polished(equation, kappa, beta, (p, q), others)
+    p, q = _polished(hand, kappa, beta, (p, q))
     pair = PolePair(p, q)
     lead = LeadingPair(p, q, is_pair & _decay_faster(others, pair))
     poles[:, :2] = np.where(lead.dominant[:, None], sort_by_modulus(pair.poles), poles[:, :2])
@@ -86,7 +87,7 @@ def roots(coefficients: Floats) -> Complexes:
 
 
 def pair_of_poles(poles: Complexes) -> LeadingPair:
-    """The leading pair of poles (..., N) by decreasing modulus, as they are: of a loop without a ``LoopEquation``."""
+    """The leading pair of poles (..., N) by decreasing modulus, as they are: of a loop without a ``LoneHand``."""
     p, q, is_pair = _two_slowest(poles)
     return LeadingPair(p, q, is_pair & _decay_faster(poles[..., 2:], PolePair(p, q)))
 
@@ -103,32 +104,36 @@ def _decay_faster(others: Complexes, pair: PolePair) -> Bools:
     return np.asarray(np.abs(others).max(axis=-1, initial=0.0) < pair.smaller_modulus)
 
 
-def _polished(
-    equation: LoopEquation, kappa: Floats, beta: Floats, start: tuple[Floats, Floats], others: Complexes
-) -> tuple[Floats, Floats]:
-    """Newton's method on the quadratic factor of the pair; the start, where it does not converge nearby.
-
-    The characteristic polynomial is (w² + p w + q) H(w) at the solution, with H about the product of the other poles:
-    the polynomial on the present pair, divided by H, is the change of p w + q.
-    """
+def _polished(hand: LoneHand, kappa: Floats, beta: Floats, start: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+    """Newton's method on the map from the pair to its element; the start, where it does not converge nearby."""
     p, q, step = start[0].copy(), start[1].copy(), np.full(start[0].shape, np.inf)
     some = np.arange(p.size)  # those under way: what has arrived stays, whatever its neighbours do
     for _ in range(POLISH_STEPS):
-        w = PolePair(p[some], q[some]).w
-        change = equation_on_pair(equation, kappa[some], beta[some], w)
-        for pole in others[some].T:
-            change = change.over(w.plus(1.0 - pole))
-        dp, dq = np.real(change.slope), np.real(change.constant)
+        size_p = np.abs(p[some]) + np.sqrt(np.abs(q[some])) + FREE_MASS
+        size_q = np.abs(q[some]) + FREE_MASS
+        dp, dq = _newton_step(
+            hand, (kappa[some], beta[some]), p[some], q[some], POLISH_TRIES * np.stack([size_p, size_q])
+        )
         p[some] += dp
         q[some] += dq
-        size_p, size_q = np.abs(p[some]) + np.sqrt(np.abs(q[some])), np.abs(q[some])
-        step[some] = np.maximum(np.abs(dp) / (size_p + FREE_MASS), np.abs(dq) / (size_q + FREE_MASS))
+        step[some] = np.maximum(np.abs(dp) / size_p, np.abs(dq) / size_q)
         some = some[step[some] > POLISH_DONE]
         if not some.size:
             break
     moved = np.abs(p - start[0]) + np.abs(q - start[1])
     good = (step <= POLISH_ACCEPTED) & (moved <= POLISH_MAY_MOVE)
     return np.where(good, p, start[0]), np.where(good, q, start[1])
+
+
+def _newton_step(hand: LoneHand, element: tuple[Floats, Floats], p: Floats, q: Floats, tries: Floats) -> Floats:
+    """The change of p and of q that makes the pair's element the given one."""
+    several_p, several_q = np.stack([p, p + tries[0], p]), np.stack([q, q, q + tries[1]])
+    tries = np.stack([several_p[1] - p, several_q[2] - q])
+    relation = relation_on_pair(hand, PolePair(several_p, several_q), (hand.p - several_p, hand.q - several_q))
+    found = element_of_relation(hand, relation)
+    (a, b), (c, d) = ((of[1:] - of[0]) / tries for of in found)
+    more_kappa, more_beta = element[0] - found[0][0], element[1] - found[1][0]
+    return np.stack([d * more_kappa - b * more_beta, a * more_beta - c * more_kappa]) / (a * d - b * c)
 
 
 def all_within(coefficients: list[Floats], radius: Floats) -> Bools:

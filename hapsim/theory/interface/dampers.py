@@ -7,19 +7,18 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+
+from hapsim.theory.arrays import Complexes
+
 
 class DamperModel(NamedTuple):
     """How readings become the velocity that a link's damping acts on, in metres per sample period.
 
-    As a transfer function, v/y = w ``numerator``(w)/(``denominator``(w) z^``delays``), in powers of w = z - 1, the
-    lowest first; both have the same value at w = 0, so that a slow motion's velocity is true. As a recurrence,
     v[n] is the sum of ``of_positions`` over y[n], y[n-1], ... and of ``of_velocities`` over v[n-1], v[n-2], ...
-    Where it ``senses``, the device sends the velocity of its own end, and both stand for the other end alone.
+    Where it ``senses``, the device sends the velocity of its own end, and they stand for the other end alone.
     """
 
-    numerator: tuple[float, ...]
-    denominator: tuple[float, ...]
-    delays: int
     of_positions: tuple[float, ...]
     of_velocities: tuple[float, ...] = ()
     senses: bool = False
@@ -27,12 +26,12 @@ class DamperModel(NamedTuple):
 
 def backward(_cutoff: float) -> DamperModel:
     """v[n] = (y[n] - y[n-1])/T (first-order Euler; Florens et al., §6); v/y = w/(w + 1)."""
-    return DamperModel((1.0,), (1.0,), delays=1, of_positions=(1.0, -1.0))
+    return DamperModel(of_positions=(1.0, -1.0))
 
 
 def centred(_cutoff: float) -> DamperModel:
     """v[n] = (y[n] - y[n-2])/(2 T), the velocity at the sample before; v/y = w (1 + w/2)/(1 + w)²."""
-    return DamperModel((1.0, 0.5), (1.0,), delays=2, of_positions=(0.5, 0.0, -0.5))
+    return DamperModel(of_positions=(0.5, 0.0, -0.5))
 
 
 def filtered(cutoff: float) -> DamperModel:
@@ -42,7 +41,7 @@ def filtered(cutoff: float) -> DamperModel:
     1/(1 + s/(2 pi cutoff)). ``cutoff``: 2 pi times the cutoff frequency times the sample period.
     """
     a = -math.expm1(-cutoff)
-    return DamperModel((a,), (a, 1.0), delays=0, of_positions=(a, -a), of_velocities=(math.exp(-cutoff),))
+    return DamperModel(of_positions=(a, -a), of_velocities=(math.exp(-cutoff),))
 
 
 def sensed(_cutoff: float) -> DamperModel:
@@ -51,7 +50,7 @@ def sensed(_cutoff: float) -> DamperModel:
     With averaged sampling it is the mean velocity over the sample period that has just ended. A simulated end has no
     sensor: its velocity is the backward difference of its positions.
     """
-    return DamperModel((1.0,), (1.0,), delays=1, of_positions=(1.0, -1.0), senses=True)
+    return DamperModel(of_positions=(1.0, -1.0), senses=True)
 
 
 #: Each made from 2 pi times the cutoff frequency times the sample period, which only a filter uses.
@@ -79,3 +78,9 @@ def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:
     if cutoff is None or not 0.0 < cutoff < math.inf:
         raise ValueError(f"cutoff is {cutoff!r}, but the {name} damper needs one, in Hz, greater than zero.")
     return DAMPERS[name](2.0 * math.pi * cutoff / rate)
+
+
+def damper_answer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
+    """v/y of the damper's recurrence; its weights of positions add up to zero, which leaves a factor 1 - 1/z = w/z."""
+    from_positions = np.polyval(np.cumsum(damper.of_positions)[-2::-1], 1.0 / z)
+    return w / z * from_positions / (1.0 - np.polyval([*damper.of_velocities[::-1], 0.0], 1.0 / z))

@@ -1,8 +1,7 @@
 """The samplings: how a motion becomes a number. A new one is an entry here, and its window in the mock.
 
-Each sampling and damper is described twice, and different code reads the two descriptions on purpose: its
-transfer function the characteristic equation (``sampled_plant.py``, ``loop_equation.py``), its behaviour in time the
-state space (``device_step.py``, ``rows.py``). That the two agree is a test of both.
+Of a sampling the loop reads the window (``device_step.py``), and an impedance the transfer function: that the two agree
+is a test of both.
 """
 
 from __future__ import annotations
@@ -11,11 +10,6 @@ import math
 from typing import NamedTuple
 
 from hapsim.holds import Term
-
-
-def product(one: tuple[Term, ...], other: tuple[Term, ...]) -> tuple[Term, ...]:
-    """The terms of two transfer functions in series."""
-    return tuple(Term(a.weight * b.weight, a.lag + b.lag, a.integrations + b.integrations) for a in one for b in other)
 
 
 def whole_and_fraction(delay: float) -> tuple[int, float]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.device_step import DeviceStep
-from hapsim.theory.interface import DamperModel
+from hapsim.theory.interface import damper_answer
 from hapsim.theory.network.large_loop import factorised
 from hapsim.theory.network.network import Network, acting_links
 from hapsim.theory.sample import channel_steps
@@ -34,12 +34,6 @@ def on_circle(angle: Floats, outside: float = 0.0) -> Places:
     unit: Complexes = np.exp(1j * angle)
     w = outside * unit - 2.0 * np.sin(0.5 * angle) ** 2 + 1j * np.sin(angle)
     return Places((1.0 + outside) * unit, w)
-
-
-def damper_answer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
-    """v/y of the damper's recurrence; its weights of positions add up to zero, which leaves a factor 1 - 1/z = w/z."""
-    from_positions = np.polyval(np.cumsum(damper.of_positions)[-2::-1], 1.0 / z)
-    return w / z * from_positions / (1.0 - np.polyval([*damper.of_velocities[::-1], 0.0], 1.0 / z))
 
 
 def channel_answer(step: DeviceStep, z: Complexes, w: Complexes) -> tuple[Complexes, Complexes]:
