@@ -168,11 +168,11 @@ class Law:
 
     def slope(self, d: float) -> float:
         """N/m at d, in m; on an edge the mean of those beside it, which is what a small swing about it meets."""
-        return 0.5 * sum(piece.slope for piece in self._beside(d))
+        return sum(0.5 * piece.slope for piece in self._beside(d))
 
     def damping(self, d: float) -> float:
         """N·s/m at d, as `slope`."""
-        return 0.5 * sum(piece.damping for piece in self._beside(d))
+        return sum(0.5 * piece.damping for piece in self._beside(d))
 
     def state(self, d: float) -> str:
         """How the link is at d, in a word or two; "" where it is always the same."""

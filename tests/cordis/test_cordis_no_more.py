@@ -28,7 +28,7 @@ from hapsim.scene import Scene
 LISTS = ("initialize", "retarget", "add_forces", "integrate")
 LINK: dict[str, Any] = {"between": ["ball", "hand"]}
 VALUES: dict[str, Any] = {"mass": 0.01, "stiffness": 100.0}
-TABLES = "links straight between knots"
+TABLES = "contacts, curves, detents and clicks"
 TABLE = ("initialize", "retarget", "add_forces")
 CURVE = [[-0.1, -1.0], [0.1, 1.0]]
 

@@ -232,7 +232,7 @@ def test_what_is_in_a_matrix_changes_with_the_structure_only(monkeypatch: pytest
         runner.live.set({"touch": {"stiffness": 111.0}, "wall": {"position": 0.02}, "stop": {"distance": 0.003}}, 0.0)
         assert runner.live.scene.modules["touch"].stiffness == 111.0  # type: ignore[attr-defined]
         values = parameter_values(runner.live.scene)
-        assert values.size == 1 + 3 * 2 + 3  # the wall, three links to hands, the buffer
+        assert values.size == 1 + 3 * 2 + 7  # the wall, three links to hands, the buffer's table
         assert {0.02, 111.0, 0.003} < set(values)
         runner.go()
 

@@ -173,7 +173,7 @@ def _over_velocity(link: Link) -> Law | None:
     return None if points is None else curve_law(points)
 
 
-TABLES = _table_type(lambda link: link.table(), add_table_forces, "links straight between knots", lambda _: 1.0)
+TABLES = _table_type(lambda link: link.table(), add_table_forces, "contacts, curves, detents and clicks", lambda _: 1.0)
 VELOCITY_TABLES = _table_type(_over_velocity, add_velocity_forces, "forces over velocity", lambda rate: 1.0 / rate)
 
 TYPES = (TABLES, VELOCITY_TABLES)
