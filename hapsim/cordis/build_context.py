@@ -68,7 +68,7 @@ def live_columns(modules: Mapping[str, Any], rate: float) -> list[LiveColumn]:
 
 
 def knot_field(what: str, name: str, knot: int, of: int) -> tuple[str, str]:
-    """The name in a LiveColumn of a number of one of a link's knots, of so many."""
+    """Name of a knot's number in a LiveColumn: "edge 2 of 5". `name`: of the link; `of`: how many knots it has."""
     return name, f"{what} {knot} of {of}"
 
 

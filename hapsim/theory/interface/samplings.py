@@ -1,7 +1,7 @@
 """The samplings: how a motion becomes a number. A new one is an entry here, and its window in the mock.
 
-Of a sampling the loop reads the window (``device_step.py``), and an impedance the transfer function: that the two agree
-is a test of both.
+The loop reads a sampling's window (``device_step.py``), an impedance its transfer function. That the two agree is a
+test of both.
 """
 
 from __future__ import annotations
