@@ -71,6 +71,13 @@ def _matrix(row: Indices, column: Indices, value: Floats, shape: tuple[int, int]
     return out
 
 
+def stretches_of(network: Network, sparse: bool) -> Rows:
+    """(L, C + M): what each link is stretched by."""
+    link, end = np.nonzero(network.ends >= 0)
+    shape = len(network.ends), network.channel_mass.size + network.point_mass.size
+    return _matrix(link, network.ends[link, end], np.array([1.0, -1.0])[end], shape, sparse)
+
+
 def cut(rows: Rows, sizes: dict[str, int]) -> dict[str, Rows]:
     """The rows as parts of these sizes."""
     ends = np.cumsum([0, *sizes.values()]).tolist()
@@ -89,11 +96,8 @@ class Tick:
     def __init__(self, network: Network, sparse: bool = False) -> None:
         self._network, self._rate = network, network.rate * network.substeps
         self._channels, self._masses = network.channel_mass.size, network.point_mass.size
-        links, points = len(network.ends), self._channels + self._masses
-        link, end = np.nonzero(network.ends >= 0)
-        sparse_ends = sparse or links * points > MOST_DENSE
-        sign = np.array([1.0, -1.0])[end]
-        self.stretches = _matrix(link, network.ends[link, end], sign, (links, points), sparse_ends)
+        links = len(network.ends)
+        self.stretches = stretches_of(network, sparse or links * (self._channels + self._masses) > MOST_DENSE)
         acting = damping_links(network)
         kinds = list(dict.fromkeys(network.damper))
         number = {damper: i for i, damper in enumerate(kinds)}

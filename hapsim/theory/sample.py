@@ -10,7 +10,7 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, device_step
 from hapsim.theory.interface import SAMPLINGS
 from hapsim.theory.network.network import Network, damping_links
-from hapsim.theory.rows import Rows, Tick, cut, of_steps, sensed_channels, stack, times
+from hapsim.theory.rows import Rows, Tick, cut, of_steps, sensed_channels, stack, times, unit_rows
 
 LARGE = 1000  # numbers in the state; above, eigenvalues of the whole matrix take longer than a user waits
 
@@ -96,14 +96,14 @@ class Loop(NamedTuple):
 
     Of the loop with its inputs: ``push`` (n, C + M): what a force of 1 N adds that is computed for a point (of a scene
     whose points move once a sample; else the channels alone). ``force`` (C, n): N, computed for the channels.
-    ``stretches`` (2, L, n): each link's stretch, and its damper's velocity in metres per sample period.
+    ``stretches``, both (L, n): each link's stretch, and its damper's velocity in metres per sample period.
     """
 
-    change: Floats
-    points: Floats
-    push: Floats = np.zeros((0, 0))
-    force: Floats = np.zeros((0, 0))
-    stretches: Floats = np.zeros((2, 0, 0))
+    change: Rows
+    points: Rows
+    push: Rows = np.zeros((0, 0))
+    force: Rows = np.zeros((0, 0))
+    stretches: tuple[Rows, Rows] = (np.zeros((0, 0)),) * 2
 
 
 def sizes_of(network: Network) -> dict[str, int]:
@@ -137,11 +137,11 @@ def is_large(network: Network) -> bool:
 
 
 @np.errstate(all="ignore")  # numbers out of range become NaN
-def loop(network: Network, inputs: bool = False) -> Loop:
-    """The loop of a scene that is not large."""
-    sample = Sample(network)
+def loop(network: Network, inputs: bool = False, sparse: bool = False) -> Loop:
+    """The loop of a scene that is not large; on sparse rows, of one whose points CORDIS's scheme moves once a sample."""
+    sample = Sample(network, sparse)
     size, points = sum(sample.sizes.values()), network.channel_mass.size + network.point_mass.size
-    one = np.eye(size + points * inputs)
+    one = unit_rows(size + points * inputs, sparse)
     state, pushed = cut(one[:size], sample.sizes), one[size:] if inputs else None
     begun, channels = sample.begun(state), network.channel_mass.size
     if network.substeps == 1:
@@ -152,8 +152,9 @@ def loop(network: Network, inputs: bool = False) -> Loop:
     read = sample.points(state)[:, :size]
     if not inputs:
         return Loop(whole, read)
-    _, *seen = sample.tick.seen(begun)
-    return Loop(whole[:, :size], read, whole[:, size:], moved["force"][:, :size], np.stack(seen)[:, :, :size])
+    _, stretch, rate = sample.tick.seen(begun)
+    stretches = stretch[:, :size], rate[:, :size]
+    return Loop(whole[:, :size], read, whole[:, size:], moved["force"][:, :size], stretches)
 
 
 def step_of(sample: Sample) -> Floats:

@@ -15,9 +15,9 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import device_step
 from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.interface import SAMPLINGS, Sampling, damper_named, hold_lag, hold_segments
-from hapsim.theory.network.response import channel_answer
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from device_answer import channel_answer
 from unshipped_holds import LAGS as UNSHIPPED_LAGS
 from unshipped_holds import UNSHIPPED
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import itertools
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hapsim.holds import HOLDS
 from hapsim.theory import Configuration, Network
+from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.hand.walls import stiffest_passive, stiffest_stable
-from hapsim.theory.interface import DAMPERS, SAMPLINGS, damper_named
-from hapsim.theory.network import impedance
+from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel, damper_named
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
-from hapsim.theory.network.response import on_circle
 from hapsim.theory.sample import loop
 from hapsim.theory.schemes import SCHEMES
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from device_answer import rendered_stiffness
 
 RATE = 1000.0
 F = np.geomspace(1.0, 480.0, 25)
@@ -57,10 +61,22 @@ def test_the_closed_loop_is_what_the_transition_makes_of_an_added_force(damper: 
     """The masses eliminated at each frequency, and the state moved from sample to sample: two ways to one matrix."""
     own = [damper_named(damper, 60.0 if damper == "filtered" else None, RATE)] * 5
     network = two_hands(damper=own, hold=hold, sampling=sampling)
-    places = on_circle(2.0 * np.pi * F / RATE)
-    through = impedance.late_and_held(np.angle(places.z), 1.3, hold, sampling) / S
-    expected = impedance._by_state(network, places, np.zeros(0)) * through[:, None, None]
+    theta = 2.0 * np.pi * F / RATE
+    stiffness = np.array([rendered_stiffness(network, z) for z in np.exp(1j * theta)])
+    expected = stiffness * (late_and_held(theta, 1.3, hold, sampling) / S)[:, None, None]
     np.testing.assert_allclose(loop_impedance(network, F).rendered, expected, rtol=1e-10)
+    sparse = chain(30, own[0], hold, sampling)
+    expected = np.array([rendered_stiffness(sparse, z) for z in np.exp(1j * theta)])[:, 0, 0]
+    through = late_and_held(theta, 1.3, hold, sampling) / S
+    np.testing.assert_allclose(loop_impedance(sparse, F).rendered[:, 0, 0], expected * through, rtol=1e-10)
+
+
+def chain(masses: int, damper: DamperModel, hold: str, sampling: str) -> Network:
+    """A hand at one end, a ground at the other."""
+    ends = [[i, i + 1] for i in range(masses)] + [[masses, -1]]
+    values = np.full(masses + 1, 900.0), np.full(masses + 1, 0.3)
+    own = [damper] * (masses + 1)
+    return Network(RATE, [0.2], [1.0], 1.3, hold, sampling, np.full(masses, 0.01), ends, *values, [50.0], own)
 
 
 def test_a_force_that_is_added_enters_the_state_as_a_link_s_does() -> None:

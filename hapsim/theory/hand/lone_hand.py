@@ -74,7 +74,7 @@ def lone_hand(
     )  # fmt: skip
     found, sizes = loop(network, inputs=True), sizes_of(network)
     parts = cut(np.arange(len(found.change)), sizes)
-    push, reads = found.push[:, 0], found.stretches[:, 0]
+    push, reads = found.push[:, 0], np.concatenate(found.stretches)
     change = found.change + UNFELT * np.outer(push, reads[1])
     (x,), (v,), (way,) = (parts[name].tolist() for name in ("position", "velocity", "way"))
     read = list(np.flatnonzero(reads.any(axis=0)))

@@ -13,6 +13,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network.network import Network
+from hapsim.theory.rows import Rows, stretches_of, times, unit_rows
 
 
 class ContinuousMode(NamedTuple):
@@ -37,19 +38,18 @@ class ContinuousMode(NamedTuple):
         return -self.root.real / abs(self.root) if self.root else math.nan
 
 
-def matrices(network: Network) -> tuple[Floats, Floats, Floats]:
+def matrices(network: Network, sparse: bool = False) -> tuple[Rows, Rows, Rows]:
     """(M, Z, K), each (C + M, C + M): kg, N·s/m, N/m."""
-    mass = np.concatenate([network.channel_mass, network.point_mass])
-    points, links = np.arange(mass.size), np.arange(len(network.ends))
-    stretch = np.zeros((links.size, mass.size + 1))  # a ground, -1, is the last
-    stretch[links, network.ends[:, 0]] += 1.0
-    stretch[links, network.ends[:, 1]] -= 1.0
-    stretch = stretch[:, :-1]
-    Z, K = (stretch.T @ (value[:, None] * stretch) for value in (network.damping, network.stiffness))
-    own = points[: network.channel_mass.size]
-    Z[own, own] += network.channel_friction
-    K[own, own] += network.channel_stiffness
-    return np.diag(mass), Z, K
+    mass, stretches = np.concatenate([network.channel_mass, network.point_mass]), stretches_of(network, sparse)
+    one, others = unit_rows(mass.size, sparse), np.zeros(network.point_mass.size)
+    Z, K = (
+        stretches.T @ times(of_links, stretches) + times(np.concatenate([own, others]), one)
+        for of_links, own in (
+            (network.damping, network.channel_friction),
+            (network.stiffness, network.channel_stiffness),
+        )
+    )
+    return times(mass, one), Z, K
 
 
 def continuous_modes(network: Network) -> list[ContinuousMode]:

@@ -1,72 +1,99 @@
-"""Every factor of one link's stiffness, or damping, at which a pole of the loop crosses the unit circle.
+"""Every factor of a change of rank one at which a pole of the loop crosses the unit circle.
 
-The change is of rank one: the transition becomes M + s u v'. A pole stands at z where s g(z) = 1 with
-g(z) = v'(z - M)^-1 u, and on the circle s is real where g(z) = g(1/z). Since
+With s u v' added to what a sample adds to the state, A, a pole stands at z where s g(z) = 1 with g(z) = v'(z - M)^-1 u,
+M = 1 + A, and on the circle s is real where g(z) = g(1/z). Since
 
     (z - M)^-1 - (1/z - M)^-1 = (1/z - z) ((z - M)(1/z - M))^-1,      (z - M)(1/z - M) = A² + y M,
 
-with A = M - 1 and y = 2 - z - 1/z, which is 4 sin²(angle/2) on the circle, the crossings are the zeros of
-h(y) = v'(A² + y M)^-1 u between 0 and 4, and z = 1 and z = -1. With P = A² + y0 M and G = P^-1 M the zeros are those y
-for which -1/(y - y0) is an eigenvalue of G - P^-1 u v'G/h(y0): as many as the state has numbers, in real arithmetic,
-and slow ones to all their digits. The scene's response (``response.py``) gives s there.
+with y = 2 - z - 1/z, which is 4 sin²(angle/2) on the circle, the crossings are the zeros of h(y) = v'(A² + y M)^-1 u
+between 0 and 4, and z = 1 and z = -1. With P = A² + y0 M and G = P^-1 M the zeros are those y for which -1/(y - y0) is
+an eigenvalue of G - P^-1 u v'G/h(y0): as many as the state has numbers. There x = -(A² + y M)^-1 u gives
+g = v'(A + y) x, in real arithmetic, which slow crossings leave all their digits.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from hapsim.theory.arrays import Floats
+from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.response import SceneMatrix, on_circle
+from hapsim.theory.rows import Rows, stretches_of, times
 from hapsim.theory.sample import loop
 
 OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
 REAL = 1e-6  # of |y|: an imaginary part below this is rounding, or two crossings that nearly meet
-SHIFTS = (-0.011, -0.037, -0.13, -0.41)
+SHIFTS = np.array([-0.011, -0.037, -0.13, -0.41])
+AT_ENDS = np.array([1e-22, 4.0 * (1.0 - 1e-14)])  # z = 1 and z = -1, where a pole may stand as it is
+AT_ONCE = 4_000_000  # numbers in memory
+
+
+class LinkChanges(NamedTuple):
+    """A link's stiffness or damping, 1 + s times itself, adds s ``pushed`` ``read``' to ``change``: ``pushed``
+    (size, L), and ``read``, both (L, size), of stiffness and of damping."""
+
+    change: Rows
+    pushed: Rows
+    read: tuple[Rows, Rows]
+
+
+def link_changes(network: Network, sparse: bool = False) -> LinkChanges:
+    """Of a scene whose points CORDIS's scheme moves once a sample."""
+    change, _, push, _, (stretch, rate) = loop(network, inputs=True, sparse=sparse)
+    read = times(-network.stiffness, stretch), times(-network.damping * network.rate, rate)
+    return LinkChanges(change, push @ stretches_of(network, sparse).T, read)
+
+
+def on_circle(angle: Floats, outside: float = 0.0) -> Complexes:
+    """w = z - 1, to all its digits, at these angles on a circle whose radius is 1 and ``outside``."""
+    return np.asarray(outside * np.exp(1j * angle) - 2.0 * np.sin(0.5 * angle) ** 2 + 1j * np.sin(angle))
 
 
 class Crossings:
-    """What all links have in common."""
+    """What all changes of rank one have in common; ``step``: A, (n, n) or of several loops (N, n, n)."""
 
-    def __init__(self, network: Network) -> None:
-        change, _, push, _, stretches = loop(network, inputs=True)
-        one = np.eye(len(change))
-        step = (change - OUTSIDE * one) / (1.0 + OUTSIDE)
-        matrix = one + step
-        self._response = SceneMatrix(network)
-        self._shift = _far_from_poles(matrix)
-        shifted = step @ step + self._shift * matrix
-        u = _between(push, network)
-        self._v = -stretches * np.stack([network.stiffness, network.damping * network.rate])[:, :, None]
-        self._reached = np.linalg.solve(shifted, u)
-        self._common = np.linalg.solve(shifted, matrix)
+    def __init__(self, step: Floats) -> None:
+        self._step, self._square, self._matrix = step, step @ step, step + np.eye(step.shape[-1])
+        self._shift = _far_from_poles(step)[..., None]
+        self._inverse = np.linalg.inv(self._square + self._shift[..., None] * self._matrix)
+        self._common = self._inverse @ self._matrix
 
-    def factors(self, link: int, quantity: int) -> Floats:
-        """Positive factors of the link's stiffness (0) or damping (1), ascending: all at which a pole crosses, and some
-        at which one only touches the circle."""
-        v, reached = self._v[quantity, link], self._reached[:, link]
-        at_shift = float(v @ reached)
-        angles = np.array([0.0, np.pi])
-        if at_shift != 0.0:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                change = np.outer(reached, v @ self._common / at_shift)
-                y = self._shift - 1.0 / np.linalg.eigvals(self._common - change)
-                real = (np.abs(y.imag) <= REAL * np.abs(y)) & (y.real > 0.0) & (y.real < 4.0)
-            angles = np.append(angles, 2.0 * np.arcsin(0.5 * np.sqrt(y.real[real])))
-        change = self._response.changes(on_circle(angles, OUTSIDE), np.array([link]))[quantity, 0]
-        factors = 1.0 + change.real
-        return np.sort(factors[np.isfinite(factors) & (factors > 0.0)])
+    @np.errstate(all="ignore")  # what is out of range becomes NaN
+    def factors(self, u: Floats, v: Floats) -> Floats:
+        """(..., n + 2): all s at which a pole crosses, some at which one only touches the circle, and NaN; the last two
+        of z = 1 and z = -1."""
+        reached = self._inverse @ u
+        change = reached[..., None] * (v @ self._common / (reached @ v)[..., None])[..., None, :]
+        y = self._shift - 1.0 / np.linalg.eigvals(self._common - np.nan_to_num(change, posinf=0.0, neginf=0.0))
+        real = (np.abs(y.imag) <= REAL * np.abs(y)) & (y.real > 0.0) & (y.real < AT_ENDS[1])
+        y = np.concatenate([np.where(real, y.real, np.nan), np.broadcast_to(AT_ENDS, (*y.shape[:-1], 2))], axis=-1)
+        found, (*loops, which) = np.full(y.shape, np.nan), np.nonzero(np.isfinite(y))
+        some = max(1, AT_ONCE // u.size**2)
+        for start in range(0, which.size, some):
+            of = tuple(index[start : start + some] for index in loops)
+            at = (*of, which[start : start + some])
+            x = -_solved(self._square[of] + y[at][:, None, None] * self._matrix[of], u)
+            # Both sums of the circle's pair are 0 at a zero of h; z = -1 is a pair by itself.
+            slope = y[at] - 2.0 * (at[-1] == y.shape[-1] - 1)
+            found[at] = 1.0 / ((x * (v @ self._step[of])).sum(axis=-1) + slope * (x @ v))
+        return np.where(np.isfinite(found), found, np.nan)
 
 
-def _between(push: Floats, network: Network) -> Floats:
-    """(size, L): what a force of 1 N on a link's first end, and the opposite on its second, adds to the state."""
-    grounded = np.hstack([push, np.zeros((len(push), 1))])  # a ground, -1, is the last
-    return grounded[:, network.ends[:, 0]] - grounded[:, network.ends[:, 1]]
+@np.errstate(all="ignore")  # a pole at 0 is infinitely far
+def _far_from_poles(step: Floats) -> Floats:
+    """A y below 0 at which no pole stands, of each loop."""
+    w = np.linalg.eigvals(step).astype(complex)
+    y = np.nan_to_num(-(w**2) / (1.0 + w), nan=np.inf)
+    apart = np.abs(y[..., None, :] / SHIFTS[:, None] - 1.0).min(axis=-1, initial=1.0)
+    return SHIFTS[np.argmax(apart, axis=-1)]
 
 
-def _far_from_poles(matrix: Floats) -> float:
-    """A y below 0 at which no pole stands."""
-    poles = np.linalg.eigvals(matrix).astype(complex)
-    poles = poles[poles != 0.0]
-    y = -((poles - 1.0) ** 2) / poles
-    return max(SHIFTS, key=lambda shift: float(np.abs(y / shift - 1.0).min(initial=1.0)))
+def _solved(matrices: Floats, u: Floats) -> Floats:
+    """(n, size): NaN where a matrix has no inverse."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, u[:, None]))[..., 0]
+    except np.linalg.LinAlgError:
+        if len(matrices) == 1:
+            return np.full((1, u.size), np.nan)
+        return np.concatenate([_solved(one[None], u) for one in matrices])

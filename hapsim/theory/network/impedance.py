@@ -11,14 +11,13 @@ moves and the others are held. Three of them, at one frequency f, s = 2 pi j f, 
 
 Their sum device + rendered is what an additional force of the loop meets: the closed loop's impedance.
 
-The points' forces and motions obey D(z) x = f (``response.py``), D over the links, the masses' inertia and 1/G
-of the channels: the rendered impedance is D without 1/G, the masses eliminated. Where another scheme than CORDIS's
-moves the masses, or they move in substeps, it is the inverse of the closed loop's transfer function, read from its
-state, without 1/G.
+A force f of the loop that is added moves its state by (w - change)^-1 push f, w = z - 1: out of that state are read the
+positions, and the forces of the scene. The f that is read at 1 is 1/G, G the device's answer, and those forces.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,10 +25,15 @@ from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Complexes
 from hapsim.theory.hand.impedance import late_and_held
-from hapsim.theory.network.large_loop import factorised, sparse_transition
+from hapsim.theory.network.continuous import matrices
+from hapsim.theory.network.crossings import on_circle
+from hapsim.theory.network.large_loop import PIVOTS, factorised, sparse_transition
 from hapsim.theory.network.network import Network, is_centred
-from hapsim.theory.network.response import Places, SceneMatrix, on_circle
-from hapsim.theory.sample import is_large, loop
+from hapsim.theory.rows import times, unit_rows
+from hapsim.theory.sample import is_large, loop, state_size
+
+MOST_DENSE = 60  # numbers in the state; above, sparse rows take less time
+AT_ONCE = 4_000_000  # complex numbers in memory
 
 
 class LoopImpedance(NamedTuple):
@@ -51,59 +55,74 @@ def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
     Raises:
         NotWorkedOutError: the scene is large, and its scheme's matrix is not sparse.
     """
-    f = np.asarray(frequency, dtype=float)
+    f, channels = np.asarray(frequency, dtype=float), network.channel_mass.size
     theta = 2.0 * np.pi * f / network.rate
     some = (theta > 0.0) & (theta < np.pi)
-    angle = theta[some]
-    places, matrix = on_circle(angle), SceneMatrix(network)
-    functions, plants = matrix.without_plants(matrix.functions(places))
-    channels = network.channel_mass.size
-    inverse_plant = plants[:, :, None] * np.eye(channels)
-    if is_centred(network):
-        scene = _eliminated(matrix, functions, channels)
-    else:
-        scene = _by_state(network, places, inverse_plant)
-    through = late_and_held(angle, network.delay, network.hold, network.sampling) / (2j * np.pi * f[some])
+    w = on_circle(theta[some])
+    through = late_and_held(theta[some], network.delay, network.hold, network.sampling) / (2j * np.pi * f[some])
     found = np.full((2, f.size, channels, channels), np.nan, dtype=complex)
-    found[:, some] = np.stack([inverse_plant, scene]) * through[:, None, None]
+    found[0, some] = device_forces(network, w)[:, None] * np.eye(channels)
+    found[1, some] = _answers(network, w)[0]
+    found[:, some] *= through[:, None, None]
     return LoopImpedance(*found)
 
 
 def desired_impedance(network: Network, frequency: ArrayLike) -> Complexes:
     """(n, C, C) N·s/m at frequencies (n,) in Hz above 0: the scene in continuous time, every damper an ideal one. The
     device's own mass, friction and spring are not in it."""
-    s = 2j * np.pi * np.asarray(frequency, dtype=float)
-    matrix = SceneMatrix(network)
-    found = _eliminated(matrix, matrix.ideal_functions(s), network.channel_mass.size)
-    return np.asarray(found / s[:, None, None])
-
-
-def _eliminated(matrix: SceneMatrix, functions: Complexes, channels: int) -> Complexes:
-    """(n, C, C): force over position on the channels, the simulated masses left to themselves."""
-    out = np.zeros((functions.shape[1], channels, channels), dtype=complex)
-    for n in range(functions.shape[1]):
-        whole = matrix.sparse(functions[:, n])
-        out[n] = whole[:channels, :channels].toarray()
-        if whole.shape[0] > channels:
-            across = whole[channels:, :channels].toarray()
-            solve = factorised(whole[channels:, channels:])
-            inner = np.full_like(across, np.nan) if solve is None else solve(across)
-            out[n] -= np.asarray(whole[:channels, channels:] @ inner)
-    return out
-
-
-def _by_state(network: Network, places: Places, inverse_plant: Complexes) -> Complexes:
-    """(n, C, C): force over the positions that are read, of the scene, a force added to the computed ones."""
     channels = network.channel_mass.size
-    read, force = np.zeros((2, places.z.size, channels, channels), dtype=complex)
-    if is_large(network):
-        operator = sparse_transition(network)
-        for n, place in enumerate(places.z.tolist()):
-            inverse = operator.inverse(place)
-            read[n] = np.nan if inverse is None else -operator.points[:channels] @ inverse(operator.push + 0j)
-        return np.asarray(np.linalg.inv(read) - inverse_plant, complex)
-    change, points, push, asked, _ = loop(network, inputs=True)
-    for n, w in enumerate(places.w):
-        state = np.linalg.solve(w * np.eye(len(change)) - change, push[:, :channels])
-        read[n], force[n] = points[:channels] @ state, asked @ state
-    return np.asarray(-force @ np.linalg.inv(read))
+    none = np.zeros(channels)
+    _, Z, K = matrices(replace(network, channel_friction=none, channel_stiffness=none), sparse=True)
+    inertia = times(np.concatenate([none, network.point_mass]), unit_rows(K.shape[0], True))
+    found = []
+    for s in 2j * np.pi * np.asarray(frequency, dtype=float):
+        whole = (K + s * Z + s**2 * inertia).tocsc()
+        force, across = whole[:channels, :channels].toarray(), whole[channels:, :channels].toarray()
+        if across.size:
+            solve = factorised(whole[channels:, channels:])
+            force = force - whole[:channels, channels:] @ solve(across) if solve else np.nan * force
+        found.append(force / s)
+    return np.array(found, complex).reshape(-1, channels, channels)
+
+
+def device_forces(network: Network, w: Complexes) -> Complexes:
+    """(n, C): N z^n at places w = z - 1 (n,), by which each channel alone is read at 1 m z^n."""
+    none = np.zeros(0)
+    alone = replace(
+        network, point_mass=none, ends=np.zeros((0, 2), int), stiffness=none, damping=none, damper=(), outside=()
+    )
+    return np.asarray(np.diagonal(_answers(alone, w)[1], axis1=1, axis2=2))
+
+
+def _answers(network: Network, w: Complexes) -> Complexes:
+    """(2, n, C, C): the forces N z^n with which the scene pulls its channels back, and those that have to be added, for
+    each channel to be read at 1 m z^n while the others are read at 0."""
+    channels, size = network.channel_mass.size, state_size(network)
+    sparse = is_centred(network) and size > MOST_DENSE
+    found = np.zeros((2, w.size, channels, channels), dtype=complex)
+    if is_large(network) and not sparse:
+        moved = sparse_transition(network)
+        for n, place in enumerate(w.tolist()):
+            inverse = moved.inverse(1.0 + place)
+            state = np.full(moved.push.shape, np.nan) if inverse is None else -inverse(moved.push + 0j)
+            found[1, n] = np.linalg.inv(moved.points[:channels] @ state)
+            found[0, n] = -moved.forces(state) @ found[1, n]
+        return found
+    change, points, push, asked, _ = loop(network, inputs=True, sparse=sparse)
+    # The state and the added forces in one system, so that nothing is divided by the motion of a force.
+    push, points, right = push[:, :channels], points[:channels], np.eye(size + channels, channels, -size) + 0j
+    if not sparse:
+        still, moving = np.block([[-change, -push], [points, np.zeros((channels, channels))]]), np.eye(size + channels)
+        moving[size:] = 0.0
+        step = max(1, AT_ONCE // max(1, len(still)) ** 2)
+        for part in (slice(start, start + step) for start in range(0, w.size, step)):
+            state = np.linalg.solve(w[part, None, None] * moving + still, right)
+            found[:, part] = -asked @ state[:, :size], state[:, size:]
+        return found
+    from scipy.sparse import bmat
+
+    for n, place in enumerate(w.tolist()):
+        solve = factorised(bmat([[place * unit_rows(size, True) - change, -push], [points, None]]), **PIVOTS)
+        state = np.full(right.shape, np.nan) if solve is None else solve(right)
+        found[:, n] = -asked @ state[:size], state[size:]
+    return found

@@ -21,6 +21,10 @@ from hapsim.theory.schemes import SCHEMES, NotWorkedOutError
 Solve = Callable[[NDArray], NDArray]
 
 MOST_INVERSE = 200_000  # numbers of a state times steps in a sample period: some tens of inverses take half a minute
+PIVOTS: dict[str, Any] = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.1,
+}  # rows of a loop are nearly symmetric
 A_CALL = 15_000  # numbers that are multiplied in the time that a multiplication takes to begin
 
 
@@ -37,6 +41,11 @@ def factorised(matrix: Any, **how: Any) -> Solve | None:
     return solve
 
 
+def shifted_inverse(change: Rows, w: complex) -> Solve | None:
+    """x -> (w - change)^-1 x; None where w is a pole's, exactly."""
+    return factorised(w * unit_rows(change.shape[0], True) - change, **PIVOTS)
+
+
 class Implicit(NamedTuple):
     """Of a scheme whose change is not sparse: numbers d with left d = rate state, of which the change has by d more."""
 
@@ -47,10 +56,11 @@ class Implicit(NamedTuple):
 
 class SparseTransition:
     """The matrix that takes a state to the next, 1 + ``change``. ``work``: the cost of one step, in numbers of a state
-    that CORDIS's scheme moves. ``points`` (C + M, size) and ``push`` (size, C): as of ``Loop``."""
+    that CORDIS's scheme moves. ``points`` (C + M, size), ``push`` (size, C), ``of_forces`` (C, size): as of ``Loop``."""
 
     points: Rows
     push: Floats
+    of_forces: Rows
 
     def __init__(self, change: Rows, implicit: Implicit | None = None) -> None:
         self.size, self._implicit = change.shape[0], implicit
@@ -76,6 +86,10 @@ class SparseTransition:
         assert solve is not None
         found = solve(rate) if np.isrealobj(rate) else solve(rate.real) + 1j * solve(rate.imag)
         return after + np.asarray(self._implicit.by @ found)
+
+    def forces(self, state: NDArray) -> NDArray:
+        """(C,) or (C, n): N, computed for the channels."""
+        return np.asarray(self.of_forces @ state)
 
     def power(self, most: int) -> tuple[Any, int]:
         """(what moves a state by `steps` samples at once, steps): of 1, 2, 4, … up to `most` the quickest."""
@@ -137,11 +151,18 @@ class LiftedTransition:
 
     def __matmul__(self, state: NDArray) -> NDArray:
         """States (size,) or (size, n) at the next sample."""
+        return np.asarray(self.own @ state + self.by_last @ self._after_steps(state))
+
+    def forces(self, state: NDArray) -> NDArray:
+        """(C,) or (C, n): N, computed for the channels."""
+        return self._after_steps(state)[self.by_last.shape[1] - self.push.shape[1] :]
+
+    def _after_steps(self, state: NDArray) -> NDArray:
         power, steps = self._power
         moved = self.begun @ state
         for _ in range(self.steps // steps):
             moved = power @ moved
-        return np.asarray(self.own @ state + self.by_last @ moved)
+        return np.asarray(moved)
 
     def placed(self, held: NDArray) -> NDArray:
         """States (size,) or (size, n) out of those of ``held``; what the device has is 0."""
@@ -215,6 +236,7 @@ def sparse_transition(network: Network) -> Transition:
         change = sample.ended(state, moved, rows[size : size + channels])
         found = SparseTransition(change[:, :size], _implicit(sample, change, moved.get("unknown")))
         found.points, found.push = sample.points(state)[:, :size], change[:, size : size + channels].toarray()
+        found.of_forces = moved["force"][:, :size]
         return found
 
 

@@ -1,8 +1,9 @@
 """The gain margins of a large scene's few links: the unit circle is sampled, and a sign change refined.
 
-At a place on the circle a link's stiffness, or damping, has to change by a certain complex part of itself for a pole to
-be there (``response.py``): a pole crosses where that is real. Of a loop that is stable as it stands the least factor
-above 1 among the crossings is the margin. Each place costs one factorisation of a sparse matrix.
+At a place on the circle a link's stiffness, or damping, has to change by a certain complex part s of itself for a pole
+to be there, s v'(z - M)^-1 u = 1 (``crossings.py``): a pole crosses where that is real. Of a loop that is stable as it
+stands the least factor above 1 among the crossings is the margin. Each place costs one factorisation of a sparse
+matrix.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ import numpy as np
 
 from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Complexes, Floats, Indices
+from hapsim.theory.network.crossings import OUTSIDE, LinkChanges, link_changes, on_circle
+from hapsim.theory.network.large_loop import shifted_inverse
 from hapsim.theory.network.network import Network
-from hapsim.theory.network.response import SceneMatrix, on_circle
 
-OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
 WORK = 1.2e7  # points times places on the circle: some seconds
 FEWEST, MOST = 400, 2500  # places
 TURN = 0.7  # between two places a change differs by less than a factor exp of it, in size and in angle
@@ -28,7 +29,7 @@ FAR = 2.0  # crossings are refined up to this multiple of the nearest one's dist
 
 def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> tuple[Floats, str]:
     """(links, 2): the factors of stiffness and damping of a stable scene, and in words how they were found."""
-    matrix = SceneMatrix(network)
+    matrix = link_changes(network, sparse=True)
     points = network.channel_mass.size + network.point_mass.size
     most = int(min(MOST, max(FEWEST, WORK / points)))
     with one_thread(), np.errstate(all="ignore"):
@@ -55,8 +56,15 @@ def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> 
     return factors, f"the circle was sampled at {angles.size} angles{coarse}"
 
 
-def _changes(matrix: SceneMatrix, angles: Floats, links: Indices) -> Complexes:
-    return matrix.changes(on_circle(angles, OUTSIDE), links)
+def _changes(matrix: LinkChanges, angles: Floats, links: Indices) -> Complexes:
+    """(2, links, n): by what part of itself a link's stiffness, and its damping, has to grow for a pole to be there."""
+    pushed, read = matrix.pushed[:, links].toarray() + 0j, [rows[links].toarray().T for rows in matrix.read]
+    found = np.full((2, links.size, angles.size), np.nan, dtype=complex)
+    for n, w in enumerate(on_circle(angles, OUTSIDE).tolist()):
+        if (solve := shifted_inverse(matrix.change, w)) is not None:
+            states = solve(pushed)
+            found[:, :, n] = [1.0 / (rows * states).sum(axis=0) for rows in read]
+    return found
 
 
 def _angles_about(poles: Complexes, most: int) -> Floats:
@@ -72,7 +80,7 @@ def _angles_about(poles: Complexes, most: int) -> Floats:
     return np.unique(angles[(angles >= 0.0) & (angles <= math.pi)])
 
 
-def _margin(matrix: SceneMatrix, link: int, quantity: int, angles: Floats, change: Complexes) -> float:
+def _margin(matrix: LinkChanges, link: int, quantity: int, angles: Floats, change: Complexes) -> float:
     """The least factor above 1 at which the change of a link's quantity is real; ``change``: at the angles."""
     from scipy.optimize import brentq
 

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
+from hapsim.theory.interface import damper_answer
+from hapsim.theory.network.impedance import device_forces
 from hapsim.theory.network.large_loop import LiftedTransition, Transition, sparse_transition
 from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
 from hapsim.theory.network.network import Network, acting_links, damping_links, is_centred
-from hapsim.theory.network.response import Places, SceneMatrix
 from hapsim.theory.network.rest_poles import poles_at_rest
+from hapsim.theory.rows import stretches_of
 from hapsim.theory.sample import is_large
 from hapsim.theory.schemes import SCHEMES
 
@@ -317,18 +319,26 @@ def _highest(network: Network) -> tuple[complex, Floats | None] | None:
 def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
     """The poles (n,) moved to where x' D(z) x is zero; ``motions`` (points, n): about those of the poles.
 
-    A pole's motion x makes D(z) x zero (``response.py``), and where no velocity comes from the device D is symmetric.
-    So x' D(z) x is zero at a z that is as much nearer to the pole than x is to the motion as a square is to its root
-    (Rayleigh's quotient). Of two poles of which the motions are almost one, those of a slow swing beside 1, iterations
-    find the mean well and the difference badly: they move such a pole off the circle, by the root of rounding and more.
+    A motion x z^n of the points obeys D(z) x = 0, D of the masses' m/T² (z - 2 + 1/z), of the channels' forces over the
+    positions that they read, and for each link of K + (B/T) v(z) at its two ends, v its damper's velocity over the
+    position. Where no velocity comes from the device D is symmetric. So x' D(z) x is zero at a z that is as much nearer
+    to the pole than x is to the motion as a square is to its root (Rayleigh's quotient). Of two poles of which the
+    motions are almost one, those of a slow swing beside 1, iterations find the mean well and the difference badly: they
+    move such a pole off the circle, by the root of rounding and more.
     """
     if not is_centred(network) or any(network.damper[link].senses for link in damping_links(network).tolist()):
         return poles
-    matrix = SceneMatrix(network)
-    forms = matrix.forms(motions)
+    channels, squares = network.channel_mass.size, motions**2
+    stretches = (stretches_of(network, True) @ motions) ** 2
+    of_springs, of_masses = network.stiffness @ stretches, network.rate**2 * network.point_mass @ squares[channels:]
+    number = {damper: [i for i, one in enumerate(network.damper) if one == damper] for damper in set(network.damper)}
+    of_dampers = {damper: network.rate * network.damping[at] @ stretches[at] for damper, at in number.items()}
 
     def form(w: Complexes) -> Complexes:
-        return np.asarray((matrix.functions(Places(1.0 + w, w)) * forms).sum(axis=0))
+        z = 1.0 + w
+        dampers = sum((of * damper_answer(damper, z, w) for damper, of in of_dampers.items()), 0.0 * w)
+        device = (squares[:channels].T * device_forces(network, w)).sum(axis=1)
+        return np.asarray(of_springs + of_masses * w * w / z + dampers + device)
 
     w = poles - 1.0
     with np.errstate(all="ignore"):
@@ -344,9 +354,7 @@ def at_rest(network: Network, poles: Complexes, motions: NDArray, same: float) -
     mass = np.concatenate([network.channel_mass, network.point_mass])
     inertia = mass @ np.abs(motions) ** 2 * network.rate
     links = acting_links(network)
-    first, second = network.ends[links].T
-    padded = np.vstack([motions, np.zeros((1, motions.shape[1]))])  # a ground, -1, is the last
-    stretch = np.abs(padded[first] - padded[second]) ** 2
+    stretch = np.abs(stretches_of(network, True)[links] @ motions) ** 2
     own = np.abs(motions[: network.channel_mass.size]) ** 2
     stiffness = network.stiffness[links] @ stretch + network.channel_stiffness @ own
     damping = (network.damping[links] @ stretch + network.channel_friction @ own) / inertia
