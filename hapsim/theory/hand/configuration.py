@@ -13,7 +13,7 @@ from hapsim.theory import checks
 from hapsim.theory.arrays import Bools, Complexes, Floats
 from hapsim.theory.hand.impedance import damper_gain, late_and_held
 from hapsim.theory.hand.inverse_map import double_pole, element_of_oscillator, is_attainable, leads
-from hapsim.theory.hand.limits import stable_interval
+from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
 from hapsim.theory.hand.lone_hand import LoneHand, characteristic, lone_hand
 from hapsim.theory.hand.passivity import Wall, needed_friction
 from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
@@ -301,13 +301,17 @@ class Configuration:
         damper = damper_named(self.damper, self.cutoff, self.rate)
         return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag)
 
+    @cached_property
+    def _undamped(self) -> Undamped:
+        return undamped_curve(self._loop)
+
     def _stable_interval(self, sought: int, given: Floats) -> tuple[Floats, Floats]:
         def is_stable(kappa: Floats, beta: Floats) -> Bools:
             if self._loop.degree > MOST_EIGENVALUES:
                 return all_within(characteristic(self._loop, kappa, beta), np.ones(kappa.shape))
             return np.asarray(self.is_stable(kappa * self.stiffness_unit, beta * self.damping_unit))
 
-        least, most = stable_interval(self._loop, sought, given.ravel(), is_stable)
+        least, most = stable_interval(self._loop, self._undamped, sought, given.ravel(), is_stable)
         return least.reshape(given.shape), most.reshape(given.shape)
 
     def _normalised(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Floats, Floats]:

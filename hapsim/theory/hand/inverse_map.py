@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats
-from hapsim.theory.hand.lone_hand import LoneHand, characteristic, element_of_relation, relation_on_pair
+from hapsim.theory.hand.lone_hand import LoneHand, Relation, characteristic, element_of_relation, relation_on_pair
 from hapsim.theory.hand.pole_pair import PolePair, change_of_quadratic, pair_of_oscillator
 from hapsim.theory.hand.poles import all_within, roots, without_pair
 
@@ -23,9 +23,20 @@ def element_of_oscillator(
     ``oscillator``: (sigma, kappa). ``more``: the same without the device's own friction and spring; apart, because
     the small part that the element has to add would be lost in their sum.
     """
+    relation = relation_of_oscillator(hand, oscillator, more)
+    return *element_of_relation(hand, relation), relation[0].pair
+
+
+def relation_of_oscillator(hand: LoneHand, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats]) -> Relation:
+    """``relation_on_pair`` of the oscillator's poles."""
     pair = pair_of_oscillator(*oscillator)
-    change = change_of_quadratic(pair, oscillator, more, hand.damping, hand.stiffness)
-    return *element_of_relation(hand, relation_on_pair(hand, pair, change)), pair
+    return relation_on_pair(hand, pair, change_of_quadratic(pair, oscillator, more, hand.damping, hand.stiffness))
+
+
+def undamped(hand: LoneHand, theta: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """``oscillator`` and ``more`` of a swing of theta radians per sample that neither grows nor dies away."""
+    zero = np.zeros_like(theta)
+    return (zero, theta**2), (zero - hand.damping, theta**2 - hand.stiffness)
 
 
 def is_attainable(sigma: Floats | float, kappa: Floats | float) -> Bools:
