@@ -138,7 +138,7 @@ def is_large(network: Network) -> bool:
 
 @np.errstate(all="ignore")  # numbers out of range become NaN
 def loop(network: Network, inputs: bool = False, sparse: bool = False) -> Loop:
-    """The loop of a scene that is not large; on sparse rows, of one whose points CORDIS's scheme moves once a sample."""
+    """That of a scene that is not large; on sparse rows, of one whose points move once a sample, by CORDIS's scheme."""
     sample = Sample(network, sparse)
     size, points = sum(sample.sizes.values()), network.channel_mass.size + network.point_mass.size
     one = unit_rows(size + points * inputs, sparse)

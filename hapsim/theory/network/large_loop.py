@@ -56,7 +56,7 @@ class Implicit(NamedTuple):
 
 class SparseTransition:
     """The matrix that takes a state to the next, 1 + ``change``. ``work``: the cost of one step, in numbers of a state
-    that CORDIS's scheme moves. ``points`` (C + M, size), ``push`` (size, C), ``of_forces`` (C, size): as of ``Loop``."""
+    that CORDIS's scheme moves. ``points`` (C + M, size), ``push`` (size, C), ``of_forces`` (C, size): of ``Loop``."""
 
     points: Rows
     push: Floats

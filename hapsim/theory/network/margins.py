@@ -17,7 +17,7 @@ import numpy as np
 from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Complexes, Indices
 from hapsim.theory.network.changed_link import LIMIT, STEPS, ChangedLink, Range
-from hapsim.theory.network.crossings import OUTSIDE, Crossings, link_changes
+from hapsim.theory.network.crossings import Crossings
 from hapsim.theory.network.large_margins import margins_along_circle
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.network import Network, is_centred, margin_links, touches_channel
@@ -109,13 +109,11 @@ def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
 
 def _by_crossings(network: Network, links: int, size: int, touching: int, unstable: bool) -> _Search:
     most = max(int(WORK / EIGENVALUES / (size + 40) ** 3), touching)
-    change, pushed, read = link_changes(network)
-    crossings = Crossings((change - OUTSIDE * np.eye(size)) / (1.0 + OUTSIDE)) if links else None
+    crossings = Crossings(network) if links else None
 
     def ranges(link: int, quantity: int) -> tuple[Range, ...]:
         assert crossings is not None
-        factors = np.sort(1.0 + crossings.factors(pushed[:, link], read[quantity][link]))
-        return ChangedLink(network, link, quantity).ranges_between(factors[factors > 0.0], unstable)
+        return ChangedLink(network, link, quantity).ranges_between(crossings.factors(link, quantity), unstable)
 
     return _Search(most, f"{most} of {links} links, those that touch a hand first" if links > most else "", ranges)
 
