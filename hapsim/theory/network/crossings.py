@@ -1,7 +1,7 @@
 """Every factor of one link's stiffness, or damping, at which a pole of the loop crosses the unit circle.
 
-The change is of rank one: with s u v' added to what a sample adds to the state, A, a pole stands at z where s g(z) = 1 with g(z) = v'(z - M)^-1 u,
-M = 1 + A, and on the circle s is real where g(z) = g(1/z). Since
+The change is of rank one: with s u v' added to what a sample adds to the state, A, a pole stands at z where s g(z) = 1
+with g(z) = v'(z - M)^-1 u, M = 1 + A, and on the circle s is real where g(z) = g(1/z). Since
 
     (z - M)^-1 - (1/z - M)^-1 = (1/z - z) ((z - M)(1/z - M))^-1,      (z - M)(1/z - M) = A² + y M,
 
