@@ -34,8 +34,9 @@ class TableLinks(NamedTuple):
     begin[i + 1].
 
     Attributes:
+        piece: (L,) the knot whose piece was found the last time.
         pushes: (L,) 1 where the tension never exceeds the highest of the knots, or 0.
-        slope: (K,) N/m from each knot on.
+        slope, until: (K,) N/m from each knot on, and where it ends, m.
         most: (L,) N, which the tension never exceeds.
         nothing_from: (L,) m, from which on there is no force.
         edge, tension, damping_per_sample: (K,) m, N, and N/m from there on; live, as all that follow.
@@ -45,8 +46,10 @@ class TableLinks(NamedTuple):
 
     ends: Ends
     begin: NDArray[np.uint64]
+    piece: NDArray[np.uint64]
     pushes: NDArray[np.uint8]
     slope: Column
+    until: Column
     most: Column
     nothing_from: Column
     edge: Column
@@ -66,7 +69,8 @@ def retarget(links, _state):
     for i in range(count(links.ends)):
         first, last, period = links.begin[i], links.begin[i + ONE] - ONE, links.period[i]
         for k in range(first, last):
-            links.slope[k] = _slope(links, k, k + ONE, real(0))
+            links.slope[k], links.until[k] = _slope(links, k, k + ONE, real(0)), links.edge[k + ONE]
+        links.until[last] = links.edge[first] + period if period > 0 else real(np.inf)
         links.slope[last] = _slope(links, last, first, period) if period > 0 else links.beyond[i]
         is_nothing = links.slope[last] == 0 and links.tension[last] == 0 and links.damping_per_sample[last] == 0
         links.nothing_from[i] = links.edge[last] if is_nothing and not period > 0 else real(np.inf)
@@ -90,8 +94,7 @@ def add_table_forces(links, state):
     for i in range(count(links.ends)):
         d = stretch(links.ends, i, state.position)
         if not d >= links.nothing_from[i]:
-            growth = d - stretch(links.ends, i, state.previous)
-            pull_ends(links.ends, i, _tension_at(links, i, d, growth), state.force)
+            pull_ends(links.ends, i, _tension_at(links, i, d, state.previous), state.force)
 
 
 @action
@@ -100,25 +103,38 @@ def add_velocity_forces(links, state):
     links, state = value_of(links), value_of(state)
     for i in range(count(links.ends)):
         growth = stretch(links.ends, i, state.position) - stretch(links.ends, i, state.previous)
-        pull_ends(links.ends, i, _tension_at(links, i, growth, links.edge.dtype.type(0)), state.force)
+        pull_ends(links.ends, i, _tension_at(links, i, growth, state.previous), state.force)
 
 
 @inlined
-def _tension_at(links, i, d, growth):
-    """Link i's tension at `d` m; NaN for NaN."""
-    k, end, period = links.begin[i], links.begin[i + ONE], links.period[i]
-    if period > 0:
-        d -= period * np.floor((d - links.edge[k]) / period)
-    slope, damping = links.below[i], links.damping_below[i]
-    if not d < links.edge[k]:
-        while end - k > ONE:
-            middle = (k + end) >> ONE
-            if d < links.edge[middle]:
-                end = middle
-            else:
-                k = middle
-        slope, damping = links.slope[k], links.damping_per_sample[k]
-    return min(links.tension[k] + (slope * (d - links.edge[k]) + damping * growth), links.most[i])
+def _tension_at(links, i, d, previous):
+    """Link i's tension at `d` m, where its points were at `previous` a sample before; NaN for NaN."""
+    k, at = links.piece[i], d
+    slope, damping = links.slope[k], links.damping_per_sample[k]
+    if not links.edge[k] <= at < links.until[k]:  # else it is where it was the last time, as mostly
+        k, period = links.begin[i], links.period[i]
+        if period > 0:
+            at -= period * np.floor((d - links.edge[k]) / period)
+        slope, damping = links.below[i], links.damping_below[i]
+        if not at < links.edge[k]:
+            k = links.piece[i] = _piece(links, k, links.begin[i + ONE], at)
+            slope, damping = links.slope[k], links.damping_per_sample[k]
+    tension = links.tension[k] + slope * (at - links.edge[k])
+    if damping != 0:
+        tension += damping * (d - stretch(links.ends, i, previous))
+    return min(tension, links.most[i])
+
+
+@inlined
+def _piece(links, k, end, at):
+    """The last knot at or below `at`, of those from `k`, which is, to before `end`."""
+    while end - k > ONE:
+        middle = (k + end) >> ONE
+        if at < links.edge[middle]:
+            end = middle
+        else:
+            k = middle
+    return k
 
 
 def _columns(laws: Mapping[str, Law], rate: float, per: float) -> list[LiveColumn]:
@@ -160,8 +176,8 @@ def _table_type(
         laws = tables(links).values()
         begin = np.cumsum([0, *(len(law.knots) for law in laws)]).astype(np.uint64)
         pushes = np.array([law.pushes for law in laws], np.uint8)
-        derived = np.zeros(int(begin[-1]), context.real), *np.zeros((2, len(laws)), context.real)
-        numbers = TableLinks(ends_of(links, context), begin, pushes, *derived, *columns)
+        derived = *np.zeros((2, int(begin[-1])), context.real), *np.zeros((2, len(laws)), context.real)
+        numbers = TableLinks(ends_of(links, context), begin, begin[:-1].copy(), pushes, *derived, *columns)
         return Part(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
 
     words = "gathered through unsigned indices; a search in each one's knots"
