@@ -220,6 +220,14 @@ def curve_law(points: Points | None, damping: float = 0.0, more: float = 0.0, as
     return Law(knots, (damping,) * len(states), states, assumption=assumption)
 
 
+def roomy(law: Law) -> Law:
+    """Returns it with its last knot repeated, to 16, 32, 64, ... knots and twice its own at least: so that another
+    with as many can be written over the edges of both, between which a ramp of their knots is one of their forces."""
+    spare = max(16, 1 << (2 * len(law.knots) - 1).bit_length()) - len(law.knots)
+    longer = {of: (own := getattr(law, of)) + own[-1:] * spare for of in ("knots", "dampings", "states")}
+    return replace(law, **longer)
+
+
 @dataclass(frozen=True)
 class SineLaw(Law):
     """depth sin(2 pi d / period): its pieces end at its knots, where the slope is 0."""

@@ -24,7 +24,7 @@ from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, knot_field
 from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.modules.link import Ends, count, ends_of, pull_ends, stretch
-from hapsim.laws import Law, curve_law
+from hapsim.laws import Law, curve_law, roomy
 from hapsim.scene import Nonlinear, Scene
 from hapsim.scene.modules import Link
 
@@ -137,15 +137,17 @@ def _piece(links, k, end, at):
     return k
 
 
-def _columns(laws: Mapping[str, Law], rate: float, per: float) -> list[LiveColumn]:
-    """The live columns of `TableLinks`; `per`: metres in a unit of the laws' edges."""
+def _columns(laws: Mapping[str, Law], rate: float, per: float, over: str) -> list[LiveColumn]:
+    """The live columns of `TableLinks`; `per`: metres in a unit of the laws' edges, which are `over` that."""
 
     def of_knots(what: str, values: Callable[[Law], Sequence[float]]) -> LiveColumn:
         rows = {name: values(law)[-len(law.knots) :] for name, law in laws.items()}
-        return {knot_field(what, name, k, len(row)): one for name, row in rows.items() for k, one in enumerate(row)}
+        return {
+            knot_field(over + what, name, k, len(row)): one for name, row in rows.items() for k, one in enumerate(row)
+        }
 
     def of_laws(what: str, value: Callable[[Law], float]) -> LiveColumn:
-        return {(name, what): value(law) for name, law in laws.items()}
+        return {(name, over + what): value(law) for name, law in laws.items()}
 
     return [
         of_knots("edge", lambda law: [at * per for at, _ in law.knots]),
@@ -159,9 +161,13 @@ def _columns(laws: Mapping[str, Law], rate: float, per: float) -> list[LiveColum
 
 
 def _table_type(
-    table: Callable[[Any], Law | None], add_forces: NativeFunction, name: str, per: Callable[[float], float]
+    table: Callable[[Any], Law | None],
+    add_forces: NativeFunction,
+    name: str,
+    per: Callable[[float], float] = lambda _: 1.0,
+    over: str = "",
 ) -> PartType:
-    """The links that have this table, whose edges are in `per` metres at a rate in Hz."""
+    """The links that have this table, whose edges are in `per` metres at a rate in Hz; `over`: as of `_columns`."""
 
     def tables(links: Mapping[str, Link]) -> dict[str, Law]:
         return {name: law for name, link in links.items() if (law := table(link)) is not None}
@@ -170,7 +176,7 @@ def _table_type(
         return {name: scene.links[name] for name in tables(scene.links)}
 
     def live(links: Mapping[str, Link], rate: float) -> list[LiveColumn]:
-        return _columns(tables(links), rate, per(rate))
+        return _columns(tables(links), rate, per(rate), over)
 
     def build(links: Mapping[str, Link], columns: Sequence[Column], context: BuildContext) -> Part:
         laws = tables(links).values()
@@ -186,10 +192,44 @@ def _table_type(
 
 def _over_velocity(link: Link) -> Law | None:
     points = link.force_over_velocity if isinstance(link, Nonlinear) else None
-    return None if points is None else curve_law(points)
+    return None if points is None else roomy(curve_law(points))
 
 
-TABLES = _table_type(lambda link: link.table(), add_table_forces, "contacts, curves, detents and clicks", lambda _: 1.0)
-VELOCITY_TABLES = _table_type(_over_velocity, add_velocity_forces, "forces over velocity", lambda rate: 1.0 / rate)
+def over_common_edges(
+    scene: Scene, places: Mapping[tuple[str, str], int], live: Column, posted: tuple[Column, Column], wanted: Column
+) -> Column | None:
+    """Writes each table of `wanted` over edges of the one before it too, so that a ramp from that is one of forces.
+
+    Args:
+        places: of live values; `live`: what they are now.
+        posted: those that the scene had before, as `parameter_values` has them and as they were posted.
+        wanted: those of `scene`, to be posted: written over.
+
+    Returns:
+        What the live values first become, without another force, NaN where they stay; None where a table is still on
+        its way to one of other points.
+    """
+    begins = np.full(wanted.size, np.nan)
+    for (name, what), first in places.items():
+        if not isinstance(scene.modules.get(name), Nonlinear) or "edge 0 of" not in what:
+            continue
+        size, rise = int(what.split()[-1]), places[name, what.replace("edge", "tension")]
+        at, force = slice(first, first + size), slice(rise, rise + size)
+        edges = posted[1][at]
+        if not np.isin(wanted[at], edges).all():
+            if any(not np.array_equal(live[which], posted[1][which]) for which in (at, force)):
+                return None
+            edges = np.unique([posted[0][at], wanted[at]])
+            edges = np.pad(edges, (0, size - edges.size), mode="edge")
+            begins[at], begins[force] = edges, np.interp(edges, posted[0][at], posted[0][force])
+        wanted[force] = np.interp(edges, wanted[at], wanted[force])
+        wanted[at] = edges
+    return begins
+
+
+TABLES = _table_type(lambda link: link.table(), add_table_forces, "contacts, curves, detents and clicks")
+VELOCITY_TABLES = _table_type(
+    _over_velocity, add_velocity_forces, "forces over velocity", lambda rate: 1.0 / rate, "growth: "
+)
 
 TYPES = (TABLES, VELOCITY_TABLES)
