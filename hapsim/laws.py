@@ -47,9 +47,7 @@ class Linear(NamedTuple):
         assumption: under which this holds, in words that follow the link's name; "" where it always holds.
         memoryless: the force depends on the positions and velocities of the ends and on nothing earlier, apart from
             what the link's damper remembers.
-        in_a_matrix: the link is exactly this spring and damper, so that a scheme can work it into a matrix.
-
-    The last two are as the kernel's `PartType` says.
+        in_a_matrix: the link is exactly this spring and a backward damper, so that a scheme can work it into a matrix.
     """
 
     stiffness: float

@@ -187,7 +187,7 @@ def _table_type(
         return Part(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
 
     words = "gathered through unsigned indices; a search in each one's knots"
-    return PartType(select, build, name=name, compiled_as=words, memoryless=True, live=live)
+    return PartType(select, build, name=name, compiled_as=words, live=live)
 
 
 def _over_velocity(link: Link) -> Law | None:
