@@ -39,6 +39,7 @@ class TableLinks(NamedTuple):
         slope, until: (K,) N/m from each knot on, and where it ends, m.
         most: (L,) N, which the tension never exceeds.
         nothing_from: (L,) m, from which on there is no force.
+        turn: (L,) m, of how many periods that piece is in another than the first.
         edge, tension, damping_per_sample: (K,) m, N, and N/m from there on; live, as all that follow.
         below, damping_below, beyond: (L,) N/m, slopes below the first knot and above the last; B/T below the first.
         period: (L,) m; 0: it does not repeat.
@@ -52,6 +53,7 @@ class TableLinks(NamedTuple):
     until: Column
     most: Column
     nothing_from: Column
+    turn: Column
     edge: Column
     tension: Column
     damping_per_sample: Column
@@ -74,6 +76,7 @@ def retarget(links, _state):
         links.slope[last] = _slope(links, last, first, period) if period > 0 else links.beyond[i]
         is_nothing = links.slope[last] == 0 and links.tension[last] == 0 and links.damping_per_sample[last] == 0
         links.nothing_from[i] = links.edge[last] if is_nothing and not period > 0 else real(np.inf)
+        links.turn[i] = real(0)
         links.most[i] = real(0) if links.pushes[i] else real(np.inf)
         for k in range(first, last + ONE):
             links.most[i] = max(links.most[i], links.tension[k])
@@ -109,12 +112,13 @@ def add_velocity_forces(links, state):
 @inlined
 def _tension_at(links, i, d, previous):
     """Link i's tension at `d` m, where its points were at `previous` a sample before; NaN for NaN."""
-    k, at = links.piece[i], d
+    k, at = links.piece[i], d - links.turn[i]
     slope, damping = links.slope[k], links.damping_per_sample[k]
     if not links.edge[k] <= at < links.until[k]:  # else it is where it was the last time, as mostly
-        k, period = links.begin[i], links.period[i]
+        k, period, at = links.begin[i], links.period[i], d
         if period > 0:
-            at -= period * np.floor((d - links.edge[k]) / period)
+            links.turn[i] = period * np.floor((d - links.edge[k]) / period)
+            at -= links.turn[i]
         slope, damping = links.below[i], links.damping_below[i]
         if not at < links.edge[k]:
             k = links.piece[i] = _piece(links, k, links.begin[i + ONE], at)
@@ -182,7 +186,7 @@ def _table_type(
         laws = tables(links).values()
         begin = np.cumsum([0, *(len(law.knots) for law in laws)]).astype(np.uint64)
         pushes = np.array([law.pushes for law in laws], np.uint8)
-        derived = *np.zeros((2, int(begin[-1])), context.real), *np.zeros((2, len(laws)), context.real)
+        derived = *np.zeros((2, int(begin[-1])), context.real), *np.zeros((3, len(laws)), context.real)
         numbers = TableLinks(ends_of(links, context), begin, begin[:-1].copy(), pushes, *derived, *columns)
         return Part(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
 
