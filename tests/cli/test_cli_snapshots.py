@@ -1,5 +1,5 @@
-"""The figures that `check` predicts of the shipped scenes and of random ones, beside those that were kept. To renew a kept file where a change is meant, delete it and run this
-test: it is written anew and the test fails once."""
+"""The figures that `check` predicts of the shipped scenes and of random ones, beside those that were kept. To renew the
+kept file where a change is meant, delete it and run this test: it is written anew and the test fails once."""
 
 from __future__ import annotations
 
