@@ -11,7 +11,16 @@ from rich.markup import escape
 from hapsim.cli.check_regions import show_regions
 from hapsim.cli.output import Table, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
-from hapsim.prediction import Desired, Felt, Prediction, WireTime, correction_for, host_silence, robustness_of
+from hapsim.prediction import (
+    Desired,
+    Felt,
+    LinkMargin,
+    Prediction,
+    WireTime,
+    correction_for,
+    host_silence,
+    robustness_of,
+)
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
 from hapsim.prediction.timing import what_helps, wire_parts
 from hapsim.theory.interface import damper_named
@@ -21,7 +30,6 @@ if TYPE_CHECKING:
 
     from hapsim.cordis.explain import Explanation
     from hapsim.prediction.correction import Remedies
-    from hapsim.prediction.predict import LinkMargin
     from hapsim.scene import Scene
 
 _ROWS = 12  # of a table
@@ -69,11 +77,6 @@ def show_assumptions(out: Console, assumptions: Iterable[str]) -> None:
         more = f" and {len(others) - _NAMES} more" if len(others) > _NAMES else ""
         same = f" The same holds for {', '.join(others[:_NAMES])}{more}." if others else ""
         out.print(f"[yellow]Assumed:[/yellow] {escape(f'{first} {rest}.{same}')}")
-
-
-def is_at_limit(prediction: Prediction) -> bool:
-    """Whether the scene is neither stable nor unstable: something drifts or swings for ever."""
-    return not prediction.stable and abs(prediction.spectral_radius - 1.0) < _MARGINAL
 
 
 def _show_felt(out: Console, prediction: Prediction, felt: Felt) -> None:
@@ -187,7 +190,7 @@ def change_to_limit(margin: LinkMargin) -> float:
 
 def _margins(prediction: Prediction) -> Table:
     links = tightest(prediction)
-    if prediction.stable or is_at_limit(prediction):
+    if prediction.stable or prediction.at_limit:
         rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
         title, others = "Gain margins: the scene becomes unstable where a link is multiplied by", "have larger margins"
     else:
