@@ -57,7 +57,8 @@ def check(
     with at_work(stderr(), "working out modes and gain margins"):
         prediction = predict(loaded, at=position(at, loaded))
         on_wire = predict_on_wire(loaded)
-        partials = partials_of(loaded) if loaded.sound else {}
+        partials = partials_of(loaded, prediction) if loaded.sound else {}
+        _ = prediction.stable, prediction.margins  # while that is said
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
     of_slew = _slew_warnings(loaded, prediction)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from firmware_protocol.wire_time import WireTime
 from hapsim.errors import UsageError
 from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, linear_at, piece_at, scene_at
@@ -19,7 +19,7 @@ from hapsim.prediction.felt import Felt, felt_by, swing
 from hapsim.prediction.linear import links_of, network_of, why_coupled
 from hapsim.prediction.link_margins import LinkMargin, least_margins, link_margins
 from hapsim.prediction.stability import Judge, Region, Shaking, is_at_limit
-from hapsim.prediction.timing import PACED, WireOf, wire_delay, wire_of, wire_time_of, with_wire_delay
+from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.quantity import per_channel
@@ -51,11 +51,13 @@ class Prediction:
         """Device points that are no temporary hybrid systems of their own, and why, in words that follow their name."""
         self.is_lone: bool = not self.coupled and not self._linear.masses
         """Whether the scene has nothing but hands, each an oscillator of its own."""
-
-    @property
-    def rate(self) -> float:
+        self.rate = scene.rate
         """Hz."""
-        return self.scene.rate
+        self.wire_time, self.wire_of = wire_time_of(scene), wire_of(scene)
+        """How long an exchange takes, and whose wire that is."""
+        self.wire_delay = wire_delay(scene)
+        """The delay that was declared and the one that the wire makes of it, for which all this is predicted, in a
+        sentence; "" where it adds nothing."""
 
     @cached_property
     def _lone(self) -> tuple[Felt, ...]:
@@ -197,22 +199,6 @@ class Prediction:
         """In words, which links of a large scene were worked out, and how surely; "" where all were."""
         return self._margins.method
 
-    @cached_property
-    def wire_time(self) -> WireTime:
-        """How long an exchange takes."""
-        return wire_time_of(self.scene)
-
-    @property
-    def wire_of(self) -> WireOf:
-        """Whose wire that is."""
-        return wire_of(self.scene)
-
-    @property
-    def wire_delay(self) -> str:
-        """The delay that was declared and the one that the wire makes of it, for which all this is predicted, in a
-        sentence; "" where it adds nothing."""
-        return wire_delay(self.scene)
-
     @property
     def assumptions(self) -> tuple[str, ...]:
         """Sentences: what was taken for what the theory does not have."""
@@ -243,6 +229,11 @@ class Prediction:
         wanted = next((one for one in self.desired if one.name == felt.name), None)
         own = felt.configuration
         return (wanted.k, wanted.b) if wanted else (felt.stiffness + own.stiffness, felt.damping + own.friction)
+
+    def is_released(self, links: Collection[str]) -> bool:
+        """Whether none of these links pulls where the hands are taken to be, and no correction acts."""
+        taken = (self._linear.links[name] for name in links)
+        return self.rendering is None and all(one.stiffness == one.damping == 0.0 for one in taken)
 
     @property
     def first(self) -> Felt | None:
