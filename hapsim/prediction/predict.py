@@ -26,6 +26,7 @@ from hapsim.scene.quantity import per_channel
 from hapsim.theory import Margins, Mode, Solution, margins_of
 from hapsim.theory.arrays import sort_by_modulus
 from hapsim.theory.network import ContinuousMode, continuous_modes, is_large
+from hapsim.theory.network.network import is_centred
 
 _MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
 
@@ -185,7 +186,9 @@ class Prediction:
         if not self._with_margins:
             return Margins([])
         network, solution, _ = self.judge.solved
-        with one_thread(not is_large(network)):
+        if not is_centred(network):  # searched by scipy too: `one_thread` has to find its libraries
+            import scipy.linalg  # noqa: F401
+        with one_thread(not is_centred(network) and not is_large(network)):
             return margins_of(network, solution.poles)
 
     @cached_property

@@ -22,13 +22,14 @@ from hapsim.prediction.characteristic import Characteristic, Piece
 from hapsim.prediction.felt import Felt
 from hapsim.prediction.linear import LinearLink, instead_of
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
-from hapsim.theory.network import LARGE, is_large, state_size, transition
+from hapsim.theory.network import LARGE, state_size, transition
 
 RegionKind = Literal["held", "free", "snap"]
 
 SURELY = 1.0 + 1e-9
 """What grows by more in a sample is not at the limit."""
 _MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
+_MANY_STATES = 40  # eigenvalues of fewer take one thread anyway
 _SQUARED = 24  # times at most: a motion that takes longer than 2^24 samples to die out is close to the limit
 _GONE = 0.1  # of a power's norm: below 1 all moduli are
 _MOST = 1e5  # of the norms before: the squares' rounding, 1e-16 of their own, is far below that
@@ -131,7 +132,7 @@ class Judge:
     @cached_property
     def solved(self) -> tuple[Network, Solution, str]:
         """The network, its poles and modes; where they are not worked out, those of `instead_of` it, and a sentence."""
-        with one_thread(not is_large(self.network)):
+        with one_thread(_MANY_STATES < state_size(self.network) <= LARGE):
             try:
                 return self.network, solve(self.network), ""
             except NotWorkedOutError as reason:
