@@ -268,25 +268,6 @@ class Prediction:
         """Whether the first has an equivalent spring and damper."""
         return self.first is not None and self.first.dominant
 
-    def with_mass(self, channel: int, mass: float) -> Prediction:
-        """The same for a hand of this mass (kg) on one channel, once a correction that adapts has found it."""
-        port = next((one for one in self._rendering.ports if one.channel == channel), None)
-        if port is None or port.schedule is None:
-            return self
-        settled, device = port._replace(element=port.settled(mass)), replace(port.declared, mass=mass)
-        found, of_hand = copy(self), Felt("", channel, device, *settled.rendered, self._rendering.predictor_of(settled))
-        found.felt = tuple(
-            replace(of_hand, name=one.name, without_predictor=one.formula) if one.channel == channel else one
-            for one in self.felt
-        )
-        desired = list(self.desired)
-        for i, one in enumerate(desired):
-            if one.channel == channel:
-                frequency, ratio = swing(mass, one.k, one.b)
-                desired[i] = one._replace(frequency_hz=frequency, damping_ratio=ratio)
-        found.desired = tuple(desired)
-        return found
-
 
 def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None = None) -> Prediction:
     """What the hand will feel in `scene`, whether the whole of it is stable, and whether the wire is fast enough.
@@ -323,7 +304,23 @@ def is_surely_unstable(prediction: Prediction) -> bool:
 
 def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
     """The same for a hand of this mass (kg) on one channel, once a correction that adapts has found it."""
-    return prediction.with_mass(channel, mass)
+    rendering = prediction.rendering
+    port = None if rendering is None else next((one for one in rendering.ports if one.channel == channel), None)
+    if rendering is None or port is None or port.schedule is None:
+        return prediction
+    settled, device = port._replace(element=port.settled(mass)), replace(port.declared, mass=mass)
+    found, of_hand = copy(prediction), Felt("", channel, device, *settled.rendered, rendering.predictor_of(settled))
+    found.felt = tuple(
+        replace(of_hand, name=one.name, without_predictor=one.formula) if one.channel == channel else one
+        for one in prediction.felt
+    )
+    desired = list(prediction.desired)
+    for i, one in enumerate(desired):
+        if one.channel == channel:
+            frequency, ratio = swing(mass, one.k, one.b)
+            desired[i] = one._replace(frequency_hz=frequency, damping_ratio=ratio)
+    found.desired = tuple(desired)
+    return found
 
 
 def _near_pose(scene: Scene) -> list[str]:
