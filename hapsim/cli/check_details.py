@@ -22,6 +22,7 @@ from hapsim.prediction import (
     robustness_of,
 )
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
+from hapsim.prediction.stability import MARGINAL
 from hapsim.prediction.timing import what_helps, wire_parts
 from hapsim.theory.interface import damper_named
 
@@ -36,7 +37,6 @@ _ROWS = 12  # of a table
 _NAMES = 6  # of a sentence
 _HUGE = 100.0  # a pole beyond has no digit behind the point that matters
 _FAINT = 1e-9  # of m/T²: hardly a spring
-_MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 _EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error, and a small one
 _NO_FACTOR, _UNKNOWN = "–", "?"
 
@@ -118,7 +118,7 @@ def _felt_table(felt: Felt, desired: Desired | None) -> Table:
 def margin_sentence(felt: Felt) -> str:
     """Returns how far one hand is from the stability limit."""
     if felt.stiffness == 0.0:
-        unstable = felt.spectral_radius > 1.0 + _MARGINAL
+        unstable = felt.spectral_radius > 1.0 + MARGINAL
         return f"There is no stiffness to have a margin{_enough_damping(felt, '; stable is it') if unstable else ''}."
     if felt.stiffness_factor == 0.0:
         return f"At this damping no stiffness is stable{_enough_damping(felt, '; this one is')}."

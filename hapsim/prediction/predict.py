@@ -18,7 +18,7 @@ from hapsim.prediction.desired import Desired, desired_of
 from hapsim.prediction.felt import Felt, felt_by, swing
 from hapsim.prediction.linear import links_of, network_of, why_coupled
 from hapsim.prediction.link_margins import LinkMargin, least_margins, link_margins
-from hapsim.prediction.stability import Judge, Region, Shaking, is_at_limit
+from hapsim.prediction.stability import MARGINAL, Judge, Region, Shaking
 from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
@@ -144,7 +144,7 @@ class Prediction:
     @property
     def at_limit(self) -> bool:
         """Whether the scene is neither stable nor unstable: something drifts or swings for ever."""
-        return is_at_limit(self.stable, self.spectral_radius)
+        return not self.stable and abs(self.spectral_radius - 1.0) < MARGINAL
 
     @property
     def _by_formula(self) -> bool:

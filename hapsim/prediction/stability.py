@@ -28,7 +28,8 @@ RegionKind = Literal["held", "free", "snap"]
 
 SURELY = 1.0 + 1e-9
 """What grows by more in a sample is not at the limit."""
-_MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
+MARGINAL = 1e-9
+"""Of the spectral radius: a free motion, which rounding places on either side of 1."""
 _MANY_STATES = 40  # eigenvalues of fewer take one thread anyway
 _SQUARED = 24  # times at most: a motion that takes longer than 2^24 samples to die out is close to the limit
 _GONE = 0.1  # of a power's norm: below 1 all moduli are
@@ -140,9 +141,22 @@ class Judge:
                 return instead, solve(instead), sentence
 
     @cached_property
+    @np.errstate(all="ignore")
     def dies_out(self) -> bool:
-        """Whether every motion of the network dies out, as far as squares of its transition show it."""
-        return dies_out(self.network)
+        """Whether every motion of the network dies out, where squares of its transition show it, in a fifth of the time
+        that eigenvalues take: False says nothing."""
+        if state_size(self.network) > LARGE:
+            return False
+        try:
+            power = transition(self.network)
+        except NotWorkedOutError:
+            return False
+        for _ in range(_SQUARED):
+            norm = np.abs(power).sum(axis=0).max(initial=0.0)
+            if not _GONE <= norm < _MOST:
+                return bool(norm < _GONE)
+            power = power @ power
+        return False
 
     @cached_property
     def is_stable(self) -> bool:
@@ -187,26 +201,3 @@ class Judge:
         if fastest is None or abs(fastest.pole) < solution.spectral_radius * (1.0 - 1e-9):
             return Shaking(solution.spectral_radius, "")
         return Shaking(solution.spectral_radius, self.points[int(np.argmax(fastest.participation))].partition(".")[0])
-
-
-def is_at_limit(stable: bool, spectral_radius: float) -> bool:
-    """Whether such a scene is neither stable nor unstable: something drifts or swings for ever."""
-    return not stable and abs(spectral_radius - 1.0) < _MARGINAL
-
-
-@np.errstate(all="ignore")
-def dies_out(network: Network) -> bool:
-    """Whether every motion of the network dies out, where squares of its transition show it, in a fifth of the time
-    that eigenvalues take: False says nothing."""
-    if state_size(network) > LARGE:
-        return False
-    try:
-        power = transition(network)
-    except NotWorkedOutError:
-        return False
-    for _ in range(_SQUARED):
-        norm = np.abs(power).sum(axis=0).max(initial=0.0)
-        if not _GONE <= norm < _MOST:
-            return bool(norm < _GONE)
-        power = power @ power
-    return False
