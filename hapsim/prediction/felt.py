@@ -75,12 +75,12 @@ class Felt:
         """N·s/m, real friction included."""
         return self._equivalent[1]
 
-    @property
+    @cached_property
     def frequency_hz(self) -> float:
         """Eigenfrequency; NaN without a spring."""
         return swing(self.configuration.mass, self.k if self.k > 0.0 else math.nan, self.b)[0]
 
-    @property
+    @cached_property
     def damping_ratio(self) -> float:
         """Of critical damping; NaN without a spring."""
         return swing(self.configuration.mass, self.k if self.k > 0.0 else math.nan, self.b)[1]
@@ -90,7 +90,7 @@ class Felt:
         """Whether a spring and damper is equivalent."""
         return math.isfinite(self.k) and math.isfinite(self.b)
 
-    @property
+    @cached_property
     def stable(self) -> bool:
         """Whether every motion dies out."""
         if self.predictor is None:
@@ -119,7 +119,7 @@ class Felt:
         """N/m: the stiffness that the linear rule allows, (b0 + B)/(T/2 + delay T) (Gil et al.)."""
         return float(self.formula.linear_stiffness_limit(self.damping))
 
-    @property
+    @cached_property
     def reason(self) -> str:
         """Why there is no equivalent, where there is none."""
         if self.predictor is None:

@@ -69,7 +69,7 @@ class Region:
     """The simulated links of the hand there, by name."""
     hand: Characteristic
 
-    @property
+    @cached_property
     def kind(self) -> RegionKind:
         """`held` by a spring, `free` without one, or a `snap`: a negative stiffness drives the hand on."""
         stiffness = self.felt.stiffness + self.felt.configuration.stiffness
@@ -93,7 +93,7 @@ class Region:
         """N, with which a hand at rest at its place pushes towards larger x."""
         return float(self.hand.force(self.piece.place))
 
-    @property
+    @cached_property
     def snap_energy(self) -> float:
         """J, that a hand gets which pushes through with the force at which the snap begins: the work of that force over
         its width, less that of the scene; 0 where it is none."""
