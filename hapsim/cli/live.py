@@ -181,18 +181,8 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
     yield ", ".join(spoken(channel)(one) for channel, one in words)
     yield f"age {progress.age_samples}"
     yield f"misses {progress.deadline_misses}"
-    for ticks, what in (
-        (progress.limited_ticks, "at the limit"),
-        (progress.slewed_ticks, "slewed"),
-        (progress.slowed_ticks, "with changes slowed"),
-        (progress.faded_ticks, "outside the travel"),
-        (progress.frozen_ticks, "without force at a position that stood still"),
-        (progress.underruns, "gaps in the sound"),
-        (progress.lost_sound_frames, "frames of it lost"),
-        (progress.clipped_sound_values, "values of it clipped"),
-    ):
-        if ticks:
-            yield f"{ticks} {what}"
+    for what, count in progress.shown("live"):
+        yield f"{count} {what}"
     if progress.sound_latency_s is not None:
         yield f"sound {1e3 * progress.sound_latency_s[0]:.1f} ms late, {progress.resampling_ppm or 0.0:+.1f} ppm"
     known = zip(progress.estimated_mass_kg, progress.estimated_mass_uncertainty_kg, strict=True)

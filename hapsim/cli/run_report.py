@@ -59,29 +59,11 @@ def _rows(report: Report, reconnections: int) -> Iterator[tuple[str, str]]:
         yield "exchange  µs", _spread_in_us(report.exchange_s)
     if report.parameter_changes:
         yield "changes taken", str(report.parameter_changes)
-    refused = report.rejected_by_device or 0
-    normal = " (a few at arming and disarming are normal)" if refused <= _NORMAL_REFUSALS else ""
-    for label, count, note in (
-        ("positions lost", report.lost_frames, ""),
-        ("frames refused by this host", report.crc_errors, ""),
-        ("bytes that were no frame", report.garbage_bytes, ""),
-        ("frames refused by the device", refused, normal),
-        ("stale positions", report.stale_positions, ""),
-        ("ticks at the force limit", report.limited_ticks, ""),
-        ("ticks at the slew limit or in the soft start", report.slewed_ticks, ""),
-        ("ticks outside the travel, force faded", report.faded_ticks, ""),
-        ("force lowered to test a sensor", report.sensor_tests, ""),
-        ("ticks without force: position stood still", report.frozen_ticks, ""),
-        ("ticks in which changes were slowed", report.slowed_ticks, ""),
-        ("forces withheld: position too old", report.withheld_forces, ""),
-        ("releases to test a motor's sign", report.sign_tests, ""),
-        ("rows not recorded", report.dropped_rows + report.unrecorded_rows, ""),
-        ("gaps in the sound (underruns)", report.underruns, ""),
-        ("frames of the sound lost", report.lost_sound_frames, ""),
-        ("values of the sound clipped", report.clipped_sound_values, ""),
-    ):
-        if count:
-            yield label, f"[yellow]{count}[/yellow]{note}"
+    if refused := report.rejected_by_device or 0:
+        normal = " (a few at arming and disarming are normal)" if refused <= _NORMAL_REFUSALS else ""
+        yield "frames refused by the device", f"[yellow]{refused}[/yellow]{normal}"
+    for label, count in report.shown("row"):
+        yield label, f"[yellow]{count}[/yellow]"
     if report.sound_frames:
         yield "frames of the sound", str(report.sound_frames)
     if report.resampling_ppm is not None:

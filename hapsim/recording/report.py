@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from hapsim.loop.histogram import Histogram, Spread
+from hapsim.progress import Counts
 from hapsim.units import Motion
 
 NO_RECORD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
@@ -20,32 +21,17 @@ NOT_FINISHED = "not finished"
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Counts):
     """A run in numbers."""
 
     ending: str
     """Why it ended: done, stopped, …"""
-    ticks: int
     duration_s: float
     """From the first position to the last: by the clock on the wall, or in virtual time."""
     rate_hz: float
     """Positions per second of that duration."""
     nominal_rate_hz: float
     """What the scene asks for."""
-    deadline_misses: int
-    """Samples whose force came too late, so that the one before went on acting."""
-    lost_frames: int
-    """Positions that never arrived whole."""
-    crc_errors: int
-    """Frames of the device that failed the check (too short or malformed ones included)."""
-    stale_positions: int
-    """Positions that a newer one replaced before they could be answered."""
-    limited_ticks: int
-    """Ticks whose force was clipped at its limit."""
-    dropped_rows: int
-    """Rows missing from the trace because its reader was too slow; the force was not affected."""
-    parameter_changes: int
-    """Accepted changes of the running scene: sets of parameters, or another structure."""
     lateness_s: Spread
     """With the host's clock: of the loop's wake-up, after the tick was due. With the device's: of its position, after
     the earliest recent arrivals, by its own count of samples. Nothing in virtual time."""
@@ -57,8 +43,6 @@ class Report:
     bound, since the device reports no more. No force acts for longer than its time to live and one sample more; that
     the force may be zero already counts as two more."""
     virtual_time: bool
-    garbage_bytes: int = 0
-    """Bytes from the device, since it was armed, that belonged to no frame."""
     rejected_by_device: int | None = None
     """Frames of the host that the device rejected since it was armed (register 9); if it stopped by itself, the last
     one, which disarms, is among them. None if it did not say."""
@@ -66,47 +50,8 @@ class Report:
     """Whether the device confirmed, after the last force, that it released it; None if the record does not tell."""
     timed_by_device: bool = False
     """Whether a timer of the device's own paced the positions: then their arrival shows its rate."""
-    estimated_mass_kg: tuple[float | None, ...] = ()
-    """With an adaptive correction: the last estimate of each channel's mass; None on the others."""
-    estimated_mass_uncertainty_kg: tuple[float | None, ...] = ()
-    """Its standard uncertainty; the whole span if nothing was known."""
-    mass_explained: tuple[float | None, ...] = ()
-    """R²: the share of the latest motion that was compared which the forces explain."""
-    mass_age_s: tuple[float | None, ...] = ()
-    """Seconds since the motion last showed the mass: the hand may have become another one meanwhile."""
-    slewed_ticks: int = 0
-    """Ticks whose force the slew limit or the soft start brought closer to the one before."""
-    faded_ticks: int = 0
-    """Ticks outside the device's travel, whose force faded."""
-    sensor_tests: int = 0
-    """Times that a channel's force was lowered, to see whether a position that stood still still answers."""
-    frozen_ticks: int = 0
-    """Ticks in which a channel had no force, because its position did not answer."""
-    frozen: str = ""
-    """What was said of the position that did not answer for longest; "" where all did."""
-    slowed_ticks: int = 0
-    """Ticks that slowed a change of the running scene, which would have given the hand too much energy."""
-    withheld_forces: int = 0
-    """Times that zero force was sent because the position was older than a force may live."""
-    sign_tests: int = 0
-    """Times that a channel's force was released for some milliseconds, to see which way its motor pushes."""
     motion: tuple[Motion, ...] = ()
     """Of each channel; () in a record of an earlier version: linear."""
-    unrecorded_rows: int = 0
-    """Rows missing from the recorded file, which could not be written, or not fast enough. The force was not
-    affected."""
-    sound_frames: int = 0
-    """Frames of the scene's sound, where it is played or written: one for each step of its modules."""
-    clipped_sound_values: int = 0
-    """Values of these that the soft clip changed."""
-    lost_sound_frames: int = 0
-    """Frames that are missing from the sound file, or were not played because the sound card stood still."""
-    underruns: int = 0
-    """Gaps in what was played: times that the sound card got no frames, or got them too late."""
-    resampling_ppm: float | None = None
-    """How much faster the device's clock is than the sound card's, in parts per million of what both declare."""
-    sound_latency_s: tuple[float, float] | None = None
-    """From the arrival of a position to the loudspeaker: median and 99th percentile."""
 
     @property
     def knows_ticks(self) -> bool:

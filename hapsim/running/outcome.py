@@ -66,25 +66,34 @@ def progress_of(loop: LoopMemory) -> Progress:
         position=tuple(io.measured[used].tolist()),
         age_samples=int(state.age),
         frozen=_frozen_sensor(loop, int(np.argmax(now_s)), float(now_s.max())),
-        **_counts_of(loop),
+        **counters_of(loop),
     )
 
 
-def _counts_of(loop: LoopMemory) -> dict[str, Any]:
-    """What Progress and Report have in common."""
-    counts = ("ticks", "deadline_misses", "limited_ticks", "slewed_ticks", "faded_ticks")
-    sensor = loop.record.frozen_sensor
-    asked = {"sensor_tests": int(sensor.tests), "frozen_ticks": int(sensor.frozen_ticks)}
+def counters_of(loop: LoopMemory) -> dict[str, Any]:
+    """Returns what a loop counted and estimated, by the names of `Counts`, without what is said of a position that
+    stands still."""
+    state, decoder, record = loop.state, loop.inbox.decoder, loop.record
+    of_state = ("ticks", "deadline_misses", "lost_frames", "stale_positions", "limited_ticks", "slewed_ticks")
+    counts = {name: int(getattr(state, name)) for name in (*of_state, "faded_ticks", "withheld_forces")}
+    counts |= {
+        "parameter_changes": loop.changes,
+        "crc_errors": int(decoder.crc_errors + decoder.length_errors + decoder.form_errors),
+        "garbage_bytes": int(decoder.garbage_bytes) + _unfinished_bytes(loop),
+        "slowed_ticks": -(-int(record.tank.slowed_ticks) // int(record.slot.substeps)),
+        "sensor_tests": int(record.frozen_sensor.tests),
+        "frozen_ticks": int(record.frozen_sensor.frozen_ticks),
+        "sign_tests": int(record.sign.tests),
+        "dropped_rows": int(record.ring.dropped),
+    }
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
-    slowed = {"slowed_ticks": -(-int(loop.record.tank.slowed_ticks) // int(loop.record.slot.substeps))}
     sound = {} if loop.sound_output is None else loop.sound_output.counts()
-    return {name: int(getattr(loop.state, name)) for name in counts} | asked | slowed | masses | sound
+    return counts | masses | sound
 
 
 def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
     """Returns the report of a loop, while it runs or afterwards."""
-    state, decoder, statistics = loop.state, loop.inbox.decoder, statistics_of(loop)
-    sensor = loop.record.frozen_sensor
+    state, statistics, sensor = loop.state, statistics_of(loop), loop.record.frozen_sensor
     virtual = scene.device.clock == "lockstep"
     samples = max(int(state.ticks) - 1, 0)
     elapsed = (int(state.newest_ns) - int(state.first_ns)) * 1e-9
@@ -95,23 +104,15 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
         nominal_rate_hz=scene.rate,
-        lost_frames=int(state.lost_frames),
-        crc_errors=int(decoder.crc_errors + decoder.length_errors + decoder.form_errors),
-        stale_positions=int(state.stale_positions),
-        withheld_forces=int(state.withheld_forces),
-        sign_tests=int(loop.record.sign.tests),
         frozen=_frozen_sensor(loop, int(sensor.channel), float(sensor.longest / scene.rate)),
-        dropped_rows=int(loop.record.ring.dropped),
-        parameter_changes=loop.changes,
         lateness_s=statistics.lateness.spread(),
         exchange_s=statistics.exchange.spread(),
         age_samples=statistics.age.spread(),
         virtual_time=virtual,
-        garbage_bytes=int(decoder.garbage_bytes) + _unfinished_bytes(loop),
         motion=scene.device.motions(scene.channels),
         timed_by_device=bool(loop.record.watch.judges),
         released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _says_released(loop) else None,
-        **_counts_of(loop),
+        **counters_of(loop),
     )
 
 

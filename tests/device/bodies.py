@@ -50,34 +50,6 @@ def state_of(body: np.record) -> np.ndarray:
     return np.array([body["position"], body["velocity"], body["area"]])
 
 
-def sizes(m: float, b: float, force: float, x: float, v: float, t: float) -> np.ndarray:
-    """The size of what position, velocity and area are made of: the friction only ever makes it smaller."""
-    u = b * t / m
-    v_travel, a_travel = (t, t * t / 2) if u < 1 else (m / b, t * m / b)
-    speed = abs(v) + abs(force) / m * v_travel
-    place = abs(x) + abs(v) * v_travel + abs(force) / m * a_travel
-    return np.array([place, speed, t * place])
-
-
-def exactly(m: float, b: float, force: float, x: float, v: float, t: float) -> np.ndarray:
-    """Position, velocity, area after `t`, by m x'' + b x' = F solved by hand."""
-    with mp.workdps(120):  # the solution for b > 0 loses three times the digits of b t / m
-        m, b, force, x, v, t = map(mp.mpf, (m, b, force, x, v, t))
-        if b == 0:
-            a = force / m
-            end = (x + v * t + a * t**2 / 2, v + a * t, x * t + v * t**2 / 2 + a * t**3 / 6)
-        else:
-            rate, final = b / m, force / b
-            e = mp.exp(-rate * t)
-            gone = (1 - e) / rate
-            end = (
-                x + final * t + (v - final) * gone,
-                final + (v - final) * e,
-                x * t + final * t**2 / 2 + (v - final) * (t - gone) / rate,
-            )
-        return np.array([float(value) for value in end])
-
-
 def decades(low: int, high: int) -> st.SearchStrategy[float]:
     return st.floats(low, high).map(lambda exponent: 10.0**exponent)
 
@@ -109,17 +81,19 @@ def passage(m: float, b: float, k: float, t: mp.mpf) -> mp.matrix:
     return step
 
 
-def exactly_on_spring(m: float, b: float, k: float, force: float, x: float, v: float, t: float) -> np.ndarray:
+def exactly(m: float, b: float, k: float, force: float, x: float, v: float, t: float) -> np.ndarray:
+    """Position, velocity, area after `t`."""
     with mp.workdps(80):  # forty, and what the squarings of a stiff matrix lose
         end = passage(m, b, k, mp.mpf(t)) * mp.matrix([x, v, 0, force])
         return np.array([float(value) for value in end[:3]])
 
 
-def spring_sizes(m: float, b: float, k: float, force: float, x: float, v: float, t: float) -> np.ndarray:
-    """The size of what position, velocity and area are made of, and how far rounding k, m and t turns a swing."""
-    frequency = math.sqrt(k / m)
-    v_travel = min(t, m / b if b > 0 else math.inf, 1 / frequency if k > 0 else math.inf)
-    a_travel = min(t * v_travel, 2 * m / k if k > 0 else math.inf)
+def sizes(m: float, b: float, k: float, force: float, x: float, v: float, t: float) -> np.ndarray:
+    """The size of what position, velocity and area are made of, and how far rounding k, m and t turns a swing: the
+    friction only ever makes it smaller."""
+    frequency, late = math.sqrt(k / m), m / b if b > 0 else math.inf
+    v_travel = min(t, late, 1 / frequency if k > 0 else math.inf)
+    a_travel = min(t * v_travel, 2 * m / k) if k > 0 else t * t / 2 if t < late else t * late
     push = abs(force) / m + k / m * abs(x)
     place = abs(x) + abs(v) * v_travel + push * a_travel
     turned = 1 + frequency * t * math.exp(-b * t / m / 2)

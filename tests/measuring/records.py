@@ -20,7 +20,7 @@ def trace_of(position: np.ndarray, asked: np.ndarray, rate: float = 1000.0) -> T
     nothing = histogram_of(new_record(HISTOGRAM))
     statistics = Statistics(nothing, nothing, nothing)
     spreads = (nothing.spread(),) * 3
-    report = Report("done", n, n / rate, rate, rate, 0, 0, 0, 0, 0, 0, 0, *spreads, virtual_time=True)
+    report = Report("done", n / rate, rate, rate, *spreads, virtual_time=True, ticks=n)
     force_scale = 1e-8
     counts = np.rint(position / QUANTUM).astype(np.int32)[:, None]
     return Trace(
