@@ -58,7 +58,7 @@ def check(
         prediction = predict(loaded, at=position(at, loaded))
         on_wire = predict_on_wire(loaded)
         partials = partials_of(loaded, prediction) if loaded.sound else {}
-        _ = prediction.stable, prediction.margins  # while that is said
+        _ = prediction.margins  # while that is said
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
     of_slew = _slew_warnings(loaded, prediction)

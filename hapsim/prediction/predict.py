@@ -32,7 +32,8 @@ _MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
 
 
 class Prediction:
-    """A scene, predicted: each part is worked out when it is asked for, and once."""
+    """A scene, predicted: each part is worked out when it is asked for, and once; `predict` asks for the poles and the
+    verdict."""
 
     def __init__(
         self, scene: Scene, at: float | None = None, *, with_margins: bool = True, wherever: bool = False
@@ -276,7 +277,9 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
     takes longer than the rest. `at`: the position of the hands in m [default: where they rest, or are held nearest to
     position 0]. UsageError where that is beyond the travel.
     """
-    return Prediction(as_scene(scene), at, with_margins=with_margins)
+    prediction = Prediction(as_scene(scene), at, with_margins=with_margins)
+    _ = prediction.stable, prediction.poles  # what cannot be worked out is an error of this call
+    return prediction
 
 
 def predict_on_wire(scene: Scene) -> Prediction | None:
