@@ -47,9 +47,7 @@ class Linear(NamedTuple):
         assumption: under which this holds, in words that follow the link's name; "" where it always holds.
         memoryless: the force depends on the positions and velocities of the ends and on nothing earlier, apart from
             what the link's damper remembers.
-        in_a_matrix: the link is exactly this spring and damper, so that a scheme can work it into a matrix.
-
-    The last two are as the kernel's `PartType` says.
+        in_a_matrix: the link is exactly this spring and a backward damper, so that a scheme can work it into a matrix.
     """
 
     stiffness: float
@@ -218,6 +216,14 @@ def curve_law(points: Points | None, damping: float = 0.0, more: float = 0.0, as
     states = ("level", *(f"piece {i + 1}" for i in range(len(points) - 1)), "level")
     knots = tuple((x, tension + more) for x, tension in points)
     return Law(knots, (damping,) * len(states), states, assumption=assumption)
+
+
+def roomy(law: Law) -> Law:
+    """Returns it with its last knot repeated, to 32, 64, ... knots and twice its own at least: so that another
+    with as many can be written over the edges of both, between which a ramp of their knots is one of their forces."""
+    spare = max(32, 1 << (2 * len(law.knots) - 1).bit_length()) - len(law.knots)
+    longer = {of: (own := getattr(law, of)) + own[-1:] * spare for of in ("knots", "dampings", "states")}
+    return replace(law, **longer)
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,9 @@ from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import described
 from hapsim.errors import UsageError
 from hapsim.number_format import number
-from hapsim.prediction import Region
+from hapsim.prediction import Region, predict
 from hapsim.prediction.characteristic import Characteristic, hand_at
-from hapsim.prediction.correction import felt_error, rendered
-from hapsim.prediction.linear import linear_scene, why_coupled
-from hapsim.prediction.regions import regions_of
+from hapsim.prediction.correction import felt_error
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Floats
 
@@ -51,14 +49,13 @@ class ForceChart(NamedTuple):
 def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
     """Returns the force over the position of the hand `name`, moved at `speed` m/s. UsageError where it moves masses or
     other hands."""
-    regions = regions_of(rendered(scene), name)
-    if not regions:
-        why = why_coupled(scene, linear_scene(scene), name)
+    prediction = predict(scene)
+    if name in prediction.coupled:
         raise UsageError(
-            f"{name} {why}: its force depends on more than its own position. Expected a hand whose links all end on "
-            "grounds"
+            f"{name} {prediction.coupled[name]}: its force depends on more than its own position. Expected a hand "
+            "whose links all end on grounds"
         )
-    hand = hand_at(scene, name)
+    hand, regions = hand_at(scene, name), prediction.regions_of(name)
     low, high = _view(hand, regions)
     drawn = [one for one in regions if not one.piece.sliding and one.piece.low < high and one.piece.high > low]
     ends = [(max(one.piece.low, low), min(one.piece.high, high)) for one in drawn]

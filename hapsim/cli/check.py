@@ -57,7 +57,8 @@ def check(
     with at_work(stderr(), "working out modes and gain margins"):
         prediction = predict(loaded, at=position(at, loaded))
         on_wire = predict_on_wire(loaded)
-        partials = partials_of(loaded) if loaded.sound else {}
+        partials = partials_of(loaded, prediction) if loaded.sound else {}
+        _ = prediction.margins  # while that is said
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
     of_slew = _slew_warnings(loaded, prediction)
@@ -127,7 +128,7 @@ def _stability(prediction: Prediction, is_slewed: bool) -> str:
     note = ""
     if snaps := [name for name, region in prediction.region_here.items() if region.kind == "snap"]:
         verdict, note = "[yellow]in a snap[/yellow]", f": the scene drives {', '.join(snaps)} on to the next region"
-    elif details.is_at_limit(prediction):
+    elif prediction.at_limit:
         verdict = "[yellow]at the limit[/yellow]"
         note = " between stable and unstable: something drifts or swings for ever"
     elif prediction.stable and is_slewed:
@@ -207,7 +208,7 @@ def _margin_summary(prediction: Prediction) -> str:
     """Returns the smallest gain margin in a sentence."""
     if any(one.kind == "snap" for one in prediction.region_here.values()):
         return "In a snap there is no gain margin"
-    if not prediction.stable and not details.is_at_limit(prediction):
+    if not prediction.stable and not prediction.at_limit:
         hands = [
             f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
             for felt in prediction.felt

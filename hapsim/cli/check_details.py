@@ -11,8 +11,18 @@ from rich.markup import escape
 from hapsim.cli.check_regions import show_regions
 from hapsim.cli.output import Table, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
-from hapsim.prediction import Desired, Felt, Prediction, WireTime, correction_for, host_silence, robustness_of
+from hapsim.prediction import (
+    Desired,
+    Felt,
+    LinkMargin,
+    Prediction,
+    WireTime,
+    correction_for,
+    host_silence,
+    robustness_of,
+)
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
+from hapsim.prediction.stability import MARGINAL
 from hapsim.prediction.timing import what_helps, wire_parts
 from hapsim.theory.interface import damper_named
 
@@ -21,14 +31,12 @@ if TYPE_CHECKING:
 
     from hapsim.cordis.explain import Explanation
     from hapsim.prediction.correction import Remedies
-    from hapsim.prediction.predict import LinkMargin
     from hapsim.scene import Scene
 
 _ROWS = 12  # of a table
 _NAMES = 6  # of a sentence
 _HUGE = 100.0  # a pole beyond has no digit behind the point that matters
 _FAINT = 1e-9  # of m/T²: hardly a spring
-_MARGINAL = 1e-9  # of the spectral radius: a free motion, which rounding places on either side of 1
 _EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error, and a small one
 _NO_FACTOR, _UNKNOWN = "–", "?"
 
@@ -71,11 +79,6 @@ def show_assumptions(out: Console, assumptions: Iterable[str]) -> None:
         out.print(f"[yellow]Assumed:[/yellow] {escape(f'{first} {rest}.{same}')}")
 
 
-def is_at_limit(prediction: Prediction) -> bool:
-    """Whether the scene is neither stable nor unstable: something drifts or swings for ever."""
-    return not prediction.stable and abs(prediction.spectral_radius - 1.0) < _MARGINAL
-
-
 def _show_felt(out: Console, prediction: Prediction, felt: Felt) -> None:
     """Prints what one hand feels, and what that means."""
     desired = next((one for one in prediction.desired if one.name == felt.name), None)
@@ -115,7 +118,7 @@ def _felt_table(felt: Felt, desired: Desired | None) -> Table:
 def margin_sentence(felt: Felt) -> str:
     """Returns how far one hand is from the stability limit."""
     if felt.stiffness == 0.0:
-        unstable = felt.spectral_radius > 1.0 + _MARGINAL
+        unstable = felt.spectral_radius > 1.0 + MARGINAL
         return f"There is no stiffness to have a margin{_enough_damping(felt, '; stable is it') if unstable else ''}."
     if felt.stiffness_factor == 0.0:
         return f"At this damping no stiffness is stable{_enough_damping(felt, '; this one is')}."
@@ -187,7 +190,7 @@ def change_to_limit(margin: LinkMargin) -> float:
 
 def _margins(prediction: Prediction) -> Table:
     links = tightest(prediction)
-    if prediction.stable or is_at_limit(prediction):
+    if prediction.stable or prediction.at_limit:
         rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
         title, others = "Gain margins: the scene becomes unstable where a link is multiplied by", "have larger margins"
     else:

@@ -11,7 +11,6 @@ from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import percent
 from hapsim.prediction import Felt, Prediction
-from hapsim.prediction.other_mass import masses_with, oscillation_at
 
 _UNSURE = 4.0  # uncertainties: what is further apart is not the same
 _MANY = 5.0
@@ -47,14 +46,15 @@ def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass |
     same_frequency = abs(measurement.frequency_hz - felt.frequency_hz) < _SAME * felt.frequency_hz
     if same_frequency and abs(measurement.damping_ratio - felt.damping_ratio) < _SAME:
         return None  # without importing scipy.optimize, which takes long
-    for mass in masses_with(felt, measurement.frequency_hz):
+    for mass in felt.masses_with(measurement.frequency_hz):
         step = 1e-4 * mass
-        above, below = oscillation_at(felt, mass + step), oscillation_at(felt, mass - step)
-        slope, ratio_slope = ((a - b) / (2.0 * step) for a, b in zip(above, below, strict=True))
+        above, at_it, below = (felt.with_mass(one) for one in (mass + step, mass, mass - step))
+        slope = (above.frequency_hz - below.frequency_hz) / (2.0 * step)
+        ratio_slope = (above.damping_ratio - below.damping_ratio) / (2.0 * step)
         unsure = measurement.frequency_uncertainty_hz / abs(slope) if slope else math.inf
         allowed = math.hypot(measurement.damping_ratio_uncertainty, ratio_slope * unsure)
         # A friction that is a little off, of which nothing would be said, does not hide the mass.
-        if not abs(oscillation_at(felt, mass)[1] - measurement.damping_ratio) <= max(_UNSURE * allowed, _CLEARLY / 2):
+        if not abs(at_it.damping_ratio - measurement.damping_ratio) <= max(_UNSURE * allowed, _CLEARLY / 2):
             continue
         known = measurement.mass_uncertainty or 0.0
         off = abs(mass - measurement.mass)

@@ -83,8 +83,6 @@ class PartType(NamedTuple):
         compiled_as: what they become, in words.
         live: the modules' live values, in columns, as a tick at a rate in Hz works with them; None: another type's.
         moves_points: its `integrate` moves points; a scheme that moves all points itself does not use it.
-        memoryless: its links remember nothing, so that they can be asked for their forces between samples too.
-        in_a_matrix: its links are a spring and a backward damper and nothing else: `stiffness` and `damping`, or 0.
     """
 
     select: Callable[[Scene], Mapping[str, Any]]
@@ -94,8 +92,6 @@ class PartType(NamedTuple):
     compiled_as: str = ""
     live: Callable[[Mapping[str, Any], float], list[LiveColumn]] | None = live_columns
     moves_points: bool = False
-    memoryless: bool = False
-    in_a_matrix: bool = False
 
 
 def all_of(module: type[Module], where: Callable[[Any], bool] = lambda _: True) -> Callable[[Scene], Mapping[str, Any]]:

@@ -45,7 +45,7 @@ PARAMETERS = np.dtype(
         ("single", np.int64),  # 1: `now` has numbers of single precision
         ("now", np.uint64),  # addresses of P numbers each: what the tick works with, in the program's units,
         ("following", np.uint64),  # what it will work with,
-        ("ramps", np.uint64),  # and four rows behind one another: posted, incoming, origin, target
+        ("ramps", np.uint64),  # and five rows behind one another: posted, incoming, origin, target, begins
         ("posted", np.int64),  # counts up by two a set; odd while one is being written
         ("taken", np.int64),  # `posted` of the set that was taken last
         ("sets", np.int64),  # that were taken
@@ -67,7 +67,8 @@ class LiveValues:
         self.values = values
         """The tick's own numbers, not a copy."""
         self._following = values.copy()
-        self._ramps = np.tile(values.astype(np.float64), (4, 1))
+        self._ramps = np.tile(values.astype(np.float64), (5, 1))
+        self._ramps[4] = np.nan
         self.record = record
         record.address = address_of(record)
         record.count = values.size
@@ -80,11 +81,11 @@ class LiveValues:
         self.record.move = move.address()
         post(self.record, values.astype(np.float64), samples)
 
-    def post_with(self, values: Column, samples: int, add: Callable[[Any, str, int], None]) -> None:
+    def post_with(self, values: Column, samples: int, add: Callable[[Any, str, int], None], begins: Column) -> None:
         """Prepares a whole set, as `post`, where what was posted before is taken; `add` takes the words of the record
-        with which it will be posted."""
+        with which it will be posted. `begins`: from where each value goes on; NaN: from where it is."""
         self.record.move = move.address()
-        self._ramps[0] = values
+        self._ramps[0], self._ramps[4] = values, begins
         add(self.record, "posted_samples", samples)
         add(self.record, "posted", int(self.record.posted) + 2)
 
@@ -116,8 +117,9 @@ def move(parameters, position, previous):
     """
     parameters = _parameters_at(parameters)
     count = parameters.count
-    ramps = _doubles_at(parameters.ramps, 4 * count)
+    ramps = _doubles_at(parameters.ramps, 5 * count)
     posted, incoming, origin, target = ramps[:count], ramps[count : 2 * count], ramps[2 * count :], ramps[3 * count :]
+    begins = ramps[4 * count :]
     number = parameters.posted
     if number != parameters.taken and not number & 1:  # not being written at this moment
         fence()
@@ -127,6 +129,9 @@ def move(parameters, position, previous):
         fence()
         if parameters.posted == number:
             for i in range(count):
+                if begins[i] == begins[i]:
+                    put_number(parameters.now, i, parameters.single, begins[i])
+                    begins[i] = np.nan
                 origin[i] = number_at(parameters.now, i, parameters.single)
                 target[i] = incoming[i]
             parameters.taken = number

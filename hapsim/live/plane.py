@@ -11,9 +11,7 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.live.messages import Predict
-from hapsim.prediction import Felt, Region, predict
-from hapsim.prediction.correction import rendered
-from hapsim.prediction.regions import regions_of
+from hapsim.prediction import Felt, Prediction, Region, predict
 from hapsim.running.changes import changed
 from hapsim.running.parameters import Parameter, changes_from
 from hapsim.scene import Scene
@@ -30,7 +28,7 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
     prediction = predict(wanted, with_margins=False)
     at = {name: asked.at[one.channel] for name, one in wanted.device_points.items() if one.channel < len(asked.at)}
     here = prediction.region_here
-    here |= {name: _region_at(wanted, name, at[name]) for name in here.keys() & at.keys()}
+    here |= {name: _region_at(prediction, name, at[name]) for name in here.keys() & at.keys()}
     felt = [here[one.name].felt if one.name in here else one for one in prediction.felt]
     found: dict[str, Any] = {
         "stable": prediction.stable,
@@ -47,9 +45,9 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
     return found
 
 
-def _region_at(scene: Scene, name: str, x: float) -> Region:
+def _region_at(prediction: Prediction, name: str, x: float) -> Region:
     """The region of this hand at x m, friction stuck; on an edge the stiffer one, beyond the travel the last."""
-    regions = [one for one in regions_of(rendered(scene), name, x) if not one.piece.sliding]
+    regions = [one for one in prediction.regions_of(name, x) if not one.piece.sliding]
     x = min(max(x, regions[0].piece.low), regions[-1].piece.high)
     return max((one for one in regions if one.piece.low <= x <= one.piece.high), key=lambda one: one.piece.stiffness)
 

@@ -4,22 +4,24 @@ Public is what `__all__` names.
 """
 
 from firmware_protocol.wire_time import WireTime
-from hapsim.prediction.felt import correction_for, felt_at_rate, robustness_of
+from hapsim.prediction.desired import Desired
+from hapsim.prediction.felt import Felt, Robustness, correction_for, felt_at_rate, robustness_of
 from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.link_margins import LinkMargin
 from hapsim.prediction.partials import partials_of
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import (
-    Shaking,
+    Prediction,
     is_surely_unstable,
     predict,
     predict_on_wire,
     surely_shaken_by,
-    warnings_about,
     with_mass,
 )
+from hapsim.prediction.stability import Region, Shaking
 from hapsim.prediction.timing import HostSilence, host_silence
-from hapsim.prediction.types import Desired, Felt, LinkMargin, Prediction, Region, Robustness
+from hapsim.prediction.warnings import warnings_about
 
 __all__ = [
     "Desired",

@@ -260,7 +260,7 @@ def _within(low: float, high: float) -> float:
     return high - max(1.0, abs(high)) if math.isfinite(high) else 0.0
 
 
-def characteristic_of(scene: Scene, name: str, around: float = 0.0, *, wherever: bool = False) -> Characteristic | None:
+def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bool = False) -> Characteristic | None:
     """That of the hand at this device point; None where a link of it ends on a mass or on another hand. What repeats
     without a travel is known for whole pieces within a period from position 0, and from `around` (m). `wherever`: where
     the hand is when the scene begins is not known."""
@@ -301,7 +301,7 @@ def starts_at(scene: Scene, channel: int) -> float | None:
     return None if scene.device.port is not None else scene.mock_device.initial_position[channel] - origin
 
 
-def hand_at(scene: Scene, name: str, around: float = 0.0, *, wherever: bool = False) -> Characteristic:
+def hand_at(scene: Scene, name: str, around: float = 0.0, wherever: bool = False) -> Characteristic:
     """`characteristic_of` a hand that has one."""
     found = characteristic_of(scene, name, around, wherever=wherever)
     assert found is not None
@@ -350,3 +350,12 @@ def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
     piece = one.at(at, pieces)
     low, high = piece.within  # on an edge a slope would be the mean of two
     return piece._replace(place=min(max(at, low), high))
+
+
+def linear_at(hand: Characteristic, linear: LinearScene, piece: Piece) -> LinearScene:
+    """`linear`, a scene as the theory takes it, with this hand of it in this piece."""
+    taken = hand.taken(piece.place, piece.sliding)
+    here = {
+        link: linear.links[link]._replace(stiffness=one.stiffness, damping=one.damping) for link, one in taken.items()
+    }
+    return linear._replace(links=linear.links | here)

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array, eye_array
+from scipy.sparse import csc_array, csr_array, diags_array, eye_array
 from scipy.sparse.linalg import spsolve
 
 from hapsim.errors import UsageError
 from hapsim.laws import Law, Linear
 from hapsim.scene import Scene
-from hapsim.theory.arrays import Floats, Indices
+from hapsim.theory.arrays import Floats
 
 _MOST_STEPS = 100
 _AT_REST = 1e-12  # m, by which the last step still moves a mass
@@ -23,18 +23,17 @@ _LEAST_STIFFNESS = 1e-9  # of the stiffest link: what holds a mass that nothing 
 class _Springs(NamedTuple):
     """L links, the linear ones inside structures first; `laws` are those of the last ones."""
 
-    ends: Indices
-    """(L, 2): masses, -1 for a point that does not move."""
+    joins: csr_array
+    """(L, N): 1 at a link's first end, -1 at its second, where these are masses."""
     fixed: Floats
-    """(L, 2): m, where the points are that do not move."""
+    """(L,): m, what ends that do not move add to its distance."""
     stiffness: Floats
     """(L,): N/m, of the linear ones."""
     laws: list[Law]
 
     def distances(self, x: Floats) -> Floats:
         """(L,): m, with the masses at x."""
-        places = np.where(self.ends < 0, self.fixed, np.append(x, 0.0)[self.ends])
-        return places[:, 0] - places[:, 1]
+        return np.asarray(self.joins @ x + self.fixed)
 
     def tensions(self, d: Floats) -> Floats:
         """(L,): N."""
@@ -49,21 +48,13 @@ class _Springs(NamedTuple):
 
     def forces(self, x: Floats) -> Floats:
         """(N,): N on each mass."""
-        tensions = self.tensions(self.distances(x))
-        forces = np.zeros(x.size + 1)
-        np.add.at(forces, self.ends[:, 0], -tensions)
-        np.add.at(forces, self.ends[:, 1], tensions)
-        return forces[:-1]
+        return np.asarray(-(self.joins.T @ self.tensions(self.distances(x))))
 
     def stiffness_matrix(self, x: Floats) -> csc_array:
         """(N, N): N/m."""
         slopes = self.slopes(self.distances(x))
-        (i, j), n = self.ends.T, x.size
-        rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
-        values = np.concatenate([slopes, slopes, -slopes, -slopes])
-        moves = (rows >= 0) & (columns >= 0)
-        matrix = coo_array((values[moves], (rows[moves], columns[moves])), shape=(n, n))
-        return csc_array(matrix + _LEAST_STIFFNESS * max(float(slopes.max()), 1.0) * eye_array(n))
+        least = _LEAST_STIFFNESS * max(float(slopes.max()), 1.0)
+        return csc_array(self.joins.T @ diags_array(slopes) @ self.joins + least * eye_array(x.size))
 
 
 def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]:
@@ -71,21 +62,24 @@ def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]
     masses rest. A link that sticks has no force there. UsageError where no rest is found."""
     number, start = _masses(scene)
     held = {name: ground.position for name, ground in scene.grounds.items()} | dict(hands)
-    rows: list[tuple[int, int, float, float, float]] = []
+    rows: list[tuple[int, int, float, float]] = []
     for name, structure in scene.structures.items():
         numbers = [*(number[f"{name}.{place}"] for place in structure.point_names()), -1]  # -1 is the last
-        stays = structure.position
-        rows += [(numbers[a], numbers[b], stays, stays, k) for a, b, k, _ in structure.elements().links]
+        for a, b, k, _ in structure.elements().links:
+            ends = numbers[a], numbers[b]
+            rows.append((*ends, structure.position * ((ends[0] < 0) - (ends[1] < 0)), k))
     for name, point in scene.material_points.items():
         if (own := point.held_by()) is not None:
-            rows.append((number[name], -1, 0.0, own.rest, own.stiffness))
-    laws = [link.law() for link in scene.links.values()]
+            rows.append((number[name], -1, -own.rest, own.stiffness))
+    laws, linear = [link.law() for link in scene.links.values()], len(rows)
     for link in scene.links.values():
         first, second = link.between
-        rows.append((number.get(first, -1), number.get(second, -1), held.get(first, 0.0), held.get(second, 0.0), 0.0))
-    table = np.array(rows, float).reshape(-1, 5)
-    linear = len(rows) - len(laws)
-    springs = _Springs(table[:, :2].astype(int), table[:, 2:4], table[:linear, 4], laws)
+        apart = held.get(first, 0.0) - held.get(second, 0.0)
+        rows.append((number.get(first, -1), number.get(second, -1), apart, 0.0))
+    table = np.array(rows, float).reshape(-1, 4)
+    row, side = np.nonzero(table[:, :2] >= 0.0)
+    joins = csr_array((1.0 - 2.0 * side, (row, table[row, side].astype(int))), shape=(len(rows), len(number)))
+    springs = _Springs(joins, table[:, 2], table[:linear, 3], laws)
     d = springs.distances(_relaxed(springs, np.array(start)))[linear:]
     found = {}
     for name, law, one in zip(scene.links, laws, d, strict=True):

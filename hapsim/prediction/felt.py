@@ -4,70 +4,203 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import asdict, replace
-from functools import lru_cache
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hapsim.prediction.correction import CORRECTIONS, Rendering, felt_error, stable_masses
 from hapsim.prediction.linear import LinearScene, hand_of
-from hapsim.prediction.types import Felt, Limits, Robustness
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.correction import PredictedLoop, StatePredictor, as_read
 
 _PLAIN = 0.01  # an error of what is felt that is worth a correction
+_SPAN, _TRIED = 10.0, 81  # masses from a tenth to ten times the one that is taken for true
+
+
+class Robustness(NamedTuple):
+    """What a hand on one device point meets beside k and b."""
+
+    steady_stiffness: float
+    """N/m: the stiffness that a steady push meets, the device's own spring included."""
+    noise_gain: float
+    """N rms of force per m rms of white noise on the positions that are read; infinite where it is unstable."""
+    stable_masses: tuple[float, float]
+    """kg: the least and the most mass with which the loop is stable; 0 and infinity beyond thirty times the declared
+    one. NaN where it is stable with none near that."""
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """What the hand feels on one device point whose links all end on grounds: a temporary hybrid system of its own.
+    Each number is worked out when it is asked for."""
+
+    name: str
+    channel: int
+    configuration: Configuration
+    stiffness: float
+    """K, N/m, simulated."""
+    damping: float
+    """B, N·s/m, simulated."""
+    predictor: StatePredictor | None = None
+    """Whose state the force answers, with a correction that predicts."""
+    without_predictor: Configuration | None = None
+    """The device that the loop then seems to have, by which limits and passivity are worked out."""
+
+    @cached_property
+    def loop(self) -> Configuration | PredictedLoop:
+        """The closed loop, of K and B."""
+        return self.configuration if self.predictor is None else PredictedLoop(self.configuration, self.predictor)
+
+    @property
+    def formula(self) -> Configuration:
+        """The configuration by which limits and passivity are worked out."""
+        return self.without_predictor or self.configuration
+
+    @cached_property
+    def _equivalent(self) -> tuple[float, float]:
+        k, b = self.loop.equivalent(self.stiffness, self.damping)
+        return float(k), float(b)
+
+    @property
+    def k(self) -> float:
+        """N/m; NaN where no spring and damper is equivalent."""
+        return self._equivalent[0]
+
+    @property
+    def b(self) -> float:
+        """N·s/m, real friction included."""
+        return self._equivalent[1]
+
+    @cached_property
+    def frequency_hz(self) -> float:
+        """Eigenfrequency; NaN without a spring."""
+        return swing(self.configuration.mass, self.k if self.k > 0.0 else math.nan, self.b)[0]
+
+    @cached_property
+    def damping_ratio(self) -> float:
+        """Of critical damping; NaN without a spring."""
+        return swing(self.configuration.mass, self.k if self.k > 0.0 else math.nan, self.b)[1]
+
+    @property
+    def dominant(self) -> bool:
+        """Whether a spring and damper is equivalent."""
+        return math.isfinite(self.k) and math.isfinite(self.b)
+
+    @cached_property
+    def stable(self) -> bool:
+        """Whether every motion dies out."""
+        if self.predictor is None:
+            return bool(self.configuration.is_stable(self.stiffness, self.damping))
+        return self.spectral_radius < 1.0
+
+    @property
+    def spectral_radius(self) -> float:
+        """The largest modulus of a pole."""
+        return abs(self.poles[0])
+
+    @cached_property
+    def poles(self) -> tuple[complex, ...]:
+        """In the z-plane, by decreasing modulus."""
+        return tuple(complex(pole) for pole in self.loop.poles(self.stiffness, self.damping))
+
+    @cached_property
+    def passive(self) -> bool | None:
+        """Whether no hand can make it unstable (Colgate and Schenkel); None where the condition is not derived."""
+        with contextlib.suppress(ValueError):
+            return bool(self.formula.is_passive(self.stiffness, self.damping))
+        return None
+
+    @property
+    def linear_limit(self) -> float:
+        """N/m: the stiffness that the linear rule allows, (b0 + B)/(T/2 + delay T) (Gil et al.)."""
+        return float(self.formula.linear_stiffness_limit(self.damping))
+
+    @cached_property
+    def reason(self) -> str:
+        """Why there is no equivalent, where there is none."""
+        if self.predictor is None:
+            return str(self.configuration.why_no_equivalent(self.stiffness, self.damping))
+        return "" if math.isfinite(self.k) else "the slowest poles are not those of a spring and damper"
+
+    @property
+    def stiffness_factor(self) -> float:
+        """By how much K could grow before the loop becomes unstable, B as it is; infinity if never, below 1 if it
+        is."""
+        if self.stiffness == 0.0:
+            return math.inf
+        stiffest = _stiffest(self.formula, self.damping)
+        return stiffest / self.stiffness if stiffest > 0.0 else 0.0
+
+    @property
+    def stable_damping(self) -> tuple[float, float]:
+        """N·s/m: from least to most B, with K as it is; NaN where no damping makes it stable."""
+        return _stable_damping(self.formula, self.stiffness)
+
+    @cached_property
+    def robustness(self) -> Robustness:
+        """What the hand meets beside k and b."""
+        c, element = self.configuration, (self.stiffness, self.damping)
+        loop = PredictedLoop(c, as_read(c) if self.predictor is None else self.predictor)
+        with np.errstate(all="ignore"):  # beyond all numbers nothing is stable
+            return Robustness(
+                steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
+                noise_gain=loop.noise_gain(*element),
+                stable_masses=stable_masses(lambda true: loop._replace(plant=true), c, element),
+            )
+
+    def with_mass(self, mass: float) -> Felt:
+        """The same hand where its true mass is `mass` kg, while links and predictor stay as they were made for the
+        other."""
+        return replace(self, configuration=replace(self.configuration, mass=mass))
+
+    def masses_with(self, frequency_hz: float) -> Iterator[float]:
+        """Yields every mass, kg, within a factor of ten with which the eigenfrequency is this one."""
+        from scipy.optimize import brentq
+
+        def off(mass: float) -> float:
+            return self.with_mass(mass).frequency_hz - frequency_hz
+
+        tried = self.configuration.mass * np.geomspace(1.0 / _SPAN, _SPAN, _TRIED)
+        errors = [off(mass) for mass in tried.tolist()]
+        for i in range(_TRIED - 1):
+            if errors[i] * errors[i + 1] <= 0.0:  # not where one of them is NaN
+                with contextlib.suppress(ValueError):  # NaN in between
+                    yield float(brentq(off, tried[i], tried[i + 1], xtol=1e-15, rtol=1e-12))
+
+
+@lru_cache(256)  # hands that are alike
+def _stiffest(configuration: Configuration, damping: float) -> float:
+    return float(configuration.stable_stiffness(damping)[1])
+
+
+@lru_cache(256)
+def _stable_damping(configuration: Configuration, stiffness: float) -> tuple[float, float]:
+    least, most = (float(value) for value in configuration.stable_damping(stiffness))
+    return least, most
 
 
 def robustness_of(felt: Felt) -> Robustness:
     """What a hand meets beside k and b, by this prediction."""
-    c, element = felt.configuration, (felt.stiffness, felt.damping)
-    predictor = as_read(c) if felt.predictor is None else felt.predictor
-    loop = PredictedLoop(c, predictor)
-    with np.errstate(all="ignore"):  # beyond all numbers nothing is stable
-        return Robustness(
-            steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
-            noise_gain=loop.noise_gain(*element),
-            stable_masses=stable_masses(lambda true: loop._replace(plant=true), c, element),
-        )
+    return felt.robustness
 
 
 def felt_by(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
     """What a lone hand feels; under a predictor in its loop, of the device as it is declared."""
-    scene = rendering.seen
-    felt = _felt_of(name, scene.device_points[name].channel, *hand_of(scene, linear, name))
+    felt = _felt_of(name, rendering.seen.device_points[name].channel, *hand_of(rendering.seen, linear, name))
     port = next((port for port in rendering.ports if port.name == name), None)
     if port is None or rendering.kind is None or not rendering.kind.predicts or felt.stiffness == felt.damping == 0.0:
         return felt
-    return felt_of_predictor(felt, port.declared, rendering.predictor_of(port), (felt.stiffness, felt.damping))
+    device, predictor = port.declared, rendering.predictor_of(port)
+    return replace(felt, configuration=device, predictor=predictor, without_predictor=felt.configuration)
 
 
-def felt_of_predictor(
-    felt: Felt, device: Configuration, predictor: StatePredictor, element: tuple[float, float]
-) -> Felt:
-    """`felt` of this device with a force that answers this predictor's state."""
-    loop = PredictedLoop(device, predictor)
-    poles = loop.poles(*element)
-    k, b = (float(value) for value in loop.equivalent(*element))
-    frequency, ratio = swing(device.mass, k, b)
-    radius = float(abs(poles[0]))
-    return replace(
-        felt,
-        configuration=device,
-        stiffness=element[0],
-        damping=element[1],
-        k=k,
-        b=b,
-        frequency_hz=frequency,
-        damping_ratio=ratio,
-        dominant=math.isfinite(k),
-        stable=radius < 1.0,
-        spectral_radius=radius,
-        poles=tuple(complex(pole) for pole in poles),
-        reason="" if math.isfinite(k) else "the slowest poles are not those of a spring and damper",
-        predictor=predictor,
-    )
+@lru_cache(1024)  # regions in which a hand feels the same
+def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: float, damping: float) -> Felt:
+    return Felt(name, channel, configuration, stiffness, damping)
 
 
 def correction_for(felt: Felt) -> str:
@@ -93,53 +226,24 @@ def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
     """What the same hand feels where the device samples at `rate_hz` while the loop takes it to sample at the rate of
     `felt`: the loop makes a velocity of a step with the period that it believes in, so a damper is stronger by as much
     as the true period is longer, and a filter's cutoff lower. A velocity that the device senses is what it is."""
+    device = replace(felt.configuration, rate=rate_hz)
     if felt.predictor is not None:
-        device = replace(felt.configuration, rate=rate_hz)
-        return felt_of_predictor(felt, device, felt.predictor, (felt.stiffness, felt.damping))
+        return replace(felt, configuration=device)
     slower = felt.configuration.rate / rate_hz
-    cutoff = felt.configuration.cutoff
-    configuration = replace(felt.configuration, rate=rate_hz, cutoff=None if cutoff is None else cutoff / slower)
-    damping = felt.damping if felt.configuration.damper in WITH_SENSOR else felt.damping * slower
-    return _felt_of(felt.name, felt.channel, configuration, felt.stiffness, damping)
+    device = replace(device, cutoff=None if device.cutoff is None else device.cutoff / slower)
+    return replace(felt, configuration=device, damping=felt.damping * (1.0 if device.damper in WITH_SENSOR else slower))
 
 
-def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: float, damping: float) -> Felt:
-    return replace(_of_element(configuration, stiffness, damping), name=name, channel=channel)
-
-
-@lru_cache(1024)  # hands that are alike, and regions in which one feels the same
-def _of_element(configuration: Configuration, stiffness: float, damping: float) -> Felt:
-    element = stiffness, damping
-    k, b = (float(value) for value in configuration.equivalent(*element))
-    frequency, ratio = swing(configuration.mass, k if k > 0.0 else math.nan, b)
-    passive = None
-    with contextlib.suppress(ValueError):  # the condition is not derived
-        passive = bool(configuration.is_passive(*element))
-    return Felt(
-        name="",
-        channel=0,
-        configuration=configuration,
-        stiffness=stiffness,
-        damping=damping,
-        k=k,
-        b=b,
-        frequency_hz=frequency,
-        damping_ratio=ratio,
-        dominant=math.isfinite(k) and math.isfinite(b),
-        stable=bool(configuration.is_stable(*element)),
-        spectral_radius=float(configuration.spectral_radius(*element)),
-        poles=tuple(complex(pole) for pole in configuration.poles(*element)),
-        passive=passive,
-        limits=Limits(configuration, stiffness, damping),
-        linear_limit=float(configuration.linear_stiffness_limit(damping)),
-        reason=str(configuration.why_no_equivalent(*element)),
-    )
+_NUMBERS = (
+    *("name", "channel", "stiffness", "damping", "k", "b", "frequency_hz", "damping_ratio", "dominant", "stable"),
+    *("spectral_radius", "poles", "passive", "linear_limit", "reason"),
+)
+_OF_DEVICE = ("mass", "friction", "delay", "hold", "sampling", "damper", "cutoff")
 
 
 def felt_document(felt: Felt) -> dict[str, Any]:
     """Returns what one hand feels, as a JSON document: k (N/m), b (N·s/m), its configuration and robustness."""
-    values = asdict(replace(felt, predictor=None))
-    configuration = values.pop("configuration")
-    values.pop("predictor")
-    hand = {name: configuration[name] for name in ("mass", "friction", "delay", "hold", "sampling", "damper", "cutoff")}
-    return values | hand | {"device_stiffness": configuration["stiffness"]} | robustness_of(felt)._asdict()
+    limits = {"configuration": asdict(felt.formula), "stiffness": felt.stiffness, "damping": felt.damping}
+    device = {name: getattr(felt.configuration, name) for name in _OF_DEVICE}
+    device |= {"device_stiffness": felt.configuration.stiffness}
+    return {name: getattr(felt, name) for name in _NUMBERS} | {"limits": limits} | device | felt.robustness._asdict()

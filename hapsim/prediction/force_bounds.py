@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from hapsim.number_format import duration, rounded_up
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plausibility import unlikely
+from hapsim.prediction.predict import Prediction
 from hapsim.prediction.timing import FIRST_SAMPLES, on_wire
 from hapsim.scene import Scene
-
-if TYPE_CHECKING:
-    from hapsim.prediction.types import Prediction
 
 RISE_S = 1e-3  # from zero to the force limit, or a sample period where that is longer
 SOFT_START_S = 0.05

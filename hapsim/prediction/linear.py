@@ -179,11 +179,6 @@ def instead_of(network: Network, reason: NotWorkedOutError) -> tuple[Network, st
     return fast, sentence
 
 
-def is_lone(scene: Scene, linear: LinearScene) -> bool:
-    """Whether the scene has nothing but hands, each an oscillator of its own."""
-    return not linear.masses and not any(why_coupled(scene, linear, name) for name in scene.device_points)
-
-
 def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, ...]]:
     """The whole scene as arrays: one point for every device point, one for every mass; the scene's own links first.
 

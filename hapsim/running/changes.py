@@ -1,7 +1,7 @@
 """Changing a scene while it runs.
 
-If only live parameters differ, they ramp to their new values. For any other difference in the modules, another program
-is compiled beside the running loop, which then crossfades to it.
+If only live parameters and points of tables differ, they ramp to their new values. For any other difference in the
+modules, another program is compiled beside the running loop, which then crossfades to it.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ import numpy as np
 from pydantic import ValidationError
 
 from hapsim.cordis.dispatch import Column
-from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
+from hapsim.cordis.modules.table_links import over_common_edges
+from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values, places_of_values
 from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
 from hapsim.loop.posted import Posts
 from hapsim.loop.realtime.giving_way import Beside
-from hapsim.prediction import surely_shaken_by
+from hapsim.prediction import Prediction, surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.quick import is_surely_stable
 from hapsim.running.assemble import LoopMemory
 from hapsim.running.parameters import MOCK_HAND, LivePart, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable
-from hapsim.scene import Hand, Mock, Scene
+from hapsim.scene import Hand, Mock, Nonlinear, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
@@ -72,7 +72,7 @@ class LiveScene:
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
         self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have it yet
-        self._values: Column | None = None  # those of the scene that the loop moves; None: not worked out yet
+        self._values: tuple[Column, Column] | None = None  # its own and as posted; None: not worked out yet
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes some live parameters, as `Session.set`."""
@@ -90,10 +90,10 @@ class LiveScene:
                     if self._unstable is False:
                         require_not_less_stable(self.scene, scene)
                 note = {"set": changes, "over": over}
-                if not replaces:
+                if replaces:
+                    self._change_to(scene, over, note)
+                else:
                     self._ramp_to(scene, over, note)
-                elif scene != self.scene:
-                    self._replace(scene, _samples(scene, over), note)
                 return True
 
         # Beside the loop it predicts the scene, which takes seconds for a large one, or compiles it.
@@ -103,21 +103,17 @@ class LiveScene:
     def _is_quickly_judged(self, scene: Scene) -> bool:
         """Whether a change to `scene` needs no prediction, by `unstable`."""
         is_same = self._unstable is False and scene.modules is self.scene.modules
-        return self._unstable is None or is_same or is_surely_stable(scene, _MOST_STATES)
+        return self._unstable is None or is_same or Prediction(scene, wherever=True).judge.is_soon_stable(_MOST_STATES)
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, as `Session.adopt`."""
-        samples = _samples(scene, over)
         note = {"adopt": document_of(scene), "over": over}
+        _samples(scene, over)  # refuses first of all
 
         def change() -> None:
             with self._replacing:
                 self._require_possible(scene)
-                if differs_in_live_parameters_alone(self.scene, scene):
-                    with self._writing:
-                        self._ramp_to(scene, over, note)
-                elif scene != self.scene:
-                    self._replace(scene, samples, note)
+                self._change_to(scene, over, note)
 
         self._beside_loop(change)
 
@@ -147,20 +143,34 @@ class LiveScene:
         else:
             work()
 
-    def _ramp_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
-        """Posts the values of `scene`, if any differs."""
+    def _change_to(self, scene: Scene, over: float, note: dict[str, Any]) -> None:
+        if differs_in_live_parameters_alone(self.scene, scene):
+            with self._writing:
+                if self._ramp_to(scene, over, note):
+                    return
+        if scene != self.scene:
+            self._replace(scene, _samples(scene, over), note)
+
+    def _ramp_to(self, scene: Scene, over: float, note: dict[str, Any]) -> bool:
+        """Posts the values of `scene`, if any differs; False where a table that it changes is still on its way."""
         samples = _samples(scene, over)
-        rendering = rendered(scene)
-        values = parameter_values(rendering.scene)
-        now = parameter_values(self._loop.rendered_scene) if self._values is None else self._values
+        rendering, parameters = rendered(scene), self._loop.program.parameters
+        plain = parameter_values(rendering.scene)
+        values, places = plain.copy(), self._loop.program.places
+        if self._values is None:
+            self._values = (parameter_values(self._loop.rendered_scene),) * 2
+        begins = over_common_edges(scene, places, parameters.values, self._values, values)
+        if begins is None:
+            return False
         self._move_hand(scene, samples)
-        if not np.array_equal(values, now):
+        if not np.array_equal(values, self._values[1]):
             self._wait_for_turn()
             self._announce(samples, self._is_shaken_by(scene))
-            self._loop.program.parameters.post_with(values, samples * scene.substeps, self._posts.add)
+            parameters.post_with(values, samples * scene.substeps, self._posts.add, begins)
             self._correct_as(rendering, samples)
             self._send(note)
-        self.scene, self._loop.rendered_scene, self._values = scene, rendering.scene, values
+        self.scene, self._loop.rendered_scene, self._values = scene, rendering.scene, (plain, values)
+        return True
 
     def _replace(self, scene: Scene, samples: int, note: dict[str, Any]) -> None:
         """Compiles the program of `scene` and crossfades to it. Only the last lines hold the lock."""
@@ -263,17 +273,20 @@ def _agree(before: Any, after: Any) -> bool:
 
 
 def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
-    """Whether two scenes differ in nothing but parameters that may change while a scene runs."""
+    """Whether two scenes differ in nothing but parameters that may change while a scene runs, and points of tables for
+    which its program has room."""
     if first_fixed_difference(now, wanted) or (now.precision, now.scheme) != (wanted.precision, wanted.scheme):
         return False
     fixed = fixed_modules(now)
 
     def only_live_differ(name: str, before: LivePart, after: LivePart) -> bool:
-        live = set() if name in fixed else set(before.live)
+        live = set() if name in fixed else {*before.live, *(before.crossfaded if isinstance(before, Nonlinear) else ())}
         return type(before) is type(after) and before.model_dump(exclude=live) == after.model_dump(exclude=live)
 
     before, after = parts_of(now), parts_of(wanted)
-    return list(before) == list(after) and all(only_live_differ(name, one, after[name]) for name, one in before.items())
+    if list(before) != list(after) or places_of_values(now) != places_of_values(wanted):
+        return False
+    return all(only_live_differ(name, one, after[name]) for name, one in before.items())
 
 
 def _samples(scene: Scene, over: float) -> int:
@@ -286,7 +299,7 @@ def _samples(scene: Scene, over: float) -> int:
 
 
 def _crossfades(scene: Scene, changes: Any) -> bool:
-    """Whether a `set` changes what cannot ramp, such as a table."""
+    """Whether a `set` changes what may need another program, such as a table."""
     sound = isinstance(changes, Mapping) and all(isinstance(values, Mapping) for values in changes.values())
     parts = parts_of(scene)
     return sound and any(

@@ -66,10 +66,10 @@ def prediction_of(scene: Scene) -> dict[str, Any]:
     `hapsim check --json` prints them; `error` where it cannot be predicted."""
     try:
         found = predict(scene, with_margins=False)
+        hands = {felt.name: felt_document(felt) for felt in found.felt}
+        whole = {"stable": found.stable, "spectral_radius": found.spectral_radius, "poles": found.poles}
     except Exception as error:  # a record does not depend on it
         return {"error": str(error) or type(error).__name__}
-    hands = {felt.name: felt_document(felt) for felt in found.felt}
-    whole = {"stable": found.stable, "spectral_radius": found.spectral_radius, "poles": found.poles}
     document: dict[str, Any] = plain(whole | {"device_points": hands})
     return document
 

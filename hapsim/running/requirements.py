@@ -21,8 +21,8 @@ from hapsim.loop.system import require_linux
 from hapsim.number_format import between, duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
 from hapsim.prediction.force_bounds import refused_travel
-from hapsim.prediction.predict import most_force
 from hapsim.prediction.timing import wire_delay
+from hapsim.prediction.warnings import most_force
 from hapsim.recording.trace import require_writable_as_trace
 from hapsim.running.options import RunOptions
 from hapsim.scene import DamperScheme, Scene
@@ -106,8 +106,8 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
     """Returns why `scene`, of the file `path`, is not armed with this prediction; "" if it may be armed."""
     if not is_surely_unstable(prediction):
         return ""
-    shaken = surely_shaken_by(scene)
-    grows = "" if shaken is None else f": {shaken.sentence}"
+    shaking = prediction.judge.shaking
+    grows = "" if shaking is None else f": {shaking.sentence}"
     why = " ".join([".", *unlikely(scene)]) if unlikely(scene) else f"{grows}.{_stable_alternatives(prediction)}"
     late = f"; {prediction.wire_delay}" if prediction.wire_delay else ""
     return (

@@ -7,8 +7,10 @@ points of that network.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,9 @@ from hapsim.cordis.program import Program, compile_scene, numbers_of, parameter_
 from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.scene import Scene, parse_scene
+
+sys.path.insert(0, str(Path(__file__).parent))
+from link_formulas import tension_of
 
 Array = NDArray[np.float64]
 RATE = 1024.0
@@ -102,94 +107,6 @@ def strokes(seed: int) -> tuple[Array, Array]:
     return np.round(measured * 2**16) / 2**16, np.round(rng.normal(size=measured.shape) * 2**6) / 2**8
 
 
-# The links from outside. Each: the tension, from d and by how much it grows in a sample, m.
-
-
-def tension_of(link: Any, sensed: Callable[[], float]) -> Callable[[float, float], float]:
-    if link.type == "viscoelastic":
-        return viscoelastic(link, sensed)
-    if link.type == "spring":
-        return lambda d, _growth: link.stiffness * d
-    if link.type == "damper":
-        return lambda _d, growth: link.damping * RATE * growth
-    if link.type == "buffer":
-        return lambda d, growth: (
-            min(0.0, link.stiffness * (d - link.distance) + link.damping * RATE * growth) if d < link.distance else 0.0
-        )
-    if link.type == "nonlinear":
-        over_distance, over_velocity = (
-            np.array(curve).T for curve in (link.force_over_distance, link.force_over_velocity)
-        )
-        return lambda d, growth: float(np.interp(d, *over_distance) + np.interp(RATE * growth, *over_velocity))
-    if link.type == "detent":
-        width = link.pitch / link.steepness if link.shape == "notch" else link.pitch
-        peak_at = width / 4.0 if link.shape == "notch" else 0.5 * width * link.steepness / (link.steepness + 1.0)
-
-        def detent(d: float, growth: float) -> float:
-            u = d - link.pitch * np.round(d / link.pitch)
-            straight = np.sign(u) * np.interp(abs(u), [0.0, peak_at, width / 2.0], [0.0, 1.0, 0.0])
-            part = np.sin(2.0 * np.pi * d / link.pitch) if link.shape == "sine" else straight
-            return float(link.depth * part + link.damping * RATE * growth)
-
-        return detent
-    if link.type == "click":
-        at = np.array([0.0, 0.5, 0.75, 1.0, 2.0]) * link.travel
-        push = link.peak - np.array([link.peak, 0.0, link.drop, link.drop - 0.5 * link.peak, 0.0])
-        push[4] = push[3] + link.bottom * link.travel
-        return lambda d, growth: (
-            min(0.0, link.damping * RATE * growth - float(np.interp(-d, at, push))) if d < 0.0 else 0.0
-        )
-    return friction(link) if link.type == "friction" else plectrum(link)
-
-
-def viscoelastic(link: Any, sensed: Callable[[], float]) -> Callable[[float, float], float]:
-    memory: dict[str, float] = {}
-    kept = np.exp(-2.0 * np.pi * CUTOFF / RATE)
-
-    def tension(d: float, growth: float) -> float:
-        if link.damper == "centred":
-            older = memory.get("d", d - 2.0 * growth)
-            memory["d"] = d - growth
-            growth = 0.5 * (d - older)
-        elif link.damper == "filtered":
-            growth = memory["growth"] = growth + kept * (memory.get("growth", growth) - growth)
-        elif link.damper == "sensed":
-            growth += sensed()
-        return float(link.stiffness * d + link.damping * RATE * growth)
-
-    return tension
-
-
-def friction(link: Any) -> Callable[[float, float], float]:
-    memory: dict[str, float] = {"way": 0.0}
-
-    def tension(d: float, growth: float) -> float:
-        anchor = memory.setdefault("anchor", d)
-        if memory["way"] * growth < 0.0:
-            memory["way"] = 0.0
-        bent = link.stiffness * (d - anchor)
-        if memory["way"] == 0.0 and abs(bent) > link.force:
-            memory["way"] = np.sign(bent)
-        if memory["way"]:
-            memory["anchor"] = d - memory["way"] * link.force / link.stiffness
-            return float(memory["way"] * link.force)
-        return float(bent + link.damping * RATE * growth)
-
-    return tension
-
-
-def plectrum(link: Any) -> Callable[[float, float], float]:
-    memory = {"side": 0.0}
-
-    def tension(d: float, growth: float) -> float:
-        if memory["side"] * d > 0.0:
-            return 0.0
-        memory["side"] = np.sign(d) if abs(d) > link.release else 0.0
-        return 0.0 if memory["side"] else float(link.stiffness * d + link.damping * RATE * growth)
-
-    return tension
-
-
 REMEMBER = ("centred", "filtered", "friction", "plectrum")
 
 
@@ -228,7 +145,7 @@ class Dense:
         self.held = [self.names.index(held) for held, _ in OUTSIDE.values()]
         self.hand, self.hand_v, self.sensed = np.zeros((3, len(OUTSIDE)))
         self.tension = [
-            tension_of(scene.links[name], lambda i=i: (self.sensed[i] - self.hand_v[i]) * T)
+            tension_of(scene.links[name], RATE, lambda i=i: (self.sensed[i] - self.hand_v[i]) * T)
             for i, name in enumerate(OUTSIDE)
         ]
         self.kept = np.zeros(len(OUTSIDE))

@@ -10,6 +10,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,21 @@ from hapsim.cordis.modules.nonlinear_links import Frictions, Plectra
 from hapsim.prediction.linear import linear_scene
 
 sys.path.insert(0, str(Path(__file__).parent))
-from module_scenes import CUTOFF, HANDS, NUMBERS, SAMPLES, SCENES, Array, Bench, Numbers, Run, run_of, scene_with, walk
+from link_formulas import tension_of
+from module_scenes import (
+    HANDS,
+    NUMBERS,
+    SAMPLES,
+    SCENES,
+    Array,
+    Bench,
+    Numbers,
+    Run,
+    run_of,
+    scene_of,
+    scene_with,
+    walk,
+)
 
 #: What forces may differ by, over the largest force of the module, in double and in single precision. A mass and a cell
 #: carry what was rounded on from sample to sample.
@@ -69,211 +84,118 @@ def cell(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
     return moving(points, n, n.K, points.rest["cell"])
 
 
-def spring_and_damper(d: Array, K: float, B: float, rate: float) -> Array:
-    """Tension, N, by the backward difference; at rest before the first sample."""
-    return K * d + B * rate * np.diff(d, prepend=d[0])
+def of_a_link(name: str) -> Recurrence:
+    """The force on a hand by the formula of its link."""
+
+    def recurrence(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
+        link = scene_of("double" if n is NUMBERS["double"] else "single", scene_with(name)).links[
+            "device" if name == "other" else name
+        ]
+        at = {"wall": np.full(SAMPLES, n.wall), "moved": points.rest["ground"]}
+        first, second = (at[end] if end in at else points.position[end.removeprefix("h_")] for end in link.between)
+        d = first - second
+        growth = np.diff(d, prepend=d[0])
+        faster = points.velocity[name] / n.rate - np.diff(points.position[name], prepend=points.position[name][0])
+        now = iter(faster)
+        tension = tension_of(link, n.rate, lambda: float(next(now)))
+        if "moved" in link.between:
+            took["the ground moved"] += int(np.count_nonzero(np.diff(points.rest["ground"])))
+        for one, step in zip(d, growth, strict=True):
+            before = dict(getattr(tension, "memory", {}))
+            force = tension(one, step)
+            if link.type in BRANCHES:
+                took.update(
+                    BRANCHES[link.type](link, one, step * n.rate, force, before, getattr(tension, "memory", {}))
+                )
+            yield -force if link.between[0] == f"h_{name}" else force
+
+    return recurrence
 
 
-def ground(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    took["the ground moved"] += int(np.count_nonzero(np.diff(points.rest["ground"])))
-    yield from -spring_and_damper(points.position["ground"] - points.rest["ground"], n.K, n.B, n.rate)
+# The branches that a link takes in a sample: d, by how much it grew, the tension, what it remembered and remembers.
+
+Memory = dict[str, float]
+Told = Iterator[str]
 
 
-def device(points: Run, n: Numbers, _took: Branches) -> Iterator[float]:
-    yield from -spring_and_damper(points.position["device"] - points.position["other"], n.K, n.B, n.rate)
+def of_buffer(link: Any, d: float, _speed: float, force: float, *_: Memory) -> Told:
+    yield "apart" if d >= link.distance else "pushes" if force < 0.0 else "would hold back"
 
 
-def other(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    yield from (-force for force in device(points, n, took))
+def of_nonlinear(link: Any, d: float, speed: float, *_: Any) -> Told:
+    for x, points, what in ((d, link.force_over_distance, "m"), (speed, link.force_over_velocity, "m/s")):
+        yield f"piece {np.searchsorted([at for at, _ in points], x)} over {what}"
 
 
-def spring(points: Run, n: Numbers, _took: Branches) -> Iterator[float]:
-    yield from n.K * (n.wall - points.position["spring"])
+def of_friction(_link: Any, _d: float, speed: float, _force: float, before: Memory, after: Memory) -> Told:
+    turned = before["way"] * speed < 0.0
+    if turned:
+        yield "turns back and sticks"
+    if after["way"] and (turned or not before["way"]):
+        yield "turns about in one sample" if turned else "breaks away"
+    yield ("slides on" if speed else "stands, slid") if after["way"] else "sticks"
 
 
-def damper(points: Run, n: Numbers, _took: Branches) -> Iterator[float]:
-    yield from spring_and_damper(n.wall - points.position["damper"], 0.0, n.B, n.rate)
+def of_plectrum(_link: Any, d: float, _speed: float, _force: float, before: Memory, after: Memory) -> Told:
+    met = before["side"] != 0.0 and not before["side"] * d > 0.0
+    if before["side"] and not met:
+        yield "released"
+    elif after["side"]:
+        yield "passes beyond its reach" if met else "releases"
+    else:
+        yield "grips again" if met else "grips"
 
 
-def backward(points: Run, n: Numbers, _took: Branches) -> Iterator[float]:
-    yield from -spring_and_damper(points.position["backward"] - n.wall, n.K, n.B, n.rate)
+def of_detent(link: Any, d: float, *_: Any) -> Told:
+    yield "at d = 0" if abs(d) < link.pitch / 2.0 else "elsewhere"
+    if link.shape != "sine":
+        u = abs(d - link.pitch * np.floor(d / link.pitch + 0.5))
+        rise = link.width / 4.0 if link.shape == "notch" else 0.5 * link.pitch * link.sharpness / (link.sharpness + 1.0)
+        yield "rises" if u <= rise else "falls" if u <= link.width / 2.0 else "between"
 
 
-def centred(points: Run, n: Numbers, _took: Branches) -> Iterator[float]:
-    d = points.position["centred"] - n.wall
-    past = np.concatenate([[d[0], d[0]], d[:-2]])
-    yield from -(n.K * d + n.B * n.rate * (d - past) / 2.0)
+def of_click(link: Any, d: float, _speed: float, force: float, *_: Memory) -> Told:
+    at = np.array([0.0, 0.5, 0.75, 1.0]) * link.travel
+    yield "apart" if d >= 0.0 else f"part {np.searchsorted(at, -d)}"
+    if d < 0.0 and force >= max(0.0, link.drop - link.peak):
+        yield "would hold back"
 
 
-def filtered(points: Run, n: Numbers, _took: Branches) -> Iterator[float]:
-    d = points.position["filtered"] - n.wall
-    kept, v = np.exp(-2.0 * np.pi * CUTOFF / n.rate), 0.0
-    for now, before in zip(d, [d[0], *d[:-1]], strict=True):
-        v = kept * v + (1.0 - kept) * (now - before) * n.rate
-        yield -(n.K * now + n.B * v)
-
-
-def sensed(points: Run, n: Numbers, _took: Branches) -> Iterator[float]:
-    rest = points.rest["ground"]  # which has no sensor
-    speed = points.velocity["sensed"] - n.rate * np.diff(rest, prepend=rest[0])
-    yield from -(n.K * (points.position["sensed"] - rest) + n.B * speed)
-
-
-def buffer(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    before = points.position["buffer"][0]
-    for x in points.position["buffer"]:
-        depth = n.distance - (x - n.wall)
-        push = n.K * depth - n.B * n.rate * (x - before)
-        before = x
-        took["apart" if depth <= 0 else "pushes" if push > 0 else "would hold back"] += 1
-        yield push if depth > 0 and push > 0 else 0.0
-
-
-def nonlinear(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    d = n.wall - points.position["nonlinear"]
-    v = n.rate * np.diff(d, prepend=d[0])
-    for x, points_of, what in ((d, n.over_distance, "m"), (v, n.over_velocity, "m/s")):
-        for piece in np.searchsorted([at for at, _ in points_of], x):
-            took[f"piece {piece} over {what}"] += 1
-    yield from np.interp(d, *zip(*n.over_distance, strict=True)) + np.interp(v, *zip(*n.over_velocity, strict=True))
-
-
-def friction(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    reach = n.force / n.bristle
-    bent, way, before = 0.0, 0, points.position["friction"][0]
-    for x in points.position["friction"]:
-        step, before = x - before, x
-        if way and np.sign(step) == -way:
-            took["turns back and sticks"] += 1
-            way = 0
-            turned = True
-        else:
-            turned = False
-        bent += step  # the anchor stays; where it slides it is dragged, below
-        if way == 0 and n.bristle * abs(bent) > n.static:
-            way = 1 if bent > 0 else -1
-            took["turns about in one sample" if turned else "breaks away"] += 1
-        if way:
-            took["slides on" if step else "stands, slid"] += 1
-            bent = way * reach
-            yield -way * n.force
-        else:
-            took["sticks"] += 1
-            yield -(n.bristle * bent + n.bristle_damping * n.rate * step)
-
-
-def plectrum(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    released, before = 0.0, n.wall - points.position["plectrum"][0]
-    for x in points.position["plectrum"]:
-        d = n.wall - x
-        step, before = d - before, d
-        met = released != 0.0 and (d == 0 or (d > 0) != (released > 0))
-        if released and not met:
-            took["released"] += 1
-            yield 0.0
-        elif abs(d) <= n.release:
-            took["grips again" if met else "grips"] += 1
-            released = 0.0
-            yield n.K * d + n.B * n.rate * step
-        else:
-            took["passes beyond its reach" if met else "releases"] += 1
-            released = d
-            yield 0.0
-
-
-def from_rest(n: Numbers, x: float, took: Branches) -> float:
-    """How far from the nearest rest of a detent, m."""
-    d = x - n.wall
-    took["at d = 0" if abs(d) < n.pitch / 2.0 else "elsewhere"] += 1
-    return d - n.pitch * float(np.floor(d / n.pitch + 0.5))
-
-
-def on_flanks(n: Numbers, name: str, points: Run, took: Branches, rise: float, end: float) -> Iterator[float]:
-    """A detent whose force is `n.force` at `rise`, and 0 from `end` on."""
-    before = points.position[name][0]
-    for x in points.position[name]:
-        u = from_rest(n, x, took)
-        took["rises" if abs(u) <= rise else "falls" if abs(u) <= end else "between"] += 1
-        height = min(abs(u) / rise, max((end - abs(u)) / (end - rise), 0.0))
-        yield -(np.sign(u) * n.force * height + n.B * n.rate * (x - before))
-        before = x
-
-
-def sine(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    x = points.position["sine"]
-    u = np.array([from_rest(n, one, took) for one in x])
-    yield from -(n.force * np.sin(2.0 * np.pi * u / n.pitch) + n.B * n.rate * np.diff(x, prepend=x[0]))
-
-
-def snap(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    yield from on_flanks(n, "snap", points, took, n.pitch / 2.0 * n.sharp / (n.sharp + 1.0), n.pitch / 2.0)
-
-
-def notch(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    width = n.pitch / n.sharp
-    yield from on_flanks(n, "notch", points, took, width / 4.0, width / 2.0)
-
-
-def pressed(d: Array, n: Numbers, peak: float, drop: float, took: Branches) -> Iterator[float]:
-    """What a click pushes its ends apart with."""
-    at = np.array([0.0, 0.5, 0.75, 1.0, 1001.0]) * n.travel
-    force = np.array([0.0, peak, peak - drop, 1.5 * peak - drop, 1.5 * peak - drop + 1000.0 * n.K * n.travel])
-    before = d[0]
-    for here in d:
-        push = float(np.interp(-here, at, force)) - n.B * n.rate * (here - before)
-        took["apart" if here >= 0 else f"part {np.searchsorted(at, -here)}"] += 1
-        before = here
-        if here < 0 and push < min(0.0, peak - drop):
-            took["would hold back"] += 1
-            push = min(0.0, peak - drop)
-        yield push if here < 0 else 0.0
-
-
-def click(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    yield from pressed(points.position["click"] - n.wall, n, n.static, n.force, took)
-
-
-def dome(points: Run, n: Numbers, took: Branches) -> Iterator[float]:
-    yield from (-push for push in pressed(n.wall - points.position["dome"], n, n.force, n.static, took))
-
-
-PRESSED = {"apart", "would hold back", *(f"part {i}" for i in range(1, 5))}
-RECURRENCES: dict[str, tuple[Recurrence, set[str]]] = {
-    "mass": (mass, set()),
-    "ground": (ground, {"the ground moved"}),
-    "cell": (cell, {"the rest moved"}),
-    "device": (device, set()),
-    "other": (other, set()),
-    "spring": (spring, set()),
-    "damper": (damper, set()),
-    "backward": (backward, set()),
-    "centred": (centred, set()),
-    "filtered": (filtered, set()),
-    "sensed": (sensed, set()),
-    "buffer": (buffer, {"apart", "pushes", "would hold back"}),
-    "nonlinear": (nonlinear, {f"piece {i} over m" for i in range(6)} | {f"piece {i} over m/s" for i in range(5)}),
-    "friction": (
-        friction,
-        {"sticks", "breaks away", "slides on", "stands, slid", "turns back and sticks", "turns about in one sample"},
-    ),
-    "plectrum": (plectrum, {"grips", "releases", "released", "grips again", "passes beyond its reach"}),
-    "sine": (sine, {"at d = 0", "elsewhere"}),
-    "snap": (snap, {"at d = 0", "elsewhere", "rises", "falls"}),
-    "notch": (notch, {"at d = 0", "elsewhere", "rises", "falls", "between"}),
-    "click": (click, PRESSED),
-    "dome": (dome, PRESSED),
+BRANCHES: dict[str, Callable[..., Told]] = {
+    "buffer": of_buffer,
+    "nonlinear": of_nonlinear,
+    "friction": of_friction,
+    "plectrum": of_plectrum,
+    "detent": of_detent,
+    "click": of_click,
 }
+PRESSED = {"apart", "would hold back", *(f"part {i}" for i in range(1, 5))}
+TOOK: dict[str, set[str]] = {
+    "ground": {"the ground moved"},
+    "sensed": {"the ground moved"},
+    "cell": {"the rest moved"},
+    "buffer": {"apart", "pushes", "would hold back"},
+    "nonlinear": {f"piece {i} over m" for i in range(6)} | {f"piece {i} over m/s" for i in range(5)},
+    "friction": {"sticks", "breaks away", "slides on", "stands, slid", "turns back and sticks"}
+    | {"turns about in one sample"},
+    "plectrum": {"grips", "releases", "released", "grips again", "passes beyond its reach"},
+    "sine": {"at d = 0", "elsewhere"},
+    "snap": {"at d = 0", "elsewhere", "rises", "falls"},
+    "notch": {"at d = 0", "elsewhere", "rises", "falls", "between"},
+    "click": PRESSED,
+    "dome": PRESSED,
+}
+RECURRENCES: dict[str, Recurrence] = {name: of_a_link(name) for name in HANDS} | {"mass": mass, "cell": cell}
 
 
 @pytest.mark.parametrize("precision", NUMBERS)
 @pytest.mark.parametrize("name", RECURRENCES)
 def test_a_module_is_the_recurrence_that_its_file_says(name: str, precision: str, runs: Callable[[str], Run]) -> None:
-    recurrence, branches = RECURRENCES[name]
     took: Branches = Counter()
     run = runs(precision)
-    expected = np.array(list(recurrence(run, NUMBERS[precision], took)))
+    expected = np.array(list(RECURRENCES[name](run, NUMBERS[precision], took)))
     error = float(np.max(np.abs(run.force[name] - expected)) / np.max(np.abs(expected)))
-    assert set(took) == branches
+    assert set(took) == TOOK.get(name, set())
     assert all(count >= 5 for count in took.values()), took
     assert np.max(np.abs(expected)) > 0.5
     assert error <= (WITHIN_CARRIED_ON if name in ("mass", "cell") else WITHIN)[precision]

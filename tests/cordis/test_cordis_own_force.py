@@ -56,7 +56,7 @@ def _build(points: Any, _columns: Any, context: Any) -> Part:
 
 @pytest.fixture(autouse=True)
 def _a_type_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    sprung = PartType(all_of(Sprung), _build, memoryless=True)
+    sprung = PartType(all_of(Sprung), _build)
     monkeypatch.setitem(MODULE_TYPES, "sprung", Sprung)
     monkeypatch.setattr(programs, "PART_TYPES", (*PART_TYPES, sprung))
 

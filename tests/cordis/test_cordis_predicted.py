@@ -11,12 +11,10 @@ from scipy.linalg import expm
 
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, positions_of
-from hapsim.cordis.registry import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
-from hapsim.cordis.schemes.linear_subsystem import stiffness_and_damping
 from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.running.compile_ahead import scenes_with_every_module
-from hapsim.scene import DamperScheme, Link, Scene, ViscoElastic, parse_scene
+from hapsim.scene import DamperScheme, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve
 from hapsim.theory.interface import damper_named
@@ -181,26 +179,27 @@ def test_the_same_links_are_inside_as_in_the_kernel(scheme: str) -> None:
     names = list(linear.links)
     found = {names[link] for link in inner_links(network) if link < len(names)}
     in_matrices = SCHEMES[scheme].inside(scene)
-    memoryless = {name for kind in PART_TYPES if kind.memoryless for name in kind.select(scene)}
-    assert found == (in_matrices or memoryless) & set(names)
+    assert found == (in_matrices or {*names} - remembering(scene)) & {*names}
     assert found < set(names)
 
 
-def test_theory_and_kernel_say_the_same_of_every_link() -> None:
-    """Of which the one has the transfer function, the other the recurrence."""
+def remembering(scene: Scene) -> set[str]:
+    """The links for which the kernel keeps more than where points are."""
+    return {name for part in compile_scene(scene).parts if part.memory for name in part.memory.modules} & {*scene.links}
+
+
+def test_the_kernel_remembers_what_the_theory_says_that_it_does() -> None:
     scene = next(iter(scenes_with_every_module("double")))
-    told = set()
-    for kind in PART_TYPES:
-        for name, one in kind.select(scene).items():
-            if not isinstance(one, Link):
-                continue
-            linear = one.law().linear()
-            damper = damper_named(one.damper, one.cutoff, RATE) if isinstance(one, ViscoElastic) else BACKWARD
-            assert kind.memoryless == (linear.memoryless and remembers_nothing(damper)), name
-            assert kind.in_a_matrix == (linear.in_a_matrix and damper == BACKWARD), name
-            assert not kind.in_a_matrix or stiffness_and_damping(one) == (linear.stiffness, linear.damping), name
-            told.add((kind.memoryless, kind.in_a_matrix))
-    assert told == {(True, True), (True, False), (False, False)}
+    dampers = {
+        name: damper_named(one.damper, one.cutoff, RATE) if isinstance(one, ViscoElastic) else BACKWARD
+        for name, one in scene.links.items()
+    }
+    linear = {name: one.law().linear() for name, one in scene.links.items()}
+    remember = {name for name, one in linear.items() if not (one.memoryless and remembers_nothing(dampers[name]))}
+    assert remembering(scene) == remember != set()
+    in_a_matrix = {name for name, one in linear.items() if one.in_a_matrix}
+    assert {scene.links[name].type for name in in_a_matrix} == {"viscoelastic", "spring", "damper"}
+    assert all(dampers[name] == BACKWARD for name in in_a_matrix)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -161,12 +161,11 @@ VISCOELASTIC = link_type(
     add_forces,
     "visco-elastic links",
     where=lambda link: link.damper == "backward",
-    in_a_matrix=True,
 )
 CENTRED = _damped("centred", "one remembered stretch each", add_centred_forces, lambda *_: 0.0, initialize_centred)
 FILTERED = _damped("filtered", "one remembered velocity each", add_filtered_forces, _kept, initialize_filtered)
 SENSED = _damped("sensed", "velocities come from the device", add_sensed_forces, lambda _, rate: 1.0 / rate)
-SPRING = link_type(Spring, Springs, add_spring_forces, "springs", in_a_matrix=True)
-DAMPER = link_type(Damper, _dampers, add_forces, "dampers", in_a_matrix=True)
+SPRING = link_type(Spring, Springs, add_spring_forces, "springs")
+DAMPER = link_type(Damper, _dampers, add_forces, "dampers")
 
 TYPES = (VISCOELASTIC, CENTRED, FILTERED, SENSED, SPRING, DAMPER)

@@ -47,7 +47,6 @@ def link_type(
     constants: Callable[[Iterable[Any], BuildContext], tuple[Any, ...]] = lambda *_: (),
     remembers: int = 0,
     initialize: NativeFunction | None = None,
-    in_a_matrix: bool = False,
 ) -> PartType:
     """The links of a module type for which `where` holds.
 
@@ -55,7 +54,7 @@ def link_type(
         numbers: makes the part's numbers of the ends, the live columns, the constants and the remembered columns.
         constants: of these links, such as curves.
         remembers: how many columns, 0 before the first tick, the links remember from sample to sample.
-        name, compiled_as, in_a_matrix: as in `PartType`.
+        name, compiled_as: as in `PartType`.
     """
 
     def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
@@ -65,8 +64,7 @@ def link_type(
         return Part(own, initialize=initialize, add_forces=add_forces, memory=memory)
 
     gathered = "; ".join(filter(None, ("gathered through unsigned indices", compiled_as)))
-    select = all_of(module, where)
-    return PartType(select, build, name=name, compiled_as=gathered, memoryless=not remembers, in_a_matrix=in_a_matrix)
+    return PartType(all_of(module, where), build, name=name, compiled_as=gathered)
 
 
 def ends_of(links: Mapping[str, Any], context: BuildContext) -> Ends:

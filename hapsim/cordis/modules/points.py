@@ -117,7 +117,6 @@ CELL = PartType(
     _cells,
     name="cells",
     compiled_as="pulled to rest in one pass, without a name being looked up; they move with the masses",
-    memoryless=True,
 )
 
 TYPES = (GROUND, MASS, CELL)

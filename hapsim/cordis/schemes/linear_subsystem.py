@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from hapsim.compiling import inlined
 from hapsim.cordis.build_context import BuildContext, Taken, masses_of
 from hapsim.cordis.dispatch import Column, Part
-from hapsim.cordis.registry import PART_TYPES
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
 
@@ -84,13 +83,9 @@ class LinearSubsystem(NamedTuple):
 
 def _inner_links(scene: Scene) -> dict[str, Any]:
     """The scene's links that are inside, by name."""
-    matrix_links = [link for kind in PART_TYPES if kind.in_a_matrix for link in kind.select(scene).items()]
-    return {name: link for name, link in matrix_links if not any(end in scene.device_points for end in link.between)}
-
-
-def stiffness_and_damping(link: Any) -> tuple[float, float]:
-    """K in N/m and B in N·s/m of a link that is inside."""
-    return getattr(link, "stiffness", 0.0), getattr(link, "damping", 0.0)
+    hands = scene.device_points.keys()
+    outside = ((name, link) for name, link in scene.links.items() if hands.isdisjoint(link.between))
+    return {name: link for name, link in outside if link.law().in_a_matrix}
 
 
 def inside(scene: Scene) -> frozenset[str]:
@@ -164,13 +159,13 @@ def _joins(
         first, second = (place.get(context.number[end], STAYS) for end in link.between)
         if first == STAYS:
             first, second = second, first
-        yield first, second, *stiffness_and_damping(link), 0.0
+        yield first, second, *link.law().linear()[:2], 0.0
 
 
 def _ties(scene: Scene, context: BuildContext) -> Ties:
     tied = []
     for link in _inner_links(scene).values():
-        stiffness, damping = stiffness_and_damping(link)
+        stiffness, damping, *_ = link.law().linear()
         for end, ground in (link.between, link.between[::-1]):
             if ground in scene.grounds:
                 tied.append((context.number[end], context.number[ground], stiffness, damping * context.rate))

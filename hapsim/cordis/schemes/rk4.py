@@ -23,6 +23,8 @@ from hapsim.compiling import fma, inlined
 from hapsim.compiling.native import Behind, value_of
 from hapsim.cordis.build_context import BuildContext, Scheme, Taken
 from hapsim.cordis.dispatch import CALLS, Column, Part, TickState, action, call_all, calls_of
+from hapsim.cordis.modules.pick_ups import PICK_UP
+from hapsim.cordis.modules.points import CELL
 from hapsim.cordis.schemes.force_expansion import expanded_forces, first_moved, mobility_of_all
 from hapsim.scene import Scene
 
@@ -145,7 +147,8 @@ def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple
             always += expanded_forces(one, context)
         else:
             part = one.build(context)
-            (always if one.kind.memoryless or part.add_forces is None else once).append(part)
+            remembers = part.memory is not None and one.kind is not CELL  # which remembers where it rested, no force
+            (once if remembers or one.kind is PICK_UP else always).append(part)
     size, mobility = context.state.force.size, mobility_of_all(scene, context)
     position, previous, force, kept = np.zeros((4, size), context.real)
     at = Behind(TickState(position, previous, force, context.state.velocity))

@@ -54,7 +54,7 @@ class ViscoElastic(Link):
     cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
 
     def law(self) -> Law:
-        return line(self.stiffness, self.damping, in_a_matrix=True)
+        return line(self.stiffness, self.damping, in_a_matrix=self.damper == "backward")
 
     @check_of("damper", "cutoff")
     def _cutoff_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:

@@ -33,7 +33,8 @@ class Module(Part):
     can_move: ClassVar[bool] = True
     #: The fields that may change while the scene runs.
     live: ClassVar[tuple[str, ...]] = ()
-    #: Further ones that may change then; they are no numbers that could ramp, so that the scene crossfades.
+    #: Further ones that may change then; they are no numbers that could ramp one by one: the scene crossfades, or a
+    #: table ramps to another.
     crossfaded: ClassVar[tuple[str, ...]] = ()
     #: The fields that say how it begins, and nothing of how it goes on.
     initial: ClassVar[tuple[str, ...]] = ()

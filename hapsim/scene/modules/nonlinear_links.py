@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from hapsim.laws import GrippingLaw, Law, SineLaw, curve_law, line
+from hapsim.laws import GrippingLaw, Law, SineLaw, curve_law, line, roomy
 
 from ..choices import DETENT_SHAPE, WITH_SHARPNESS, DetentShape
 from ..issue import Issue, one_of
@@ -71,7 +71,7 @@ class Nonlinear(Link):
         return curve_law(self.force_over_distance, standing.slope(0.0), float(standing.tension(0.0)), taken)
 
     def table(self) -> Law | None:
-        return None if self.force_over_distance is None else curve_law(self.force_over_distance)
+        return None if self.force_over_distance is None else roomy(curve_law(self.force_over_distance))
 
 
 class Friction(Link):

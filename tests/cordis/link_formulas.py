@@ -1,0 +1,101 @@
+"""What each link does, once more: its tension, from d and by how much that grew in a sample, both in m. A referee of
+the kernel, which reads the knots that each link's class makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+Tension = Callable[[float, float], float]
+
+
+def tension_of(link: Any, rate: float, sensed: Callable[[], float] = lambda: 0.0) -> Tension:
+    """Of a link of a scene at `rate` Hz; `sensed`: by how much more the sensor says that it grows in a sample, m."""
+    if link.type == "viscoelastic":
+        return viscoelastic(link, rate, sensed)
+    if link.type == "spring":
+        return lambda d, _growth: link.stiffness * d
+    if link.type == "damper":
+        return lambda _d, growth: link.damping * rate * growth
+    if link.type == "buffer":
+        return lambda d, growth: (
+            min(0.0, link.stiffness * (d - link.distance) + link.damping * rate * growth) if d < link.distance else 0.0
+        )
+    if link.type == "nonlinear":
+        over_distance, over_velocity = (
+            np.array(curve).T for curve in (link.force_over_distance, link.force_over_velocity)
+        )
+        return lambda d, growth: float(np.interp(d, *over_distance) + np.interp(rate * growth, *over_velocity))
+    if link.type == "detent":
+        width = link.pitch / link.steepness if link.shape == "notch" else link.pitch
+        peak_at = width / 4.0 if link.shape == "notch" else 0.5 * width * link.steepness / (link.steepness + 1.0)
+
+        def detent(d: float, growth: float) -> float:
+            u = d - link.pitch * np.round(d / link.pitch)
+            straight = np.sign(u) * np.interp(abs(u), [0.0, peak_at, width / 2.0], [0.0, 1.0, 0.0])
+            part = np.sin(2.0 * np.pi * d / link.pitch) if link.shape == "sine" else straight
+            return float(link.depth * part + link.damping * rate * growth)
+
+        return detent
+    if link.type == "click":
+        at = np.array([0.0, 0.5, 0.75, 1.0, 1001.0]) * link.travel
+        push = link.peak - np.array([link.peak, 0.0, link.drop, link.drop - 0.5 * link.peak, 0.0])
+        push[4] = push[3] + 1000.0 * link.bottom * link.travel
+        most = max(0.0, link.drop - link.peak)  # it stays down
+        return lambda d, growth: (
+            min(most, link.damping * rate * growth - float(np.interp(-d, at, push))) if d < 0.0 else 0.0
+        )
+    return (friction if link.type == "friction" else plectrum)(link, rate)
+
+
+def viscoelastic(link: Any, rate: float, sensed: Callable[[], float]) -> Tension:
+    memory: dict[str, float] = {}
+    kept = np.exp(-2.0 * np.pi * link.cutoff / rate) if link.cutoff else 0.0
+
+    def tension(d: float, growth: float) -> float:
+        if link.damper == "centred":
+            older = memory.get("d", d - 2.0 * growth)
+            memory["d"] = d - growth
+            growth = 0.5 * (d - older)
+        elif link.damper == "filtered":
+            growth = memory["growth"] = growth + kept * (memory.get("growth", growth) - growth)
+        elif link.damper == "sensed":
+            growth += sensed()
+        return float(link.stiffness * d + link.damping * rate * growth)
+
+    tension.memory = memory  # type: ignore[attr-defined]
+    return tension
+
+
+def friction(link: Any, rate: float) -> Tension:
+    memory: dict[str, float] = {"way": 0.0}
+
+    def tension(d: float, growth: float) -> float:
+        anchor = memory.setdefault("anchor", d)
+        if memory["way"] * growth < 0.0:
+            memory["way"] = 0.0
+        bent = link.stiffness * (d - anchor)
+        if memory["way"] == 0.0 and abs(bent) > link.break_away:
+            memory["way"] = np.sign(bent)
+        if memory["way"]:
+            memory["anchor"] = d - memory["way"] * link.force / link.stiffness
+            return float(memory["way"] * link.force)
+        return float(bent + link.damping * rate * growth)
+
+    tension.memory = memory  # type: ignore[attr-defined]
+    return tension
+
+
+def plectrum(link: Any, rate: float) -> Tension:
+    memory = {"side": 0.0}
+
+    def tension(d: float, growth: float) -> float:
+        if memory["side"] * d > 0.0:
+            return 0.0
+        memory["side"] = np.sign(d) if abs(d) > link.release else 0.0
+        return 0.0 if memory["side"] else float(link.stiffness * d + link.damping * rate * growth)
+
+    tension.memory = memory  # type: ignore[attr-defined]
+    return tension
