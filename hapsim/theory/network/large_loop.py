@@ -41,11 +41,6 @@ def factorised(matrix: Any, **how: Any) -> Solve | None:
     return solve
 
 
-def shifted_inverse(change: Rows, w: complex) -> Solve | None:
-    """x -> (w - change)^-1 x; None where w is a pole's, exactly."""
-    return factorised(w * unit_rows(change.shape[0], True) - change, **PIVOTS)
-
-
 class Implicit(NamedTuple):
     """Of a scheme whose change is not sparse: numbers d with left d = rate state, of which the change has by d more."""
 

@@ -14,9 +14,11 @@ import numpy as np
 
 from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Complexes, Floats, Indices
-from hapsim.theory.network.crossings import OUTSIDE, LinkChanges, link_changes, on_circle
-from hapsim.theory.network.large_loop import shifted_inverse
+from hapsim.theory.network.crossings import OUTSIDE, link_changes, on_circle
+from hapsim.theory.network.large_loop import PIVOTS, factorised
 from hapsim.theory.network.network import Network
+from hapsim.theory.rows import cut, unit_rows
+from hapsim.theory.sample import sizes_of
 
 WORK = 1.2e7  # points times places on the circle: some seconds
 FEWEST, MOST = 400, 2500  # places
@@ -29,12 +31,12 @@ FAR = 2.0  # crossings are refined up to this multiple of the nearest one's dist
 
 def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> tuple[Floats, str]:
     """(links, 2): the factors of stiffness and damping of a stable scene, and in words how they were found."""
-    matrix = link_changes(network, sparse=True)
+    matrix = _Changes(network)
     points = network.channel_mass.size + network.point_mass.size
     most = int(min(MOST, max(FEWEST, WORK / points)))
     with one_thread(), np.errstate(all="ignore"):
         angles = _angles_about(poles, most // 2)
-        changes = _changes(matrix, angles, links)
+        changes = matrix.at(angles, links)
         while angles.size < most:
             turn = np.abs(np.log(changes[:, :, 1:] / changes[:, :, :-1]))
             turn = np.nan_to_num(turn, nan=0.0, posinf=0.0).max(axis=(0, 1), initial=0.0)
@@ -44,7 +46,7 @@ def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> 
             fast = fast[np.argsort(-turn[fast], kind="stable")][: most - angles.size]
             more = 0.5 * (angles[fast] + angles[fast + 1])
             order = np.argsort(np.append(angles, more))
-            changes = np.concatenate([changes, _changes(matrix, more, links)], axis=2)[:, :, order]
+            changes = np.concatenate([changes, matrix.at(more, links)], axis=2)[:, :, order]
             angles = np.append(angles, more)[order]
         factors = np.array(
             [
@@ -56,15 +58,38 @@ def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> 
     return factors, f"the circle was sampled at {angles.size} angles{coarse}"
 
 
-def _changes(matrix: LinkChanges, angles: Floats, links: Indices) -> Complexes:
-    """(2, links, n): by what part of itself a link's stiffness, and its damping, has to grow for a pole to be there."""
-    pushed, read = matrix.pushed[:, links].toarray() + 0j, [rows[links].toarray().T for rows in matrix.read]
-    found = np.full((2, links.size, angles.size), np.nan, dtype=complex)
-    for n, w in enumerate(on_circle(angles, OUTSIDE).tolist()):
-        if (solve := shifted_inverse(matrix.change, w)) is not None:
-            states = solve(pushed)
-            found[:, :, n] = [1.0 / (rows * states).sum(axis=0) for rows in read]
-    return found
+class _Changes:
+    """By what part of itself a link's stiffness, and its damping, has to grow for a pole to be at a place.
+
+    A mass's last step is 1 - 1/z times its place: of the two equations that CORDIS's scheme has of it that of the step
+    says both.
+    """
+
+    def __init__(self, network: Network) -> None:
+        change, self._pushed, self._read = link_changes(network, sparse=True)
+        parts = cut(np.arange(change.shape[0]), sizes_of(network))
+        self._mass, self._step = parts["mass"], parts["mass_step"]
+        self._kept = np.setdiff1d(np.arange(change.shape[0]), self._step)
+        is_mass = np.isin(self._kept, self._mass)
+        self._rows = self._kept.copy()
+        self._rows[is_mass] = self._step
+        one, rows = unit_rows(self._kept.size, True), change[self._rows]
+        self._constant, self._turning = rows[:, self._kept], rows[:, self._step] @ one[is_mass]
+        self._of_rest, self._of_masses = one.multiply(~is_mass[:, None]), one.multiply(is_mass[:, None])
+
+    def at(self, angles: Floats, links: Indices) -> Complexes:
+        """(2, links, n)"""
+        pushed, read = self._pushed[:, links].toarray() + 0j, [rows[links].toarray().T for rows in self._read]
+        found = np.full((2, links.size, angles.size), np.nan, dtype=complex)
+        states = np.empty_like(pushed)
+        for n, w in enumerate(on_circle(angles, OUTSIDE).tolist()):
+            turn = w / (1.0 + w)
+            left = w * (self._of_rest + turn * self._of_masses) - self._constant - turn * self._turning
+            if (solve := factorised(left, **PIVOTS)) is not None:
+                states[self._kept] = solve(pushed[self._rows])
+                states[self._step] = turn * states[self._mass]
+                found[:, :, n] = [1.0 / (rows * states).sum(axis=0) for rows in read]
+        return found
 
 
 def _angles_about(poles: Complexes, most: int) -> Floats:
@@ -80,7 +105,7 @@ def _angles_about(poles: Complexes, most: int) -> Floats:
     return np.unique(angles[(angles >= 0.0) & (angles <= math.pi)])
 
 
-def _margin(matrix: LinkChanges, link: int, quantity: int, angles: Floats, change: Complexes) -> float:
+def _margin(matrix: _Changes, link: int, quantity: int, angles: Floats, change: Complexes) -> float:
     """The least factor above 1 at which the change of a link's quantity is real; ``change``: at the angles."""
     from scipy.optimize import brentq
 
@@ -88,7 +113,7 @@ def _margin(matrix: LinkChanges, link: int, quantity: int, angles: Floats, chang
         return math.inf  # the quantity is 0
 
     def at(angle: float) -> complex:
-        return complex(_changes(matrix, np.array([angle]), np.array([link]))[quantity, 0, 0])
+        return complex(matrix.at(np.array([angle]), np.array([link]))[quantity, 0, 0])
 
     a, b = change[1:-2], change[2:-1]  # at 0 and pi themselves it is real
     place = np.flatnonzero((a.imag < 0.0) != (b.imag < 0.0))
