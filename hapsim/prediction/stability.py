@@ -187,7 +187,7 @@ class Judge:
                     worst.growth, f"{name} in {max(worst.linear, key=lambda at: worst.linear[at].stiffness)}"
                 )
         off = [Shaking(felt.spectral_radius, felt.name) for felt in self.loose] if self.is_lone else []
-        if any(math.isnan(shaking.growth) for shaking in off):
+        if off and math.isnan(self.solved[1].spectral_radius):
             return Shaking(math.inf, "")
         return max((shaking for shaking in off if shaking.growth > SURELY), default=None)
 
