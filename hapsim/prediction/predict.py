@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -20,8 +20,9 @@ from hapsim.prediction.linear import links_of, network_of, why_coupled
 from hapsim.prediction.link_margins import LinkMargin, least_margins, link_margins
 from hapsim.prediction.stability import MARGINAL, Judge, Region, Shaking
 from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
-from hapsim.scene import Scene
+from hapsim.scene import Link, Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.part import Table
 from hapsim.scene.quantity import per_channel
 from hapsim.theory import Margins, Mode, Solution, margins_of
 from hapsim.theory.arrays import sort_by_modulus
@@ -297,6 +298,28 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
     running loop has to know of a scene before it takes it.
     """
     return Prediction(scene, with_margins=False, wherever=True).judge.shaking
+
+
+def is_soon_stable(scene: Scene, most_states: int) -> bool:
+    """Whether `surely_shaken_by` finds nothing, where that is quick to find out, as of a stream of changes: False says
+    nothing. Hands that are all there is are judged one by one, and only those that changed. `most_states`: as of
+    `Judge.is_soon_stable`."""
+    hands = scene.device_points.keys()
+    is_lone = not scene.structures and not scene.material_points and len(hands) > 1
+    if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):
+        return Prediction(scene, with_margins=False, wherever=True).judge.is_soon_stable(most_states)
+    return all(_is_stable_alone(_with_links_of(scene, name)) for name in hands)
+
+
+def _with_links_of(scene: Scene, name: str) -> Scene:
+    """The scene with the links of this hand alone, and without what does not concern it."""
+    own = {at: one for at, one in scene.modules.items() if not isinstance(one, Link) or name in one.between}
+    return scene.model_copy(update={"modules": Table(own), "sound": Table({})})
+
+
+@lru_cache(maxsize=64)
+def _is_stable_alone(scene: Scene) -> bool:
+    return Prediction(scene, with_margins=False, wherever=True).judge.is_soon_stable(0)
 
 
 def is_surely_unstable(prediction: Prediction) -> bool:

@@ -25,7 +25,7 @@ from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
 from hapsim.loop.posted import Posts
 from hapsim.loop.realtime.giving_way import Beside
-from hapsim.prediction import Prediction, surely_shaken_by
+from hapsim.prediction import is_soon_stable, surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.running.assemble import LoopMemory
 from hapsim.running.parameters import MOCK_HAND, LivePart, parts_of
@@ -103,7 +103,7 @@ class LiveScene:
     def _is_quickly_judged(self, scene: Scene) -> bool:
         """Whether a change to `scene` needs no prediction, by `unstable`."""
         is_same = self._unstable is False and scene.modules is self.scene.modules
-        return self._unstable is None or is_same or Prediction(scene, wherever=True).judge.is_soon_stable(_MOST_STATES)
+        return self._unstable is None or is_same or is_soon_stable(scene, _MOST_STATES)
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, as `Session.adopt`."""
