@@ -13,7 +13,6 @@ from hapsim.prediction.partials import partials_of
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import (
     Prediction,
-    is_soon_stable,
     is_surely_unstable,
     predict,
     predict_on_wire,
@@ -40,7 +39,6 @@ __all__ = [
     "correction_for",
     "felt_at_rate",
     "host_silence",
-    "is_soon_stable",
     "is_surely_unstable",
     "partials_of",
     "predict",

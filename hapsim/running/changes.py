@@ -25,8 +25,9 @@ from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
 from hapsim.loop.posted import Posts
 from hapsim.loop.realtime.giving_way import Beside
-from hapsim.prediction import is_soon_stable, surely_shaken_by
+from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
+from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble import LoopMemory
 from hapsim.running.parameters import MOCK_HAND, LivePart, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable

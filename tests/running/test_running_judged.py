@@ -11,7 +11,8 @@ import pytest
 
 import hapsim
 from hapsim.errors import UsageError
-from hapsim.prediction import Prediction, Shaking, is_soon_stable, surely_shaken_by
+from hapsim.prediction import Prediction, Shaking, surely_shaken_by
+from hapsim.prediction.predict import is_soon_stable
 from hapsim.running import changes
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.part import Table
