@@ -68,6 +68,7 @@ class Region:
     linear: dict[str, LinearLink]
     """The simulated links of the hand there, by name."""
     hand: Characteristic
+    """The force of the scene on the hand, over its travel."""
 
     @cached_property
     def kind(self) -> RegionKind:

@@ -181,3 +181,16 @@ def test_what_it_stores_is_read_from_its_knots_and_from_no_more_than_the_limit_o
     program.stored = StoredEnergy(program, scene, Tank(record, capacity_j=1.0, refill_j=0.0), most)
     start(program, np.array([d]))
     assert energy(program) == pytest.approx(joules, rel=1e-12, abs=1e-15)
+
+
+def test_two_tables_of_one_link_have_places_of_their_own() -> None:
+    """Else energy and ramps of one would read the other's knots."""
+    curve = ((-1.0, -1.0), (1.0, 1.0))
+    link = {
+        "type": "nonlinear",
+        "between": ("hand", "wall"),
+        "force_over_distance": curve,
+        "force_over_velocity": curve,
+    }
+    program = compile_scene(scene_of(link))
+    assert len(program.places) == program.parameters.values.size

@@ -26,14 +26,13 @@ from numpy.typing import ArrayLike
 from hapsim.theory.arrays import Complexes
 from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.network.continuous import matrices
-from hapsim.theory.network.crossings import on_circle
+from hapsim.theory.network.crossings import AT_ONCE, on_circle
 from hapsim.theory.network.large_loop import PIVOTS, factorised, sparse_transition
 from hapsim.theory.network.network import Network, is_centred
 from hapsim.theory.rows import times, unit_rows
 from hapsim.theory.sample import is_large, loop, state_size
 
 MOST_DENSE = 60  # numbers in the state; above, sparse rows take less time
-AT_ONCE = 4_000_000  # complex numbers in memory
 
 
 class LoopImpedance(NamedTuple):

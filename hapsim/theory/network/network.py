@@ -140,11 +140,6 @@ def inner_links(network: Network) -> Indices:
     return links[np.fromiter(map(scheme.inside, natures), bool, links.size)]
 
 
-def outside_links(network: Network) -> Indices:
-    """The links that act, and whose force is that of the sample."""
-    return np.setdiff1d(acting_links(network), inner_links(network))
-
-
 def touches_channel(network: Network, links: Indices) -> Bools:
     """(n,) which of these links end at a channel."""
     ends = network.ends[links]
