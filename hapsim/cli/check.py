@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.markup import escape
 
 from hapsim.cli import check_details as details
-from hapsim.cli.check_regions import regions_document, show_regions
+from hapsim.cli.check_regions import regions_document, show_regions, show_states, states_document
 from hapsim.cli.live import at_work
 from hapsim.cli.options import At, Json, SceneFile, flag, load, position, scene_name
 from hapsim.cli.output import Table, document, pick, spoken, stderr, stdout, table
@@ -128,6 +128,8 @@ def _stability(prediction: Prediction, is_slewed: bool) -> str:
     note = ""
     if snaps := [name for name, region in prediction.region_here.items() if region.kind == "snap"]:
         verdict, note = "[yellow]in a snap[/yellow]", f": the scene drives {', '.join(snaps)} on to the next region"
+    elif not prediction.is_judged:
+        verdict, note = "[yellow]not judged[/yellow]", ": its contacts can be in too many states"
     elif prediction.at_limit:
         verdict = "[yellow]at the limit[/yellow]"
         note = " between stable and unstable: something drifts or swings for ever"
@@ -173,6 +175,7 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
     for name, why in prediction.coupled.items():
         out.print(f"[bold]{name}[/bold] {why}: no single k and b describe what it feels (--explain lists the modes)")
     show_regions(out, scene, prediction)
+    show_states(out, prediction)
     out.print(_margin_summary(prediction))
     if prediction.poles_method:
         out.print(f"A large scene: {prediction.poles_method}.")
@@ -208,7 +211,7 @@ def _margin_summary(prediction: Prediction) -> str:
     """Returns the smallest gain margin in a sentence."""
     if any(one.kind == "snap" for one in prediction.region_here.values()):
         return "In a snap there is no gain margin"
-    if not prediction.stable and not prediction.at_limit:
+    if not prediction.stable_as_taken and not prediction.at_limit:
         hands = [
             f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
             for felt in prediction.felt
@@ -221,6 +224,7 @@ def _margin_summary(prediction: Prediction) -> str:
     if not links:
         return "Gain margins were not worked out"
     how = f" ({SEARCHED})" if SEARCHED in prediction.margins_method else ""
+    how += "" if prediction.stable or prediction.at_limit else ", its contacts as they are taken below"
     if math.isinf(details.change_to_limit(links[0])):
         return f"Gain margin: no link makes it unstable{how}"
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
@@ -258,6 +262,7 @@ def prediction_document(
         "device_points": {one.name: felt_document(one) for one in prediction.felt},
         "coupled_device_points": prediction.coupled,
         "regions": {name: regions_document(regions) for name, regions in prediction.regions.items()},
+        "contact_states": states_document(prediction),
         "modes": modes,
         "margins": margins,
         "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),

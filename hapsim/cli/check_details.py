@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from hapsim.cli.check_regions import show_regions
+from hapsim.cli.check_regions import show_regions, show_states
 from hapsim.cli.output import Table, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import (
@@ -22,7 +22,7 @@ from hapsim.prediction import (
     robustness_of,
 )
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
-from hapsim.prediction.stability import MARGINAL
+from hapsim.prediction.shaking import MARGINAL
 from hapsim.prediction.timing import what_helps, wire_parts
 from hapsim.theory.interface import damper_named
 
@@ -47,6 +47,7 @@ def show_details(out: Console, scene: Scene, prediction: Prediction, on_wire: Pr
     for felt in prediction.felt:
         _show_felt(out, prediction, felt)
     show_regions(out, scene, prediction)
+    show_states(out, prediction)
     _show_correction(out, prediction)
     for name, why in prediction.coupled.items():
         out.print(
@@ -190,7 +191,7 @@ def change_to_limit(margin: LinkMargin) -> float:
 
 def _margins(prediction: Prediction) -> Table:
     links = tightest(prediction)
-    if prediction.stable or prediction.at_limit:
+    if prediction.stable_as_taken or prediction.at_limit:
         rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
         title, others = "Gain margins: the scene becomes unstable where a link is multiplied by", "have larger margins"
     else:

@@ -1,4 +1,5 @@
-"""What `hapsim check` prints of a hand that feels different springs and dampers at different places."""
+"""What `hapsim check` prints of a hand that feels different springs and dampers at different places, and of contacts
+that move masses."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 
 from hapsim.cli.output import Table, table
-from hapsim.number_format import number
+from hapsim.number_format import duration, number
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 _ROWS = 14  # of a table; of more regions those that are alike share a row
 _ALIKE = 6  # digits
+_GROWING = 3  # states of contacts in which something grows
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,30 @@ def _verdict(region: Region) -> str:
     if region.kind == "free":
         return f"{slides}no spring" + (f", {number(abs(region.force), 3)} N" if region.force else "")
     return f"{slides}stable{', passive' if region.felt.passive else ''}"
+
+
+def show_states(out: Console, prediction: Prediction) -> None:
+    """Prints in how many states the scene's other contacts can be, and what grows in which."""
+    states = prediction.states
+    for one in sorted(states.growing, key=lambda one: -one.growth)[:_GROWING]:
+        whose = f"the motion of {escape(one.module)}" if one.module else "a motion"
+        fast = f"e-fold in {duration(1.0 / (prediction.rate * math.log(one.growth)))}"
+        out.print(f"[red]Unstable[/red] while {escape(one.state)}: {whose} grows {fast} by itself")
+    if len(states.growing) > _GROWING:
+        out.print(f"and in {len(states.growing) - _GROWING} other ways (--json lists them)")
+    if states.unjudged:
+        which = f"{states.unjudged} of {states.count}" if states.is_complete else f"some of more than {states.count}"
+        out.print(f"[yellow]Not judged[/yellow]: {which} states of its contacts")
+    elif states.count > 1 and prediction.stable:
+        out.print(f"Stable in all {states.count} states of its contacts")
+
+
+def states_document(prediction: Prediction) -> dict[str, Any]:
+    """Returns the states that contacts, plectra, tables and dry friction which move masses can be in, as a JSON
+    document."""
+    states = prediction.states
+    growing = [{"state": one.state, "growth": one.growth, "module": one.module} for one in states.growing]
+    return {"found": states.count, "complete": states.is_complete, "not_judged": states.unjudged, "unstable": growing}
 
 
 def regions_document(regions: tuple[Region, ...]) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ This is the scene's geometry. Nothing of what the loop makes of it is in here, s
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -308,8 +308,9 @@ def hand_at(scene: Scene, name: str, around: float = 0.0, wherever: bool = False
     return found
 
 
-def scene_at(scene: Scene, at: float | None = None) -> LinearScene:
-    """What the theory takes `scene` for where its hands are: by the piece that each is in.
+def scene_at(scene: Scene, at: float | None = None, instead: Mapping[str, Linear] | None = None) -> LinearScene:
+    """What the theory takes `scene` for where its hands are: by the piece that each is in; `instead`: with these links
+    otherwise.
 
     Each that reaches it is at `at` (m), the others, or without it all, where they rest or are held nearest to position
     0; what moves masses or other hands is then taken as the links' assumptions say. UsageError where none reaches it.
@@ -325,7 +326,7 @@ def scene_at(scene: Scene, at: float | None = None) -> LinearScene:
     for name, one in hands.items():
         # The first that does not reach it raises, if none does.
         taken |= one.taken(piece_at(one, name, at if name in reached or not reached else None).place)
-    return linear_scene(scene, taken)
+    return linear_scene(scene, taken | dict(instead or {}))
 
 
 def places_of(scene: Scene) -> list[str]:

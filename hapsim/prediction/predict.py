@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, lru_cache
@@ -11,6 +11,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from hapsim.errors import UsageError
+from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
@@ -18,7 +19,9 @@ from hapsim.prediction.desired import Desired, desired_of
 from hapsim.prediction.felt import Felt, felt_by, swing
 from hapsim.prediction.linear import links_of, network_of, why_coupled
 from hapsim.prediction.link_margins import LinkMargin, least_margins, link_margins
-from hapsim.prediction.stability import MARGINAL, Judge, Region, Shaking
+from hapsim.prediction.shaking import MARGINAL, Shaking
+from hapsim.prediction.stability import Judge, Region
+from hapsim.prediction.states import ContactStates
 from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Link, Scene
 from hapsim.scene.load import SceneSource, as_scene
@@ -36,6 +39,9 @@ class Prediction:
     """A scene, predicted: each part is worked out when it is asked for, and once; `predict` asks for the poles and the
     verdict."""
 
+    points: tuple[str, ...]
+    """Names to which a mode's participation refers."""
+
     def __init__(
         self, scene: Scene, at: float | None = None, *, with_margins: bool = True, wherever: bool = False
     ) -> None:
@@ -45,10 +51,9 @@ class Prediction:
         self.scene, self._at, self._with_margins, self._wherever = scene, at, with_margins, wherever
         self._rendering = rendered(scene)
         self._seen = self._rendering.seen
-        self._linear = scene_at(self._seen, at)
-        self._network, points = network_of(self._seen, self._linear)
-        self.points: tuple[str, ...] = points
-        """Names to which a mode's participation refers."""
+        self._take()
+        if instead := self.states.instead():
+            self._take(instead)
         whys = {name: why_coupled(self._seen, self._linear, name) for name in scene.device_points}
         self.coupled: dict[str, str] = {name: why for name, why in whys.items() if why}
         """Device points that are no temporary hybrid systems of their own, and why, in words that follow their name."""
@@ -61,6 +66,13 @@ class Prediction:
         self.wire_delay = wire_delay(scene)
         """The delay that was declared and the one that the wire makes of it, for which all this is predicted, in a
         sentence; "" where it adds nothing."""
+
+    def _take(self, instead: Mapping[str, Linear] | None = None) -> None:
+        """The scene as it is taken; `instead`: with these links otherwise."""
+        self._linear = scene_at(self._seen, self._at, instead)
+        self._network, self.points = network_of(self._seen, self._linear)
+        self.states = ContactStates(self._seen, self._linear, self._network, self.points)
+        """Of its contacts."""
 
     @cached_property
     def _lone(self) -> tuple[Felt, ...]:
@@ -127,7 +139,7 @@ class Prediction:
     def judge(self) -> Judge:
         """Who says whether the scene is stable."""
         loose = tuple(felt for felt in self._lone if not felt.stable and not self._is_held(felt.name))
-        return Judge(self._network, self.points, self.is_lone, self._every_region, loose)
+        return Judge(self._network, self.points, self.is_lone, self._every_region, loose, self.states)
 
     @property
     def _solution(self) -> Solution:
@@ -144,6 +156,16 @@ class Prediction:
         return self.judge.is_stable
 
     @property
+    def stable_as_taken(self) -> bool:
+        """Whether it is where contacts that move masses are as `assumptions` say: margins and modes are of that."""
+        return self.judge.is_stable_as_taken
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether there is a verdict: something is unstable, or each state that was found was judged."""
+        return not self.states.unjudged or not self.stable_as_taken or bool(self.states.growing)
+
+    @property
     def at_limit(self) -> bool:
         """Whether the scene is neither stable nor unstable: something drifts or swings for ever."""
         return not self.stable and abs(self.spectral_radius - 1.0) < MARGINAL
@@ -157,8 +179,8 @@ class Prediction:
     def spectral_radius(self) -> float:
         """The largest modulus of a pole, wherever the hands are."""
         radius = max(one.spectral_radius for one in self._lone) if self._by_formula else self._solution.spectral_radius
-        grown = (one.growth for regions in self.regions.values() for one in regions)
-        return max(radius, max(grown, default=0.0))
+        grown = [one.growth for regions in self.regions.values() for one in regions]
+        return max([radius, *grown, *(one.growth for one in self.states.growing)])
 
     @cached_property
     def poles(self) -> tuple[complex, ...]:

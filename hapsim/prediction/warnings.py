@@ -30,6 +30,11 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             "(hapsim/STABILITY.md says what it finds)."
         )
         warnings += own_limits(scene)
+    if prediction.states.unjudged:
+        warnings.append(
+            "whether the scene is stable in every state of its contacts was not worked out: they are too many, or take "
+            "too long. In one of them it may shake the hand."
+        )
     for name in prediction.regions:
         hand = hand_at(scene, name)
         x = max(hand.edges(), key=lambda x: abs(float(hand.force(x))), default=0.0)

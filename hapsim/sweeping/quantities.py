@@ -52,6 +52,8 @@ _OF_HAND = {f"predicted_{name}": one.called("predicted") for name, one in _FELT.
 }
 _OF_SCENE = {
     "stable": Variable("", "1: predicted stable; 0: unstable", lambda one: _truth(one.stable)),
+    "contact_states": Variable("", "states found that its contacts can be in", lambda one: float(one.states.count)),
+    "unstable_states": Variable("", "motions that grow in these", lambda one: float(len(one.states.growing))),
     "spectral_radius": Variable("", "largest modulus of a predicted pole", lambda one: one.spectral_radius),
 }
 _MEASURED = {f"measured_{name}": one.called("measured") for name, one in _FELT.items()} | {

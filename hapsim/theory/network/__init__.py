@@ -4,7 +4,7 @@ from hapsim.theory.network.continuous import ContinuousMode, continuous_modes
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import Mode, Solution, poles_of
-from hapsim.theory.network.network import Network
+from hapsim.theory.network.network import Network, never_grows, part_of, part_of_each
 from hapsim.theory.sample import LARGE, is_large, state_size, transition
 from hapsim.theory.schemes import NotWorkedOutError
 
@@ -21,6 +21,9 @@ __all__ = [
     "continuous_modes",
     "is_large",
     "margins_of",
+    "never_grows",
+    "part_of",
+    "part_of_each",
     "poles_of",
     "solve",
     "state_size",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -169,3 +169,44 @@ def part_of_each(ends: Indices, points: int) -> Indices:
     for a, b in ends[(ends >= 0).all(axis=1)].tolist():
         parent[part(a)] = part(b)
     return np.array([part(point) for point in range(points)], dtype=np.intp)
+
+
+def part_of(network: Network, points: Indices) -> Network:
+    """These points, ascending, and the links that join no other."""
+    number = np.full(network.channel_mass.size + network.point_mass.size + 1, -2)
+    number[points], number[-1] = np.arange(points.size), -1
+    ends = number[network.ends]
+    links = np.flatnonzero((ends > -2).all(axis=1) & (ends >= 0).any(axis=1))
+    channels = points[points < network.channel_mass.size]
+    of_channels = ("channel_mass", "channel_friction", "channel_stiffness")
+    return replace(
+        network,
+        **{name: getattr(network, name)[channels] for name in of_channels},
+        point_mass=network.point_mass[points[channels.size :] - network.channel_mass.size],
+        ends=ends[links],
+        stiffness=network.stiffness[links],
+        damping=network.damping[links],
+        damper=tuple(network.damper[link] for link in links.tolist()),
+        outside=tuple(network.outside[link] for link in links.tolist()) if network.outside else (),
+        margin_links=None,
+    )
+
+
+def never_grows(network: Network) -> bool:
+    """Whether it is clear at once that no motion grows: masses without a channel, by CORDIS's scheme, on springs and
+    backward dampers that are not negative, nor too stiff for the step T. False says nothing.
+
+    Of a motion v, the poles solve z² m + z (k T² + b T - 2 m) + m - b T = 0, where m = v* M v and so on are real: no
+    root is outside of the unit circle where k, b >= 0 and 4 m >= k T² + 2 b T (Jury), which no v violates if it holds
+    for the sum of each row's absolute values (Gershgorin).
+    """
+    if network.channel_mass.size or SCHEMES[network.scheme] is not None:
+        return False
+    links, dampers = acting_links(network), (network.damper[link] for link in damping_links(network).tolist())
+    stiffness, damping, ends = network.stiffness[links], network.damping[links], network.ends[links]
+    if (stiffness < 0.0).any() or (damping < 0.0).any() or any(damper != BACKWARD for damper in dampers):
+        return False
+    step = 1.0 / (network.rate * network.substeps)
+    of_link = (stiffness * step + 2.0 * damping) * step * (ends >= 0).sum(axis=1)
+    held = sum(np.bincount(end[end >= 0], of_link[end >= 0], network.point_mass.size) for end in ends.T)
+    return bool((held <= 4.0 * network.point_mass).all())

@@ -1,0 +1,197 @@
+"""The states that contacts, plectra, tables and detents of masses can be in, against simulation of what is said."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from hapsim import predict, start
+from hapsim.errors import UsageError
+from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
+from hapsim.prediction.states import MOST_STATES, options_of
+from hapsim.scene import Scene, parse_scene
+from hapsim.theory import Network
+from hapsim.theory.network import never_grows, poles_of
+from tests.contact_scenes import begun, contact_scene, growth_within, judged_unstable, whole_states
+
+SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))
+HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
+GRIP = {"type": "plectrum", "stiffness": 1200.0, "damping": 1.5, "release": 0.002}
+BALL = {"ball": {"type": "cell", "mass": 0.1, "stiffness": 400.0}}
+FINGER = {"type": "buffer", "between": ["hand", "ball"], "stiffness": 500.0, "damping": 8.0, "distance": 0.01}
+DRIVE = {"type": "nonlinear", "between": ["ball", "wall"], "force_over_velocity": [[-1.0, 1.0], [1.0, -1.0]]}
+
+
+def scene_of(modules: dict[str, Any], **device: Any) -> Scene:
+    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | device
+    document = {"version": 1, "rate": 1000, "device": device, "modules": HAND | modules}
+    return parse_scene(yaml.safe_dump(document), "scene")
+
+
+def predicted(modules: dict[str, Any], **device: Any) -> Prediction:
+    return predict(scene_of(modules, **device), with_margins=False)
+
+
+def found(prediction: Prediction) -> set[str]:
+    """Each state of a scene with one part, its words in the order of its links."""
+    (states,) = prediction.states.parts
+    return {", ".join(option.state for option in state.values()) for state in states}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_said_of_each_state_is_how_a_motion_within_it_goes_on(seed: int) -> None:
+    """Simulated for four seconds; states that a snap leaves, and growth by less than 1e-4 a sample, aside."""
+    scene = contact_scene(seed)
+    prediction = predict(scene, with_margins=False)
+    for state in whole_states(prediction)[:6]:
+        if any(option.linear.stiffness < 0.0 for option in state.values()):
+            continue
+        growth = growth_within(scene, state, 4000)
+        if judged_unstable(prediction, state):
+            assert growth > 1.0, state
+        elif prediction.stable_as_taken:
+            assert growth < 1.0 + 1e-4, state
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_where_every_state_is_stable_no_random_push_grows(seed: int) -> None:
+    scene = contact_scene(seed)
+    motion = begun(scene, np.random.default_rng(seed), 20)
+    early = motion.most_energy(1000)
+    motion.most_energy(3000)
+    if predict(scene, with_margins=False).stable:
+        assert (motion.most_energy(1000) <= 4.0 * early + 1e-9).all()
+
+
+class TestAResonatorUnderABuffer:
+    def test_that_drives_itself_is_unstable_while_the_finger_is_off(self) -> None:
+        scene = scene_of(BALL | {"drive": DRIVE, "finger": FINGER})
+        prediction = predict(scene)
+        assert prediction.stable_as_taken
+        assert not prediction.stable
+        (growing,) = prediction.states.growing
+        assert (growing.module, growing.state) == ("ball", "finger is apart")
+        assert growing.growth == pytest.approx(1.0 + 0.5 * 1.0 / 0.1 * 1e-3, rel=1e-4)  # exp(-b/2m T), b = -1 N·s/m
+        assert surely_shaken_by(scene) == growing
+        assert prediction.spectral_radius == growing.growth
+        with pytest.raises(UsageError, match=r"the motion of ball grows by 0\.5 % a sample while finger is apart"):
+            start(scene, duration=0.1, unstable=False)
+
+    def test_is_not_made_so_by_a_change(self) -> None:
+        scene = scene_of(BALL | {"drive": DRIVE, "finger": FINGER})
+        calm = scene_of(BALL | {"finger": FINGER})
+        with start(calm, duration=1e6, unstable=False) as session, pytest.raises(UsageError, match="finger is apart"):
+            session.adopt(scene)
+
+    def test_without_a_drive_is_stable_in_both_states(self) -> None:
+        ball = {"ball": BALL["ball"] | {"damping": 1.0}}
+        prediction = predicted(ball | {"finger": FINGER})
+        assert found(prediction) == {"touched", "apart"}
+        assert prediction.stable
+
+
+class TestContactsThatCannotActTogether:
+    @staticmethod
+    def plectra(apart: float, stiffness: float = 1200.0) -> dict[str, Any]:
+        cell = {"type": "cell", "mass": 0.05, "stiffness": 2000.0, "damping": 0.5}
+        cells = {f"cell{i}": cell | {"rest": i * apart} for i in range(3)}
+        grip = GRIP | {"stiffness": stiffness}
+        return cells | {f"pick{i}": grip | {"between": ["hand", f"cell{i}"]} for i in range(3)}
+
+    def test_plectra_on_cells_further_apart_than_they_reach(self) -> None:
+        """Twice the way of 10 N on 2000 N/m, and 2 mm of release: cells reach 12 mm to each side, so 24 mm apart two
+        can grip. (Each alone is stable, all three together are not.)"""
+        together, alone = predicted(self.plectra(0.0, 2000.0)), predicted(self.plectra(0.05, 2000.0))
+        assert not together.stable
+        assert alone.stable
+        assert found(alone) == {
+            "released, released, released",
+            "gripping, released, released",
+            "released, gripping, released",
+            "released, released, gripping",
+        }
+        assert len(found(predicted(self.plectra(0.0239)))) == 6  # neighbours together, but not the outer ones
+        assert len(found(predicted(self.plectra(0.0241)))) == 4
+        words = [one for one in alone.assumptions if "pick1" in one]
+        assert words[0].startswith("pick1 is taken as released: it cannot be gripping while")
+
+    def test_a_travel_that_does_not_reach_a_cell(self) -> None:
+        assert found(predicted(self.plectra(0.05), travel=[-0.01, 0.06])) == {
+            "released, released, released",
+            "gripping, released, released",
+            "released, gripping, released",
+        }
+
+    def test_walls_on_cells_on_either_side(self) -> None:
+        cell = {"type": "cell", "mass": 0.05, "stiffness": 5000.0, "damping": 1.0}
+        wall = {"type": "buffer", "stiffness": 5000.0, "damping": 20.0}
+        walls = {
+            "low": cell | {"rest": -0.05},
+            "high": cell | {"rest": 0.05},
+            "floor": wall | {"between": ["hand", "low"]},
+            "roof": wall | {"between": ["high", "hand"]},
+        }
+        assert found(predicted(walls)) == {"touched, apart", "apart, touched", "apart, apart"}
+
+    def test_parts_that_no_link_joins_are_counted_apart(self) -> None:
+        cells = {f"cell{i}": {"type": "cell", "mass": 0.05, "stiffness": 2000.0, "damping": 0.5} for i in range(8)}
+        stops = {f"stop{i}": GRIP | {"between": [f"cell{i}", "wall"]} for i in range(8)}
+        prediction = predicted(cells | stops)
+        assert [len(states) for states in prediction.states.parts] == [2] * 8
+        assert prediction.states.count == 16
+        assert not prediction.states.unjudged
+
+
+def test_states_that_are_too_many_are_never_called_stable() -> None:
+    """Eleven contacts of one hand that can all act together, 2048 states: of those found some are judged."""
+    cells = {f"cell{i}": {"type": "cell", "mass": 0.05, "stiffness": 2000.0, "damping": 0.5} for i in range(11)}
+    touch = {"type": "buffer", "stiffness": 10.0, "damping": 0.1}
+    scene = scene_of(cells | {f"touch{i}": touch | {"between": ["hand", f"cell{i}"]} for i in range(11)})
+    prediction = predict(scene, with_margins=False)
+    assert prediction.states.count == MOST_STATES < 2048
+    assert 0 < prediction.states.unjudged < MOST_STATES
+    assert prediction.stable_as_taken
+    assert not prediction.stable
+    assert not prediction.is_judged
+    assert surely_shaken_by(scene) is None  # it may run, with a warning
+    assert [one for one in warnings_about(scene, prediction) if "every state of its contacts was not worked out" in one]
+
+
+def test_a_law_s_pieces_are_the_states_of_its_link() -> None:
+    modules = {
+        "ball": {"type": "mass", "mass": 0.1},
+        "bow": {"type": "friction", "between": ["hand", "ball"], "force": 1.0, "stiffness": 100.0},
+        "ridge": {"type": "detent", "between": ["hand", "ball"], "pitch": 0.01, "depth": 1.0, "shape": "notch"},
+        "curve": {
+            "type": "nonlinear",
+            "between": ["hand", "ball"],
+            "force_over_distance": [[0.0, 0.0], [0.01, 1.0], [0.02, 2.0], [0.03, 0.0]],
+        },
+    }
+    links = scene_of(modules).links
+    states = {name: [(one.state, one.linear.stiffness) for one in options_of(links[name].law())] for name in links}
+    assert states["bow"] == [("stuck", 100.0), ("sliding", 0.0)]
+    assert [stiffness for _, stiffness in states["ridge"]] == pytest.approx([-800.0, 800.0, 0.0])
+    assert [stiffness for _, stiffness in states["curve"]] == pytest.approx([0.0, 100.0, 100.0, -200.0, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_masses_that_are_said_not_to_grow_have_no_pole_outside_of_the_circle(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    masses, links = int(draw.integers(1, 6)), int(draw.integers(1, 10))
+    mass, step = 10.0 ** draw.uniform(-3, 0, masses), 1e-3
+    ends = draw.integers(-1, masses, (links, 2))
+    most = 10.0 ** draw.uniform(-2.0, 0.3) * mass.min() / step**2
+    stiffness, damping = most * draw.uniform(0, 1, links), most * step * draw.uniform(0, 0.5, links)
+    none = np.zeros(0)
+    network = Network(1.0 / step, none, none, 1.0, "zoh", "ideal", mass, ends, stiffness, damping)
+    radius = np.abs(poles_of(network)).max()
+    if never_grows(network):
+        assert radius < 1.0 + 1e-6  # double poles at rest round to the root of a digit
+    stiff = Network(1.0 / step, none, none, 1.0, "zoh", "ideal", mass, [[0, -1]], [4.1 * mass[0] / step**2], [0.0])
+    assert not never_grows(stiff)
+    assert np.abs(poles_of(stiff)).max() > 1.0
