@@ -172,6 +172,16 @@ class Law:
         """N·s/m at d, as `slope`."""
         return sum(0.5 * piece.damping for piece in self._beside(d))
 
+    def damping_along(self, d: Floats) -> Floats:
+        """N·s/m at these distances in m; on an edge that of the piece beyond it, and where it may slide none."""
+        import numpy as np
+
+        if self.period:
+            d = d - self.period * np.floor((d - self.edges[0]) / self.period)
+        first = 1 if self.period else 0
+        dampings = np.array([0.0 if math.isfinite(self.reach) else piece.damping for piece in self.pieces])
+        return np.asarray(dampings[np.searchsorted(self.edges, d, side="right") - first])
+
     def state(self, d: float) -> str:
         """How the link is at d, in a word or two; "" where it is always the same."""
         return self._beside(d)[1].state

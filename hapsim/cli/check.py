@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.markup import escape
 
 from hapsim.cli import check_details as details
-from hapsim.cli.check_regions import regions_document, show_regions, show_states, states_document
+from hapsim.cli.check_regions import regions_document, show_regions, show_states, states_document, swings_document
 from hapsim.cli.live import at_work
 from hapsim.cli.options import At, Json, SceneFile, flag, load, position, scene_name
 from hapsim.cli.output import Table, document, pick, spoken, stderr, stdout, table
@@ -128,6 +128,8 @@ def _stability(prediction: Prediction, is_slewed: bool) -> str:
     note = ""
     if snaps := [name for name, region in prediction.region_here.items() if region.kind == "snap"]:
         verdict, note = "[yellow]in a snap[/yellow]", f": the scene drives {', '.join(snaps)} on to the next region"
+    elif prediction.trembles:
+        verdict, note = "[yellow]trembles[/yellow]", f": {', '.join(prediction.trembles)} swings by less than a count"
     elif not prediction.is_judged:
         verdict, note = "[yellow]not judged[/yellow]", ": its contacts can be in too many states"
     elif prediction.at_limit:
@@ -262,6 +264,7 @@ def prediction_document(
         "device_points": {one.name: felt_document(one) for one in prediction.felt},
         "coupled_device_points": prediction.coupled,
         "regions": {name: regions_document(regions) for name, regions in prediction.regions.items()},
+        "swings": swings_document(prediction),
         "contact_states": states_document(prediction),
         "modes": modes,
         "margins": margins,

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from hapsim.prediction import Prediction, Region
     from hapsim.scene import Scene
 
-_ROWS = 14  # of a table; of more regions those that are alike share a row
+_ROWS = 10  # of a table; of more regions those that are alike share a row, and of these the others are summed up
 _ALIKE = 6  # digits
+_NOISY = 20  # so many regions below a count are of no one's design
 _GROWING = 3  # states of contacts in which something grows
 
 
@@ -36,12 +37,19 @@ def show_regions(out: Console, scene: Scene, prediction: Prediction) -> None:
     """Prints a table for each hand with regions; hands that feel the same share one."""
     from hapsim.scene import Detent
 
-    shared: dict[tuple[tuple[str, ...], ...], list[str]] = {}
+    shared: dict[tuple[tuple[tuple[str, ...], ...], tuple[str, str]], list[str]] = {}
     for name, regions in prediction.regions.items():
-        rows = tuple(_cells(row) for row in _rows(regions, prediction.region_here[name]))
-        shared.setdefault(rows, []).append(name)
-    for rows, names in shared.items():
-        out.print(_table(", ".join(names), rows))
+        rows, others = _rows(regions, prediction.region_here[name])
+        key = tuple(map(_cells, rows)), (others, _narrow(regions))
+        shared.setdefault(key, []).append(name)
+    for (cells, sentences), names in shared.items():
+        out.print(_table(", ".join(names), cells))
+        for sentence in filter(None, sentences):
+            out.print(sentence)
+    for name, swing in prediction.judge.swings.items():
+        if swing is not None:
+            unnoticed = ": less than a count" if prediction.judge.is_unnoticed(name) else ""
+            out.print(f"Where it is unstable, {escape(name)} swings by {swing.sentence}{unnoticed}")
     for name, link in scene.links.items():
         if isinstance(link, Detent) and scene.device.travel is None and prediction.regions.keys() & set(link.between):
             out.print(f"{escape(name)} repeats every {number(1e3 * link.pitch, 4)} mm; --at X shows others.")
@@ -49,7 +57,21 @@ def show_regions(out: Console, scene: Scene, prediction: Prediction) -> None:
 
 def show_hand(out: Console, name: str, regions: tuple[Region, ...]) -> None:
     """Prints the table of one hand."""
-    out.print(_table(name, [_cells(row) for row in _rows(regions)]))
+    rows, others = _rows(regions)
+    out.print(_table(name, [_cells(row) for row in rows]))
+    if others:
+        out.print(others)
+
+
+def _narrow(regions: tuple[Region, ...]) -> str:
+    """Returns how many regions are narrower than a count, in a sentence; "" where none is."""
+    places = {(one.piece.low, one.piece.high): one.hand.count for one in regions}
+    narrow = sum(high - low < count for (low, high), count in places.items())
+    if not narrow:
+        return ""
+    count = number(1e6 * regions[0].hand.count, 3)
+    noise = ": noise of the recording?" if narrow > _NOISY else ""
+    return f"{narrow} of {len(places)} regions are narrower than a count of the mock ({count} µm){noise}"
 
 
 def _table(names: str, rows: Sequence[tuple[str, ...]]) -> Table:
@@ -58,10 +80,11 @@ def _table(names: str, rows: Sequence[tuple[str, ...]]) -> Table:
     return table(f"By region, {escape(names)}", headings, rows, caption, box=None)
 
 
-def _rows(regions: tuple[Region, ...], here: Region | None = None) -> list[_Row]:
-    """All regions, or one of each kind, that nearest to position 0, with how many there are."""
+def _rows(regions: tuple[Region, ...], here: Region | None = None) -> tuple[list[_Row], str]:
+    """All regions, or one of each kind, that nearest to position 0, with how many there are; of more kinds than fit the
+    most telling, and what the others are, in a sentence."""
     if len(regions) <= _ROWS:
-        return [_Row(one, 1, one is here) for one in regions]
+        return [_Row(one, 1, one is here) for one in regions], ""
     alike: dict[tuple[object, ...], list[Region]] = {}
     for one in regions:
         piece = one.piece
@@ -72,7 +95,19 @@ def _rows(regions: tuple[Region, ...], here: Region | None = None) -> list[_Row]
         _Row(min(group, key=lambda one: abs(one.piece.place)), len(group), any(one is here for one in group))
         for group in alike.values()
     ]
-    return sorted(rows, key=lambda row: row.region.piece.low)
+    rows.sort(key=lambda row: (not row.is_here, -row.region.growth, row.region.piece.low - row.region.piece.high))
+    shown = sorted(rows[:_ROWS], key=lambda row: row.region.piece.low)
+    return shown, _summed_up([row.region for row in rows[_ROWS:]], sum(row.alike for row in rows[_ROWS:]))
+
+
+def _summed_up(kinds: list[Region], count: int) -> str:
+    """Returns what these regions are, `count` in all, in a sentence; "" where there are none."""
+    if not kinds:
+        return ""
+    low, high = (number(of(one.piece.stiffness for one in kinds), 4) for of in (min, max))
+    unstable, snaps = sum(not one.is_stable for one in kinds), sum(one.kind == "snap" for one in kinds)
+    words = f"{f', {unstable} unstable' if unstable else ''}{f', {snaps} snaps' if snaps else ''}"
+    return f"and {count} others with K from {low} to {high}{words} (--json lists them)"
 
 
 def _cells(row: _Row) -> tuple[str, ...]:
@@ -124,6 +159,15 @@ def show_states(out: Console, prediction: Prediction) -> None:
         out.print(f"[yellow]Not judged[/yellow]: {which} states of its contacts")
     elif states.count > 1 and prediction.stable:
         out.print(f"Stable in all {states.count} states of its contacts")
+
+
+def swings_document(prediction: Prediction) -> dict[str, Any]:
+    """Returns how far each hand swings that its regions shake, as a JSON document; null: not found."""
+    swings = prediction.judge.swings
+    return {
+        name: swing and {"least_m": swing.least, "most_m": swing.most, "force_n": swing.force}
+        for name, swing in swings.items()
+    }
 
 
 def states_document(prediction: Prediction) -> dict[str, Any]:

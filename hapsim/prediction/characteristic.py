@@ -90,6 +90,7 @@ class Characteristic:
         own_stiffness: of the device's own spring, N/m.
         low, high: m, the device's travel; without one infinite, or two periods of what repeats.
         force_limit: N.
+        count: m, of a position as the mock sends it.
         free: m, so far from its edge is a place in a piece without an end that holds nothing.
     """
 
@@ -98,6 +99,7 @@ class Characteristic:
     low: float
     high: float
     force_limit: float
+    count: float
     free: float
 
     @property
@@ -118,8 +120,9 @@ class Characteristic:
             if math.isfinite(link.law.reach):
                 force = force + math.copysign(link.law.slides_at, speed)
             else:
-                damping = np.array([link.law.damping(float(one)) for one in d])
-                force = force + link.sign * np.minimum(link.law.tension(d) + damping * parts, link.law.most)
+                force = force + link.sign * np.minimum(
+                    link.law.tension(d) + link.law.damping_along(d) * parts, link.law.most
+                )
         return force
 
     def edges(self) -> list[float]:
@@ -290,7 +293,8 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bo
         ]
         low, high = min(ends), max(ends)
     own, free = device.stiffnesses(scene.channels)[channel], device.scales(scene.channels)[channel].free
-    return Characteristic(links, own, low, high, device.force_limit, free)
+    count = scene.mock_device.quantum[channel]
+    return Characteristic(links, own, low, high, device.force_limit, count, free)
 
 
 def starts_at(scene: Scene, channel: int) -> float | None:

@@ -166,6 +166,13 @@ class Prediction:
         return not self.states.unjudged or not self.stable_as_taken or bool(self.states.growing)
 
     @property
+    def trembles(self) -> tuple[str, ...]:
+        """The hands that swing by themselves, where nothing shakes any more than that: by less than a count, and by
+        next to no force."""
+        judge = self.judge
+        return () if judge.shaking else tuple(name for name in judge.swings if judge.is_unnoticed(name))
+
+    @property
     def at_limit(self) -> bool:
         """Whether the scene is neither stable nor unstable: something drifts or swings for ever."""
         return not self.stable and abs(self.spectral_radius - 1.0) < MARGINAL

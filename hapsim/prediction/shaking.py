@@ -12,6 +12,7 @@ import numpy as np
 
 from hapsim.one_thread import one_thread
 from hapsim.prediction.linear import instead_of
+from hapsim.prediction.swings import Swing
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.network import LARGE, state_size, transition
 
@@ -33,7 +34,9 @@ class Shaking(NamedTuple):
     module: str
     """That moves most in it; "" where no motion was found that does."""
     state: str = ""
-    """How the contacts of its part of the scene are: "finger apart"; "" where they are as they are taken."""
+    """How the contacts of its part of the scene are: "finger is apart"; "" where they are as they are taken."""
+    swing: Swing | None = None
+    """How large it gets, where that was found."""
 
     @property
     def sentence(self) -> str:
@@ -43,6 +46,8 @@ class Shaking(NamedTuple):
             by = f"by {100.0 * (self.growth - 1.0):.2g} %"
         whose = f"the motion of {self.module}" if self.module else "a motion"
         when = f" while {self.state}" if self.state else ""
+        if self.swing is not None:
+            when += f", to a swing of {self.swing.sentence}"
         remedy = "reduce the stiffness there, change its damping, add mass or raise the rate"
         return f"{whose} grows {by} a sample{when}; {remedy}"
 

@@ -22,11 +22,13 @@ from hapsim.prediction.felt import Felt
 from hapsim.prediction.linear import LinearLink
 from hapsim.prediction.shaking import SURELY, NetworkVerdict, Shaking, without_real
 from hapsim.prediction.states import ContactStates
+from hapsim.prediction.swings import Swing, swing_in
 from hapsim.theory.network import state_size
 
 RegionKind = Literal["held", "free", "snap"]
 
 _POINTS = 1025  # at which the energy of a curved snap is summed
+_NOTICED = 0.02  # of the force limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,12 @@ class Region:
     def is_stable(self) -> bool:
         """Whether nothing shakes the hand. In a snap: nothing but the snap itself; where it is free: nothing at all."""
         return self.growth == 0.0
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the links are simulated as they are written, for the state that is read."""
+        as_written = self.felt.stiffness, self.felt.damping
+        return self.felt.predictor is None and as_written == (self.piece.stiffness, self.piece.damping)
 
     @property
     def force(self) -> float:
@@ -128,14 +136,28 @@ class Judge(NetworkVerdict):
         return self.is_lone or (self.dies_out and self.states.shaking is None)
 
     @cached_property
+    def swings(self) -> dict[str, Swing | None]:
+        """Of each hand that its regions shake, how far it swings there; None where that was not found."""
+        shaken = {name: [one for one in every if one.growth > SURELY] for name, every in self.regions.items()}
+        return {
+            name: swing_in(every) if all(one.is_plain for one in every) else None
+            for name, every in shaken.items()
+            if every
+        }
+
+    def is_unnoticed(self, name: str) -> bool:
+        """Whether the hand at this device point swings by less than a count, and by next to no force."""
+        swing, hand = self.swings.get(name), self.regions[name][0].hand
+        return swing is not None and swing.most < hand.count and swing.force < _NOTICED * hand.force_limit
+
+    @cached_property
     def _shaken_hand(self) -> Shaking | None:
         """The first hand that is shaken in one of its regions; of a scene of lone hands alone, the one shaken most."""
         for name, regions in self.regions.items():
             worst = max(regions, key=lambda region: region.growth)
-            if worst.growth > SURELY:
-                return Shaking(
-                    worst.growth, f"{name} in {max(worst.linear, key=lambda at: worst.linear[at].stiffness)}"
-                )
+            if worst.growth > SURELY and not self.is_unnoticed(name):
+                where = max(worst.linear, key=lambda at: worst.linear[at].stiffness)
+                return Shaking(worst.growth, f"{name} in {where}", swing=self.swings[name])
         off = [Shaking(felt.spectral_radius, felt.name) for felt in self.loose] if self.is_lone else []
         if off and math.isnan(self.solved[1].spectral_radius):
             return Shaking(math.inf, "")

@@ -30,6 +30,12 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             "(hapsim/STABILITY.md says what it finds)."
         )
         warnings += own_limits(scene)
+    for name in prediction.trembles:
+        swing = prediction.judge.swings[name]
+        warnings.append(
+            f"{name} swings by itself where a piece of its links is too stiff for the loop: by "
+            f"{swing.sentence if swing else ''}, less than a count. Smoother tables do not."
+        )
     if prediction.states.unjudged:
         warnings.append(
             "whether the scene is stable in every state of its contacts was not worked out: they are too many, or take "

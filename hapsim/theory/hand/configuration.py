@@ -124,7 +124,7 @@ class Configuration:
         """
         K, B, pair, good = self._element(k, b)
         if dominant:
-            good &= leads(self._loop, K, B, pair)
+            good &= leads(self.normalised_loop, K, B, pair)
         K, B = K * self.stiffness_unit, B * self.damping_unit
         return np.where(good, K, np.nan), np.where(good, B, np.nan)
 
@@ -200,7 +200,11 @@ class Configuration:
             ValueError: the hold is not "zoh", the sampling not "ideal" or the damper "sensed": the condition is
                 not derived. (A velocity that is sampled passes every image of a motion: no friction suffices.)
         """
-        if HOLDS[self.hold].terms != HOLDS["zoh"].terms or self.sampling != "ideal" or self._loop.damper.senses:
+        if (
+            HOLDS[self.hold].terms != HOLDS["zoh"].terms
+            or self.sampling != "ideal"
+            or self.normalised_loop.damper.senses
+        ):
             raise ValueError(
                 "The passivity condition is derived for the zero-order hold with ideal sampling and a damper that "
                 f"differentiates positions only, not for hold {self.hold!r} with sampling {self.sampling!r} and the "
@@ -208,7 +212,7 @@ class Configuration:
             )
         K, B = np.broadcast_arrays(np.asarray(K, dtype=float), np.asarray(B, dtype=float))
         damping = B - self.spring_lag * self.period * K
-        wall = Wall(self.period * K.ravel(), damping.ravel(), self.delay, self._loop.damper)
+        wall = Wall(self.period * K.ravel(), damping.ravel(), self.delay, self.normalised_loop.damper)
         return needed_friction(wall).reshape(K.shape)[()]
 
     @_quietly
@@ -251,7 +255,7 @@ class Configuration:
         """
         decay = np.asarray(decay, dtype=float)
         fast = decay.ravel() * self.period
-        kappa, beta, slow = double_pole(self._loop, fast)
+        kappa, beta, slow = double_pole(self.normalised_loop, fast)
         K, B = kappa * self.stiffness_unit, beta * self.damping_unit
         k, b = slow * fast * self.stiffness_unit, (slow + fast) * self.damping_unit
         return tuple(value.reshape(decay.shape)[()] for value in (K, B, k, b))  # type: ignore[return-value]
@@ -266,7 +270,7 @@ class Configuration:
         f = np.asarray(frequency, dtype=float)
         jw, theta = 2j * np.pi * f, 2.0 * np.pi * f * self.period
         damping = np.asarray(B) - self.spring_lag * self.period * np.asarray(K)
-        element = np.asarray(K) / jw + damping * damper_gain(self._loop.damper, theta)
+        element = np.asarray(K) / jw + damping * damper_gain(self.normalised_loop.damper, theta)
         rendered = element * late_and_held(theta, self.delay, self.hold, self.sampling)
         rendered = rendered + self.friction + self.stiffness / jw
         return np.where((theta > 0.0) & (theta < np.pi), rendered, np.nan)[()]
@@ -283,7 +287,7 @@ class Configuration:
         """Why ``simulated`` is NaN, in words; "" where it is not."""
         K, B, pair, any_had = self._element(k, b)
         kappa, sigma = self._normalised(k, b)
-        had = any_had & leads(self._loop, K, B, pair), any_had
+        had = any_had & leads(self.normalised_loop, K, B, pair), any_had
         return why_not_attained(had, np.isfinite(kappa + sigma), is_attainable(sigma, kappa))
 
     @_quietly
@@ -293,25 +297,22 @@ class Configuration:
         The paper's P K + Q B + R (§6) divided by its leading coefficient.
         """
         kappa, beta = self._normalised(K, B)
-        return np.stack(characteristic(self._loop, kappa, beta), axis=-1)
+        return np.stack(characteristic(self.normalised_loop, kappa, beta), axis=-1)
 
     @cached_property
-    def _loop(self) -> LoneHand:
+    def normalised_loop(self) -> LoneHand:
+        """The loop without an element, in the paper's normalised units (§6), as rows of its state."""
         own = self.friction / self.damping_unit, self.stiffness / self.stiffness_unit
         damper = damper_named(self.damper, self.cutoff, self.rate)
         return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag)
 
-    @cached_property
-    def _undamped(self) -> Undamped:
-        return undamped_curve(self._loop)
-
     def _stable_interval(self, sought: int, given: Floats) -> tuple[Floats, Floats]:
         def is_stable(kappa: Floats, beta: Floats) -> Bools:
-            if self._loop.degree > MOST_EIGENVALUES:
-                return all_within(characteristic(self._loop, kappa, beta), np.ones(kappa.shape))
+            if self.normalised_loop.degree > MOST_EIGENVALUES:
+                return all_within(characteristic(self.normalised_loop, kappa, beta), np.ones(kappa.shape))
             return np.asarray(self.is_stable(kappa * self.stiffness_unit, beta * self.damping_unit))
 
-        least, most = stable_interval(self._loop, self._undamped, sought, given.ravel(), is_stable)
+        least, most = stable_interval(self.normalised_loop, _undamped(self), sought, given.ravel(), is_stable)
         return least.reshape(given.shape), most.reshape(given.shape)
 
     def _normalised(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Floats, Floats]:
@@ -322,13 +323,13 @@ class Configuration:
         """(K T²/m, B T/m, the poles of (k, b), whether there is an answer), further poles not taken into account."""
         kappa, sigma = self._normalised(k, b)
         more_kappa, more_sigma = self._normalised(np.subtract(k, self.stiffness), np.subtract(b, self.friction))
-        K, B, pair = element_of_oscillator(self._loop, (sigma, kappa), (more_sigma, more_kappa))
+        K, B, pair = element_of_oscillator(self.normalised_loop, (sigma, kappa), (more_sigma, more_kappa))
         return K, B, pair, np.isfinite(kappa + sigma) & np.isfinite(K) & np.isfinite(B) & is_attainable(sigma, kappa)
 
     @cached_property
     def _own_swing_is_seen(self) -> bool:
         """Whether mass and real spring swing below the Nyquist frequency: of what is faster only an image is seen."""
-        return bool(is_attainable(self._loop.damping, self._loop.stiffness))
+        return bool(is_attainable(self.normalised_loop.damping, self.normalised_loop.stiffness))
 
     def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
         """The leading pair and all poles for (n,) stiffnesses and dampings."""
@@ -336,10 +337,15 @@ class Configuration:
         return _solved_at(self, float(one[0]), float(other[0])) if one.size == 1 else self._solve(one, other)
 
     def _solve(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
-        lead, poles = all_poles(self._loop, *self._normalised(K, B))
+        lead, poles = all_poles(self.normalised_loop, *self._normalised(K, B))
         return lead._replace(dominant=lead.dominant & self._own_swing_is_seen), poles
 
 
 @lru_cache(256)  # one element is asked for its k and b, its poles, its stability and why there is none
 def _solved_at(configuration: Configuration, K: float, B: float) -> tuple[LeadingPair, Complexes]:
     return configuration._solve([K], [B])
+
+
+@lru_cache(64)  # every region of a hand has the same
+def _undamped(configuration: Configuration) -> Undamped:
+    return undamped_curve(configuration.normalised_loop)

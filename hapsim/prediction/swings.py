@@ -1,0 +1,94 @@
+"""How large a hand's swing gets where its rest is unstable: the loop of `theory`, on numbers, with the whole law of its
+links. A kick grows until pieces beside bound it; a hand that presses steadily holds it at any place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hapsim.number_format import number
+from hapsim.theory.arrays import Floats
+
+if TYPE_CHECKING:
+    from hapsim.prediction.characteristic import Characteristic
+    from hapsim.prediction.stability import Region
+
+_PLACES = 32  # of all unstable regions
+_KICKS = (0.1, 1.0, 10.0)  # of a region's width
+_WIDE = 1e-3  # m: of a region that has no end
+_GROWN = 20.0  # e-folds, after which a kick has become what it can
+_MOST_SAMPLES = 4000
+_STEADY = 1.05  # a swing that is larger in the last quarter than in the one before by more still grows
+
+
+class Swing(NamedTuple):
+    """From one end to the other, where the hand swings most."""
+
+    least: float
+    """m, of the kicks tried."""
+    most: float
+    force: float
+    """N, at the most."""
+
+    @property
+    def sentence(self) -> str:
+        """How far and how hard, in words that follow "swings by"."""
+        ways = [f"{number(1e6 * way, 3)}" for way in (self.least, self.most)]
+        return f"{' to '.join(dict.fromkeys(ways))} µm and up to {number(self.force, 2)} N"
+
+
+def swing_in(regions: Sequence[Region]) -> Swing | None:
+    """The largest in these regions of one hand, which are not stable; None where it still grew at the end."""
+    slowest = min(math.log(one.growth) for one in regions)
+    samples = int(min(_GROWN / slowest, _MOST_SAMPLES)) // 4 * 4 + 8
+    every = list(regions)[:: -(-len(regions) // _PLACES)]
+    place = np.repeat([one.piece.place for one in every], len(_KICKS))
+    widths = [one.piece.high - one.piece.low for one in every]
+    kicks = np.outer([width if math.isfinite(width) else _WIDE for width in widths], _KICKS).ravel()
+    with np.errstate(all="ignore"):
+        ways, forces = _ends(every[0], place, kicks, samples)
+    before, after = ways.reshape(2, -1, len(_KICKS))
+    still = after > _STEADY * before
+    if not np.isfinite(ways).all() or still[:, -1].any():  # a larger swing that is steady bounds one that grows
+        return None
+    at = np.unravel_index(after.argmax(), after.shape)[0]
+    return Swing(
+        float(after[at][~still[at]].min()), float(after[at].max()), float(forces.reshape(after.shape)[at].max())
+    )
+
+
+def _ends(region: Region, place: Floats, kicks: Floats, samples: int) -> tuple[Floats, Floats]:
+    """(2, n): m, from end to end in the last two quarters; (n,): N, in the last."""
+    hand, configuration = region.hand, region.felt.configuration
+    force_limit = hand.force_limit
+    loop, unit = configuration.normalised_loop, configuration.stiffness_unit
+    state = np.zeros((len(loop.change), place.size))
+    state[loop.moving[0]] = kicks
+    resting = _force(hand, place, 0.0 * place)
+    held = 0.0 * place
+    ends = []
+    for quarter in range(4):
+        low, high, weak, strong = (sign * np.full(place.size, np.inf) for sign in (1.0, -1.0, 1.0, -1.0))
+        for _ in range(samples // 4):
+            away, rate = loop.reads @ state
+            acts_at = place + away - loop.lag * rate
+            force = np.clip(_force(hand, acts_at, rate * configuration.rate), -force_limit, force_limit)
+            held = np.clip(resting, -force_limit, force_limit) - force
+            state = state + loop.change @ state + np.outer(loop.push, held / unit)
+            if quarter >= 2:
+                low, high = np.minimum(low, away), np.maximum(high, away)
+                weak, strong = np.minimum(weak, force), np.maximum(strong, force)
+        ends.append((high - low, strong - weak))
+    return np.array([ends[2][0], ends[3][0]]), ends[3][1]
+
+
+def _force(hand: Characteristic, x: Floats, speed: Floats) -> Floats:
+    """N, of the links; where dry friction sticks, without it."""
+    force = 0.0 * x
+    for link in hand.links.values():
+        law, d = link.law, link.distance(x)
+        force = force + link.sign * np.minimum(law.tension(d) + law.damping_along(d) * link.sign * speed, law.most)
+    return np.asarray(force)

@@ -1,0 +1,126 @@
+"""How far a hand swings where pieces of a table are too stiff for the loop, against the mock in virtual time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from hapsim import predict, start
+from hapsim.errors import UsageError
+from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
+from hapsim.running import in_memory
+from hapsim.running.run import run
+from hapsim.scene import Scene, parse_scene
+
+Points = list[tuple[float, float]]
+
+
+def text_of(points: Points, force_limit: float = 10.0, **mock: Any) -> str:
+    curve = {"type": "nonlinear", "between": ["hand", "wall"], "force_over_distance": [list(one) for one in points]}
+    document = {
+        "version": 1,
+        "rate": 1000,
+        "device": {"mass": 0.1, "friction": 3.0, "force_limit": force_limit, "clock": "lockstep"},
+        "mock": mock,
+        "modules": {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "curve": curve},
+    }
+    return yaml.safe_dump(document)
+
+
+def scene_of(points: Points, force_limit: float = 10.0, **mock: Any) -> Scene:
+    return parse_scene(text_of(points, force_limit, **mock), "curve")
+
+
+def steep_in_places(seed: int) -> Points:
+    """Four to eight pieces of 30 µm to 1 mm that a loop of 3 N·s/m carries, and one that it does not."""
+    draw = np.random.default_rng(seed)
+    count = int(draw.integers(4, 9))
+    widths, slopes = 10.0 ** draw.uniform(-4.5, -3.0, count), draw.uniform(200.0, 1500.0, count)
+    slopes[draw.integers(1, count - 1)] = 10.0 ** draw.uniform(3.7, 4.3)
+    x, force = np.cumsum(widths) - 0.5 * widths.sum(), np.cumsum(widths * slopes)
+    return list(zip(x.tolist(), (force - force.mean()).tolist(), strict=True))
+
+
+def button(noise: float) -> Points:
+    """A button of 2 N recorded at 480 places within 10 mm, with noise (N rms)."""
+    draw = np.random.default_rng(3)
+    x = np.linspace(-0.01, 0.0, 480)
+    force = np.interp(-x, [0.0, 0.004, 0.006, 0.01], [0.0, 2.0, 1.0, 4.0]) + noise * draw.standard_normal(x.size)
+    return list(zip(x.tolist(), (-force).tolist(), strict=True))
+
+
+def swing_on_mock(points: Points, prediction: Prediction) -> float:
+    """m, from end to end in the last of six seconds, the most of all that begin in the middle of an unstable piece,
+    held there by a steady push, and kicked by a tenth of its width, its width and ten times as much."""
+    most = 0.0
+    for region in (one for one in prediction.judge.regions["hand"] if not one.is_stable):
+        for kick in (0.1, 1.0, 10.0):
+            away = kick * (region.piece.high - region.piece.low)
+            begins, push = {"position": region.piece.place + away}, {"force": region.force}
+            trace = in_memory.run_in_memory(scene_of(points, initial=begins, hand=push), duration=6.0)
+            counts = trace.position_counts[-1000:, 0]
+            most = max(most, float(np.ptp(counts) * trace.position_scale[0]))
+    return most
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_as_large_as_on_the_mock(seed: int) -> None:
+    """Within a tenth; 12 seeds came within 3.3 %."""
+    points = steep_in_places(seed)
+    prediction = predict(scene_of(points), with_margins=False)
+    swing = prediction.judge.swings["hand"]
+    assert swing is not None
+    assert swing.least <= swing.most
+    assert swing_on_mock(points, prediction) == pytest.approx(swing.most, rel=0.1)
+    shaking = surely_shaken_by(scene_of(points))
+    assert shaking is not None
+    assert f"to a swing of {swing.sentence}" in shaking.sentence
+
+
+def test_a_wall_that_is_too_stiff_swings_as_far_as_the_force_limit_lets_it() -> None:
+    """No pieces bound it but the force limit: a larger limit is a larger swing."""
+    points = [(-0.1, -1000.0), (0.1, 1000.0)]
+    swings = [predict(scene_of(points, limit)).judge.swings["hand"] for limit in (1.0, 10.0)]
+    assert swings[0] is None or swings[1] is None or swings[1].most > 3.0 * swings[0].most
+    assert surely_shaken_by(scene_of(points)) is not None
+
+
+class TestARecordedButton:
+    COARSE = 1e-4  # m: a count
+
+    def test_that_swings_by_less_than_a_count_may_be_armed(self) -> None:
+        scene = scene_of(button(0.02), quantum=self.COARSE)
+        prediction = predict(scene)
+        swing = prediction.judge.swings["hand"]
+        assert swing is not None
+        assert 1e-6 < swing.most < self.COARSE
+        assert swing.force < 0.02 * 10.0
+        assert prediction.trembles == ("hand",)
+        assert not prediction.stable
+        assert surely_shaken_by(scene) is None
+        assert [one for one in warnings_about(scene, prediction) if one.startswith("hand swings by itself")]
+        assert run(scene, duration=0.1).report.ticks == 100
+
+    def test_by_finer_counts_or_below_a_weaker_limit_it_is_refused(self) -> None:
+        for scene in (scene_of(button(0.02), quantum=1e-6), scene_of(button(0.02), 1.0, quantum=self.COARSE)):
+            with pytest.raises(UsageError, match=r"to a swing of [0-9.]+ µm and up to [0-9.]+ N"):
+                start(scene, duration=0.1, unstable=False)
+
+    def test_check_sums_its_regions_up(self, hapsim: Callable[..., Any], tmp_path: Path) -> None:
+        file = tmp_path / "button.yaml"
+        file.write_text(text_of(button(0.02), quantum=self.COARSE), encoding="utf-8")
+        out = hapsim("check", str(file)).out
+        assert "trembles: hand swings by less than a count" in " ".join(out.split())
+        assert len(out.splitlines()) < 40
+        assert "479 of 481 regions are narrower than a count of the mock (100 µm): noise of the recording?" in " ".join(
+            out.split()
+        )
+        document = json.loads(hapsim("check", str(file), "--json").out)
+        assert len(document["regions"]["hand"]) == 481
+        assert 1e-6 < document["swings"]["hand"]["most_m"] < self.COARSE
