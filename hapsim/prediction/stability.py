@@ -10,7 +10,7 @@ shakes is at the limit, or was not worked out for the scheme by which the scene 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -22,7 +22,7 @@ from hapsim.prediction.felt import Felt
 from hapsim.prediction.linear import LinearLink
 from hapsim.prediction.shaking import SURELY, NetworkVerdict, Shaking, without_real
 from hapsim.prediction.states import ContactStates
-from hapsim.prediction.swings import Swing, swing_in
+from hapsim.prediction.swings import Place, Swing, swing_in
 from hapsim.theory.network import state_size
 
 RegionKind = Literal["held", "free", "snap"]
@@ -85,6 +85,13 @@ class Region:
         return float(np.trapezoid(np.max(force) - force, x))
 
 
+def _swing(regions: Sequence[Region]) -> Swing | None:
+    if not all(one.is_plain for one in regions):
+        return None
+    places = [Place(one.piece.place, one.piece.high - one.piece.low, one.growth) for one in regions]
+    return swing_in(regions[0].hand, regions[0].felt.configuration, places)
+
+
 def modulus_without(poles: Iterable[complex], kind: RegionKind) -> float:
     """The largest modulus of a pole, without the one that a snap or a free hand has by itself: the largest real one."""
     return max(map(abs, without_real(poles, int(kind != "held"))), default=0.0)
@@ -139,11 +146,7 @@ class Judge(NetworkVerdict):
     def swings(self) -> dict[str, Swing | None]:
         """Of each hand that its regions shake, how far it swings there; None where that was not found."""
         shaken = {name: [one for one in every if one.growth > SURELY] for name, every in self.regions.items()}
-        return {
-            name: swing_in(every) if all(one.is_plain for one in every) else None
-            for name, every in shaken.items()
-            if every
-        }
+        return {name: _swing(every) for name, every in shaken.items() if every}
 
     def is_unnoticed(self, name: str) -> bool:
         """Whether the hand at this device point swings by less than a count, and by next to no force."""

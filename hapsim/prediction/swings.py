@@ -5,16 +5,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hapsim.number_format import number
+from hapsim.prediction.characteristic import Characteristic
+from hapsim.theory import Configuration
 from hapsim.theory.arrays import Floats
-
-if TYPE_CHECKING:
-    from hapsim.prediction.characteristic import Characteristic
-    from hapsim.prediction.stability import Region
 
 _PLACES = 32  # of all unstable regions
 _KICKS = (0.1, 1.0, 10.0)  # of a region's width
@@ -40,44 +38,48 @@ class Swing(NamedTuple):
         return f"{' to '.join(dict.fromkeys(ways))} µm and up to {number(self.force, 2)} N"
 
 
-def swing_in(regions: Sequence[Region]) -> Swing | None:
-    """The largest in these regions of one hand, which are not stable; None where it still grew at the end."""
-    slowest = min(math.log(one.growth) for one in regions)
+class Place(NamedTuple):
+    """Where a steady push holds the hand, m; the width of its region, m; by how much a motion grows there in a
+    sample."""
+
+    at: float
+    width: float
+    growth: float
+
+
+def swing_in(hand: Characteristic, loop: Configuration, places: Sequence[Place]) -> Swing | None:
+    """The largest of the hand's at these places, none of which is stable; None where it still grew at the end."""
+    slowest = min(math.log(one.growth) for one in places)
     samples = int(min(_GROWN / slowest, _MOST_SAMPLES)) // 4 * 4 + 8
-    every = list(regions)[:: -(-len(regions) // _PLACES)]
-    place = np.repeat([one.piece.place for one in every], len(_KICKS))
-    widths = [one.piece.high - one.piece.low for one in every]
-    kicks = np.outer([width if math.isfinite(width) else _WIDE for width in widths], _KICKS).ravel()
+    every = places[:: -(-len(places) // _PLACES)]
+    at = np.repeat([one.at for one in every], len(_KICKS))
+    kicks = np.outer([one.width if math.isfinite(one.width) else _WIDE for one in every], _KICKS).ravel()
     with np.errstate(all="ignore"):
-        ways, forces = _ends(every[0], place, kicks, samples)
+        ways, forces = _ends(hand, loop, at, kicks, samples)
     before, after = ways.reshape(2, -1, len(_KICKS))
     still = after > _STEADY * before
     if not np.isfinite(ways).all() or still[:, -1].any():  # a larger swing that is steady bounds one that grows
         return None
-    at = np.unravel_index(after.argmax(), after.shape)[0]
-    return Swing(
-        float(after[at][~still[at]].min()), float(after[at].max()), float(forces.reshape(after.shape)[at].max())
-    )
+    worst = np.unravel_index(after.argmax(), after.shape)[0]
+    steady = after[worst][~still[worst]]
+    return Swing(float(steady.min()), float(after.max()), float(forces.reshape(after.shape)[worst].max()))
 
 
-def _ends(region: Region, place: Floats, kicks: Floats, samples: int) -> tuple[Floats, Floats]:
+def _ends(
+    hand: Characteristic, configuration: Configuration, at: Floats, kicks: Floats, samples: int
+) -> tuple[Floats, Floats]:
     """(2, n): m, from end to end in the last two quarters; (n,): N, in the last."""
-    hand, configuration = region.hand, region.felt.configuration
-    force_limit = hand.force_limit
-    loop, unit = configuration.normalised_loop, configuration.stiffness_unit
-    state = np.zeros((len(loop.change), place.size))
+    loop, limit = configuration.normalised_loop, hand.force_limit
+    state = np.zeros((len(loop.change), at.size))
     state[loop.moving[0]] = kicks
-    resting = _force(hand, place, 0.0 * place)
-    held = 0.0 * place
+    held = np.clip(_force(hand, at, 0.0 * at), -limit, limit)
     ends = []
     for quarter in range(4):
-        low, high, weak, strong = (sign * np.full(place.size, np.inf) for sign in (1.0, -1.0, 1.0, -1.0))
+        low, high, weak, strong = (sign * np.full(at.size, np.inf) for sign in (1.0, -1.0, 1.0, -1.0))
         for _ in range(samples // 4):
             away, rate = loop.reads @ state
-            acts_at = place + away - loop.lag * rate
-            force = np.clip(_force(hand, acts_at, rate * configuration.rate), -force_limit, force_limit)
-            held = np.clip(resting, -force_limit, force_limit) - force
-            state = state + loop.change @ state + np.outer(loop.push, held / unit)
+            force = np.clip(_force(hand, at + away - loop.lag * rate, rate * configuration.rate), -limit, limit)
+            state = state + loop.change @ state + np.outer(loop.push, (held - force) / configuration.stiffness_unit)
             if quarter >= 2:
                 low, high = np.minimum(low, away), np.maximum(high, away)
                 weak, strong = np.minimum(weak, force), np.maximum(strong, force)

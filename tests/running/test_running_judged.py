@@ -75,9 +75,9 @@ def test_of_random_scenes_none_is_quickly_accepted_that_shakes(kind: str) -> Non
                 module["stiffness"] *= 4.0 ** draw.integers(0, 4)
         scene = parse_scene(json.dumps(document))
         soon, shakes = require_one_verdict(scene)
-        stable = hapsim.predict(scene, with_margins=False).stable
-        assert not (stable and shakes)
-        assert stable or not soon
+        prediction = hapsim.predict(scene, with_margins=False)
+        assert not (prediction.stable and shakes)
+        assert prediction.stable or prediction.trembles or not soon
         found.append((soon, shakes))
     assert {(True, False), (False, True)} <= set(found)
 
