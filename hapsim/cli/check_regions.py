@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 
 from hapsim.cli.output import Table, table
-from hapsim.number_format import duration, number
+from hapsim.number_format import duration, number, rounded_up
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -37,10 +37,10 @@ def show_regions(out: Console, scene: Scene, prediction: Prediction) -> None:
     """Prints a table for each hand with regions; hands that feel the same share one."""
     from hapsim.scene import Detent
 
-    shared: dict[tuple[tuple[tuple[str, ...], ...], tuple[str, str]], list[str]] = {}
+    shared: dict[tuple[tuple[tuple[str, ...], ...], tuple[str, ...]], list[str]] = {}
     for name, regions in prediction.regions.items():
         rows, others = _rows(regions, prediction.region_here[name])
-        key = tuple(map(_cells, rows)), (others, _narrow(regions))
+        key = tuple(map(_cells, rows)), (others, _narrow(regions), _bounces(regions))
         shared.setdefault(key, []).append(name)
     for (cells, sentences), names in shared.items():
         out.print(_table(", ".join(names), cells))
@@ -61,6 +61,17 @@ def show_hand(out: Console, name: str, regions: tuple[Region, ...]) -> None:
     out.print(_table(name, [_cells(row) for row in rows]))
     if others:
         out.print(others)
+
+
+def _bounces(regions: tuple[Region, ...]) -> str:
+    """Returns that bounces can grow though each region is stable, and what would be enough, in a sentence; "" where
+    passivity forbids it, or where it is not derived."""
+    held = [one.felt for one in regions if one.kind == "held"]
+    needed = max((one.needed_friction for one in held), default=0.0)
+    has = regions[0].felt.configuration.friction
+    if not all(one.is_stable for one in regions) or not needed >= has:
+        return ""
+    return f"Not passive: bounces can grow below {rounded_up(needed)} N·s/m of friction (declared: {number(has)})"
 
 
 def _narrow(regions: tuple[Region, ...]) -> str:
@@ -192,6 +203,7 @@ def regions_document(regions: tuple[Region, ...]) -> list[dict[str, Any]]:
             "kind": one.kind,
             "stable": one.is_stable,
             "passive": one.felt.passive,
+            "needed_friction": one.felt.needed_friction if math.isfinite(one.felt.needed_friction) else None,
             "force_n": one.force,
             "snap_energy_j": one.snap_energy,
             "links": one.piece.states,

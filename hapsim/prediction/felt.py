@@ -114,6 +114,13 @@ class Felt:
             return bool(self.formula.is_passive(self.stiffness, self.damping))
         return None
 
+    @cached_property
+    def needed_friction(self) -> float:
+        """N·s/m, with which no hand can make it unstable; NaN where that is not derived."""
+        with contextlib.suppress(ValueError):
+            return float(self.formula.needed_friction(self.stiffness, self.damping))
+        return math.nan
+
     @property
     def linear_limit(self) -> float:
         """N/m: the stiffness that the linear rule allows, (b0 + B)/(T/2 + delay T) (Gil et al.)."""

@@ -156,3 +156,18 @@ def test_a_refusal_says_what_bounds_the_force() -> None:
         prediction = predict(scene)
         assert f"oscillate with up to {most} until" in why_not_armed("x.yaml", scene, prediction)
         assert any(f"oscillates with up to {most}, until" in one for one in warnings_about(scene, prediction))
+
+
+@pytest.mark.parametrize(("friction", "can_grow"), [(0.0, True), (49.2, True), (49.3, False)])
+def test_bounces_are_spoken_of_below_the_friction_that_passivity_needs(
+    friction: float, can_grow: bool, hapsim: Hapsim, tmp_path: Path
+) -> None:
+    """K T/2 + B = 49.25 N·s/m without delay (Colgate and Schenkel); stable in touch and apart either way."""
+    stop = {"type": "buffer", "between": ["hand", "wall"], "stiffness": 18500.0, "damping": 40.0}
+    file = tmp_path / "stop.yaml"
+    file.write_text(json.dumps(scene_of({"stop": stop}, friction=friction, delay=0)), encoding="utf-8")
+    out = " ".join(hapsim("check", str(file)).out.split())
+    assert ("Not passive: bounces can grow below 49.25 N·s/m of friction" in out) == can_grow
+    assert ": stable" in out
+    touched = json.loads(hapsim("check", str(file), "--json").out)["regions"]["hand"][0]
+    assert touched["needed_friction"] == pytest.approx(49.25)
