@@ -190,9 +190,9 @@ def _at_zero(scene: Scene) -> Scene:
     return scene.model_copy(update={"modules": type(scene.modules)({**scene.modules, **moved})})
 
 
-def growth_within(scene: Scene, state: State, samples: int = 10_000) -> float:
-    """By how much a motion within this state of the contacts grows in a sample, from the energies of five runs."""
-    motion = begun(scene, np.random.default_rng(0), 5, state)
+def growth_within(scene: Scene, state: State, samples: int, runs: int = 5) -> float:
+    """By how much a motion within this state of the contacts grows in a sample, from the energies of some runs."""
+    motion = begun(scene, np.random.default_rng(0), runs, state)
     with np.errstate(all="ignore"):
         motion.most_energy(samples // 2)
         early = motion.most_energy(samples // 10)

@@ -1,11 +1,12 @@
-"""The figures that `check` predicts of the shipped scenes and of random ones, beside those that were kept. To renew the
-kept file where a change is meant, delete it and run this test: it is written anew and the test fails once."""
+"""The figures that `check` predicts of the shipped scenes and of random ones, and the keys of JSON documents, beside
+those that were kept. To renew a kept file where a change is meant, delete it and run this test: it is written anew and
+the test fails once."""
 
 from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, get_args
 
@@ -73,3 +74,35 @@ def test_the_predicted_figures_are_those_that_were_kept() -> None:
     assert now.keys() == before.keys()
     for name, values in now.items():
         assert values == pytest.approx(before[name], rel=1e-9, abs=1e-12, nan_ok=True), name
+
+
+def keys_of(value: Any, path: str = "") -> Iterator[str]:
+    """Each key of a document with those above it; of a list what its members have."""
+    if isinstance(value, dict):
+        for key, below in value.items():
+            yield from keys_of(below, f"{path}.{key}" if path else str(key))
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for below in value:
+            yield from keys_of(below, f"{path}[]")
+    else:
+        yield path
+
+
+def test_the_keys_of_json_documents_are_those_that_were_kept(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    """Of scenes with one hand, several, regions, masses and a correction; in virtual time."""
+    files = {}
+    for name in ("first_touch", "two_hands", "knob_24", "plucked_string"):
+        document = yaml.safe_load((CONFIGS / f"{name}.yaml").read_text("utf-8"))
+        document["device"]["clock"] = "lockstep"
+        files[name] = tmp_path / f"{name}.yaml"
+        files[name].write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    touch, corrected = files["first_touch"], files["first_touch"].with_name("corrected.yaml")
+    corrected.write_text(touch.read_text("utf-8").replace("  mass:", "  correction: poles\n  mass:"), encoding="utf-8")
+    commands = [["check", file] for file in (*files.values(), corrected)]
+    commands += [["measure", touch], ["run", touch, "--duration", "0.1"], ["identify", touch]]
+    commands += [["sweep", touch, "rate=1000,2000", "--check"], ["new", "--list"], ["faults", "--list"]]
+    lines = []
+    for command, *words in commands:
+        found = sorted({*keys_of(hapsim(command, *words, "--json").document)})
+        lines += [f"{command} {Path(words[0]).stem if words else ''}: {key}" for key in found]
+    assert lines == kept("json_keys.txt", lines)

@@ -1,0 +1,72 @@
+"""What is said of every state of random scenes' contacts, beside simulation.
+
+    tools/bench/contact_states [--scenes 500] [--first 0]
+
+Each scene has a hand, one to three masses or cells, and one to four buffers, plectra, detents and tables. Within each
+state (six of a scene at most) 20 small pushes are simulated for ten seconds: does a motion grow? Then 20 pushes of up
+to 0.3 m/s from anywhere within 2 cm, which open and close contacts: has one of them four times the energy of its first
+second, in the last of ten?
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+import hapsim
+from hapsim.scene import Scene
+from tests.contact_scenes import begun, contact_scene, growth_within, judged_unstable, whole_states
+
+SAMPLES = 10_000
+BARELY = 1e-4  # growth a sample, too little to be seen in so many samples
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=500)
+    parser.add_argument("--first", type=int, default=0)
+    options = parser.parse_args()
+    states: Counter[str] = Counter()
+    pushes: Counter[tuple[str, str]] = Counter()
+    for seed in range(options.first, options.first + options.scenes):
+        scene = contact_scene(seed)
+        prediction = hapsim.predict(scene, with_margins=False)
+        for state in whole_states(prediction)[:6]:
+            if any(option.linear.stiffness < 0.0 for option in state.values()):
+                states["left by a snap"] += 1
+                continue
+            growth = growth_within(scene, state, SAMPLES, 20)
+            said = judged_unstable(prediction, state)
+            if not said and not prediction.stable_as_taken:
+                states["beside what is unstable as it is taken"] += 1
+            elif said and growth < 1.0:
+                states["falsely unstable"] += 1
+                print(f"seed {seed}: falsely unstable, {growth:.6g} a sample: {_words(state)}")
+            elif not said and growth > 1.0 + BARELY:
+                states["falsely stable"] += 1
+                print(f"seed {seed}: falsely stable, {growth:.6g} a sample: {_words(state)}")
+            else:
+                states["unstable, and grows" if said else "stable, and does not grow"] += 1
+        verdict = "stable" if prediction.stable else "refused" if prediction.judge.shaking else "at the limit"
+        pushes[verdict, "grew" if _grew(scene, seed) else "did not grow"] += 1
+    print(f"{options.scenes} scenes; states: {dict(states)}")
+    print("scenes by verdict and whether one of 20 pushes grew:", {", ".join(k): n for k, n in sorted(pushes.items())})
+
+
+def _words(state: dict[str, Any]) -> str:
+    return ", ".join(f"{name} is {option.state}" for name, option in state.items())
+
+
+def _grew(scene: Scene, seed: int) -> bool:
+    motion = begun(scene, np.random.default_rng(seed), 20)
+    with np.errstate(all="ignore"):
+        early = motion.most_energy(1000)
+        motion.most_energy(SAMPLES - 2000)
+        return bool((~(motion.most_energy(1000) <= 4.0 * early + 1e-9)).any())
+
+
+if __name__ == "__main__":
+    main()
