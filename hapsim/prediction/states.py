@@ -92,10 +92,11 @@ class ContactStates:
         self._network, self._points, self._links = network, points, linear.links
         hands = {name: links_of(linear, name).values() for name in scene.device_points}
         alone = {name for name, links in hands.items() if all({*one.between} - linear.fixed == {name} for one in links)}
-        own = ((name, link) for name, link in scene.links.items() if not {*link.between} & alone)
-        every = ((name, options_of(link.law())) for name, link in own)
-        options = {name: found for name, found in every if len(found) > 1}
         self._ends = dict(zip(linear.links, network.ends.tolist(), strict=False))
+        moving = (name for name, (first, second) in self._ends.items() if first != second)  # not two grounds, -1
+        own = (name for name in moving if not {*linear.links[name].between} & alone)
+        every = ((name, options_of(scene.links[name].law())) for name in own)
+        options = {name: found for name, found in every if len(found) > 1}
         self.parts: list[list[State]] = []
         self.is_complete = True
         if not options:
