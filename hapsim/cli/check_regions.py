@@ -169,7 +169,7 @@ def show_states(out: Console, prediction: Prediction) -> None:
         which = f"{states.unjudged} of {states.count}" if states.is_complete else f"some of more than {states.count}"
         out.print(f"[yellow]Not judged[/yellow]: {which} states of its contacts")
     elif states.count > 1 and prediction.stable:
-        out.print(f"Stable in all {states.count} states of its contacts")
+        out.print(f"Stable {states.words}")
 
 
 def swings_document(prediction: Prediction) -> dict[str, Any]:

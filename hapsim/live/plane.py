@@ -32,6 +32,7 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
     felt = [here[one.name].felt if one.name in here else one for one in prediction.felt]
     found: dict[str, Any] = {
         "stable": prediction.stable,
+        "states": prediction.states.words if prediction.stable_as_taken else "",
         "spectral_radius": prediction.spectral_radius,
         "hands": [_of_hand(one, prediction.asked_for(one), here.get(one.name)) for one in felt],
         "why": dict(prediction.coupled),

@@ -131,6 +131,15 @@ class ContactStates:
         """How many of the states found were not judged, for want of time; 1 at least where more can occur."""
         return max(self._verdicts[1], int(not self.is_complete))
 
+    @property
+    def words(self) -> str:
+        """Where the verdict holds, in words that follow "stable" or "unstable"; "" where there is one state."""
+        if self.shaking is not None:
+            return f"while {self.shaking.state}"
+        if self.unjudged:
+            return "as its contacts are taken, not judged in every state of them"
+        return f"in all {self.count} states of its contacts" if self.count > 1 else ""
+
     def instead(self) -> dict[str, Linear]:
         """The links that cannot be as they are taken while those before them are, and how they are then."""
         found: dict[str, Linear] = {}
