@@ -22,9 +22,9 @@ from hapsim.prediction import (
     robustness_of,
 )
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
-from hapsim.prediction.shaking import MARGINAL
 from hapsim.prediction.timing import what_helps, wire_parts
 from hapsim.theory.interface import damper_named
+from hapsim.theory.network import SURELY
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -119,7 +119,7 @@ def _felt_table(felt: Felt, desired: Desired | None) -> Table:
 def margin_sentence(felt: Felt) -> str:
     """Returns how far one hand is from the stability limit."""
     if felt.stiffness == 0.0:
-        unstable = felt.spectral_radius > 1.0 + MARGINAL
+        unstable = felt.spectral_radius > SURELY
         return f"There is no stiffness to have a margin{_enough_damping(felt, '; stable is it') if unstable else ''}."
     if felt.stiffness_factor == 0.0:
         return f"At this damping no stiffness is stable{_enough_damping(felt, '; this one is')}."

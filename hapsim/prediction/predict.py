@@ -19,7 +19,7 @@ from hapsim.prediction.desired import Desired, desired_of
 from hapsim.prediction.felt import Felt, felt_by, swing
 from hapsim.prediction.linear import links_of, network_of, why_coupled
 from hapsim.prediction.link_margins import LinkMargin, least_margins, link_margins
-from hapsim.prediction.shaking import MARGINAL, Shaking
+from hapsim.prediction.shaking import Shaking
 from hapsim.prediction.stability import Judge, Region
 from hapsim.prediction.states import ContactStates
 from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
@@ -29,7 +29,7 @@ from hapsim.scene.part import Table
 from hapsim.scene.quantity import per_channel
 from hapsim.theory import Margins, Mode, Solution, margins_of
 from hapsim.theory.arrays import sort_by_modulus
-from hapsim.theory.network import ContinuousMode, continuous_modes, is_large
+from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large
 from hapsim.theory.network.network import is_centred
 
 _MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
@@ -175,7 +175,7 @@ class Prediction:
     @property
     def at_limit(self) -> bool:
         """Whether the scene is neither stable nor unstable: something drifts or swings for ever."""
-        return not self.stable and abs(self.spectral_radius - 1.0) < MARGINAL
+        return not self.stable and abs(self.spectral_radius - 1.0) < SURELY - 1.0
 
     @property
     def _by_formula(self) -> bool:

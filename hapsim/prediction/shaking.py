@@ -14,12 +14,8 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.linear import instead_of
 from hapsim.prediction.swings import Swing
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
-from hapsim.theory.network import LARGE, state_size, transition
+from hapsim.theory.network import LARGE, SURELY, state_size, transition
 
-SURELY = 1.0 + 1e-9
-"""What grows by more in a sample is not at the limit."""
-MARGINAL = 1e-9
-"""Of the spectral radius: a free motion, which rounding places on either side of 1."""
 _MANY_STATES = 40  # eigenvalues of fewer take one thread anyway
 _SQUARED = 24  # times at most: a motion that takes longer than 2^24 samples to die out is close to the limit
 _GONE = 0.1  # of a power's norm: below 1 all moduli are

@@ -20,10 +20,10 @@ import numpy as np
 from hapsim.prediction.characteristic import Characteristic, Piece
 from hapsim.prediction.felt import Felt
 from hapsim.prediction.linear import LinearLink
-from hapsim.prediction.shaking import SURELY, NetworkVerdict, Shaking, without_real
+from hapsim.prediction.shaking import NetworkVerdict, Shaking, without_real
 from hapsim.prediction.states import ContactStates
 from hapsim.prediction.swings import Place, Swing, swing_in
-from hapsim.theory.network import state_size
+from hapsim.theory.network import SURELY, state_size
 
 RegionKind = Literal["held", "free", "snap"]
 

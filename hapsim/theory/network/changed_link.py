@@ -10,11 +10,10 @@ from itertools import pairwise
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.network.modes import settled
+from hapsim.theory.network.modes import SURELY, settled
 from hapsim.theory.network.network import Network
 from hapsim.theory.sample import loop
 
-LIMIT = 1.0 + 1e-9  # a pole within it is not unstable: it may rest on 1, or never lose its energy
 FURTHER_THAN_ROUNDING = 1.001  # a pole outside of this radius is unstable, whatever rounding does
 SAME = 1e-9  # two factors closer than this are one
 STEPS = 10.0 ** np.concatenate([np.arange(0.04, 1.0, 0.04), np.arange(1.0, 10.0, 0.3)])  # of a search, from 1 on
@@ -43,9 +42,9 @@ class ChangedLink:
         if not np.isfinite(change).all():
             return False
         poles = np.asarray(1.0 + np.linalg.eigvals(change), complex)
-        if LIMIT < np.abs(poles).max(initial=0.0) < FURTHER_THAN_ROUNDING:
+        if SURELY < np.abs(poles).max(initial=0.0) < FURTHER_THAN_ROUNDING:
             poles = settled(changed, change, poles)
-        return bool(np.abs(poles).max(initial=0.0) <= LIMIT)
+        return bool(np.abs(poles).max(initial=0.0) <= SURELY)
 
     def ranges_between(self, crossings: Floats, unstable: bool) -> tuple[Range, ...]:
         """The ranges by one look between each two crossings, where stability does not change.

@@ -16,10 +16,11 @@ import numpy as np
 
 from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Complexes, Indices
-from hapsim.theory.network.changed_link import LIMIT, STEPS, ChangedLink, Range
+from hapsim.theory.network.changed_link import STEPS, ChangedLink, Range
 from hapsim.theory.network.crossings import Crossings
 from hapsim.theory.network.large_margins import margins_along_circle
 from hapsim.theory.network.large_modes import solve
+from hapsim.theory.network.modes import SURELY
 from hapsim.theory.network.network import Network, is_centred, margin_links, touches_channel
 from hapsim.theory.sample import state_size
 
@@ -86,7 +87,7 @@ def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
     if not np.isfinite(poles).all():
         unknown = [Margin(math.nan, math.nan)] * len(network.ends)
         return Margins(unknown, "none was worked out: the scene's numbers are out of range")
-    unstable = bool((np.abs(poles) > LIMIT).any())
+    unstable = bool((np.abs(poles) > SURELY).any())
     links = margin_links(network)
     touching = touches_channel(network, links)
     links = links[np.argsort(~touching, kind="stable")]

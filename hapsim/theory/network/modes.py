@@ -18,6 +18,8 @@ from hapsim.theory.sample import Sample, is_large, loop, step_of
 from hapsim.theory.schemes import SCHEMES
 
 NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion
+SURELY = 1.0 + 1e-9
+"""A motion that grows by more in a sample is not at the limit: it does not rest, nor swing for ever."""
 AT_THE_LIMIT = 1e-12  # a modulus this close to 1 is 1, to rounding
 MOST_DENSE = 150  # numbers of a state; above, sparse steps take less time
 SAME_AS_REST = 1e-4  # a double pole at 1 comes out of the eigenvalues this far off, at the worst
