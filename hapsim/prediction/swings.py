@@ -34,8 +34,9 @@ class Swing(NamedTuple):
     @property
     def sentence(self) -> str:
         """How far and how hard, in words that follow "swings by"."""
-        ways = [f"{number(1e6 * way, 3)}" for way in (self.least, self.most)]
-        return f"{' to '.join(dict.fromkeys(ways))} µm and up to {number(self.force, 2)} N"
+        scale, unit = (1e3, "mm") if self.most >= 1e-3 else (1e6, "µm")
+        ways = dict.fromkeys(number(scale * way, 3) for way in (self.least, self.most))
+        return f"{' to '.join(ways)} {unit} and up to {number(self.force, 2)} N"
 
 
 class Place(NamedTuple):

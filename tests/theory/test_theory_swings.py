@@ -83,6 +83,16 @@ def test_it_is_as_large_as_on_the_mock(seed: int) -> None:
     assert f"to a swing of {swing.sentence}" in shaking.sentence
 
 
+def test_a_knob_swings_by_an_angle(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    text = text_of([(-0.1, -0.05), (-0.01, -0.02), (0.0, 0.02), (0.1, 0.05)], 0.3)
+    file = tmp_path / "knob.yaml"
+    file.write_text(
+        text.replace("mass: 0.1", "mass: 5.0e-5\n  motion: rotary").replace("3.0", "0.002"), encoding="utf-8"
+    )
+    out = " ".join(hapsim("check", str(file)).out.split())
+    assert "Where it is unstable, hand swings by 47.8 to 48.1 mrad and up to 0.052 N·m" in out
+
+
 def test_a_wall_that_is_too_stiff_swings_as_far_as_the_force_limit_lets_it() -> None:
     """No pieces bound it but the force limit: a larger limit is a larger swing."""
     points = [(-0.1, -1000.0), (0.1, 1000.0)]
