@@ -108,6 +108,13 @@ def dampers_of(linear: LinearScene, name: str) -> dict[tuple[str, float | None],
     return {(module.damper, module.cutoff): link for link, module in links.items() if module.damping > 0.0}
 
 
+def mixes_dampers(scene: Scene, name: str) -> bool:
+    """Whether dampers of several kinds act at this device point, somewhere in its travel."""
+    links = (link for link in scene.links.values() if name in link.between and any(link.law().dampings))
+    kinds = ((link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None) for link in links)
+    return len({*kinds}) > 1
+
+
 def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
     """Why the hand at this device point is no oscillator of its own, in words that follow its name; "" where it is."""
     for link, module in links_of(linear, name).items():

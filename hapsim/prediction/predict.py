@@ -17,7 +17,7 @@ from hapsim.prediction.characteristic import Characteristic, Piece, characterist
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.desired import Desired, desired_of
 from hapsim.prediction.felt import Felt, felt_by, swing
-from hapsim.prediction.linear import links_of, network_of, why_coupled
+from hapsim.prediction.linear import links_of, mixes_dampers, network_of, why_coupled
 from hapsim.prediction.link_margins import LinkMargin, least_margins, link_margins
 from hapsim.prediction.shaking import Shaking
 from hapsim.prediction.stability import Judge, Region
@@ -105,15 +105,14 @@ class Prediction:
 
     @cached_property
     def _every_region(self) -> dict[str, tuple[Region, ...]]:
-        """Of each hand with links that are not the same everywhere, whether or not it feels that by one k and b."""
-        return {name: self.regions_of(name) for name in self._hands}
+        """Of each hand that is an oscillator of its own, with links that are not the same everywhere."""
+        return {name: self.regions_of(name) for name in self._hands if name not in self.coupled}
 
     @cached_property
     def regions(self) -> dict[str, tuple[Region, ...]]:
         """Of each of `felt` that feels different springs and dampers at different places; `felt` is that of one of
         them."""
-        every = self._every_region.items()
-        return {name: found for name, found in every if len(found) > 1 and name not in self.coupled}
+        return {name: found for name, found in self._every_region.items() if len(found) > 1}
 
     @cached_property
     def here(self) -> dict[str, Piece]:
@@ -139,7 +138,8 @@ class Prediction:
     def judge(self) -> Judge:
         """Who says whether the scene is stable."""
         loose = tuple(felt for felt in self._lone if not felt.stable and not self._is_held(felt.name))
-        return Judge(self._network, self.points, self.is_lone, self._every_region, loose, self.states)
+        regions = {name: one for name, one in self._every_region.items() if not mixes_dampers(self._seen, name)}
+        return Judge(self._network, self.points, self.is_lone, regions, loose, self.states)
 
     @property
     def _solution(self) -> Solution:
@@ -186,7 +186,7 @@ class Prediction:
     def spectral_radius(self) -> float:
         """The largest modulus of a pole, wherever the hands are."""
         radius = max(one.spectral_radius for one in self._lone) if self._by_formula else self._solution.spectral_radius
-        grown = [one.growth for regions in self.regions.values() for one in regions]
+        grown = [one.growth for regions in self.judge.regions.values() for one in regions]
         return max([radius, *grown, *(one.growth for one in self.states.growing)])
 
     @cached_property

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
@@ -65,9 +65,19 @@ class Region:
 
     @property
     def is_plain(self) -> bool:
-        """Whether the links are simulated as they are written, for the state that is read."""
-        as_written = self.felt.stiffness, self.felt.damping
-        return self.felt.predictor is None and as_written == (self.piece.stiffness, self.piece.damping)
+        """Whether the links are simulated as they are written, for the state that is read, and none is dry friction."""
+        is_dry = any(math.isfinite(link.law.reach) for link in self.hand.links.values())
+        as_written = (self.felt.stiffness, self.felt.damping) == (self.piece.stiffness, self.piece.damping)
+        return self.felt.predictor is None and as_written and not is_dry
+
+    @property
+    def pressed_place(self) -> float:
+        """m: its place, or one nearer to it where half of the force limit presses the hand; friction sticks."""
+        slope, most = self.piece.stiffness + self.felt.configuration.stiffness, 0.5 * self.hand.force_limit
+        if slope == 0.0 or self.piece.is_curved or abs(self.force) <= most:
+            return self.piece.place
+        low, high = self.piece.within
+        return min(max(self.piece.place + (math.copysign(most, self.force) - self.force) / slope, low), high)
 
     @property
     def force(self) -> float:
@@ -88,7 +98,7 @@ class Region:
 def _swing(regions: Sequence[Region]) -> Swing | None:
     if not all(one.is_plain for one in regions):
         return None
-    places = [Place(one.piece.place, one.piece.high - one.piece.low, one.growth) for one in regions]
+    places = [Place(one.pressed_place, one.piece.high - one.piece.low, one.growth) for one in regions]
     return swing_in(regions[0].hand, regions[0].felt.configuration, places)
 
 
@@ -113,6 +123,7 @@ class Judge(NetworkVerdict):
     regions: Mapping[str, tuple[Region, ...]]
     loose: tuple[Felt, ...]
     states: ContactStates
+    _found: dict[str, Swing | None] = field(default_factory=dict, init=False)
 
     @cached_property
     def is_stable_as_taken(self) -> bool:
@@ -130,37 +141,48 @@ class Judge(NetworkVerdict):
     @cached_property
     def shaking(self) -> Shaking | None:
         """What will surely shake a hand; None where nothing does, or it is not sure."""
-        if self._shaken_hand or self.is_lone:
+        if self._shaken_hand is not None:
             return self._shaken_hand
-        return self.shaken_by_network() or self.states.shaking
+        return (None if self.is_lone else self.shaken_by_network()) or self.states.shaking
 
     def is_soon_stable(self, most_states: int) -> bool:
         """Whether `shaking` is None, where that is found without poles of a network, nor squares of a transition with
         more than `most_states` rows. False says nothing."""
         is_quick = self.is_lone or state_size(self.network) <= most_states
-        if not is_quick or self._shaken_hand is not None:
+        if not is_quick or self._unstable or self._shaken_hand is not None:
             return False
-        return self.is_lone or (self.dies_out and self.states.shaking is None)
+        return (self.is_lone or self.dies_out) and self.states.shaking is None
+
+    @cached_property
+    def _unstable(self) -> dict[str, list[Region]]:
+        """The regions of each hand that surely shake it, where there are any."""
+        shaken = {name: [one for one in every if one.growth > SURELY] for name, every in self.regions.items()}
+        return {name: every for name, every in shaken.items() if every}
 
     @cached_property
     def swings(self) -> dict[str, Swing | None]:
         """Of each hand that its regions shake, how far it swings there; None where that was not found."""
-        shaken = {name: [one for one in every if one.growth > SURELY] for name, every in self.regions.items()}
-        return {name: _swing(every) for name, every in shaken.items() if every}
+        return {name: self.swing_of(name) for name in self._unstable}
+
+    def swing_of(self, name: str) -> Swing | None:
+        """Of one of these."""
+        if name not in self._found:
+            self._found[name] = _swing(self._unstable[name])
+        return self._found[name]
 
     def is_unnoticed(self, name: str) -> bool:
         """Whether the hand at this device point swings by less than a count, and by next to no force."""
-        swing, hand = self.swings.get(name), self.regions[name][0].hand
+        swing, hand = self.swing_of(name), self.regions[name][0].hand
         return swing is not None and swing.most < hand.count and swing.force < _NOTICED * hand.force_limit
 
     @cached_property
     def _shaken_hand(self) -> Shaking | None:
         """The first hand that is shaken in one of its regions; of a scene of lone hands alone, the one shaken most."""
-        for name, regions in self.regions.items():
+        for name, regions in self._unstable.items():
             worst = max(regions, key=lambda region: region.growth)
-            if worst.growth > SURELY and not self.is_unnoticed(name):
+            if not self.is_unnoticed(name):
                 where = max(worst.linear, key=lambda at: worst.linear[at].stiffness)
-                return Shaking(worst.growth, f"{name} in {where}", swing=self.swings[name])
+                return Shaking(worst.growth, f"{name} in {where}", swing=self.swing_of(name))
         off = [Shaking(felt.spectral_radius, felt.name) for felt in self.loose] if self.is_lone else []
         if off and math.isnan(self.solved[1].spectral_radius):
             return Shaking(math.inf, "")

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.laws import Law, Linear
-from hapsim.prediction.linear import LinearScene, links_of
+from hapsim.prediction.linear import LinearScene, mixes_dampers, why_coupled
 from hapsim.prediction.shaking import NetworkVerdict, Shaking
 from hapsim.scene import Scene
 from hapsim.theory import Network
@@ -30,9 +30,11 @@ from hapsim.theory.rows import stretches_of
 MOST_STATES = 1024
 """Looked for in a part of the scene."""
 _WORK = 4e8  # cubes of sizes of states: half a second on one core
+_OF_STATE = 4e5  # of one of which nothing has to be worked out
 _OF_EACH = 90.0  # as if there were so many more numbers: what does not grow with them
 _OF_LARGE = 1.6e5  # times the size of a large one
 _FIXED = "."  # whatever stays where it is; no point is called so
+_MOST_CONTACTS = 64  # of a part
 _MEETS = 1e-12  # m: what overlaps by less does not
 
 
@@ -90,8 +92,8 @@ class ContactStates:
     def __init__(self, scene: Scene, linear: LinearScene, network: Network, points: tuple[str, ...]) -> None:
         """`linear`, `network`, `points`: the scene as it is taken."""
         self._network, self._points, self._links = network, points, linear.links
-        hands = {name: links_of(linear, name).values() for name in scene.device_points}
-        alone = {name for name, links in hands.items() if all({*one.between} - linear.fixed == {name} for one in links)}
+        hands = (name for name in scene.device_points if not why_coupled(scene, linear, name))
+        alone = {name for name in hands if not mixes_dampers(scene, name)}
         self._ends = dict(zip(linear.links, network.ends.tolist(), strict=False))
         moving = (name for name, (first, second) in self._ends.items() if first != second)  # not two grounds, -1
         own = (name for name in moving if not {*linear.links[name].between} & alone)
@@ -107,7 +109,10 @@ class ContactStates:
         for name in options:
             names_of.setdefault(int(part[max(self._ends[name])]), []).append(name)
         for names in names_of.values():
-            found = list(islice(self._possible(names, self._reach.apart), MOST_STATES + 1))
+            found: list[State] = []
+            if len(names) <= _MOST_CONTACTS:
+                found += islice(self._possible(names, self._reach.apart), MOST_STATES + 1)
+            self.is_complete &= len(names) <= _MOST_CONTACTS
             self.is_complete &= len(found) <= MOST_STATES
             self.parts.append(found[:MOST_STATES])
 
@@ -138,7 +143,7 @@ class ContactStates:
             return f"while {self.shaking.state}"
         if self.unjudged:
             return "as its contacts are taken, not judged in every state of them"
-        return f"in all {self.count} states of its contacts" if self.count > 1 else ""
+        return f"in all {self.count} states of its contacts; bounces are not judged" if self.count > 1 else ""
 
     def instead(self) -> dict[str, Linear]:
         """The links that cannot be as they are taken while those before them are, and how they are then."""
@@ -179,8 +184,9 @@ class ContactStates:
         for state in (one for part in self.parts for one in part):
             if all(self._is_taken(name, option) for name, option in state.items()):
                 continue
-            is_judged = True
-            for blocks, names in self._joined(state):
+            left -= _OF_STATE
+            is_judged = left > 0.0 and all(math.isfinite(option.linear.stiffness) for option in state.values())
+            for blocks, names in self._joined(state) if is_judged else ():
                 key = blocks, tuple((name, state[name].linear) for name in names if state[name].acts)
                 if key in verdicts:
                     continue
@@ -270,22 +276,36 @@ class _Reach:
         self, scene: Scene, linear: LinearScene, contacts: Collection[str]
     ) -> Iterator[tuple[str, str, float, float]]:
         """Two points, and between which distances from where they begin to each other they stay, m."""
-        for name, point in scene.device_points.items():
-            low, high = scene.device.travels(scene.channels)[point.channel]
+        for name, hand in scene.device_points.items():
+            low, high = scene.device.travels(scene.channels)[hand.channel]
             begins = self._begins[name]
             yield name, _FIXED, low - begins, high - begins
+        fast = {name: (abs(point.start()[1]), point.mass) for name, point in scene.material_points.items()}
         springs = [(link, self._stretch(link.between)) for name, link in linear.links.items() if name not in contacts]
-        springs += [(link, _stretch_of_own(scene, link.between[0])) for link in linear.inner]
+        springs += [(link, self._stretch_inside(scene, linear, link.between)) for link in linear.inner]
         for link, stretch in springs:
             first, second = (_FIXED if end in linear.fixed else end for end in link.between)
-            if link.stiffness > 0.0 and first != second:
-                way = 2.0 * (scene.device.force_limit / link.stiffness + abs(stretch))
+            # A hand goes where it likes: what ties a mass to it says nothing of where that is.
+            if link.stiffness > 0.0 and first != second and not {first, second} & scene.device_points.keys():
+                speeds = (fast.get(end, (0.0, 0.0)) for end in link.between)
+                swung = sum(v * math.sqrt(m / link.stiffness) for v, m in speeds)
+                way = 2.0 * (scene.device.force_limit / link.stiffness + abs(stretch) + swung)
                 yield first, second, -way, way
 
     def _stretch(self, between: tuple[str, str]) -> float:
         """m, where the scene begins."""
         first, second = between
         return self._begins[first] - self._begins[second]
+
+    def _stretch_inside(self, scene: Scene, linear: LinearScene, between: tuple[str, str]) -> float:
+        """m, of what is inside a structure, or holds a point by itself, where the scene begins."""
+        if not {*between} & linear.fixed:
+            return self._stretch(between)
+        name = next(end for end in between if end not in linear.fixed)
+        point = scene.material_points.get(name)
+        held = None if point is None else point.held_by()
+        rest = scene.structures[name.partition(".")[0]].position if point is None else self._begins[name]
+        return self._begins[name] - (rest if held is None else held.rest)
 
     def met(self, between: tuple[str, str], options: tuple[Option, ...]) -> tuple[Option, ...]:
         """These without those for which the ends have to meet, where they cannot."""
@@ -314,15 +334,8 @@ def _beginnings(scene: Scene) -> dict[str, float]:
     found |= {name: mass.start()[0] for name, mass in scene.material_points.items()}
     for name, structure in scene.structures.items():
         places = (f"{name}.{place}" for place in structure.point_names())
-        found |= dict.fromkeys(places, structure.position)
+        found |= dict(zip(places, structure.initial_positions(), strict=True))
     return found
-
-
-def _stretch_of_own(scene: Scene, name: str) -> float:
-    """m, by which what holds this point by itself is stretched where the scene begins."""
-    point = scene.material_points.get(name)
-    held = None if point is None else point.held_by()
-    return 0.0 if point is None or held is None else point.start()[0] - held.rest
 
 
 def _least_ways(near: dict[str, list[tuple[str, float]]], start: str) -> dict[str, float]:

@@ -15,7 +15,7 @@ from hapsim.theory import Configuration
 from hapsim.theory.arrays import Floats
 
 _PLACES = 32  # of all unstable regions
-_KICKS = (0.1, 1.0, 10.0)  # of a region's width
+_KICKS = (-10.0, -1.0, -0.1, 0.1, 1.0, 10.0)  # of a region's width
 _WIDE = 1e-3  # m: of a region that has no end
 _GROWN = 20.0  # e-folds, after which a kick has become what it can
 _MOST_SAMPLES = 4000
@@ -29,14 +29,14 @@ class Swing(NamedTuple):
     """m, of the kicks tried."""
     most: float
     force: float
-    """N, at the most."""
+    """N, at the most from end to end."""
 
     @property
     def sentence(self) -> str:
         """How far and how hard, in words that follow "swings by"."""
         scale, unit = (1e3, "mm") if self.most >= 1e-3 else (1e6, "µm")
         ways = dict.fromkeys(number(scale * way, 3) for way in (self.least, self.most))
-        return f"{' to '.join(ways)} {unit} and up to {number(self.force, 2)} N"
+        return f"{' to '.join(ways)} {unit} and up to {number(self.force, 2)} N from end to end"
 
 
 class Place(NamedTuple):
@@ -49,17 +49,23 @@ class Place(NamedTuple):
 
 
 def swing_in(hand: Characteristic, loop: Configuration, places: Sequence[Place]) -> Swing | None:
-    """The largest of the hand's at these places, none of which is stable; None where it still grew at the end."""
+    """The largest of the hand's at these places, none of which is stable. None where it still grew at the end, where
+    the hand left its travel or came to rest though each place drives it off, and where all are beyond the force limit."""
+    # Beyond the force limit the force is constant there, and drives nothing.
+    places = [one for one in places if abs(float(_force(hand, np.array([one.at]), np.zeros(1))[0])) <= hand.force_limit]
+    if not places:
+        return None
     slowest = min(math.log(one.growth) for one in places)
     samples = int(min(_GROWN / slowest, _MOST_SAMPLES)) // 4 * 4 + 8
     every = places[:: -(-len(places) // _PLACES)]
     at = np.repeat([one.at for one in every], len(_KICKS))
     kicks = np.outer([one.width if math.isfinite(one.width) else _WIDE for one in every], _KICKS).ravel()
     with np.errstate(all="ignore"):
-        ways, forces = _ends(hand, loop, at, kicks, samples)
+        ways, forces, stays = _ends(hand, loop, at, kicks, samples)
     before, after = ways.reshape(2, -1, len(_KICKS))
     still = after > _STEADY * before
-    if not np.isfinite(ways).all() or still[:, -1].any():  # a larger swing that is steady bounds one that grows
+    # A larger swing that is steady bounds one that grows.
+    if not np.isfinite(ways).all() or not stays or still[:, [0, -1]].any() or after.max() < np.abs(kicks).min():
         return None
     worst = np.unravel_index(after.argmax(), after.shape)[0]
     steady = after[worst][~still[worst]]
@@ -68,13 +74,14 @@ def swing_in(hand: Characteristic, loop: Configuration, places: Sequence[Place])
 
 def _ends(
     hand: Characteristic, configuration: Configuration, at: Floats, kicks: Floats, samples: int
-) -> tuple[Floats, Floats]:
-    """(2, n): m, from end to end in the last two quarters; (n,): N, in the last."""
+) -> tuple[Floats, Floats, bool]:
+    """(2, n): m, from end to end in the last two quarters; (n,): N, in the last; whether the hand stayed within its
+    travel."""
     loop, limit = configuration.normalised_loop, hand.force_limit
     state = np.zeros((len(loop.change), at.size))
     state[loop.moving[0]] = kicks
     held = np.clip(_force(hand, at, 0.0 * at), -limit, limit)
-    ends = []
+    ends, stays = [], True
     for quarter in range(4):
         low, high, weak, strong = (sign * np.full(at.size, np.inf) for sign in (1.0, -1.0, 1.0, -1.0))
         for _ in range(samples // 4):
@@ -84,12 +91,13 @@ def _ends(
             if quarter >= 2:
                 low, high = np.minimum(low, away), np.maximum(high, away)
                 weak, strong = np.minimum(weak, force), np.maximum(strong, force)
+            stays &= bool(((at + away >= hand.low) & (at + away <= hand.high)).all())
         ends.append((high - low, strong - weak))
-    return np.array([ends[2][0], ends[3][0]]), ends[3][1]
+    return np.array([ends[2][0], ends[3][0]]), ends[3][1], stays
 
 
 def _force(hand: Characteristic, x: Floats, speed: Floats) -> Floats:
-    """N, of the links; where dry friction sticks, without it."""
+    """N, of the links."""
     force = 0.0 * x
     for link in hand.links.values():
         law, d = link.law, link.distance(x)

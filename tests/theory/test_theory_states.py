@@ -195,3 +195,42 @@ def test_masses_that_are_said_not_to_grow_have_no_pole_outside_of_the_circle(see
     stiff = Network(1.0 / step, none, none, 1.0, "zoh", "ideal", mass, [[0, -1]], [4.1 * mass[0] / step**2], [0.0])
     assert not never_grows(stiff)
     assert np.abs(poles_of(stiff)).max() > 1.0
+
+
+def test_what_moves_where_the_scene_begins_reaches_further() -> None:
+    """A ball that flies at 1 m/s on 3000 N/m gets 2.6 mm further than the 6.7 mm of twice the force limit."""
+    wall = {"stop": {"type": "ground", "position": 0.01}}
+    ball = {"type": "cell", "mass": 0.02, "stiffness": 3000.0, "damping": 0.05}
+    bump = {"type": "buffer", "between": ["stop", "ball"], "stiffness": 1000.0, "distance": 0.001}
+    hold = {"type": "viscoelastic", "between": ["hand", "ball"], "stiffness": 500.0, "damping": 0.1}
+    links = wall | {"bump": bump, "hold": hold}
+    assert found(predicted(links | {"ball": ball})) == {"apart"}
+    assert found(predicted(links | {"ball": ball | {"velocity": 1.0}})) == {"touched", "apart"}
+    assert found(predicted(links | {"ball": ball | {"position": 0.003}})) == {"touched", "apart"}
+
+
+def test_a_mass_that_a_spring_ties_to_the_hand_gets_wherever_the_hand_does() -> None:
+    ball = {"type": "mass", "mass": 0.02}
+    bump = {"type": "buffer", "between": ["ball", "wall"], "stiffness": 1000.0, "distance": -0.5}
+    hold = {"type": "viscoelastic", "between": ["hand", "ball"], "stiffness": 5000.0, "damping": 0.1}
+    assert found(predicted({"ball": ball, "bump": bump, "hold": hold})) == {"touched", "apart"}
+
+
+def test_a_hand_with_dampers_of_two_kinds_is_judged_by_the_network_in_each_state() -> None:
+    """Its stop, with the backward damper that it has, is too stiff; with the sensed one of its spring it is not."""
+    spring = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 300.0, "damping": 2.0}
+    stop = {"type": "buffer", "between": ["wall", "hand"], "stiffness": 20000.0, "damping": 150.0, "distance": -0.005}
+    prediction = predicted({"spring": spring | {"damper": "sensed"}, "stop": stop})
+    assert not prediction.judge.regions
+    assert prediction.judge.shaking is not None
+    calm = predicted({"spring": spring | {"damper": "sensed"}, "stop": stop | {"stiffness": 2000.0, "damping": 10.0}})
+    assert calm.stable
+    assert found(calm) == {"touched", "apart"}
+
+
+def test_contacts_by_the_thousand_are_not_judged_and_take_no_time() -> None:
+    stops = {f"stop{i}": {"type": "ground", "position": 0.01 * i} for i in range(1100)}
+    bumps = {f"bump{i}": {"type": "buffer", "between": ["ball", f"stop{i}"], "stiffness": 1.0} for i in range(1100)}
+    prediction = predicted({"ball": {"type": "cell", "mass": 1.0, "stiffness": 100.0}} | stops | bumps)
+    assert not prediction.states.is_complete
+    assert not prediction.stable

