@@ -52,7 +52,8 @@ def swing_in(hand: Characteristic, loop: Configuration, places: Sequence[Place])
     """The largest of the hand's at these places, none of which is stable. None where it still grew at the end, where
     the hand left its travel or came to rest though each place drives it off, and where all are beyond the force limit."""
     # Beyond the force limit the force is constant there, and drives nothing.
-    places = [one for one in places if abs(float(_force(hand, np.array([one.at]), np.zeros(1))[0])) <= hand.force_limit]
+    presses = np.abs(_force(hand, np.array([one.at for one in places]), np.zeros(len(places))))
+    places = [one for one, press in zip(places, presses, strict=True) if press <= hand.force_limit]
     if not places:
         return None
     slowest = min(math.log(one.growth) for one in places)
