@@ -49,8 +49,11 @@ class Place(NamedTuple):
 
 
 def swing_in(hand: Characteristic, loop: Configuration, places: Sequence[Place]) -> Swing | None:
-    """The largest of the hand's at these places, none of which is stable. None where it still grew at the end, where
-    the hand left its travel or came to rest though each place drives it off, and where all are beyond the force limit."""
+    """The largest of the hand's at these places, none of which is stable.
+
+    None where it still grew at the end, where the hand left its travel or came to rest though each place drives it off,
+    and where all places are beyond the force limit.
+    """
     # Beyond the force limit the force is constant there, and drives nothing.
     presses = np.abs(_force(hand, np.array([one.at for one in places]), np.zeros(len(places))))
     places = [one for one, press in zip(places, presses, strict=True) if press <= hand.force_limit]
