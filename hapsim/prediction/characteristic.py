@@ -189,7 +189,9 @@ class Characteristic:
             ends = float(self.force(low)), float(self.force(high))
             return float(brentq(self.force, low, high, xtol=1e-15)) if ends[0] * ends[1] < 0.0 else None
         inner = _within(low, high)
-        slope = self._slope(inner)
+        # Dry friction that sticks has no force where it has come to rest, and so no part in where that is.
+        springs = (one for one in self.links.values() if math.isinf(one.law.reach))
+        slope = self.own_stiffness + math.fsum(one.law.slope(float(one.distance(inner))) for one in springs)
         x = inner - float(self.force(inner)) / slope if slope else math.nan
         near = _ALIKE * max(abs(low) if math.isfinite(low) else 0.0, abs(high) if math.isfinite(high) else 0.0)
         return min(max(x, low), high) if low - near <= x <= high + near else None

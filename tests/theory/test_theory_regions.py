@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from typing import Any
 
@@ -151,6 +152,20 @@ def test_where_nothing_is_said_the_hand_is_where_it_rests_and_at_a_corner_in_the
     assert len(predict(parse_scene(KNOB.format(travel="", links=straight))).regions["hand"]) == 3
     both = f"{wall}\n  soft: {{type: spring, between: [hand, wall], stiffness: 200}}"
     assert predict(parse_scene(KNOB.format(travel="", links=both)), at=0.0).felt[0].stiffness == 1700.0
+
+
+def test_friction_that_sticks_does_not_move_the_place_where_a_hand_rests() -> None:
+    """A spring of 300 N/m rests at 0; a bristle of 800 N/m beside it and a stop 5 mm away change nothing there."""
+    links: dict[str, Any] = {
+        "spring": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 300.0, "damping": 1.0},
+        "rub": {"type": "friction", "between": ["hand", "wall"], "force": 1.0, "stiffness": 800.0},
+        "stop": {"type": "buffer", "between": ["hand", "wall"], "stiffness": 1500.0, "distance": -0.005},
+    }
+    modules = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}} | links
+    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"}
+    scene = parse_scene(json.dumps({"version": 1, "rate": 1000, "device": device, "modules": modules}))
+    piece = predict(scene, with_margins=False).here["hand"]
+    assert (piece.place, piece.states["stop"]) == (0.0, "apart")
 
 
 def test_a_stiff_stop_that_shakes_the_hand_makes_the_scene_unstable_wherever_the_hand_is() -> None:
