@@ -47,6 +47,8 @@ class Option(NamedTuple):
     high: float = math.inf
     through: bool = False
     """Whether its ends have to meet before."""
+    moved: float = 0.0
+    """By how much its ends have to move before, m."""
 
     @property
     def acts(self) -> bool:
@@ -59,7 +61,7 @@ def options_of(law: Law) -> tuple[Option, ...]:
     here = law.linear()
     pieces = [(piece, here._replace(stiffness=piece.slope, damping=piece.damping)) for piece in law.pieces]
     if math.isfinite(law.reach):
-        return Option("stuck", here), Option("sliding", here._replace(stiffness=0.0, damping=0.0))
+        return Option("stuck", here), Option("sliding", here._replace(stiffness=0.0, damping=0.0), moved=law.reach)
     if law.grips:
         (_, gripping, _), edge = pieces, law.edges[-1]
         free = here._replace(stiffness=0.0, damping=0.0)
@@ -308,8 +310,10 @@ class _Reach:
         return self._begins[name] - (rest if held is None else held.rest)
 
     def met(self, between: tuple[str, str], options: tuple[Option, ...]) -> tuple[Option, ...]:
-        """These without those for which the ends have to meet, where they cannot."""
+        """These without those for which the ends have to meet, or to move by more, where they cannot."""
         begins = self._stretch(between)
+        i, j = (self._index.get(end, len(self._index) - 1) for end in between)
+        options = tuple(one for one in options if one.moved <= self.apart[i, j] + self.apart[j, i])
         meet = self.limited(self.apart, between, Option("", Linear(0.0, 0.0), -2.0 * _MEETS, 2.0 * _MEETS)) is not None
         return tuple(one for one in options if not one.through or meet or one.low <= begins <= one.high)
 

@@ -234,3 +234,12 @@ def test_contacts_by_the_thousand_are_not_judged_and_take_no_time() -> None:
     prediction = predicted({"ball": {"type": "cell", "mass": 1.0, "stiffness": 100.0}} | stops | bumps)
     assert not prediction.states.is_complete
     assert not prediction.stable
+
+
+def test_friction_slides_where_its_ends_get_further_than_its_bristle_reaches() -> None:
+    """A cell on 1000 N/m gets 20 mm to each side by twice the force limit."""
+    cell = {"cell": {"type": "cell", "mass": 0.1, "stiffness": 1000.0, "damping": 0.5}}
+    hold = {"type": "viscoelastic", "between": ["hand", "cell"], "stiffness": 500.0, "damping": 0.5}
+    rub = {"type": "friction", "between": ["cell", "wall"], "force": 1.0, "damping": 0.1}
+    for stiffness, states in ((20.0, {"stuck"}), (30.0, {"stuck", "sliding"})):
+        assert found(predicted(cell | {"hold": hold, "rub": rub | {"stiffness": stiffness}})) == states
