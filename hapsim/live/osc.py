@@ -17,6 +17,7 @@ from hapsim.errors import HapsimError, UsageError
 from hapsim.live.access import Address, ip_of
 from hapsim.live.hub import Hub
 from hapsim.live.osc_packets import Argument, Received, bundles_of, is_pattern, matches, messages_of, packet_of, shown
+from hapsim.live.sockets import free_port
 from hapsim.running.parameters import Parameter
 from hapsim.running.state import Event
 
@@ -55,10 +56,9 @@ class OscView(asyncio.DatagramProtocol):
     async def start(self, loop: asyncio.AbstractEventLoop) -> None:
         """Begins to listen. Raises UsageError where the port is taken."""
         self.loop = loop
+        port = self.address.port or free_port(self.address, "--osc")  # OSCQuery listens there, too
         try:
-            self._transport, _ = await loop.create_datagram_endpoint(
-                lambda: self, local_addr=(self.address.ip, self.address.port)
-            )
+            self._transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=(self.address.ip, port))
         except OSError as error:
             raise UsageError(
                 f"--osc: {self.address} cannot be listened to: {os.strerror(error.errno or 0)}; name another address, "

@@ -109,6 +109,12 @@ def _limited_connection() -> type[Any]:
     return Limited
 
 
+def free_port(address: Address, option: str) -> int:
+    """A port at which nothing is connected by TCP. Raises UsageError as `serve_at`."""
+    with _listening(address, option) as listening:
+        return int(listening.getsockname()[1])
+
+
 def _listening(address: Address, option: str) -> socket.socket:
     family = socket.AF_INET6 if ":" in address.ip else socket.AF_INET
     try:

@@ -12,7 +12,7 @@ import struct
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from live_clients import Client, Served, serving
@@ -31,10 +31,19 @@ from hapsim.live.web import MOST_CLIENTS, WebView
 LOOPBACK, ANYWHERE = (address_of("--serve-at", text, 7470) for text in (None, "0.0.0.0"))
 
 
-def ask(served: Served, path: str, **headers: str) -> http.client.HTTPResponse:
+class Said(NamedTuple):
+    """What a server answered to a GET."""
+
+    status: int
+    headers: http.client.HTTPMessage
+    body: bytes
+
+
+def ask(served: Served, path: str, **headers: str) -> Said:
     connection = http.client.HTTPConnection("127.0.0.1", served.view.address.port, timeout=30)
     connection.request("GET", path, headers={"Host": f"localhost:{served.view.address.port}", **headers})
-    return connection.getresponse()
+    with contextlib.closing(connection), connection.getresponse() as response:
+        return Said(response.status, response.headers, response.read())
 
 
 @pytest.mark.parametrize(
@@ -102,7 +111,7 @@ def test_a_page_from_elsewhere_gets_nothing(shared: Served) -> None:
     for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}):
         answer = ask(shared, "/", **headers)
         assert answer.status == 403
-        assert b"expected" in answer.read()
+        assert b"expected" in answer.body
     for options in ({"origin": "http://evil.example"}, {"origin": None}):
         with pytest.raises(InvalidStatus, match="403"), shared.client(**options):
             pass
@@ -112,8 +121,8 @@ def test_the_page_is_served_and_nothing_beside_it(shared: Served) -> None:
     page, found = ask(shared, "/"), ask(shared, "/schema.json")
     assert page.headers["Content-Type"] == "text/html; charset=utf-8"
     assert "default-src 'self'" in page.headers["Content-Security-Policy"]
-    assert b"hapsim" in page.read()
-    assert json.loads(found.read())["title"] == "Messages of a running hapsim"
+    assert b"hapsim" in page.body
+    assert json.loads(found.body)["title"] == "Messages of a running hapsim"
     for path in ("/../server.py", "/%2e%2e/server.py", "//etc/passwd", "/page", "/\0", "/["):
         assert ask(shared, path.replace("\0", "%00")).status == 404
 
@@ -188,7 +197,8 @@ def gone(connections: list[socket.socket]) -> int:
 def status(port: int, path: str, source: str) -> int:
     asking = http.client.HTTPConnection("127.0.0.1", port, 30, source_address=(source, 0))
     asking.request("GET", path, headers={"Host": f"127.0.0.1:{port}"})
-    return asking.getresponse().status
+    with contextlib.closing(asking), asking.getresponse() as response:
+        return response.status
 
 
 @pytest.mark.parametrize("from_where", ["127.0.0.1", "127.0.0.8", "127.0.0.9"])
