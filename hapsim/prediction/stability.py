@@ -3,8 +3,10 @@
 A scene shakes the hand where a motion grows by more than rounding in a sample. Hands whose links all end on grounds are
 judged by the formula of one hand, which resolves poles that rounding would place on the circle: in every region of
 their travel (contacts, tables, detents, friction that sticks), without the pole that a snap or a free hand has by
-itself. Whatever moves masses or other hands is judged by the poles of the whole network. What is neither stable nor
-shakes is at the limit, or was not worked out for the scheme by which the scene runs: no reason to refuse it.
+itself. Where such a region shakes a hand by less than a count and by next to no force, the scene may run. Whatever
+moves masses or other hands is judged by the poles of the network, in every state that its contacts can be in
+(`states.py`). What is neither stable nor shakes is at the limit, or was not worked out for the scheme by which the
+scene runs, or has more states than were judged: no reason to refuse it.
 """
 
 from __future__ import annotations

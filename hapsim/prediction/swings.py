@@ -14,7 +14,7 @@ from hapsim.prediction.characteristic import Characteristic
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Floats
 
-_PLACES = 32  # of all unstable regions
+_PLACES = 256  # at most, of all unstable regions
 _KICKS = (-10.0, -1.0, -0.1, 0.1, 1.0, 10.0)  # of a region's width
 _WIDE = 1e-3  # m: of a region that has no end
 _GROWN = 20.0  # e-folds, after which a kick has become what it can
@@ -51,8 +51,8 @@ class Place(NamedTuple):
 def swing_in(hand: Characteristic, loop: Configuration, places: Sequence[Place]) -> Swing | None:
     """The largest of the hand's at these places, none of which is stable.
 
-    None where it still grew at the end, where the hand left its travel or came to rest though each place drives it off,
-    and where all places are beyond the force limit.
+    None where it still grew at the end or grows too slowly to tell, where the hand left its travel or came to rest
+    though each place drives it off, and where all places are beyond the force limit.
     """
     # Beyond the force limit the force is constant there, and drives nothing.
     presses = np.abs(_force(hand, np.array([one.at for one in places]), np.zeros(len(places))))
@@ -61,6 +61,8 @@ def swing_in(hand: Characteristic, loop: Configuration, places: Sequence[Place])
         return None
     slowest = min(math.log(one.growth) for one in places)
     samples = int(min(_GROWN / slowest, _MOST_SAMPLES)) // 4 * 4 + 8
+    if slowest * (samples // 4) < 2.0 * math.log(_STEADY):
+        return None
     every = places[:: -(-len(places) // _PLACES)]
     at = np.repeat([one.at for one in every], len(_KICKS))
     kicks = np.outer([one.width if math.isfinite(one.width) else _WIDE for one in every], _KICKS).ravel()

@@ -113,6 +113,19 @@ def test_a_stop_far_beyond_the_force_limit_is_refused() -> None:
     assert surely_shaken_by(scene) is not None
 
 
+def test_what_grows_slowly_in_many_narrow_pieces_is_not_taken_for_a_small_swing() -> None:
+    """100 pieces of 1 µm, each hardly too stiff (an e-fold in 50 s) and none like the next; a count is 0.1 mm."""
+    limit = float(predict(scene_of([(-1.0, -1000.0), (1.0, 1000.0)])).felt[0].configuration.stable_stiffness(0.0)[1])
+    slopes = limit * (1.002 + 1e-5 * np.arange(100))
+    x = np.linspace(-5e-5, 5e-5, 101)
+    force = np.concatenate([[0.0], np.cumsum(slopes * np.diff(x))])
+    scene = scene_of(list(zip(x.tolist(), (force - force.mean()).tolist(), strict=True)), quantum=1e-4)
+    prediction = predict(scene, with_margins=False)
+    assert 1.0 < prediction.spectral_radius < 1.0001
+    assert prediction.judge.swings == {"hand": None}
+    assert surely_shaken_by(scene) is not None
+
+
 def test_with_dry_friction_no_swing_is_stated_and_the_scene_is_refused() -> None:
     document = yaml.safe_load(text_of([(-1.0, -12000.0), (1.0, 12000.0)]))
     document["modules"]["rub"] = {"type": "friction", "between": ["hand", "wall"], "force": 1.0, "stiffness": 1000.0}
