@@ -243,3 +243,19 @@ def test_friction_slides_where_its_ends_get_further_than_its_bristle_reaches() -
     rub = {"type": "friction", "between": ["cell", "wall"], "force": 1.0, "damping": 0.1}
     for stiffness, states in ((20.0, {"stuck"}), (30.0, {"stuck", "sliding"})):
         assert found(predicted(cell | {"hold": hold, "rub": rub | {"stiffness": stiffness}})) == states
+
+
+def test_a_snap_drives_a_mass_on_and_is_no_instability_but_what_grows_faster_is() -> None:
+    """A scraper's tip on ridges: between two it is driven on, at some 1.2 per sample."""
+    modules = {
+        "tip": {"type": "mass", "mass": 0.01},
+        "gourd": {"type": "cell", "mass": 0.05, "stiffness": 5000.0, "damping": 1.0},
+        "scraper": {"type": "viscoelastic", "between": ["hand", "tip"], "stiffness": 400.0, "damping": 0.3},
+        "ridges": {"type": "detent", "between": ["tip", "gourd"], "pitch": 0.004, "depth": 0.4, "shape": "snap"},
+    }
+    prediction = predicted(modules)
+    assert found(prediction) == {"in a notch", "between notches"}
+    assert prediction.stable
+    stop = {"type": "buffer", "between": ["gourd", "wall"], "stiffness": 250000.0, "distance": -0.001}
+    growing = {one.state for one in predicted(modules | {"stop": stop}).states.growing}
+    assert {one for one in growing if "stop is touched" in one and "between notches" in one}
