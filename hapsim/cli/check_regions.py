@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _ROWS = 10  # of a table; of more regions those that are alike share a row, and of these the others are summed up
 _ALIKE = 6  # digits
-_NOISY = 20  # so many regions below a count are of no one's design
+_NOISY = 20  # regions below a count; nobody designs more
 _GROWING = 3  # states of contacts in which something grows
 
 

@@ -98,7 +98,7 @@ class NetworkVerdict:
         return False
 
     def shaken_by_network(self, snaps: int = 0) -> Shaking | None:
-        """What surely grows; None also where the poles were not worked out for the scheme. `snaps`: so many real poles
+        """What surely grows; None also where the poles were not worked out for the scheme. `snaps`: how many real poles
         are a snap's own, which drives the points on before what grows more slowly is felt."""
         if not snaps and self.dies_out:
             return None

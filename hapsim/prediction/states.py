@@ -31,7 +31,7 @@ MOST_STATES = 1024
 """Looked for in a part of the scene."""
 _WORK = 4e8  # cubes of sizes of states: half a second on one core
 _OF_STATE = 4e5  # of one of which nothing has to be worked out
-_OF_EACH = 90.0  # as if there were so many more numbers: what does not grow with them
+_OF_EACH = 90.0  # added to the size: the time that does not grow with it
 _OF_LARGE = 1.6e5  # times the size of a large one
 _FIXED = "."  # whatever stays where it is; no point is called so
 _MOST_CONTACTS = 64  # of a part

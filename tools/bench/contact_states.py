@@ -21,7 +21,7 @@ from hapsim.scene import Scene
 from tests.contact_scenes import begun, contact_scene, growth_within, judged_unstable, whole_states
 
 SAMPLES = 10_000
-BARELY = 1e-4  # growth a sample, too little to be seen in so many samples
+BARELY = 1e-4  # growth a sample, which that many samples hardly show
 
 
 def main() -> None:
