@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from hapsim.running import in_memory
 from hapsim.running.run import run
 from hapsim.scene import Scene, parse_scene
 
+SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "4")))
 Points = list[tuple[float, float]]
 
 
@@ -69,18 +71,37 @@ def swing_on_mock(points: Points, prediction: Prediction) -> float:
     return most
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_it_is_as_large_as_on_the_mock(seed: int) -> None:
-    """Within a tenth; 12 seeds came within 3.3 %."""
+@pytest.mark.parametrize("seed", SEEDS)
+def test_it_is_as_large_as_on_the_mock(seed: int, figures: Any) -> None:
+    """Within a tenth."""
     points = steep_in_places(seed)
     prediction = predict(scene_of(points), with_margins=False)
     swing = prediction.judge.swings["hand"]
     assert swing is not None
     assert swing.least <= swing.most
-    assert swing_on_mock(points, prediction) == pytest.approx(swing.most, rel=0.1)
+    seen = swing_on_mock(points, prediction)
+    figures.most("swing on the mock off by, relative", abs(seen / swing.most - 1.0))
+    assert seen == pytest.approx(swing.most, rel=0.1)
     shaking = surely_shaken_by(scene_of(points))
     assert shaking is not None
     assert f"to a swing of {swing.sentence}" in shaking.sentence
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_it_is_about_as_large_as_the_describing_function_says(seed: int, figures: Any) -> None:
+    """The largest at which the mean slope over a sine exceeds the largest stable stiffness: within a fifth."""
+    prediction = predict(scene_of(steep_in_places(seed)), with_margins=False)
+    (regions,), (swing,) = prediction.judge.regions.values(), prediction.judge.swings.values()
+    assert swing is not None
+    most_stable = float(regions[0].felt.configuration.stable_stiffness(0.0)[1])
+    sine, half = np.sin(np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)), np.geomspace(1e-6, 2e-2, 600)
+    largest = 0.0
+    for region in (one for one in regions if not one.is_stable):
+        force = region.hand.force(region.piece.place + half[:, None] * sine)
+        mean_slope = 2.0 / half * np.mean(force * sine, axis=1)
+        largest = max(largest, 2.0 * half[mean_slope > most_stable].max())
+    figures.most("swing by the describing function off by, relative", abs(largest / swing.most - 1.0))
+    assert largest == pytest.approx(swing.most, rel=0.2)
 
 
 def test_a_knob_swings_by_an_angle(hapsim: Callable[..., Any], tmp_path: Path) -> None:
@@ -97,19 +118,20 @@ def test_a_wall_that_is_too_stiff_swings_as_far_as_the_force_limit_lets_it() -> 
     """No pieces bound it but the force limit: a larger limit is a larger swing."""
     points = [(-0.1, -1000.0), (0.1, 1000.0)]
     swings = [predict(scene_of(points, limit)).judge.swings["hand"] for limit in (1.0, 10.0)]
-    assert swings[0] is None or swings[1] is None or swings[1].most > 3.0 * swings[0].most
+    weak, strong = (swing for swing in swings if swing is not None)
+    assert strong.most == pytest.approx(10.0 * weak.most, rel=0.01)
+    assert (weak.force, strong.force) == pytest.approx((2.0, 20.0))  # from one end of the limit to the other
     assert surely_shaken_by(scene_of(points)) is not None
 
 
 def test_a_stop_far_beyond_the_force_limit_is_refused() -> None:
-    """In the middle of its region the scene asks for 100 N: there no kick moves the hand, at half the limit it does."""
-    stop = {"type": "buffer", "between": ["wall", "hand"], "stiffness": 20000.0, "damping": 2.0, "distance": 0.01}
+    """In the middle of its region the scene asks for 100 N, where no kick moves the hand: that is no small swing."""
+    stop = {"type": "buffer", "between": ["wall", "hand"], "stiffness": 20000.0, "damping": 2.0, "distance": -0.01}
     document = yaml.safe_load(text_of([(-1.0, -100.0), (1.0, 100.0)]))
     document["device"]["travel"] = [-0.02, 0.02]
-    document["modules"]["stop"] = stop | {"distance": -0.01}
+    document["modules"]["stop"] = stop
     scene = parse_scene(yaml.safe_dump(document), "stop")
-    swing = predict(scene, with_margins=False).judge.swings["hand"]
-    assert swing is None or swing.force > 1.0
+    assert predict(scene, with_margins=False).judge.swings == {"hand": None}
     assert surely_shaken_by(scene) is not None
 
 
