@@ -66,7 +66,7 @@ def test_what_passes_beyond_the_nominal_is_told_with_what_is_allowed(new_bench: 
         "host_watchdog": " ms or more is allowed: this host may read it late)",
         "mass": " (within 25 %, and its uncertainty, is allowed)",
         "time_to_live": "; from 0.65 up and up to 0.35 are allowed",
-        "host_time_to_live": " (up to 1.5 times its time to live is allowed, and shorter is safe)",
+        "host_time_to_live": " (up to 1.5 times is allowed, and shorter is safe)",
     }.items():
         assert (checks[name].result, checks[name].found[-len(allowed) :]) == ("pass", allowed)
     assert "-0.00" not in told(checks)
@@ -188,6 +188,19 @@ def test_pushing_stops_where_the_device_moves_too_far(new_bench: NewBench) -> No
     checks = judged(bench, "push", leave=Leave(force=10.0, travel=1e-6))
     assert "moved more than 0.001 mm" in checks["sign"].found, told(checks)
     assert bench.device.largest < 0.2  # the gentlest pushes went too far: no others were tried
+
+
+@pytest.mark.parametrize(("friction", "result"), [(3.0, "pass"), (60.0, "not seen")])
+def test_friction_neither_hides_nor_feigns_a_force_that_ends_by_itself(
+    new_bench: NewBench, friction: float, result: str
+) -> None:
+    """Of the speed that a push left, the silence leaves a third (3 N·s/m), or nothing."""
+    bench, endless = new_bench(), new_bench("never_ends")
+    for one in (bench, endless):
+        one.device.bodies[0].friction = friction
+    checks, failing = (judged(one, "push", leave=GENTLE)["host_time_to_live"] for one in (bench, endless))
+    assert checks.result == result, checks.found
+    assert failing.result == ("FAIL" if result == "pass" else "not seen"), failing.found
 
 
 def test_an_unclear_response_is_followed_by_a_stronger_push_within_the_travel(new_bench: NewBench) -> None:

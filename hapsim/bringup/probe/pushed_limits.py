@@ -16,10 +16,11 @@ _LIFE = 6  # samples that a force acts, with a time to live of one less
 _SILENCE = 10  # samples more without a FORCE
 _PUSHES = 24
 _SIDES = (1.0, -1.0, -1.0, 1.0)
-_HOST_PUSHES = 6
+_HOST_PUSHES = 12
 _HOST_LIFE_S = 0.04  # long beside what this host is held up, as a rule
 _HOST_WAIT = 3.0  # lives
-_HOST_ON = 1.5  # lives: nearer to one than to all of the silence, of which friction takes its share
+_HOST_ON = 1.5  # lives: nearer to one than to all of the silence
+_MOVED = 0.1  # of a life: below that, friction or a hand hides when a force ended
 _TOO_GREAT = 1.2  # of the limit
 _TRIES = 10  # until one such force was in time
 _ON, _UNSURE = 0.35, 0.15  # of the response: acting; too uncertain to tell
@@ -161,37 +162,43 @@ def _by_the_host(probing: Probing, leave: Leave, response: float) -> None:
     if session is None:
         probing.not_seen("host_time_to_live", why)
         return
+    life_s = probing.periods(life)
     try:
         session.run(0, None)
-        acted_s = _acted(Pusher(probing, session, leave), response, life, probing.periods(life))
+        lasted = _lasted(Pusher(probing, session, leave), response, life, life_s)
     except TravelledError as error:
         probing.not_seen("host_time_to_live", str(error))
         return
     finally:
         session.disarm()
-    _judge_host_life(probing, acted_s, probing.periods(life))
+    _judge_host_life(probing, lasted, life_s)
 
 
-def _acted(pusher: Pusher, response: float, life: int, life_s: float) -> list[float]:
-    """Returns for how long each push acted, in s: what speed it left, over what it makes in a second. Empty if the
-    device does not come to rest, or did not answer."""
+def _lasted(pusher: Pusher, response: float, life: int, life_s: float) -> tuple[float, float] | None:
+    """Returns how long a push acted, in s, by the speed that is left of it over what it makes in a second: one that the
+    host ended after one life, and one left to end by itself. Friction takes the same share of both. None if the device
+    does not come to rest, or did not answer."""
     wait_s = _HOST_WAIT * life_s
     force = min(pusher.leave.force, 0.3 * pusher.leave.travel / (abs(response) * wait_s**2))
     if not _comes_to_rest(pusher, wait_s):
-        return []
+        return None
     pusher.begin_here()
-    acted_s = []
+    causes, speeds = [], []
     for i in range(_HOST_PUSHES):
-        signed = math.copysign(force, _SIDES[i % 4])
-        steps = ((0.0, life_s), (signed, wait_s), (0.0, life_s), (0.0, 0.0))
-        if not all(_step(pusher, push, lasts_s, life - 1) for push, lasts_s in steps):
-            return []
+        signed, is_left = math.copysign(force, _SIDES[i % 4]), i % 4 >= 2
+        push = ((signed, wait_s),) if is_left else ((signed, life_s), (0.0, wait_s - life_s))
+        steps = ((0.0, life_s), *push, (0.0, life_s), (0.0, 0.0))
+        if not all(_step(pusher, step_force, lasts_s, life - 1) for step_force, lasts_s in steps):
+            return None
         # Each position is measured as its force begins to act.
-        x = [pusher.position(sample) for sample in pusher.session.samples[-4:]]
-        t = [sample.at_s for sample in pusher.session.samples[-4:]]
-        gained = (x[3] - x[2]) / (t[3] - t[2]) - (x[1] - x[0]) / (t[1] - t[0])
-        acted_s.append(gained / (signed * response))
-    return acted_s
+        samples = pusher.session.samples[-len(steps) :]
+        x, t = [pusher.position(sample) for sample in samples], [sample.at_s for sample in samples]
+        made = signed * response
+        # Of the speed before, friction leaves a share: the same of every push.
+        causes.append([(x[1] - x[0]) / (t[1] - t[0]), 0.0 if is_left else made, made if is_left else 0.0])
+        speeds.append((x[-1] - x[-2]) / (t[-1] - t[-2]))
+    _, ended_s, left_s = np.linalg.lstsq(np.array(causes), np.array(speeds), rcond=None)[0]
+    return float(ended_s), float(left_s)
 
 
 def _comes_to_rest(pusher: Pusher, wait_s: float) -> bool:
@@ -217,16 +224,17 @@ def _step(pusher: Pusher, force: float, wait_s: float, time_to_live: int) -> boo
     return came
 
 
-def _judge_host_life(probing: Probing, acted_s: list[float], life_s: float) -> None:
-    if not acted_s:
+def _judge_host_life(probing: Probing, lasted: tuple[float, float] | None, life_s: float) -> None:
+    if lasted is None:
         probing.not_seen("host_time_to_live", "the device did not come to rest, or no position for a FORCE")
         return
-    middle_s = float(np.median(acted_s))
-    words = (
-        f"time to live {1e3 * life_s:.3g} ms, silence of {_HOST_WAIT:g} times that: it acted for {1e3 * middle_s:.3g} "
-        f"ms (up to {_HOST_ON:g} times its time to live is allowed, and shorter is safe)"
-    )
-    if middle_s < 0.3 * life_s:
+    ended_s, left_s = lasted
+    if ended_s < _MOVED * life_s:
+        words = f"a push that ended after {1e3 * life_s:.3g} ms left the speed of one of {1e3 * ended_s:.3g} ms"
         probing.not_seen("host_time_to_live", f"{words}: the device does not move as it did before")
-    else:
-        probing.judge("host_time_to_live", middle_s < _HOST_ON * life_s, words)
+        return
+    words = (
+        f"time to live {1e3 * life_s:.3g} ms, silence of {_HOST_WAIT:g} times that: it acted {left_s / ended_s:.3g} "
+        f"times as long as a push that was ended then (up to {_HOST_ON:g} times is allowed, and shorter is safe)"
+    )
+    probing.judge("host_time_to_live", left_s < _HOST_ON * ended_s, words)
