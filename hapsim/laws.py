@@ -81,6 +81,8 @@ class Law:
         assumption: what that is, in words that follow the link's name.
         reach: m, how far the ends may move about where they are before the link lets them slide; infinite: any way.
         slides_at: N, the force while it slides.
+        speeds: by ascending speed: m/s at which the ends part, and N, straight between and level beyond. What that is
+            at rest, `knots` and `dampings` have too.
         memoryless, in_a_matrix: as of `Linear`.
     """
 
@@ -100,6 +102,7 @@ class Law:
     assumption: str = ""
     reach: float = math.inf
     slides_at: float = 0.0
+    speeds: tuple[tuple[float, float], ...] = ()
     memoryless: bool = True
     in_a_matrix: bool = False
 
@@ -129,6 +132,12 @@ class Law:
     def most(self) -> float:
         """N, above which the tension never goes, however fast the ends part."""
         return max(tension for _, tension in self.knots) if self.pushes else math.inf
+
+    @property
+    def fast_damping(self) -> float:
+        """N·s/m, the steepest that it gets while its ends move; 0 where none is steeper than at rest."""
+        steepest = self._over_speed.sector[1]
+        return steepest if steepest > max(self.dampings) else 0.0
 
     def strongest(self, rate: float) -> float:
         """N, which the tension never exceeds at this rate of samples (Hz); infinite where nothing bounds it."""
@@ -164,6 +173,15 @@ class Law:
             return np.zeros(np.shape(d))
         return np.interp(inside, edges, tensions) + self.below * below + self.beyond * beyond
 
+    def pull(self, d: Floats, speed: Floats) -> Floats:
+        """N, which pulls the ends together, at these distances (m) while they part at these speeds (m/s); where it may
+        slide, none."""
+        import numpy as np
+
+        if not self.speeds:
+            return np.asarray(np.minimum(self.tension(d) + self.damping_along(d) * speed, self.most))
+        return np.asarray(self.tension(d) + self._over_speed.tension(speed) - self._over_speed.tension(0.0))
+
     def slope(self, d: float) -> float:
         """N/m at d, in m; on an edge the mean of those beside it, which is what a small swing about it meets."""
         return sum(0.5 * piece.slope for piece in self._beside(d))
@@ -196,6 +214,10 @@ class Law:
         """The knots, with the first one of the next period."""
         (edge, tension), *_ = self.knots
         return (*self.knots, (edge + self.period, tension)) if self.period else self.knots
+
+    @cached_property
+    def _over_speed(self) -> Law:
+        return curve_law(self.speeds)
 
     def _slopes(self) -> list[float]:
         """N/m, from each knot to the next."""

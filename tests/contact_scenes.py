@@ -1,11 +1,11 @@
 """Random scenes of hands, masses and contacts, and their motion sample by sample: a referee of what is predicted of
-them. All runs of a scene are columns; the laws' formulas are written out here once more."""
+them. All runs of a scene are columns."""
 
 from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,12 @@ import yaml
 from numpy.typing import NDArray
 
 from hapsim.prediction import Prediction
-from hapsim.prediction.states import State
-from hapsim.scene import Buffer, Detent, Link, Nonlinear, Plectrum, Scene, ViscoElastic, parse_scene
+from hapsim.prediction.pieces import State
+from hapsim.scene import Link, Nonlinear, Scene, parse_scene
+from tests.link_formulas import tension_of
 
 Floats = NDArray[np.float64]
+Fixed = Mapping[str, tuple[Floats, Floats]]
 
 
 def contact_scene(seed: int) -> Scene:
@@ -66,23 +68,20 @@ def _contact(chance: random.Random) -> dict[str, Any]:
 
 
 class Motion:
-    """A scene's motion from many beginnings at once; `fixed`: within this state, each link as in its piece beyond its
-    ends too."""
+    """A scene's motion from many beginnings at once; `fixed`: links that are these springs and dampers (N/m, N·s/m) of
+    each beginning, beyond the ends of their pieces too; `held`: N, with which a hand pushes steadily."""
 
-    def __init__(self, scene: Scene, places: Mapping[str, Floats], fixed: State | None = None) -> None:
-        self._scene, self._fixed, self._period = scene, fixed or {}, 1.0 / scene.rate
+    def __init__(
+        self, scene: Scene, places: Mapping[str, Floats], fixed: Fixed | None = None, held: float = 0.0
+    ) -> None:
+        self._scene, self._fixed, self._held, self._period = scene, fixed or {}, held, 1.0 / scene.rate
         self._zero = np.zeros_like(next(iter(places.values())))
         grounds = {name: self._zero + ground.position for name, ground in scene.grounds.items()}
         self.now = {name: place.copy() for name, place in places.items()} | grounds
         self.before = dict(self.now)
         self.speed = self._zero.copy()  # of the hand, which moves in continuous time
         self._late = [self._zero] * int(scene.device.delay)
-        at = {name: self._distance(link) for name, link in scene.links.items()}
-        self._grips = {name: np.abs(at[name]) <= one.release for name, one in self._plectra()}
-        self._last = at
-
-    def _plectra(self) -> list[tuple[str, Plectrum]]:
-        return [(name, link) for name, link in self._scene.links.items() if isinstance(link, Plectrum)]
+        self._tensions = {name: tension_of(link, scene.rate) for name, link in scene.links.items()}
 
     def push(self, name: str, speed: Floats) -> None:
         """Makes a point move at these speeds, m/s."""
@@ -95,30 +94,14 @@ class Motion:
         return np.asarray(getattr(self, of)[first] - getattr(self, of)[second])
 
     def _pull(self, name: str, link: Link) -> Floats:
-        d, rate = self._distance(link), (self._distance(link) - self._distance(link, "before")) / self._period
+        d, growth = self._distance(link), self._distance(link) - self._distance(link, "before")
         if name in self._fixed:
-            option = self._fixed[name].linear
-            return option.stiffness * d + option.damping * rate
-        if isinstance(link, ViscoElastic):
-            return link.stiffness * d + link.damping * rate
-        if isinstance(link, Buffer):
-            touched = link.stiffness * (d - link.distance) + link.damping * rate
-            return np.where(d < link.distance, np.minimum(touched, 0.0), 0.0)
-        if isinstance(link, Plectrum):
-            self._grips[name] = (self._grips[name] | (d * self._last[name] <= 0.0)) & (np.abs(d) <= link.release)
-            self._last[name] = d
-            return np.where(self._grips[name], link.stiffness * d + link.damping * rate, 0.0)
-        if isinstance(link, Detent):
-            rise = 0.5 * link.pitch * link.steepness / (link.steepness + 1.0)
-            inside = d - link.pitch * np.round(d / link.pitch)
-            force = np.interp(
-                inside, [-0.5 * link.pitch, -rise, rise, 0.5 * link.pitch], [0, -link.depth, link.depth, 0]
-            )
-            return force + link.damping * rate
-        assert isinstance(link, Nonlinear)
-        curves = (link.force_over_distance, d), (link.force_over_velocity, rate)
-        # Without bounds over velocity: a small motion that grows is to grow.
-        return np.sum([_along(curve, x, level=x is d) for curve, x in curves if curve], axis=0)
+            stiffness, damping = self._fixed[name]
+            return stiffness * d + damping * growth / self._period
+        if self._fixed and isinstance(link, Nonlinear) and link.force_over_velocity:
+            (slow, low), *_, (fast, high) = link.force_over_velocity  # without bounds: a small motion is to grow
+            return np.asarray((high - low) / (fast - slow) * growth / self._period)
+        return np.asarray(self._tensions[name](d, growth))
 
     def step(self) -> None:
         """One sample."""
@@ -137,7 +120,7 @@ class Motion:
         force, device = forces["hand"], self._scene.device
         if not self._fixed:
             force = np.clip(force, -device.force_limit, device.force_limit)
-        self._late.append(force)
+        self._late.append(force + self._held)
         mass, friction = device.masses(1)[0], device.frictions(1)[0]
         fast = np.exp(-friction / mass * self._period)
         settled = self._late.pop(0) / friction
@@ -161,16 +144,7 @@ class Motion:
         return most
 
 
-def _along(curve: Any, x: Floats, level: bool) -> Floats:
-    abscissae, values = np.array(curve, float).T
-    inside = np.interp(x, abscissae, values)
-    if level:
-        return inside
-    slope = (values[-1] - values[0]) / (abscissae[-1] - abscissae[0])
-    return np.where(np.abs(x) > abscissae[-1], slope * x, inside)
-
-
-def begun(scene: Scene, chance: np.random.Generator, runs: int, fixed: State | None = None) -> Motion:
+def begun(scene: Scene, chance: np.random.Generator, runs: int, fixed: Fixed | None = None) -> Motion:
     """The scene where it begins but for a hand that is anywhere within 2 cm, pushed at random; `fixed`: by little."""
     places = {name: np.full(runs, point.start()[0]) for name, point in scene.material_points.items()}
     places["hand"] = chance.uniform(-0.02, 0.02, runs)
@@ -190,15 +164,21 @@ def _at_zero(scene: Scene) -> Scene:
     return scene.model_copy(update={"modules": type(scene.modules)({**scene.modules, **moved})})
 
 
-def growth_within(scene: Scene, state: State, samples: int, runs: int = 5) -> float:
-    """By how much a motion within this state of the contacts grows in a sample, from the energies of some runs."""
-    motion = begun(scene, np.random.default_rng(0), runs, state)
+def growths_within(scene: Scene, states: Sequence[State], samples: int, runs: int = 5) -> list[float]:
+    """By how much a motion within each of these states grows in a sample, from the energies of some runs."""
+    linear = {name: [state[name].linear for state in states] for name in states[0]} if states else {}
+    fixed = {
+        name: (np.repeat([one.stiffness for one in every], runs), np.repeat([one.damping for one in every], runs))
+        for name, every in linear.items()
+    }
+    motion = begun(scene, np.random.default_rng(0), runs * len(states), fixed)
     with np.errstate(all="ignore"):
         motion.most_energy(samples // 2)
         early = motion.most_energy(samples // 10)
         motion.most_energy(samples - samples // 5)
         late = motion.most_energy(samples // 10)
-        return float(np.max((late / early) ** (0.5 / (samples - samples // 10))))
+        grown = (late / early) ** (0.5 / (samples - samples // 10))
+    return [float(most) for most in grown.reshape(len(states), runs).max(axis=1)]
 
 
 def judged_unstable(prediction: Prediction, state: State) -> bool:
@@ -207,6 +187,9 @@ def judged_unstable(prediction: Prediction, state: State) -> bool:
     return any({*one.state.split(", ")} <= how for one in prediction.states.growing)
 
 
-def whole_states(prediction: Prediction) -> list[State]:
-    """Every state of the whole scene: of each part one."""
-    return [{k: v for one in states for k, v in one.items()} for states in itertools.product(*prediction.states.parts)]
+def unsnapped_states(prediction: Prediction, most: int = 6) -> list[State]:
+    """States of the whole scene, of each part one, that no snap leaves: these many at most."""
+    every = itertools.product(*prediction.states.parts)
+    whole = ({name: option for one in states for name, option in one.items()} for states in every)
+    held = (state for state in whole if all(option.linear.stiffness >= 0.0 for option in state.values()))
+    return list(itertools.islice(held, most))

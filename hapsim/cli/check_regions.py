@@ -48,7 +48,7 @@ def show_regions(out: Console, scene: Scene, prediction: Prediction) -> None:
             out.print(sentence)
     for name, swing in prediction.judge.swings.items():
         if swing is not None:
-            unnoticed = ": less than a count" if prediction.judge.is_unnoticed(name) else ""
+            unnoticed = ": less than a count" if swing.is_unnoticed else ""
             out.print(f"Where it is unstable, {escape(name)} swings by {swing.sentence}{unnoticed}")
     for name, link in scene.links.items():
         if isinstance(link, Detent) and scene.device.travel is None and prediction.regions.keys() & set(link.between):

@@ -25,7 +25,7 @@ _FIELDS = ("name", "channel", "k", "b", "frequency_hz", "damping_ratio", "stable
 def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict) -> dict[str, Any]:
     """Returns the fields of `predicted`. Raises UsageError where a value is wrong."""
     wanted = changed(scene, changes_from(asked.values, parameters)) if asked.values else scene
-    prediction = predict(wanted, with_margins=False)
+    prediction = _predicted(wanted)
     at = {name: asked.at[one.channel] for name, one in wanted.device_points.items() if one.channel < len(asked.at)}
     here = prediction.region_here
     here |= {name: _region_at(prediction, name, at[name]) for name in here.keys() & at.keys()}
@@ -33,6 +33,7 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
     found: dict[str, Any] = {
         "stable": prediction.stable,
         "states": prediction.states.words if prediction.stable_as_taken else "",
+        "contacts": prediction.contacts_at(at),
         "spectral_radius": prediction.spectral_radius,
         "hands": [_of_hand(one, prediction.asked_for(one), here.get(one.name)) for one in felt],
         "why": dict(prediction.coupled),
@@ -44,6 +45,11 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
         chosen = felt[asked.hand]
         found["plane"] = None if chosen.predictor is not None else _boundary(chosen.configuration)
     return found
+
+
+@lru_cache(maxsize=4)
+def _predicted(scene: Scene) -> Prediction:
+    return predict(scene, with_margins=False)
 
 
 def _region_at(prediction: Prediction, name: str, x: float) -> Region:

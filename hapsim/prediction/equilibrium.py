@@ -58,8 +58,18 @@ class _Springs(NamedTuple):
 
 
 def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]:
-    """The spring and damper of each link of the scene, by name, while the hands hold still at these places (m) and the
-    masses rest. A link that sticks has no force there. UsageError where no rest is found."""
+    """The spring and damper of each link of the scene, by name, as of `distances_at_rest`."""
+    found = {}
+    for name, d in distances_at_rest(scene, hands).items():
+        law = scene.links[name].law()
+        taken = f"is taken as {law.state(d)}, as it is where the masses rest" if law.assumption else ""
+        found[name] = law.linear(d)._replace(assumption=taken)
+    return found
+
+
+def distances_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, float]:
+    """m, of the ends of each link of the scene, by name, while the hands hold still at these places (m) and the masses
+    rest. A link that sticks has no force there. UsageError where no rest is found."""
     number, start = _masses(scene)
     held = {name: ground.position for name, ground in scene.grounds.items()} | dict(hands)
     rows: list[tuple[int, int, float, float]] = []
@@ -81,11 +91,7 @@ def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]
     joins = csr_array((1.0 - 2.0 * side, (row, table[row, side].astype(int))), shape=(len(rows), len(number)))
     springs = _Springs(joins, table[:, 2], table[:linear, 3], laws)
     d = springs.distances(_relaxed(springs, np.array(start)))[linear:]
-    found = {}
-    for name, law, one in zip(scene.links, laws, d, strict=True):
-        taken = f"is taken as {law.state(float(one))}, as it is where the masses rest" if law.assumption else ""
-        found[name] = law.linear(float(one))._replace(assumption=taken)
-    return found
+    return dict(zip(scene.links, d.tolist(), strict=True))
 
 
 def _masses(scene: Scene) -> tuple[dict[str, int], list[float]]:

@@ -44,7 +44,7 @@ class LinearScene(NamedTuple):
     """Sentences: how the theory takes links that are not linear."""
 
 
-_STAYS = "."  # what is inside a structure and stays where it is: no module is called so
+STAYS = "."  # what is inside a structure and stays where it is: no module is called so
 
 
 def with_device(scene: Scene, **changed: Any) -> Scene:
@@ -76,16 +76,16 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
         masses[name] = point.mass
         for own in _own_links(point):
             outside = _is_outside(own, scene.scheme)
-            inner.append(LinearLink((name, _STAYS), own.stiffness, own.damping, outside=outside))
+            inner.append(LinearLink((name, STAYS), own.stiffness, own.damping, outside=outside))
             if own.assumption:
                 assumptions.append(f"{name} {own.assumption}")
     for name, structure in scene.structures.items():
         places = [f"{name}.{place}" for place in structure.point_names()]
         elements = structure.elements()
         masses |= dict(zip(places, elements.masses, strict=True))
-        named = [*places, _STAYS]  # -1 is the last
+        named = [*places, STAYS]  # -1 is the last
         inner += [LinearLink((named[a], named[b]), k, z) for a, b, k, z in elements.links]
-    return LinearScene(masses, frozenset([*scene.grounds, _STAYS]), links, inner, assumptions)
+    return LinearScene(masses, frozenset([*scene.grounds, STAYS]), links, inner, assumptions)
 
 
 def _own_links(point: MaterialPoint) -> Iterator[Linear]:
@@ -108,11 +108,14 @@ def dampers_of(linear: LinearScene, name: str) -> dict[tuple[str, float | None],
     return {(module.damper, module.cutoff): link for link, module in links.items() if module.damping > 0.0}
 
 
-def mixes_dampers(scene: Scene, name: str) -> bool:
-    """Whether dampers of several kinds act at this device point, somewhere in its travel."""
-    links = (link for link in scene.links.values() if name in link.between and any(link.law().dampings))
-    kinds = ((link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None) for link in links)
-    return len({*kinds}) > 1
+def has_more_than_regions(scene: Scene, name: str) -> bool:
+    """Whether the pieces of a hand's travel do not say everything of it: dampers of several kinds act at it somewhere,
+    or one that is steeper while it moves."""
+    links = [link for link in scene.links.values() if name in link.between]
+    laws = [link.law() for link in links]
+    damping = [link for link, law in zip(links, laws, strict=True) if any(law.dampings)]
+    kinds = ((link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None) for link in damping)
+    return len({*kinds}) > 1 or any(law.fast_damping for law in laws)
 
 
 def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:

@@ -17,7 +17,7 @@ from hapsim.prediction.characteristic import Characteristic, Piece, characterist
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.desired import Desired, desired_of
 from hapsim.prediction.felt import Felt, felt_by, swing
-from hapsim.prediction.linear import links_of, mixes_dampers, network_of, why_coupled
+from hapsim.prediction.linear import has_more_than_regions, links_of, network_of, why_coupled
 from hapsim.prediction.link_margins import LinkMargin, least_margins, link_margins
 from hapsim.prediction.shaking import Shaking
 from hapsim.prediction.stability import Judge, Region
@@ -138,7 +138,7 @@ class Prediction:
     def judge(self) -> Judge:
         """Who says whether the scene is stable."""
         loose = tuple(felt for felt in self._lone if not felt.stable and not self._is_held(felt.name))
-        regions = {name: one for name, one in self._every_region.items() if not mixes_dampers(self._seen, name)}
+        regions = {name: one for name, one in self._every_region.items() if not has_more_than_regions(self._seen, name)}
         return Judge(self._network, self.points, self.is_lone, regions, loose, self.states)
 
     @property
@@ -160,6 +160,21 @@ class Prediction:
         """Whether it is where contacts that move masses are as `assumptions` say: margins and modes are of that."""
         return self.judge.is_stable_as_taken
 
+    def contacts_at(self, hands: Mapping[str, float]) -> str:
+        """How the contacts that move masses are while all hands hold still at these places (m) and the masses rest, in
+        words: "finger is touched"; "" where there are none, or no rest is found."""
+        from hapsim.prediction.equilibrium import distances_at_rest
+
+        names = {name for part in self.states.parts for state in part[:1] for name in state}
+        if not names or hands.keys() != self.scene.device_points.keys():
+            return ""
+        try:
+            at = distances_at_rest(self._seen, hands)
+        except UsageError:
+            return ""
+        how = {name: link.law().state(at[name]) for name, link in self._seen.links.items() if name in names}
+        return ", ".join(f"{name} is {state}" for name, state in how.items() if state)
+
     @property
     def is_judged(self) -> bool:
         """Whether there is a verdict: something is unstable, or each state that was found was judged."""
@@ -167,10 +182,8 @@ class Prediction:
 
     @property
     def trembles(self) -> tuple[str, ...]:
-        """The hands that swing by themselves, where nothing shakes any more than that: by less than a count, and by
-        next to no force."""
-        judge = self.judge
-        return () if judge.shaking else tuple(name for name in judge.swings if judge.is_unnoticed(name))
+        """What swings by itself, by less than a count and by next to no force, where nothing shakes a hand more."""
+        return () if self.judge.shaking else tuple(self.judge.swings)
 
     @property
     def at_limit(self) -> bool:

@@ -12,7 +12,7 @@ scene runs, or has more states than were judged: no reason to refuse it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -24,13 +24,12 @@ from hapsim.prediction.felt import Felt
 from hapsim.prediction.linear import LinearLink
 from hapsim.prediction.shaking import NetworkVerdict, Shaking, without_real
 from hapsim.prediction.states import ContactStates
-from hapsim.prediction.swings import Place, Swing, swing_in
-from hapsim.theory.network import SURELY, state_size
+from hapsim.prediction.swings import Rest, Swing, Swinging, has_pieces
+from hapsim.theory.network import SURELY, part_of, state_size
 
 RegionKind = Literal["held", "free", "snap"]
 
 _POINTS = 1025  # at which the energy of a curved snap is summed
-_NOTICED = 0.02  # of the force limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +96,10 @@ class Region:
         return float(np.trapezoid(np.max(force) - force, x))
 
 
-def _swing(regions: Sequence[Region]) -> Swing | None:
-    if not all(one.is_plain for one in regions):
-        return None
-    places = [Place(one.pressed_place, one.piece.high - one.piece.low, one.growth) for one in regions]
-    return swing_in(regions[0].hand, regions[0].felt.configuration, places)
+def _rest(region: Region) -> Rest:
+    at, piece, links = region.pressed_place, region.piece, region.hand.links.values()
+    distances = [float(link.distance(at)) for link in links if has_pieces(link.law)]
+    return Rest(at, distances, float(region.hand.force(at)), piece.high - piece.low, region.growth)
 
 
 def modulus_without(poles: Iterable[complex], kind: RegionKind) -> float:
@@ -145,7 +143,13 @@ class Judge(NetworkVerdict):
         """What will surely shake a hand; None where nothing does, or it is not sure."""
         if self._shaken_hand is not None:
             return self._shaken_hand
-        return (None if self.is_lone else self.shaken_by_network()) or self.states.shaking
+        noticed = (one for one in self._shaken_parts if one.swing is None or not one.swing.is_unnoticed)
+        return max(noticed, default=None)
+
+    @cached_property
+    def _shaken_parts(self) -> list[Shaking]:
+        """What grows most in each part of the scene that is judged by the poles of the network, with its swing."""
+        return self.states.worst(None if self.is_lone else self.shaken_by_network())
 
     def is_soon_stable(self, most_states: int) -> bool:
         """Whether `shaking` is None, where that is found without poles of a network, nor squares of a transition with
@@ -153,7 +157,7 @@ class Judge(NetworkVerdict):
         is_quick = self.is_lone or state_size(self.network) <= most_states
         if not is_quick or self._unstable or self._shaken_hand is not None:
             return False
-        return (self.is_lone or self.dies_out) and self.states.shaking is None
+        return (self.is_lone or self.dies_out) and not self.states.growing
 
     @cached_property
     def _unstable(self) -> dict[str, list[Region]]:
@@ -163,28 +167,35 @@ class Judge(NetworkVerdict):
 
     @cached_property
     def swings(self) -> dict[str, Swing | None]:
-        """Of each hand that its regions shake, how far it swings there; None where that was not found."""
-        return {name: self.swing_of(name) for name in self._unstable}
+        """Of each hand that its regions shake, and of what moves most in each other part in which something grows, how
+        far it swings; None where that was not found."""
+        of_parts = {one.module if one.swing is None else one.swing.point: one.swing for one in self._shaken_parts}
+        return of_parts | {name: self.swing_of(name) for name in self._unstable}
 
     def swing_of(self, name: str) -> Swing | None:
-        """Of one of these."""
+        """Of a hand that its regions shake."""
         if name not in self._found:
-            self._found[name] = _swing(self._unstable[name])
+            self._found[name] = self._swing_in_regions(name)
         return self._found[name]
 
-    def is_unnoticed(self, name: str) -> bool:
-        """Whether the hand at this device point swings by less than a count, and by next to no force."""
-        swing, hand = self.swing_of(name), self.regions[name][0].hand
-        return swing is not None and swing.most < hand.count and swing.force < _NOTICED * hand.force_limit
+    def _swing_in_regions(self, name: str) -> Swing | None:
+        regions = self._unstable[name]
+        if not all(one.is_plain for one in regions):
+            return None
+        hand, network = regions[0].hand, part_of(self.network, np.array([self.points.index(name)]))
+        laws = {i: link.law for i, link in enumerate(hand.links.values()) if has_pieces(link.law)}
+        swinging = Swinging(network, [name], laws, hand.force_limit, (hand.low, hand.high), hand.count)
+        return swinging.swing_at([_rest(one) for one in regions])
 
     @cached_property
     def _shaken_hand(self) -> Shaking | None:
         """The first hand that is shaken in one of its regions; of a scene of lone hands alone, the one shaken most."""
         for name, regions in self._unstable.items():
             worst = max(regions, key=lambda region: region.growth)
-            if not self.is_unnoticed(name):
+            swing = self.swing_of(name)
+            if swing is None or not swing.is_unnoticed:
                 where = max(worst.linear, key=lambda at: worst.linear[at].stiffness)
-                return Shaking(worst.growth, f"{name} in {where}", swing=self.swing_of(name))
+                return Shaking(worst.growth, f"{name} in {where}", swing=swing)
         off = [Shaking(felt.spectral_radius, felt.name) for felt in self.loose] if self.is_lone else []
         if off and math.isnan(self.solved[1].spectral_radius):
             return Shaking(math.inf, "")

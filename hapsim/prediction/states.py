@@ -8,18 +8,19 @@ and a hand that moves nothing else are not among them: that hand has regions (`s
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from itertools import islice, pairwise
-from typing import NamedTuple
+from itertools import islice
 
 import numpy as np
 
-from hapsim.laws import Law, Linear
-from hapsim.prediction.linear import LinearScene, mixes_dampers, why_coupled
+from hapsim.laws import Linear
+from hapsim.prediction.linear import LinearScene, has_more_than_regions, why_coupled
+from hapsim.prediction.pieces import Option, State, options_of
+from hapsim.prediction.reach import Reach
+from hapsim.prediction.rests import swing_of_part
 from hapsim.prediction.shaking import NetworkVerdict, Shaking
 from hapsim.scene import Scene
 from hapsim.theory import Network
@@ -33,54 +34,7 @@ _WORK = 4e8  # cubes of sizes of states: half a second on one core
 _OF_STATE = 4e5  # of one of which nothing has to be worked out
 _OF_EACH = 90.0  # added to the size: the time that does not grow with it
 _OF_LARGE = 1.6e5  # times the size of a large one
-_FIXED = "."  # whatever stays where it is; no point is called so
 _MOST_CONTACTS = 64  # of a part
-_MEETS = 1e-12  # m: what overlaps by less does not
-
-
-class Option(NamedTuple):
-    """A piece of a link's law, in which it is this spring and damper: its distance is between these two, m."""
-
-    state: str
-    linear: Linear
-    low: float = -math.inf
-    high: float = math.inf
-    through: bool = False
-    """Whether its ends have to meet before."""
-    moved: float = 0.0
-    """By how much its ends have to move before, m."""
-
-    @property
-    def acts(self) -> bool:
-        """Whether it is a spring or a damper at all."""
-        return self.linear.stiffness != 0.0 or self.linear.damping != 0.0
-
-
-def options_of(law: Law) -> tuple[Option, ...]:
-    """The pieces that a link of this law can be in, alike neighbours as one; one for a link that is always the same."""
-    here = law.linear()
-    pieces = [(piece, here._replace(stiffness=piece.slope, damping=piece.damping)) for piece in law.pieces]
-    if math.isfinite(law.reach):
-        return Option("stuck", here), Option("sliding", here._replace(stiffness=0.0, damping=0.0), moved=law.reach)
-    if law.grips:
-        (_, gripping, _), edge = pieces, law.edges[-1]
-        free = here._replace(stiffness=0.0, damping=0.0)
-        return Option("gripping", gripping[1], -edge, edge, through=True), Option("released", free)
-    ends = [(piece.edge, after.edge) for (piece, _), (after, _) in pairwise(pieces)]
-    ends.append((pieces[-1][0].edge, math.inf))
-    if law.period:
-        ends = [(-math.inf, math.inf)] * len(pieces)
-    found: list[Option] = []
-    for (piece, linear), (low, high) in zip(pieces, ends, strict=True):
-        if found and (found[-1].linear, found[-1].state) == (linear, piece.state):
-            found[-1] = found[-1]._replace(high=high)
-        elif not law.period or linear not in [one.linear for one in found]:
-            found.append(Option(piece.state, linear, low, high))
-    return tuple(found)
-
-
-State = dict[str, Option]
-"""How each link of a part of the scene is, by name."""
 
 
 class ContactStates:
@@ -93,9 +47,9 @@ class ContactStates:
 
     def __init__(self, scene: Scene, linear: LinearScene, network: Network, points: tuple[str, ...]) -> None:
         """`linear`, `network`, `points`: the scene as it is taken."""
-        self._network, self._points, self._links = network, points, linear.links
+        self._scene, self._linear, self._network, self._points = scene, linear, network, points
         hands = (name for name in scene.device_points if not why_coupled(scene, linear, name))
-        alone = {name for name in hands if not mixes_dampers(scene, name)}
+        alone = {name for name in hands if not has_more_than_regions(scene, name)}
         self._ends = dict(zip(linear.links, network.ends.tolist(), strict=False))
         moving = (name for name, (first, second) in self._ends.items() if first != second)  # not two grounds, -1
         own = (name for name in moving if not {*linear.links[name].between} & alone)
@@ -105,7 +59,7 @@ class ContactStates:
         self.is_complete = True
         if not options:
             return
-        self._reach = _Reach(scene, linear, options)
+        self._reach = Reach(scene, linear, options)
         self._options = {name: self._reach.met(linear.links[name].between, found) for name, found in options.items()}
         part, names_of = part_of_each(network.ends, len(points)), dict[int, list[str]]()
         for name in options:
@@ -124,14 +78,9 @@ class ContactStates:
         return sum(map(len, self.parts))
 
     @property
-    def shaking(self) -> Shaking | None:
-        """What surely grows most in a state that was judged."""
-        return max(self.growing, key=lambda one: one.growth, default=None)
-
-    @property
     def growing(self) -> list[Shaking]:
         """What surely grows, of each state in which something does."""
-        return self._verdicts[0]
+        return list(dict.fromkeys(one for one, _ in self._verdicts[0]))
 
     @property
     def unjudged(self) -> int:
@@ -141,8 +90,8 @@ class ContactStates:
     @property
     def words(self) -> str:
         """Where the verdict holds, in words that follow "stable" or "unstable"; "" where there is one state."""
-        if self.shaking is not None:
-            return f"while {self.shaking.state}"
+        if self.growing:
+            return f"while {max(self.growing, key=lambda one: one.growth).state}"
         if self.unjudged:
             return "as its contacts are taken, not judged in every state of them"
         return f"in all {self.count} states of its contacts; bounces are not judged" if self.count > 1 else ""
@@ -153,7 +102,7 @@ class ContactStates:
         for names in (part[0] for part in self.parts if part):
             apart = self._reach.apart
             for name in names:
-                options, between = self._options[name], self._links[name].between
+                options, between = self._options[name], self._linear.links[name].between
                 taken = [one for one in options if self._is_taken(name, one)]
                 limits = [(one, self._reach.limited(apart, between, one)) for one in (*taken, *options) if taken]
                 one, nearer = next(((one, limit) for one, limit in limits if limit is not None), (None, None))
@@ -164,7 +113,7 @@ class ContactStates:
         return found
 
     def _is_taken(self, name: str, option: Option) -> bool:
-        link = self._links[name]
+        link = self._linear.links[name]
         return (option.linear.stiffness, option.linear.damping) == (link.stiffness, link.damping)
 
     def _possible(self, names: list[str], apart: Floats) -> Iterator[State]:
@@ -173,16 +122,17 @@ class ContactStates:
             return
         first, *rest = names
         for option in self._options[first]:
-            nearer = self._reach.limited(apart, self._links[first].between, option)
+            nearer = self._reach.limited(apart, self._linear.links[first].between, option)
             if nearer is not None:
                 for others in self._possible(rest, nearer):
                     yield {first: option} | others
 
     @cached_property
-    def _verdicts(self) -> tuple[list[Shaking], int]:
-        """What grows, and how many states were not judged. One that is as it is taken is judged with the whole scene;
-        points that are joined in the same way in several states, once."""
+    def _verdicts(self) -> tuple[list[tuple[Shaking, State]], int]:
+        """What grows in which state, and how many states were not judged. One that is as it is taken is judged with the
+        whole scene; points that are joined in the same way in several states, once."""
         verdicts, left, unjudged = dict[object, Shaking | None](), _WORK, 0
+        found: list[tuple[Shaking, State]] = []
         for state in (one for part in self.parts for one in part):
             if all(self._is_taken(name, option) for name, option in state.items()):
                 continue
@@ -190,26 +140,48 @@ class ContactStates:
             is_judged = left > 0.0 and all(math.isfinite(option.linear.stiffness) for option in state.values())
             for blocks, names in self._joined(state) if is_judged else ():
                 key = blocks, tuple((name, state[name].linear) for name in names if state[name].acts)
-                if key in verdicts:
-                    continue
-                network, points = self._part(blocks, state)
-                if never_grows(network):
-                    verdicts[key] = None
-                    continue
-                left -= _work(network)
-                if left < 0.0:
-                    is_judged = False
-                    continue
-                shaking = NetworkVerdict(network, points).shaken_by_network(_snaps(network))
-                how = ", ".join(f"{name} is {state[name].state}" for name in names)
-                verdicts[key] = shaking and shaking._replace(state=how)
+                if key not in verdicts:
+                    network, points = self._part(blocks, state)
+                    grows = not never_grows(network)
+                    left -= grows * _work(network)
+                    if left < 0.0:
+                        is_judged = False
+                        continue
+                    shaking = NetworkVerdict(network, points).shaken_by_network(_snaps(network)) if grows else None
+                    how = ", ".join(f"{name} is {state[name].state}" for name in names)
+                    verdicts[key] = shaking and shaking._replace(state=how)
+                if (grown := verdicts[key]) is not None:
+                    found.append((grown, state))
             unjudged += not is_judged
-        return [one for one in verdicts.values() if one is not None], unjudged
+        return found, unjudged
+
+    def worst(self, taken: Shaking | None) -> list[Shaking]:
+        """What grows most in each part of the scene in which something does, with its swing; `taken`: what does as the
+        scene is taken."""
+        of_point = part_of_each(self._network.ends, len(self._points)).tolist()
+        names = [name.partition(".")[0] for name in self._points]
+        part = {name: of_point[max(self._ends[name])] for one in self.parts for state in one for name in state}
+        grown = dict[int, list[tuple[Shaking, State]]]()
+        if taken is not None:
+            its = of_point[names.index(taken.module)] if taken.module in names else -1
+            options = {name: [one for one in self._options[name] if self._is_taken(name, one)] for name in part}
+            as_taken = {name: found[0] for name, found in options.items() if part[name] == its and found}
+            grown[its] = [(taken, as_taken)]
+        for shaking, state in self._verdicts[0]:
+            grown.setdefault(part[next(iter(state))], []).append((shaking, state))
+        most = {its: max(every, key=lambda one: one[0].growth)[0] for its, every in grown.items()}
+        found = []
+        for its, one in most.items():
+            points = [i for i, at in enumerate(of_point) if at == its]
+            states = [(shaking.growth, state) for shaking, state in grown[its]]
+            swing = swing_of_part(self._scene, self._linear, self._network, self._points, points, states)
+            found.append(one._replace(swing=swing))
+        return found
 
     @cached_property
     def _block(self) -> Indices:
         """(points,): the same number for points that are joined in every state."""
-        same = np.array([name not in self._options for name in self._links], dtype=bool)
+        same = np.array([name not in self._options for name in self._linear.links], dtype=bool)
         same = np.append(same, np.ones(len(self._network.ends) - same.size, bool))
         return part_of_each(self._network.ends[same & _acts(self._network)], len(self._points))
 
@@ -227,7 +199,7 @@ class ContactStates:
     def _part(self, blocks: frozenset[int], state: State) -> tuple[Network, tuple[str, ...]]:
         """These points in this state, and their names."""
         stiffness, damping = self._network.stiffness.copy(), self._network.damping.copy()
-        for i, name in enumerate(self._links):
+        for i, name in enumerate(self._linear.links):
             if name in state:
                 stiffness[i], damping[i] = state[name].linear.stiffness, state[name].linear.damping
         points = np.flatnonzero(np.isin(self._block, list(blocks)))
@@ -253,104 +225,3 @@ def _snaps(network: Network) -> int:
     held = np.append(network.channel_stiffness, np.zeros(network.point_mass.size))
     stiffness = np.linalg.eigvalsh(stretches.T @ (network.stiffness[:, None] * stretches) + np.diag(held))
     return int((stiffness < -1e-9 * np.abs(stiffness).max(initial=0.0)).sum())
-
-
-class _Reach:
-    """How far from each other the ends of a scene's contacts can be.
-
-    Attributes:
-        apart: (n, n): m, by how much the first may be further than the second from where each begins; n - 1 points
-            that contacts touch, and what is fixed.
-    """
-
-    def __init__(self, scene: Scene, linear: LinearScene, contacts: Collection[str]) -> None:
-        self._begins = _beginnings(scene)
-        touched = {end for name in contacts for end in linear.links[name].between if end not in scene.grounds}
-        self._index = {name: i for i, name in enumerate((*sorted(touched), _FIXED))}
-        near: dict[str, list[tuple[str, float]]] = {}
-        for first, second, least, most in self._limits(scene, linear, contacts):
-            near.setdefault(second, []).append((first, most))
-            near.setdefault(first, []).append((second, -least))
-        ways = [_least_ways(near, name) for name in self._index]
-        self.apart = np.array([[way.get(name, math.inf) for way in ways] for name in self._index])
-
-    def _limits(
-        self, scene: Scene, linear: LinearScene, contacts: Collection[str]
-    ) -> Iterator[tuple[str, str, float, float]]:
-        """Two points, and between which distances from where they begin to each other they stay, m."""
-        for name, hand in scene.device_points.items():
-            low, high = scene.device.travels(scene.channels)[hand.channel]
-            begins = self._begins[name]
-            yield name, _FIXED, low - begins, high - begins
-        fast = {name: (abs(point.start()[1]), point.mass) for name, point in scene.material_points.items()}
-        springs = [(link, self._stretch(link.between)) for name, link in linear.links.items() if name not in contacts]
-        springs += [(link, self._stretch_inside(scene, linear, link.between)) for link in linear.inner]
-        for link, stretch in springs:
-            first, second = (_FIXED if end in linear.fixed else end for end in link.between)
-            # A hand goes where it likes: what ties a mass to it says nothing of where that is.
-            if link.stiffness > 0.0 and first != second and not {first, second} & scene.device_points.keys():
-                speeds = (fast.get(end, (0.0, 0.0)) for end in link.between)
-                swung = sum(v * math.sqrt(m / link.stiffness) for v, m in speeds)
-                way = 2.0 * (scene.device.force_limit / link.stiffness + abs(stretch) + swung)
-                yield first, second, -way, way
-
-    def _stretch(self, between: tuple[str, str]) -> float:
-        """m, where the scene begins."""
-        first, second = between
-        return self._begins[first] - self._begins[second]
-
-    def _stretch_inside(self, scene: Scene, linear: LinearScene, between: tuple[str, str]) -> float:
-        """m, of what is inside a structure, or holds a point by itself, where the scene begins."""
-        if not {*between} & linear.fixed:
-            return self._stretch(between)
-        name = next(end for end in between if end not in linear.fixed)
-        point = scene.material_points.get(name)
-        held = None if point is None else point.held_by()
-        rest = scene.structures[name.partition(".")[0]].position if point is None else self._begins[name]
-        return self._begins[name] - (rest if held is None else held.rest)
-
-    def met(self, between: tuple[str, str], options: tuple[Option, ...]) -> tuple[Option, ...]:
-        """These without those for which the ends have to meet, or to move by more, where they cannot."""
-        begins = self._stretch(between)
-        i, j = (self._index.get(end, len(self._index) - 1) for end in between)
-        options = tuple(one for one in options if one.moved <= self.apart[i, j] + self.apart[j, i])
-        meet = self.limited(self.apart, between, Option("", Linear(0.0, 0.0), -2.0 * _MEETS, 2.0 * _MEETS)) is not None
-        return tuple(one for one in options if not one.through or meet or one.low <= begins <= one.high)
-
-    def limited(self, apart: Floats, between: tuple[str, str], option: Option) -> Floats | None:
-        """`apart` where this link is in such a piece; None where it cannot be."""
-        i, j = (self._index.get(end, len(self._index) - 1) for end in between)
-        begins = self._stretch(between)
-        for one, other, most in ((i, j, option.high - begins), (j, i, begins - option.low)):
-            if apart[other, one] + most <= _MEETS:
-                return None
-            if most < apart[one, other]:
-                apart = np.minimum(apart, apart[:, [one]] + most + apart[[other], :])
-        return apart
-
-
-def _beginnings(scene: Scene) -> dict[str, float]:
-    """Where each point of the scene is when it begins, m: a hand at 0, or as near as its travel lets it."""
-    found = {name: ground.position for name, ground in scene.grounds.items()}
-    for name, point in scene.device_points.items():
-        low, high = scene.device.travels(scene.channels)[point.channel]
-        found[name] = min(max(0.0, low), high)
-    found |= {name: mass.start()[0] for name, mass in scene.material_points.items()}
-    for name, structure in scene.structures.items():
-        places = (f"{name}.{place}" for place in structure.point_names())
-        found |= dict(zip(places, structure.initial_positions(), strict=True))
-    return found
-
-
-def _least_ways(near: dict[str, list[tuple[str, float]]], start: str) -> dict[str, float]:
-    """From `start` to every point that limits reach, the least sum of them (Dijkstra, 1959)."""
-    found: dict[str, float] = {}
-    waiting = [(0.0, start)]
-    while waiting:
-        way, name = heapq.heappop(waiting)
-        if name not in found:
-            found[name] = way
-            for other, more in near.get(name, ()):
-                if other not in found and math.isfinite(more):
-                    heapq.heappush(waiting, (way + more, other))
-    return found

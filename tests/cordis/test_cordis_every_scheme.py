@@ -26,7 +26,7 @@ from hapsim.cordis.schemes import SCHEMES
 from hapsim.scene import Scene, parse_scene
 
 sys.path.insert(0, str(Path(__file__).parent))
-from link_formulas import tension_of
+from tests.link_formulas import tension_of
 
 Array = NDArray[np.float64]
 RATE = 1024.0

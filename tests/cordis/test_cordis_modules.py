@@ -19,7 +19,6 @@ from hapsim.cordis.modules.nonlinear_links import Frictions, Plectra
 from hapsim.prediction.linear import linear_scene
 
 sys.path.insert(0, str(Path(__file__).parent))
-from link_formulas import tension_of
 from module_scenes import (
     HANDS,
     NUMBERS,
@@ -34,6 +33,8 @@ from module_scenes import (
     scene_with,
     walk,
 )
+
+from tests.link_formulas import tension_of
 
 #: What forces may differ by, over the largest force of the module, in double and in single precision. A mass and a cell
 #: carry what was rounded on from sample to sample.

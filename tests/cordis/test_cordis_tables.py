@@ -23,7 +23,7 @@ from hapsim.scene.part import Table
 from hapsim.scene.quantity import quantity
 
 sys.path.insert(0, str(Path(__file__).parent))
-from link_formulas import tension_of
+from tests.link_formulas import tension_of
 
 RATE, RAMP = 1000.0, 50
 

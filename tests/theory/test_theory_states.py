@@ -12,11 +12,13 @@ import yaml
 from hapsim import predict, start
 from hapsim.errors import UsageError
 from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
-from hapsim.prediction.states import MOST_STATES, options_of
+from hapsim.prediction.pieces import options_of
+from hapsim.prediction.states import MOST_STATES
+from hapsim.running import in_memory
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Network
 from hapsim.theory.network import never_grows, poles_of
-from tests.contact_scenes import begun, contact_scene, growth_within, judged_unstable, whole_states
+from tests.contact_scenes import begun, contact_scene, growths_within, judged_unstable, unsnapped_states
 
 SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))
 HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
@@ -26,9 +28,9 @@ FINGER = {"type": "buffer", "between": ["hand", "ball"], "stiffness": 500.0, "da
 DRIVE = {"type": "nonlinear", "between": ["ball", "wall"], "force_over_velocity": [[-1.0, 1.0], [1.0, -1.0]]}
 
 
-def scene_of(modules: dict[str, Any], **device: Any) -> Scene:
+def scene_of(modules: dict[str, Any], mock: dict[str, Any] | None = None, **device: Any) -> Scene:
     device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | device
-    document = {"version": 1, "rate": 1000, "device": device, "modules": HAND | modules}
+    document = {"version": 1, "rate": 1000, "device": device, "mock": mock or {}, "modules": HAND | modules}
     return parse_scene(yaml.safe_dump(document), "scene")
 
 
@@ -47,10 +49,8 @@ def test_what_is_said_of_each_state_is_how_a_motion_within_it_goes_on(seed: int)
     """Simulated for four seconds; states that a snap leaves, and growth by less than 1e-4 a sample, aside."""
     scene = contact_scene(seed)
     prediction = predict(scene, with_margins=False)
-    for state in whole_states(prediction)[:6]:
-        if any(option.linear.stiffness < 0.0 for option in state.values()):
-            continue
-        growth = growth_within(scene, state, 4000)
+    states = unsnapped_states(prediction)
+    for state, growth in zip(states, growths_within(scene, states, 4000), strict=True):
         if judged_unstable(prediction, state):
             assert growth > 1.0, state
         elif prediction.stable_as_taken:
@@ -259,3 +259,45 @@ def test_a_snap_drives_a_mass_on_and_is_no_instability_but_what_grows_faster_is(
     stop = {"type": "buffer", "between": ["gourd", "wall"], "stiffness": 250000.0, "distance": -0.001}
     growing = {one.state for one in predicted(modules | {"stop": stop}).states.growing}
     assert {one for one in growing if "stop is touched" in one and "between notches" in one}
+
+
+class TestADamperThatIsSteeperWhileItMoves:
+    @staticmethod
+    def damper(slow: float, fast: float, at: str = "wall") -> dict[str, Any]:
+        """From 10 mm/s to 1 m/s with the second, N·s/m."""
+        way = 0.01 * slow + 0.99 * fast
+        curve = [[-1.0, -way], [-0.01, -0.01 * slow], [0.01, 0.01 * slow], [1.0, way]]
+        spring = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 300.0, "damping": 1.0}
+        return {
+            "damper": {"type": "nonlinear", "between": ["hand", at], "force_over_velocity": curve},
+            "spring": spring,
+        }
+
+    def test_is_unstable_while_it_is_fast_and_the_loop_shows_it(self) -> None:
+        """The kernel's motion from 50 mm/s: it dies out, or is driven to the force limit."""
+        for fast, stable in ((20.0, True), (400.0, False)):
+            scene = scene_of(self.damper(2.0, fast), mock={"initial": {"velocity": 0.05}})
+            prediction = predict(scene)
+            assert prediction.stable_as_taken
+            assert prediction.stable == stable
+            assert (surely_shaken_by(scene) is None) == stable
+            trace = in_memory.run_in_memory(scene, duration=1.0)
+            assert (np.abs(trace.force[-100:]).max() < 1.0) == stable
+        assert [one.state for one in prediction.states.growing] == ["damper is fast"]
+
+    def test_at_a_mass_too(self) -> None:
+        ball = {"ball": BALL["ball"] | {"damping": 1.0}}
+        prediction = predicted(ball | {"finger": FINGER} | self.damper(2.0, 400.0, "ball"))
+        assert found(prediction) == {"slow, touched", "slow, apart", "fast, touched", "fast, apart"}
+        assert {one.state for one in prediction.states.growing} >= {"damper is fast, finger is apart"}
+
+    def test_one_that_is_less_steep_is_one_state(self) -> None:
+        """As the friction of a bow is: less force where it is faster."""
+        bow = {
+            "type": "nonlinear",
+            "between": ["hand", "wall"],
+            "force_over_velocity": [[-1, 0.1], [-0.1, -1], [0.1, 1], [1, 0.1]],
+        }
+        prediction = predicted(self.damper(0.0, 0.0) | {"damper": bow})
+        assert prediction.stable
+        assert prediction.states.count == 0

@@ -18,6 +18,7 @@ from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
 from hapsim.running import in_memory
 from hapsim.running.run import run
 from hapsim.scene import Scene, parse_scene
+from tests.contact_scenes import Motion
 
 SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "4")))
 Points = list[tuple[float, float]]
@@ -104,6 +105,67 @@ def test_it_is_about_as_large_as_the_describing_function_says(seed: int, figures
     assert largest == pytest.approx(swing.most, rel=0.2)
 
 
+def on_a_cap(points: Points, stiffness: float = 50000.0, quantum: float = 1e-7) -> Scene:
+    """The same curve between the hand and a cap of 0.1 kg on a stiff spring."""
+    document = yaml.safe_load(text_of(points, quantum=quantum))
+    cap = {"type": "cell", "mass": 0.1, "stiffness": stiffness, "damping": 20.0}
+    document["modules"]["curve"]["between"] = ["hand", "cap"]
+    return parse_scene(yaml.safe_dump(document | {"modules": document["modules"] | {"cap": cap}}), "cap")
+
+
+def swing_on_a_cap(scene: Scene, stiffness: float) -> float:
+    """m, simulated from the middle of the steepest piece, as `swing_on_mock`."""
+    law = scene.links["curve"].law()
+    steepest = max(law.pieces, key=lambda piece: piece.slope)
+    end = min(edge for edge in law.edges if edge > steepest.edge)
+    middle, kicks = 0.5 * (steepest.edge + end), np.array([-10.0, -1.0, -0.1, 0.1, 1.0, 10.0]) * (end - steepest.edge)
+    held = float(law.tension(middle))
+    cap = np.full(kicks.size, held / stiffness)
+    motion = Motion(scene, {"hand": cap + middle + kicks, "cap": cap}, held=held)
+    way = []
+    for _ in range(6000):
+        motion.step()
+        way.append(motion.now["hand"])
+    return float(np.ptp(way[-1000:], axis=0).max())
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_of_a_hand_that_moves_a_mass_it_is_as_large_as_simulated(seed: int, figures: Any) -> None:
+    """Within a tenth, whether the scene is taken to be in the piece that is too stiff or not."""
+    stiffness = float(np.random.default_rng(seed).choice([30000.0, 50000.0, 80000.0]))
+    scene = on_a_cap(steep_in_places(seed), stiffness)
+    shaking = surely_shaken_by(scene)
+    assert shaking is not None
+    assert shaking.swing is not None
+    assert shaking.swing.point == "hand"
+    seen = swing_on_a_cap(scene, stiffness)
+    figures.most("swing beside a mass off by, relative", abs(seen / shaking.swing.most - 1.0))
+    assert seen == pytest.approx(shaking.swing.most, rel=0.1)
+
+
+def test_a_resonator_that_drives_itself_swings_as_far_as_its_curve_lets_it() -> None:
+    """At rest the drive gives 1 N·s/m and the damper takes half of that; beyond 0.1 m/s the drive is level. A sine of
+    amplitude V gets as much as it gives where 0.5 V = 2/pi (asin r + r sqrt(1 - r²)) V, r = 0.1 / V."""
+    modules = {
+        "ball": {"type": "cell", "mass": 0.1, "stiffness": 400.0},
+        "drive": {"type": "nonlinear", "between": ["ball", "wall"], "force_over_velocity": [[-0.1, 0.1], [0.1, -0.1]]},
+        "rub": {"type": "viscoelastic", "between": ["ball", "wall"], "stiffness": 0.0, "damping": 0.5},
+        "finger": {"type": "buffer", "between": ["hand", "ball"], "stiffness": 500.0, "distance": 0.01},
+    }
+    document = yaml.safe_load(text_of([(0.0, 0.0)]))
+    document["modules"]["curve"] = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 300.0}
+    scene = parse_scene(yaml.safe_dump(document | {"modules": document["modules"] | modules}), "resonator")
+    shaking = surely_shaken_by(scene)
+    assert shaking is not None
+    assert (shaking.module, shaking.state) == ("ball", "finger is apart")
+    assert shaking.swing is not None
+    assert shaking.swing.point == "ball"
+    ratios = np.linspace(1e-3, 1.0, 100_001)
+    mean = 2.0 / np.pi * (np.arcsin(ratios) + ratios * np.sqrt(1.0 - ratios**2))
+    fastest = 0.1 / ratios[np.argmin(np.abs(mean - 0.5))]
+    assert shaking.swing.most == pytest.approx(2.0 * fastest / np.sqrt(400.0 / 0.1), rel=0.05)
+
+
 def test_a_knob_swings_by_an_angle(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     text = text_of([(-0.1, -0.05), (-0.01, -0.02), (0.0, 0.02), (0.1, 0.05)], 0.3)
     file = tmp_path / "knob.yaml"
@@ -176,6 +238,17 @@ class TestARecordedButton:
         for scene in (scene_of(button(0.02), quantum=1e-6), scene_of(button(0.02), 1.0, quantum=self.COARSE)):
             with pytest.raises(UsageError, match=r"to a swing of [0-9. to]+ µm and up to [0-9.]+ N from end to end"):
                 start(scene, duration=0.1, unstable=False)
+
+    def test_of_which_a_hand_presses_the_cap_may_be_armed_too(self) -> None:
+        scene = on_a_cap(button(0.02), quantum=self.COARSE)
+        shown = predict(scene, with_margins=False)
+        (swing,) = shown.judge.swings.values()
+        assert swing is not None
+        assert 1e-6 < swing.most < self.COARSE
+        assert shown.trembles == ("hand",)
+        assert not shown.stable
+        assert surely_shaken_by(scene) is None
+        assert surely_shaken_by(on_a_cap(button(0.02))) is not None
 
     def test_check_sums_its_regions_up(self, hapsim: Callable[..., Any], tmp_path: Path) -> None:
         file = tmp_path / "button.yaml"

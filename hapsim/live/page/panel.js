@@ -24,7 +24,9 @@ let controls = null;
 /** @type {{values: any, isApplied: boolean} | null} */
 let wanted = null; // the newest prediction to ask for
 let asked = { values: {}, isApplied: true }; // the last one,
-let askedAt = 0; // and when, ms
+let askedAt = 0; // when, ms,
+let askedFrom = 0; // and where the hand was
+const MOVED = 1e-4; // m or rad, by which a hand may meet another contact
 let isAsking = false;
 let isRecording = false;
 let watched = ""; // the module on the scope
@@ -140,7 +142,7 @@ async function predict(values, isApplied) {
   try {
     while (wanted) {
       [asked, wanted] = [wanted, null];
-      askedAt = performance.now();
+      [askedAt, askedFrom] = [performance.now(), place(plane.channel)];
       const at = samples.count ? model.channels.map((/** @type {any} */ _, /** @type {number} */ channel) => place(channel)) : [];
       const answer = await connection.ask({ type: "predict", values: asked.values, at, hand: plane.hand, plane: true });
       if (answer.type === "predicted") {
@@ -160,12 +162,14 @@ function place(channel) {
   return Math.min(Math.max(x, low ?? -Infinity), high ?? Infinity);
 }
 
-/** Asks anew where the hand has left the region that is shown, at most five times a second: faster figures are not read. */
+/** Asks anew where the hand has left the region that is shown, or has moved while it may touch masses, at most five times
+ * a second: faster figures are not read. */
 function follow() {
   const region = plane.applied?.hands?.[plane.hand]?.region;
-  if (!region || isAsking || performance.now() < askedAt + 200) return;
-  const x = place(plane.channel);
-  if (x < (region.low_m ?? -Infinity) || x > (region.high_m ?? Infinity)) predict(asked.values, asked.isApplied);
+  if (!(region || plane.applied?.contacts) || isAsking || performance.now() < askedAt + 200) return;
+  const x = place(plane.channel), low = region?.low_m ?? -Infinity, high = region?.high_m ?? Infinity;
+  const isAway = plane.applied.contacts && Math.abs(x - askedFrom) > MOVED;
+  if (x < low || x > high || isAway) predict(asked.values, asked.isApplied);
 }
 
 /** @param {any} predicted @param {boolean} isApplied */

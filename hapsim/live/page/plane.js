@@ -31,6 +31,7 @@ export class Plane {
       ? `${pair(hand.asked).join(" and ")}${isHeld ? ` feel like ${short(hand.k)} and ${short(hand.b)}` : ""}${own && ` (the device's own ${own} included)`}\n` +
         `${verdict(now, hand, this.isRotary ? "mrad" : "mm")}${this.planned ? ", not applied yet" : ""}${margin(hand)}`
       : `${now.stable ? "stable" : "unstable"}${now.states && ` ${now.states}`} (spectral radius ${short(now.spectral_radius)})`;
+    if (now.contacts) this.felt.textContent += `\nAt rest here: ${now.contacts}.`;
     this.felt.classList.toggle("bad", !now.stable);
     this.canvas.hidden = !hand;
     const why = Object.entries(now.why ?? {}).map(([name, reason]) => `${name}: ${reason}`);

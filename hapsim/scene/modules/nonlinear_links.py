@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -68,7 +69,8 @@ class Nonlinear(Link):
         sectors = (*curve_law(self.force_over_distance).sector, "N/m"), (*standing.sector, "N·s/m")
         words = " and ".join(f"between {low:g} and {high:g} {unit}" for low, high, unit in sectors if low or high)
         taken = f"is taken with its slopes where its ends meet and stand{words and f'; elsewhere they lie {words}'}"
-        return curve_law(self.force_over_distance, standing.slope(0.0), float(standing.tension(0.0)), taken)
+        law = curve_law(self.force_over_distance, standing.slope(0.0), float(standing.tension(0.0)), taken)
+        return replace(law, speeds=tuple(self.force_over_velocity or ()))
 
     def table(self) -> Law | None:
         return None if self.force_over_distance is None else roomy(curve_law(self.force_over_distance))

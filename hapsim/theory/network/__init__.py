@@ -5,7 +5,7 @@ from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import SURELY, Mode, Solution, poles_of
 from hapsim.theory.network.network import Network, never_grows, part_of, part_of_each
-from hapsim.theory.sample import LARGE, is_large, state_size, transition
+from hapsim.theory.sample import LARGE, is_large, loop, state_size, transition
 from hapsim.theory.schemes import NotWorkedOutError
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "Stabilizing",
     "continuous_modes",
     "is_large",
+    "loop",
     "margins_of",
     "never_grows",
     "part_of",

@@ -1,5 +1,5 @@
-"""What each link does, once more: its tension, from d and by how much that grew in a sample, both in m. A referee of
-the kernel, which reads the knots that each link's class makes."""
+"""What each link does, once more: its tension, from d and by how much that grew in a sample, both in m, numbers or, but
+of friction, arrays. A referee of the kernel and the theory, which read the knots that each link's class makes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-Tension = Callable[[float, float], float]
+Tension = Callable[[Any, Any], Any]
 
 
 def tension_of(link: Any, rate: float, sensed: Callable[[], float] = lambda: 0.0) -> Tension:
@@ -20,23 +20,22 @@ def tension_of(link: Any, rate: float, sensed: Callable[[], float] = lambda: 0.0
     if link.type == "damper":
         return lambda _d, growth: link.damping * rate * growth
     if link.type == "buffer":
-        return lambda d, growth: (
-            min(0.0, link.stiffness * (d - link.distance) + link.damping * rate * growth) if d < link.distance else 0.0
-        )
+        pushed = lambda d, growth: link.stiffness * (d - link.distance) + link.damping * rate * growth  # noqa: E731
+        return lambda d, growth: np.where(d < link.distance, np.minimum(0.0, pushed(d, growth)), 0.0)
     if link.type == "nonlinear":
-        over_distance, over_velocity = (
-            np.array(curve).T for curve in (link.force_over_distance, link.force_over_velocity)
+        curves = [curve and np.array(curve).T for curve in (link.force_over_distance, link.force_over_velocity)]
+        return lambda d, growth: sum(
+            np.interp(x, *curve) for curve, x in zip(curves, (d, rate * growth), strict=True) if curve is not None
         )
-        return lambda d, growth: float(np.interp(d, *over_distance) + np.interp(rate * growth, *over_velocity))
     if link.type == "detent":
         width = link.pitch / link.steepness if link.shape == "notch" else link.pitch
         peak_at = width / 4.0 if link.shape == "notch" else 0.5 * width * link.steepness / (link.steepness + 1.0)
 
-        def detent(d: float, growth: float) -> float:
+        def detent(d: Any, growth: Any) -> Any:
             u = d - link.pitch * np.round(d / link.pitch)
             straight = np.sign(u) * np.interp(abs(u), [0.0, peak_at, width / 2.0], [0.0, 1.0, 0.0])
             part = np.sin(2.0 * np.pi * d / link.pitch) if link.shape == "sine" else straight
-            return float(link.depth * part + link.damping * rate * growth)
+            return link.depth * part + link.damping * rate * growth
 
         return detent
     if link.type == "click":
@@ -54,7 +53,7 @@ def viscoelastic(link: Any, rate: float, sensed: Callable[[], float]) -> Tension
     memory: dict[str, float] = {}
     kept = np.exp(-2.0 * np.pi * link.cutoff / rate) if link.cutoff else 0.0
 
-    def tension(d: float, growth: float) -> float:
+    def tension(d: Any, growth: Any) -> Any:
         if link.damper == "centred":
             older = memory.get("d", d - 2.0 * growth)
             memory["d"] = d - growth
@@ -63,7 +62,7 @@ def viscoelastic(link: Any, rate: float, sensed: Callable[[], float]) -> Tension
             growth = memory["growth"] = growth + kept * (memory.get("growth", growth) - growth)
         elif link.damper == "sensed":
             growth += sensed()
-        return float(link.stiffness * d + link.damping * rate * growth)
+        return link.stiffness * d + link.damping * rate * growth
 
     tension.memory = memory  # type: ignore[attr-defined]
     return tension
@@ -89,13 +88,12 @@ def friction(link: Any, rate: float) -> Tension:
 
 
 def plectrum(link: Any, rate: float) -> Tension:
-    memory = {"side": 0.0}
+    memory: dict[str, Any] = {"side": 0.0}
 
-    def tension(d: float, growth: float) -> float:
-        if memory["side"] * d > 0.0:
-            return 0.0
-        memory["side"] = np.sign(d) if abs(d) > link.release else 0.0
-        return 0.0 if memory["side"] else float(link.stiffness * d + link.damping * rate * growth)
+    def tension(d: Any, growth: Any) -> Any:
+        stays, side = memory["side"] * d > 0.0, np.where(np.abs(d) > link.release, np.sign(d), 0.0)
+        memory["side"] = np.where(stays, memory["side"], side)
+        return np.where(memory["side"] == 0.0, link.stiffness * d + link.damping * rate * growth, 0.0)
 
     tension.memory = memory  # type: ignore[attr-defined]
     return tension
