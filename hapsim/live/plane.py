@@ -33,7 +33,7 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
     found: dict[str, Any] = {
         "stable": prediction.stable,
         "states": prediction.states.words if prediction.stable_as_taken else "",
-        "contacts": prediction.contacts_at(at),
+        "contacts": prediction.contacts_at(dict.fromkeys(wanted.device_points, 0.0) | at),
         "spectral_radius": prediction.spectral_radius,
         "hands": [_of_hand(one, prediction.asked_for(one), here.get(one.name)) for one in felt],
         "why": dict(prediction.coupled),

@@ -20,6 +20,15 @@ SETTINGS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disa
 QUIET = ("--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run")
 
 
+CELL = """
+version: 1
+rate: 1000
+device: {mass: 0.2, friction: 1.0}
+modules:
+  hand: {type: device, channel: 0}
+  ball: {type: cell, mass: 0.05, stiffness: 2000, damping: 1.0}
+  finger: {type: buffer, between: [hand, ball], stiffness: 500, damping: 1.0}
+"""
 DETENT = SCENE.replace(
     "touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}",
     "notch: {type: detent, between: [hand, wall], shape: snap, pitch: 0.01, depth: 1.0, sharpness: 1.0, damping: 5}",
@@ -50,7 +59,10 @@ class Page:
     def __init__(self, browser: Any, served: Any) -> None:
         self.browser, self.served = browser, served
         browser.get(served.origin)
-        self.until(lambda: self.text("title") not in ("", "hapsim") and "feel like" in self.text("felt"))
+        self.until(lambda: self.text("title") not in ("", "hapsim") and self.is_predicted())
+
+    def is_predicted(self) -> bool:
+        return any(words in self.text("felt") for words in ("feel like", "states of its contacts"))
 
     def until(self, holds: Callable[[], object]) -> Any:
         from selenium.webdriver.support.ui import WebDriverWait
@@ -344,6 +356,14 @@ def test_the_region_that_is_shown_is_the_hands(browser: Any, serve: Callable[...
         page.served.session.set({"mock.hand": {**hand, "position": position}})
         page.until(lambda text=text: text in page.text("felt"))
     assert "feel like" in page.text("felt")
+
+
+def test_what_a_hand_touches_is_shown_while_it_moves(browser: Any, serve: Callable[..., Any]) -> None:
+    page = Page(browser, serve(CELL))
+    for position, text in ((0.005, "finger is apart"), (-0.005, "finger is touched"), (0.005, "finger is apart")):
+        page.served.session.set({"mock.hand": {"stiffness": 3000.0, "damping": 20.0, "position": position}})
+        page.until(lambda text=text: f"At rest here: {text}" in page.text("felt"))
+    assert "in all 2 states of its contacts" in page.text("felt")
 
 
 @pytest.mark.parametrize("width", [320, 400, 620, 900, 1280])

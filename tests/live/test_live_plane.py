@@ -84,3 +84,30 @@ modules:
     assert hand["own"] == pytest.approx((stiffness, 1.5))
     if correction != "none":
         assert (hand["k"], hand["b"]) == pytest.approx(hand["asked"], rel=1e-6)
+
+
+CELLS = """
+version: 1
+rate: 1000
+device: {mass: 0.2, friction: 1.0}
+modules:
+  hand: {type: device, channel: 0}
+  low: {type: cell, mass: 0.05, stiffness: 2000, damping: 1.0, rest: -0.01}
+  high: {type: cell, mass: 0.05, stiffness: 2000, damping: 1.0, rest: 0.01}
+  floor: {type: buffer, between: [hand, low], stiffness: 500, damping: 1.0}
+  pick: {type: plectrum, between: [hand, high], stiffness: 800, release: 0.002}
+"""
+
+
+@pytest.mark.parametrize(
+    ("x", "contacts"),
+    [
+        (0.0, "floor is apart, pick is released"),
+        (-0.012, "floor is touched, pick is released"),
+        (0.011, "floor is apart, pick is gripping"),
+    ],
+)
+def test_of_contacts_that_move_masses_their_state_is_shown_where_the_hand_is(x: float, contacts: str) -> None:
+    assert found(parse_scene(CELLS), at=[x])["contacts"] == contacts
+    assert found(parse_scene(CELLS))["contacts"] == "floor is apart, pick is released"  # at 0
+    assert found(load_scene("configs/first_touch.yaml"), at=[x])["contacts"] == ""

@@ -25,7 +25,8 @@ let controls = null;
 let wanted = null; // the newest prediction to ask for
 let asked = { values: {}, isApplied: true }; // the last one,
 let askedAt = 0; // when, ms,
-let askedFrom = 0; // and where the hand was
+/** @type {number[]} */
+let askedFrom = []; // and where the hands were
 const MOVED = 1e-4; // m or rad, by which a hand may meet another contact
 let isAsking = false;
 let isRecording = false;
@@ -142,8 +143,8 @@ async function predict(values, isApplied) {
   try {
     while (wanted) {
       [asked, wanted] = [wanted, null];
-      [askedAt, askedFrom] = [performance.now(), place(plane.channel)];
-      const at = samples.count ? model.channels.map((/** @type {any} */ _, /** @type {number} */ channel) => place(channel)) : [];
+      const at = samples.count ? places() : [];
+      [askedAt, askedFrom] = [performance.now(), at];
       const answer = await connection.ask({ type: "predict", values: asked.values, at, hand: plane.hand, plane: true });
       if (answer.type === "predicted") {
         feel(answer, asked.isApplied);
@@ -162,13 +163,16 @@ function place(channel) {
   return Math.min(Math.max(x, low ?? -Infinity), high ?? Infinity);
 }
 
+/** @returns {number[]} */
+const places = () => model.channels.map((/** @type {any} */ _, /** @type {number} */ channel) => place(channel));
+
 /** Asks anew where the hand has left the region that is shown, or has moved while it may touch masses, at most five times
  * a second: faster figures are not read. */
 function follow() {
   const region = plane.applied?.hands?.[plane.hand]?.region;
   if (!(region || plane.applied?.contacts) || isAsking || performance.now() < askedAt + 200) return;
   const x = place(plane.channel), low = region?.low_m ?? -Infinity, high = region?.high_m ?? Infinity;
-  const isAway = plane.applied.contacts && Math.abs(x - askedFrom) > MOVED;
+  const isAway = plane.applied.contacts && places().some((at, i) => Math.abs(at - (askedFrom[i] ?? 0)) > MOVED);
   if (x < low || x > high || isAway) predict(asked.values, asked.isApplied);
 }
 
