@@ -11,6 +11,7 @@ from rich.markup import escape
 
 from hapsim.cli import check_details as details
 from hapsim.cli.check_regions import regions_document, show_regions, show_states, states_document, swings_document
+from hapsim.cli.check_together import show_together, together_document
 from hapsim.cli.live import at_work
 from hapsim.cli.options import At, Json, SceneFile, flag, load, position, scene_name
 from hapsim.cli.output import Table, document, pick, spoken, stderr, stdout, table
@@ -174,8 +175,7 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
     for felt in prediction.felt:
         if felt.reason:
             out.print(f"[bold]{escape(felt.name)}[/bold]: no spring and damper is equivalent: {felt.reason}")
-    for name, why in prediction.coupled.items():
-        out.print(f"[bold]{name}[/bold] {why}: no single k and b describe what it feels (--explain lists the modes)")
+    show_together(out, prediction)
     show_regions(out, scene, prediction)
     show_states(out, prediction)
     out.print(_margin_summary(prediction))
@@ -263,6 +263,7 @@ def prediction_document(
         **_correction_document(prediction, channel),
         "device_points": {one.name: felt_document(one) for one in prediction.felt},
         "coupled_device_points": prediction.coupled,
+        "felt_together": together_document(prediction),
         "regions": {name: regions_document(regions) for name, regions in prediction.regions.items()},
         "swings": swings_document(prediction),
         "contact_states": states_document(prediction),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from hapsim.cli.check_regions import show_regions, show_states
+from hapsim.cli.check_together import show_together
 from hapsim.cli.output import Table, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import (
@@ -49,11 +50,7 @@ def show_details(out: Console, scene: Scene, prediction: Prediction, on_wire: Pr
     show_regions(out, scene, prediction)
     show_states(out, prediction)
     _show_correction(out, prediction)
-    for name, why in prediction.coupled.items():
-        out.print(
-            f"\n[bold]{name}[/bold] {why}: it feels no single spring and damper. The modes below are those of the "
-            "whole."
-        )
+    show_together(out, prediction)
     if prediction.modes:
         out.print("", _modes(prediction))
     if prediction.poles_method:

@@ -33,7 +33,7 @@ from hapsim.errors import RunError, UsageError
 from hapsim.measuring.measure import measure as measure_scene
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, relative_difference, rounded
-from hapsim.prediction import Desired, Felt, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
+from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
 from hapsim.prediction.felt import felt_document
 
 if TYPE_CHECKING:
@@ -188,7 +188,8 @@ def show_measurement(
         )
     where = "" if measurement.at_m is None else f", at {number(measurement.at_m)} m"
     title = f"What the hand feels at {escape(hands[channel])}, channel {channel}{where}"
-    out.print(_side_by_side(title, felt, measurement, of_mass, desired))
+    own = next((one.own_motion for one in prediction.together if channel in one.channels), None)
+    out.print(_side_by_side(title, felt or own, measurement, of_mass, desired))
     seen, declared = measurement.seen_rate, measurement.trace.rate
     if seen is not None and seen.differs_from(declared):
         rate, uncertainty = (rounded(one, seen.uncertainty_hz) for one in (seen.rate_hz, seen.uncertainty_hz))
@@ -200,10 +201,11 @@ def show_measurement(
         title = f"What the hand feels at {rate} Hz (or this machine held the device up)"
         out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz), of_mass))
     if felt is None:
+        what = "no single spring and damper is predicted for it" if own is None else "predicted is its own motion"
         out.print(
-            f"This hand {prediction.coupled[hands[channel]]}: no single spring and damper is predicted for it. "
-            "Measured is the mode that rings longest; k and b would give the hand's mass alone that mode. `hapsim "
-            "check --explain` lists the modes."
+            f"This hand {prediction.coupled[hands[channel]]}: {what}. Measured is the mode that has nearly all of the "
+            "energy, or else rings longest; k and b would give the hand's mass alone that mode. `hapsim check "
+            "--explain` lists the modes."
         )
     reasons = () if measurement.left_region else other_device(felt, measurement, prediction, of_mass)
     for sentence in (
@@ -235,7 +237,7 @@ def _plainly(reason: str) -> str:
 
 
 def _side_by_side(
-    title: str, felt: Felt | None, measurement: Measurement, of_mass: str, desired: Desired | None = None
+    title: str, felt: Felt | OwnMotion | None, measurement: Measurement, of_mass: str, desired: Desired | None = None
 ) -> Table:
     """Returns the table of prediction and measurement, to the digits that the uncertainty leaves."""
     rows: list[tuple[str, ...]] = []

@@ -11,7 +11,7 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.live.messages import Predict
-from hapsim.prediction import Felt, Prediction, Region, predict
+from hapsim.prediction import Felt, FeltTogether, Prediction, Region, predict
 from hapsim.running.changes import changed
 from hapsim.running.parameters import Parameter, changes_from
 from hapsim.scene import Scene
@@ -36,6 +36,7 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
         "contacts": prediction.contacts_at(dict.fromkeys(wanted.device_points, 0.0) | at),
         "spectral_radius": prediction.spectral_radius,
         "hands": [_of_hand(one, prediction.asked_for(one), here.get(one.name)) for one in felt],
+        "together": [_of_hands(one) for one in prediction.together if not one.felt.reason],
         "why": dict(prediction.coupled),
         "wire_delay": prediction.wire_delay,
     }
@@ -68,6 +69,11 @@ def _of_hand(felt: Felt, asked: tuple[float, float], region: Region | None) -> d
     margins = {"stiffness_factor": felt.stiffness_factor, "stable_damping": felt.stable_damping}
     scene = {"K": felt.stiffness, "B": felt.damping, "asked": asked, "own": own, "region": place}
     return {name: getattr(felt, name) for name in _FIELDS} | scene | margins
+
+
+def _of_hands(one: FeltTogether) -> dict[str, Any]:
+    """k and b of each of these hands, the others held."""
+    return {"names": one.names, "k": np.diag(one.felt.k).tolist(), "b": np.diag(one.felt.b).tolist()}
 
 
 @lru_cache(maxsize=64)

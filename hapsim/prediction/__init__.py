@@ -6,6 +6,7 @@ Public is what `__all__` names.
 from firmware_protocol.wire_time import WireTime
 from hapsim.prediction.desired import Desired
 from hapsim.prediction.felt import Felt, Robustness, correction_for, felt_at_rate, robustness_of
+from hapsim.prediction.felt_together import HAND_HZ, FeltTogether, OwnMotion
 from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.link_margins import LinkMargin
@@ -24,10 +25,13 @@ from hapsim.prediction.timing import HostSilence, host_silence
 from hapsim.prediction.warnings import warnings_about
 
 __all__ = [
+    "HAND_HZ",
     "Desired",
     "Felt",
+    "FeltTogether",
     "HostSilence",
     "LinkMargin",
+    "OwnMotion",
     "PredictedImpedance",
     "Prediction",
     "Region",

@@ -17,6 +17,7 @@ from hapsim.prediction.characteristic import Characteristic, Piece, characterist
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.desired import Desired, desired_of
 from hapsim.prediction.felt import Felt, felt_by, swing
+from hapsim.prediction.felt_together import FeltTogether, felt_together
 from hapsim.prediction.linear import has_more_than_regions, links_of, network_of, why_coupled
 from hapsim.prediction.link_margins import LinkMargin, least_margins, link_margins
 from hapsim.prediction.shaking import Shaking
@@ -133,6 +134,17 @@ class Prediction:
     def _is_held(self, name: str) -> bool:
         """Whether the hand is held stably somewhere, if not at `at`."""
         return self._at is not None and any(one.kind == "held" and one.is_stable for one in self.regions.get(name, ()))
+
+    @cached_property
+    def together(self) -> tuple[FeltTogether, ...]:
+        """What is felt on the device points that are `coupled`, by the parts of the scene that no link joins."""
+        kind = self._rendering.kind
+        not_predicted = f"with correction: {kind.name} it is not worked out" if kind and kind.predicts else ""
+        written = self._network
+        if kind is not None:
+            written, _ = network_of(self._rendering.desired, scene_at(self._rendering.desired))
+        channels = {name: self.scene.device_points[name].channel for name in self.coupled}
+        return felt_together(self.judge.solved[0], written, self.points, channels, not_predicted)
 
     @cached_property
     def judge(self) -> Judge:

@@ -103,9 +103,13 @@ class Task:
 def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
     prediction = predict(scene, with_margins=False)
     hand = next((one for one in prediction.felt if one.channel == task.channel), None)
-    of_hand = {name: one.of(hand) for name, one in _OF_HAND.items()} if hand is not None else {}
-    found = of_hand | {name: one.of(prediction) for name, one in _OF_SCENE.items()}
-    return found, "" if hand is None else hand.reason
+    found = {name: one.of(prediction) for name, one in _OF_SCENE.items()}
+    if hand is not None:
+        return {name: one.of(hand) for name, one in _OF_HAND.items()} | found, hand.reason
+    shared = next((one for one in prediction.together if task.channel in one.channels), None)
+    if shared is None or (own := shared.own_motion) is None:
+        return found, "" if shared is None else f"no single k and b: {shared.felt.reason or 'several hands'}"
+    return {f"predicted_{name}": one.of(own) for name, one in _FELT.items()} | found, ""
 
 
 def _measured(task: Task, scene: Scene) -> tuple[Values, str]:

@@ -31,12 +31,17 @@ export class Plane {
       ? `${pair(hand.asked).join(" and ")}${isHeld ? ` feel like ${short(hand.k)} and ${short(hand.b)}` : ""}${own && ` (the device's own ${own} included)`}\n` +
         `${verdict(now, hand, this.isRotary ? "mrad" : "mm")}${this.planned ? ", not applied yet" : ""}${margin(hand)}`
       : `${now.stable ? "stable" : "unstable"}${now.states && ` ${now.states}`} (spectral radius ${short(now.spectral_radius)})`;
+    for (const { names, k, b } of now.together ?? [])
+      for (const [i, name] of names.entries()) {
+        const held = names.length > 1 ? " while the others hold still" : "";
+        this.felt.textContent += `\n${name} feels ${pair([k[i], b[i]]).join(" and ")}${held}.`;
+      }
     if (now.contacts) this.felt.textContent += `\nAt rest here: ${now.contacts}.`;
     this.felt.classList.toggle("bad", !now.stable);
     this.canvas.hidden = !hand;
     const why = Object.entries(now.why ?? {}).map(([name, reason]) => `${name}: ${reason}`);
     const less = own ? ", less the device's own" : "";
-    if (!hand) this.note.textContent = why.join("; ") || "No single k and b describe what this hand feels.";
+    if (!hand) this.note.textContent = why.join("; ");
     else if (hand.K < 0) this.note.textContent = "In a snap K is below 0, outside this plane.";
     else if (!now.plane) this.note.textContent = "With a correction, K and B are not what is simulated: no boundary of theirs is drawn.";
     else this.note.textContent = `The area shows for which K and B the loop is stable. The marks on the axes are the k and b that are felt${less}: the area does not apply to them.`;

@@ -1,6 +1,7 @@
 """The closed loop of any linear scene: hands, masses and links together."""
 
 from hapsim.theory.network.continuous import ContinuousMode, continuous_modes
+from hapsim.theory.network.felt import FeltPair, continuous_pair, felt_pair, no_pair, static_stiffness
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import SURELY, Mode, Solution, poles_of
@@ -12,6 +13,7 @@ __all__ = [
     "LARGE",
     "SURELY",
     "ContinuousMode",
+    "FeltPair",
     "Margin",
     "Margins",
     "Mode",
@@ -20,14 +22,18 @@ __all__ = [
     "Solution",
     "Stabilizing",
     "continuous_modes",
+    "continuous_pair",
+    "felt_pair",
     "is_large",
     "loop",
     "margins_of",
     "never_grows",
+    "no_pair",
     "part_of",
     "part_of_each",
     "poles_of",
     "solve",
     "state_size",
+    "static_stiffness",
     "transition",
 ]

@@ -1,0 +1,104 @@
+"""What `hapsim check` prints of hands that move masses, or each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.markup import escape
+
+from hapsim.cli.output import spoken, table
+from hapsim.number_format import number
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hapsim.prediction import FeltTogether, Prediction
+
+_FREQUENCIES = 5  # of a sentence
+
+
+def show_together(out: Console, prediction: Prediction) -> None:
+    """Prints k, b and static stiffness of these hands beside what was asked for, and what they are of."""
+    rows = [row for one in prediction.together for row in _rows(one)]
+    if rows:
+        out.print(table("", ("", "asked for", "felt", "static", ""), rows, box=None))
+    for sentence in _sentences(prediction):
+        out.print(sentence)
+
+
+def _rows(together: FeltTogether) -> Iterator[tuple[str, str, str, str, str]]:
+    """Yields rows for each hand, and for each pair of hands: what the first feels of the second."""
+    felt, asked, static = together.felt, together.asked_for, together.static_stiffness
+    if felt.reason:
+        return
+    names = [escape(name) for name in together.names]
+    for i, name in enumerate(names):
+        others = [(j, 1.0, name) if j == i else (j, -1.0, f"{name} of {names[j]}") for j in range(len(names))]
+        for j, sign, who in sorted(others, key=lambda one: one[0] != i):
+            unit = spoken(together.channels[i])
+            k, b = (number(sign * float(one[i, j])) for one in (felt.k, felt.b))
+            wanted_k, wanted_b = (number(sign * float(one[i, j])) for one in (asked.k, asked.b))
+            yield f"{who}: k", wanted_k, k, number(sign * float(static[i, j])), unit("N/m")
+            yield f"{who}: b", wanted_b, b, "", unit("N·s/m")
+
+
+def _sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields what the rows are of, or what is felt where there are none."""
+    for one in prediction.together:
+        whys = "; ".join(f"[bold]{escape(name)}[/bold] {escape(prediction.coupled[name])}" for name in one.names)
+        felt = one.felt
+        if not felt.reason:
+            whose = "its own motion" if len(one.names) == 1 else "the hands' own motions"
+            others = "; of another hand: as of a spring and damper between them" if len(one.names) > 1 else ""
+            yield f"{whys}. k and b are those of {whose}{others}; asked for are those of the scene in continuous time"
+            continue
+        yield f"{whys}: no single k and b say what it feels: {felt.reason}{_modes(felt.frequencies_hz)}"
+        if len(one.names) == 1:
+            yield _at_frequencies(one)
+
+
+def _modes(frequencies: tuple[float, ...]) -> str:
+    if not frequencies:
+        return ""
+    shown = [number(one, 3) for one in sorted(frequencies[:_FREQUENCIES])]
+    *first, last = shown
+    return f" (modes of {', '.join(first)} and {last} Hz)" if first else f" (a mode of {last} Hz)"
+
+
+def _at_frequencies(one: FeltTogether) -> str:
+    from hapsim.prediction import HAND_HZ
+
+    static, pairs = float(one.static_stiffness[0, 0]), zip(HAND_HZ, *one.at_frequencies, strict=True)
+    moved = [f"at {hz:g} Hz {number(k, 4)} N/m and {number(b, 3)} N·s/m" for hz, k, b in pairs if math.isfinite(k)]
+    return f"A steady push meets {number(static, 4)} N/m; moved to and fro, the hand meets {', '.join(moved)}"
+
+
+def together_document(prediction: Prediction) -> list[dict[str, Any]]:
+    """Returns the same as a JSON document."""
+    from hapsim.prediction import HAND_HZ
+
+    return [
+        {
+            "device_points": one.names,
+            "k": _matrix(one.felt.k),
+            "b": _matrix(one.felt.b),
+            "continuous": {"k": _matrix(one.asked_for.k), "b": _matrix(one.asked_for.b)},
+            "static_stiffness": _matrix(one.static_stiffness),
+            "kinetic_share": one.felt.share,
+            "other_motions": one.felt.others,
+            "frequencies_hz": one.felt.frequencies_hz,
+            "reason": one.felt.reason,
+            "moved": [
+                {"frequency_hz": hz, "k": k, "b": b}
+                for hz, k, b in zip(HAND_HZ, *(part.tolist() for part in one.at_frequencies), strict=True)
+            ],
+        }
+        for one in prediction.together
+    ]
+
+
+def _matrix(values: np.ndarray[Any, Any]) -> list[list[float]] | None:
+    return values.tolist() if np.isfinite(values).all() else None

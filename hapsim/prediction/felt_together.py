@@ -1,0 +1,94 @@
+"""What hands feel that move masses, or each other: the spring and damper of their own motions, where these are all that
+they do; and what is always defined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.theory import Network, frequency_and_ratio
+from hapsim.theory.arrays import Floats
+from hapsim.theory.network import FeltPair, continuous_pair, felt_pair, no_pair, part_of, part_of_each, static_stiffness
+from hapsim.theory.network.impedance import loop_impedance
+
+HAND_HZ = (2.0, 8.0, 30.0)
+"""At which a hand moves: slowly, as fast as it can, and shaken by what it holds."""
+
+
+class OwnMotion(NamedTuple):
+    """Of one hand, beside a measurement: N/m, N·s/m, and what a spring and damper make of its mass."""
+
+    k: float
+    b: float
+    frequency_hz: float
+    damping_ratio: float
+
+
+@dataclass(frozen=True, eq=False)
+class FeltTogether:
+    """What is felt on the device points of one part of a scene that no link joins to another.
+
+    Attributes:
+        names: of the n device points.
+        channels: theirs.
+        not_predicted: why no pair is worked out of what runs; "" where it is.
+    """
+
+    names: tuple[str, ...]
+    channels: tuple[int, ...]
+    not_predicted: str
+    _network: Network
+    _continuous: Network
+
+    @cached_property
+    def felt(self) -> FeltPair:
+        """k and b (n, n) that are felt; beside the diagonal what one hand feels of another is negative."""
+        return no_pair(len(self.names), self.not_predicted) if self.not_predicted else felt_pair(self._network)
+
+    @property
+    def own_motion(self) -> OwnMotion | None:
+        """Of a hand that shares its motion with no other; None where no pair is felt."""
+        if self.felt.reason or len(self.names) > 1:
+            return None
+        k, b = float(self.felt.k[0, 0]), float(self.felt.b[0, 0])
+        frequency, ratio = frequency_and_ratio(float(self._network.channel_mass[0]), k, b)
+        return OwnMotion(k, b, float(frequency), float(ratio))
+
+    @cached_property
+    def asked_for(self) -> FeltPair:
+        """The same of the scene in continuous time: what sampling, hold and delay make another of."""
+        return continuous_pair(self._continuous)
+
+    @cached_property
+    def static_stiffness(self) -> Floats:
+        """(n, n): N/m, that steady pushes meet."""
+        return static_stiffness(self._network)
+
+    @cached_property
+    def at_frequencies(self) -> tuple[Floats, Floats]:
+        """k and b, each (3,), that the first hand meets when it is moved at `HAND_HZ` and the others are held; NaN from
+        half the rate on."""
+        own = self._network.channel_friction[0], self._network.channel_stiffness[0]
+        rendered = loop_impedance(self._network, HAND_HZ).rendered[:, 0, 0]
+        return own[1] - 2.0 * np.pi * np.array(HAND_HZ) * rendered.imag, own[0] + rendered.real
+
+
+def felt_together(
+    network: Network, continuous: Network, points: Sequence[str], channels: dict[str, int], not_predicted: str
+) -> tuple[FeltTogether, ...]:
+    """Of each part of the scene that has some of these hands, by name with their channels.
+
+    `network`: what runs; `continuous`: the scene as it is written; `points`: the names of the points of both.
+    """
+    part, found = part_of_each(network.ends, len(points)), []
+    for number in dict.fromkeys(int(part[points.index(name)]) for name in channels):
+        inside = np.flatnonzero(part == number)
+        names = tuple(name for name in channels if part[points.index(name)] == number)
+        numbers = tuple(channels[name] for name in names)
+        parts = part_of(network, inside), part_of(continuous, inside)
+        found.append(FeltTogether(names, numbers, not_predicted, *parts))
+    return tuple(found)

@@ -1,0 +1,155 @@
+"""The springs and dampers that hands feel in a network, one hand or several: those of the hands' own motions.
+
+Of the loop's motions by themselves, the hands' own are the slowest with nine tenths of the kinetic energy in the hands.
+Where these carry what the hands do, no other object than M x'' + b x' + k x = 0 has the same motions: with a real basis
+V of them, A V = V R, S = log(R)/T and X the hands' rows of V, [k b] = -M X S² [X; X S]⁻¹. One hand without masses feels
+the pair of Florens et al., §6.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.network.continuous import matrices
+from hapsim.theory.network.network import Network
+from hapsim.theory.sample import is_large, loop, sizes_of
+
+OWN = 0.9
+"""Of a motion's kinetic energy: with more in the hands it is theirs."""
+CARRIED = 0.25
+"""Of the hands' velocity after an impulse, rms: with more in other motions no pair says what is felt."""
+_MEMORY = 1e-7  # a pole of smaller modulus is a memory that empties
+_SAME = 1e-6  # relative: two numbers that rounding alone tells apart
+_WORST = 1e12  # condition of the motions that a pair is solved from
+_SHOWN = 0.1  # of the hands' velocity after an impulse, rms: a motion that the hands share in
+_TURNS = 10.0  # radians of the slowest motion of the hands: how long one is looked at that does not die out
+
+TOO_LARGE = "the scene is too large for it"
+
+
+class FeltPair(NamedTuple):
+    """What n hands feel: k (n, n) in N/m and b (n, n) in N·s/m, the device's own included; NaN where there is none."""
+
+    k: Floats
+    b: Floats
+    share: float
+    """The least that the hands have of the kinetic energy of a motion of their own."""
+    others: float
+    """What other motions carry of the hands' velocity after an impulse, rms."""
+    frequencies_hz: tuple[float, ...]
+    """Of the motions that the hands share in, what carries most first."""
+    reason: str = ""
+    """Why there is no pair."""
+
+
+class _Motions(NamedTuple):
+    """n motions of C hands."""
+
+    s: Complexes
+    """(n,): log of the pole."""
+    hands: Complexes
+    """(C, n): positions."""
+    share: Floats
+    """(n,): the hands' part of the kinetic energy."""
+    carried: Complexes
+    """(C, C, n): velocity of a hand in it, after an impulse on another."""
+
+
+@np.errstate(all="ignore")
+def felt_pair(network: Network) -> FeltPair:
+    """What the hands of a part of a scene feel whose points links join, by the loop's motions."""
+    hands = network.channel_mass.size
+    if is_large(network):
+        return no_pair(hands, TOO_LARGE)
+    change, sizes = loop(network).change, sizes_of(network)
+    if not np.isfinite(change).all():
+        return no_pair(hands, "its numbers are out of range")
+    w, states = np.linalg.eig(change)
+    begin = sizes["position"] + sizes["mass"]
+    kick = np.eye(len(change))[:, begin : begin + hands]
+    kept = np.abs(1.0 + w) > _MEMORY
+    s, at, share, carried = _motions(network, np.log1p(w.astype(complex)), states, states[begin : begin + hands], kick)
+    return _pair(network, _Motions(s[kept], at[:, kept], share[kept], carried[..., kept]))
+
+
+@np.errstate(all="ignore")
+def continuous_pair(network: Network) -> FeltPair:
+    """What they would feel in continuous time; also where other motions carry much."""
+    if is_large(network):
+        return no_pair(network.channel_mass.size, TOO_LARGE)
+    M, Z, K = matrices(network)
+    size, mass, hands = len(M), np.diag(M)[:, None], network.channel_mass.size
+    change = np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass, -Z / mass]])
+    roots, states = np.linalg.eig(change)
+    kick = np.eye(2 * size)[:, size : size + hands]
+    s = np.asarray(roots / network.rate, complex)
+    motions = _motions(network, s, states, states[size : size + hands], kick)
+    return _pair(network, motions, most=math.inf)
+
+
+def static_stiffness(network: Network) -> Floats:
+    """(C, C): N/m, which steady pushes on the hands meet, the device's own springs included."""
+    _, _, K = matrices(network)
+    hands = network.channel_mass.size
+    follows = np.linalg.lstsq(K[hands:, hands:], K[hands:, :hands], rcond=None)[0]
+    return np.asarray(K[:hands, :hands] - K[:hands, hands:] @ follows)
+
+
+def no_pair(hands: int, reason: str, share: float = 0.0, others: float = 1.0, at: tuple[float, ...] = ()) -> FeltPair:
+    """Of these hands, with the reason in words."""
+    return FeltPair(np.full((hands, hands), np.nan), np.full((hands, hands), np.nan), share, others, at, reason)
+
+
+def _motions(network: Network, s: Complexes, states: Complexes, speeds: Complexes, kick: Floats) -> _Motions:
+    """``speeds`` (C, n): the hands' velocities in each; ``kick`` (size, C): the state after an impulse on each hand."""
+    mass, hands = np.concatenate([network.channel_mass, network.point_mass]), network.channel_mass.size
+    energy = mass[:, None] * np.abs(states[: mass.size]) ** 2
+    share = np.nan_to_num(energy[:hands].sum(axis=0) / energy.sum(axis=0))
+    try:
+        amounts = np.linalg.solve(states, kick.astype(complex))
+    except np.linalg.LinAlgError:
+        amounts = np.linalg.lstsq(states, kick.astype(complex), rcond=None)[0]
+    return _Motions(s, states[:hands], share, speeds[:, None, :] * amounts.T[None, :, :])
+
+
+def _pair(network: Network, motions: _Motions, most: float = CARRIED) -> FeltPair:
+    """``most``: that other motions may carry in a scene with masses."""
+    hands, rate, (s, at, share, carried) = network.channel_mass.size, network.rate, motions
+    own = np.flatnonzero(share >= OWN)
+    own = own[np.argsort(np.abs(s[own]), kind="stable")[: 2 * hands]]
+    beside = np.setdiff1d(np.arange(s.size), own)
+    lasts = math.inf if (s.real < 0.0).all() else math.ceil(_TURNS / np.abs(s[own]).min(initial=1.0))
+    all_squared = _squared(s, carried, lasts)
+    others = math.sqrt(max(_squared(s[beside], carried[..., beside], lasts) / all_squared, 0.0)) if all_squared else 0.0
+    alone = [4.0 * _squared(s[[i]], carried[..., [i]], lasts) for i in range(s.size)]
+    shown = [i for i in np.argsort(-np.array(alone)) if s[i].imag > 0.0 and alone[i] > _SHOWN**2 * all_squared]
+    found = tuple(float(abs(s[i]) * rate / (2.0 * np.pi)) for i in shown)
+    X, of = at[:, own], s[own] * rate
+    both = np.vstack([X, X * of])
+    alike = np.vstack([X, X * of / max(np.abs(of).max(initial=0.0), 1e-300)])
+    if own.size < 2 * hands:
+        reason = "no motion is its own" if hands == 1 else "too few motions are the hands' own"
+    elif any(np.abs(s[own] - one.conj()).min() > _SAME * abs(one) for one in s[own]):
+        reason = "not all of a motion is its own"
+    elif (np.abs(np.abs(s[own].imag) - np.pi) < _SAME).any():
+        reason = "its own motion changes its direction with every sample"
+    elif network.point_mass.size and not others <= most:
+        reason = "it moves in others than its own"
+    elif not np.linalg.cond(alike / np.linalg.norm(alike, axis=0)) < _WORST:
+        reason = "two motions of its own are one"
+    else:
+        kb = -np.linalg.solve(both.T, (network.channel_mass[:, None] * X * of**2).T).T.real
+        return FeltPair(np.asarray(kb[:, :hands]), np.asarray(kb[:, hands:]), float(share[own].min()), others, found)
+    return no_pair(hands, reason, float(share[own].min(initial=1.0)), others, found)
+
+
+def _squared(s: Complexes, carried: Complexes, lasts: float) -> float:
+    """The sum of the squared velocities over as many samples."""
+    both = s[:, None] + s.conj()[None, :]
+    ended = 0.0 if math.isinf(lasts) else np.exp(lasts * both)
+    products = np.einsum("ijk,ijl->kl", carried, carried.conj()) * (1.0 - ended) / -np.expm1(both)
+    return float(np.nan_to_num(products).sum().real)

@@ -1,0 +1,162 @@
+"""What a hand feels that moves masses or another hand: figures worked out elsewhere, limits, and the mock's motion."""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from hapsim import predict
+from hapsim.prediction import FeltTogether, OwnMotion
+from hapsim.running import in_memory
+from hapsim.scene import Scene, parse_scene
+from hapsim.theory import Configuration
+
+SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "12")))
+HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
+
+
+def link(first: str, second: str, stiffness: float, damping: float) -> dict[str, Any]:
+    return {"type": "viscoelastic", "between": [first, second], "stiffness": stiffness, "damping": damping}
+
+
+def scene_of(modules: dict[str, Any], **more: Any) -> Scene:
+    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | more.pop("device", {})
+    document = {"version": 1, "rate": 1000, "device": device, "modules": HAND | modules} | more
+    return parse_scene(yaml.safe_dump(document, sort_keys=False), "scene")
+
+
+def together(modules: dict[str, Any], **more: Any) -> FeltTogether:
+    (found,) = predict(scene_of(modules, **more), with_margins=False).together
+    return found
+
+
+def mass(kg: float) -> dict[str, Any]:
+    return {"type": "mass", "mass": kg}
+
+
+class TestFiguresWorkedOutElsewhere:
+    """By 50 digits, of a hand of 0.2 kg and 1 N·s/m at 1 kHz, a sample late."""
+
+    def test_through_a_light_mass(self) -> None:
+        couple = link("hand", "proxy", 769.800358920, 0.281766487)
+        one = together({"proxy": mass(0.02), "couple": couple, "hold": link("proxy", "wall", 2000.0, 5.0)})
+        assert (one.felt.k[0, 0], one.felt.b[0, 0]) == pytest.approx((554.143495968, 0.708624809), rel=1e-9)
+        wanted = one.asked_for.k[0, 0], one.asked_for.b[0, 0]
+        assert wanted == pytest.approx((552.901493894, 1.535624061), rel=1e-9)
+        assert one.felt.share == pytest.approx(0.99209, abs=1e-5)
+
+    def test_on_a_heavy_mass(self) -> None:
+        one = together(
+            {"block": mass(5.0), "touch": link("hand", "block", 2000.0, 5.0), "hold": link("block", "wall", 100.0, 1.0)}
+        )
+        assert (one.felt.k[0, 0], one.felt.b[0, 0]) == pytest.approx((2165.5, 3.189), rel=1e-4)
+        assert one.felt.share == pytest.approx(0.96, abs=5e-3)
+
+    def test_on_a_wall_with_a_mass_beside(self) -> None:
+        one = together(
+            {"ball": mass(0.5), "touch": link("hand", "wall", 2000.0, 5.0), "beside": link("hand", "ball", 20.0, 0.1)}
+        )
+        assert (one.felt.k[0, 0], one.felt.b[0, 0]) == pytest.approx((2103.3, 3.094), rel=1e-4)
+
+    def test_a_free_mass_of_which_no_motion_is_the_hand_s(self) -> None:
+        one = together({"ball": mass(1.0), "touch": link("hand", "ball", 2000.0, 5.0)})
+        assert one.felt.reason
+        assert np.isnan(one.felt.k).all()
+        assert one.own_motion is None
+
+    def test_two_hands_on_one_link(self) -> None:
+        right = {"right": {"type": "device", "channel": 1}}
+        one = together(right | {"tie": link("hand", "right", 2000.0, 5.0)})
+        apart = np.array([[1.0, -1.0], [-1.0, 1.0]])
+        np.testing.assert_allclose(one.felt.k, 2167.8914017232 * apart, rtol=1e-9)
+        np.testing.assert_allclose(one.felt.b, np.eye(2) + 1.9923820182 * apart, rtol=1e-9)
+        np.testing.assert_allclose(one.asked_for.k, 2000.0 * apart, rtol=1e-9)
+        np.testing.assert_allclose(one.static_stiffness, 2000.0 * apart, rtol=1e-9)
+        assert one.own_motion is None
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_mass_without_weight_changes_nothing(seed: int) -> None:
+    """A hand beside a stiff mote feels what it does without, by the formula of one hand."""
+    draw = np.random.default_rng(seed)
+    stiffness, damping = float(draw.uniform(100.0, 3000.0)), float(draw.uniform(0.0, 6.0))
+    mote = {"mote": {"type": "cell", "mass": 1e-9, "stiffness": 1e-9}, "tie": link("hand", "mote", 1e-9, 0.0)}
+    one = together({"touch": link("hand", "wall", stiffness, damping)} | mote)
+    k, b = Configuration(mass=0.2, rate=1000.0, friction=1.0).equivalent(stiffness, damping)
+    assert (one.felt.k[0, 0], one.felt.b[0, 0]) == pytest.approx((float(k), float(b)), rel=1e-8)
+
+
+def random_scene(seed: int) -> Scene:
+    """A hand on one to four masses or cells, or on a string, at any hold and delay, on a wall as well or not."""
+    draw = np.random.default_rng(seed)
+    modules: dict[str, Any] = {}
+    if draw.random() < 0.3:
+        count = int(draw.integers(4, 20))
+        modules["string"] = {"type": "string", "masses": count, "mass": 0.02, "stiffness": 4000.0, "damping": 0.02}
+        ends = [f"string.{int(draw.integers(0, count))}"]
+    else:
+        ends = [f"m{i}" for i in range(int(draw.integers(1, 5)))]
+        for name in ends:
+            modules[name] = mass(10.0 ** draw.uniform(-2.5, 0.5))
+            modules[f"{name}_hold"] = link(name, "wall", draw.uniform(100.0, 3000.0), draw.uniform(0.1, 3.0))
+        for first, second in pairwise(ends):
+            modules[f"{first}_{second}"] = link(first, second, draw.uniform(10.0, 2000.0), draw.uniform(0.0, 1.0))
+    modules["touch"] = link("hand", ends[0], draw.uniform(100.0, 2500.0), draw.uniform(0.0, 4.0))
+    if draw.random() < 0.4:
+        modules["wall_touch"] = link("hand", "wall", draw.uniform(100.0, 2000.0), draw.uniform(0.0, 4.0))
+    device = {"mass": draw.uniform(0.1, 0.5), "friction": draw.uniform(0.3, 2.0), "delay": draw.choice([0.0, 0.4, 1.0])}
+    device |= {"hold": draw.choice(["zoh", "impulse"])}
+    plain = {name: one if isinstance(one, str) else float(one) for name, one in device.items()}
+    mock = {"quantum": 1e-11, "initial": {"position": 1e-4}}
+    return scene_of(
+        modules, device=plain | {"hold": str(device["hold"])}, mock=mock, substeps=int(draw.choice([1, 1, 3]))
+    )
+
+
+def poles_in(positions: NDArray[np.float64], most: int = 300) -> NDArray[np.complex128]:
+    """The poles of a sum of decaying swings, by the matrix pencil of these positions (Hua and Sarkar, 1990)."""
+    rows = np.lib.stride_tricks.sliding_window_view(positions, most)[: positions.size - most + 1]
+    basis, size, _ = np.linalg.svd(rows.T, full_matrices=False)
+    basis = basis[:, : min(int((size > 1e-10 * size[0]).sum()), most - 2)]
+    return np.linalg.eigvals(np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_predicted_motion_is_among_those_of_the_mock(seed: int, figures: Any) -> None:
+    """In virtual time, from a hand that is let go beside its rest. Where none is said to be the hand's own, others
+    carry at least a quarter of its velocity, or a mass has more than a tenth of its energy."""
+    scene = random_scene(seed)
+    prediction = predict(scene, with_margins=False)
+    (one,), own = prediction.together, prediction.together[0].own_motion
+    if own is None:
+        assert one.felt.others > 0.25 or one.felt.share < 0.9
+    if own is None or not prediction.stable:  # one that grows to the force limit is no sum of swings
+        return
+    trace = in_memory.run_in_memory(scene, duration=1.5)
+    s = np.roots([scene.device.masses(1)[0], own.b, own.k]) / scene.rate
+    poles = poles_in(trace.position_counts[5:, 0] * float(trace.position_scale[0]))
+    off = float(np.abs(poles - np.exp(s[0])).min() / abs(s[0]))
+    figures.most("a hand's own motion off by, relative", off)
+    assert off < 1e-6
+
+
+def test_what_a_hand_meets_where_no_motion_is_its_own() -> None:
+    """Slowly, the free ball's weight: m ω² less than nothing of a spring; fast, the link alone."""
+    one = together({"ball": mass(1.0), "touch": link("hand", "ball", 2000.0, 5.0)})
+    k, _ = one.at_frequencies
+    ball = -1.0 * (2.0 * np.pi * 2.0) ** 2
+    assert k[0] == pytest.approx(1.0 / (1.0 / 2000.0 + 1.0 / ball), rel=0.02)
+    assert k[2] > 2000.0
+    assert one.static_stiffness[0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert isinstance(
+        together(
+            {"tie": link("hand", "m", 500.0, 1.0), "m": mass(0.02), "w": link("m", "wall", 500.0, 1.0)}
+        ).own_motion,
+        OwnMotion,
+    )
