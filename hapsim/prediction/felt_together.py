@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.theory import Network, frequency_and_ratio
-from hapsim.theory.arrays import Floats
+from hapsim.one_thread import one_thread
+from hapsim.theory import Network, Solution, frequency_and_ratio
+from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import FeltPair, continuous_pair, felt_pair, no_pair, part_of, part_of_each, static_stiffness
 from hapsim.theory.network.impedance import loop_impedance
 
@@ -43,11 +44,16 @@ class FeltTogether:
     not_predicted: str
     _network: Network
     _continuous: Network
+    _eigen: tuple[Complexes, Complexes] | None
+    """Of the network's loop, where they are known."""
 
     @cached_property
     def felt(self) -> FeltPair:
         """k and b (n, n) that are felt; beside the diagonal what one hand feels of another is negative."""
-        return no_pair(len(self.names), self.not_predicted) if self.not_predicted else felt_pair(self._network)
+        if self.not_predicted:
+            return no_pair(len(self.names), self.not_predicted)
+        with one_thread():
+            return felt_pair(self._network, self._eigen)
 
     @property
     def own_motion(self) -> OwnMotion | None:
@@ -61,12 +67,14 @@ class FeltTogether:
     @cached_property
     def asked_for(self) -> FeltPair:
         """The same of the scene in continuous time: what sampling, hold and delay make another of."""
-        return continuous_pair(self._continuous)
+        with one_thread():
+            return continuous_pair(self._continuous)
 
     @cached_property
     def static_stiffness(self) -> Floats:
         """(n, n): N/m, that steady pushes meet."""
-        return static_stiffness(self._network)
+        with one_thread():
+            return static_stiffness(self._network)
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:
@@ -78,11 +86,17 @@ class FeltTogether:
 
 
 def felt_together(
-    network: Network, continuous: Network, points: Sequence[str], channels: dict[str, int], not_predicted: str
+    network: Network,
+    solution: Solution,
+    continuous: Network,
+    points: Sequence[str],
+    channels: dict[str, int],
+    not_predicted: str,
 ) -> tuple[FeltTogether, ...]:
     """Of each part of the scene that has some of these hands, by name with their channels.
 
-    `network`: what runs; `continuous`: the scene as it is written; `points`: the names of the points of both.
+    `network`, `solution`: of what runs; `continuous`: the scene as it is written; `points`: the names of the points of
+    both.
     """
     part, found = part_of_each(network.ends, len(points)), []
     for number in dict.fromkeys(int(part[points.index(name)]) for name in channels):
@@ -90,5 +104,6 @@ def felt_together(
         names = tuple(name for name in channels if part[points.index(name)] == number)
         numbers = tuple(channels[name] for name in names)
         parts = part_of(network, inside), part_of(continuous, inside)
-        found.append(FeltTogether(names, numbers, not_predicted, *parts))
+        eigen = solution.eigen if inside.size == len(points) else None
+        found.append(FeltTogether(names, numbers, not_predicted, *parts, eigen))
     return tuple(found)

@@ -144,7 +144,8 @@ class Prediction:
         if kind is not None:
             written, _ = network_of(self._rendering.desired, scene_at(self._rendering.desired))
         channels = {name: self.scene.device_points[name].channel for name in self.coupled}
-        return felt_together(self.judge.solved[0], written, self.points, channels, not_predicted)
+        network, solution, _ = self.judge.solved
+        return felt_together(network, solution, written, self.points, channels, not_predicted)
 
     @cached_property
     def judge(self) -> Judge:

@@ -60,17 +60,20 @@ class _Motions(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def felt_pair(network: Network) -> FeltPair:
-    """What the hands of a part of a scene feel whose points links join, by the loop's motions."""
-    hands = network.channel_mass.size
+def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None) -> FeltPair:
+    """What the hands of a part of a scene feel whose points links join, by the loop's motions; ``eigen``: of
+    ``Solution``, where they are known."""
+    hands, sizes = network.channel_mass.size, sizes_of(network)
     if is_large(network):
         return no_pair(hands, TOO_LARGE)
-    change, sizes = loop(network).change, sizes_of(network)
-    if not np.isfinite(change).all():
-        return no_pair(hands, "its numbers are out of range")
-    w, states = np.linalg.eig(change)
+    if eigen is None:
+        change = loop(network).change
+        if not np.isfinite(change).all():
+            return no_pair(hands, "its numbers are out of range")
+        eigen = np.linalg.eig(change)
+    w, states = eigen
     begin = sizes["position"] + sizes["mass"]
-    kick = np.eye(len(change))[:, begin : begin + hands]
+    kick = np.eye(len(states))[:, begin : begin + hands]
     kept = np.abs(1.0 + w) > _MEMORY
     s, at, share, carried = _motions(network, np.log1p(w.astype(complex)), states, states[begin : begin + hands], kick)
     return _pair(network, _Motions(s[kept], at[:, kept], share[kept], carried[..., kept]))
@@ -125,8 +128,10 @@ def _pair(network: Network, motions: _Motions, most: float = CARRIED) -> FeltPai
     lasts = math.inf if (s.real < 0.0).all() else math.ceil(_TURNS / np.abs(s[own]).min(initial=1.0))
     all_squared = _squared(s, carried, lasts)
     others = math.sqrt(max(_squared(s[beside], carried[..., beside], lasts) / all_squared, 0.0)) if all_squared else 0.0
-    alone = [4.0 * _squared(s[[i]], carried[..., [i]], lasts) for i in range(s.size)]
-    shown = [i for i in np.argsort(-np.array(alone)) if s[i].imag > 0.0 and alone[i] > _SHOWN**2 * all_squared]
+    ended = 0.0 if math.isinf(lasts) else np.exp(2.0 * lasts * s.real)
+    pairs = 4.0 * (np.abs(carried) ** 2).sum(axis=(0, 1)) * (1.0 - ended) / -np.expm1(2.0 * s.real)
+    alone = np.nan_to_num(pairs)
+    shown = [i for i in np.argsort(-alone) if s[i].imag > 0.0 and alone[i] > _SHOWN**2 * all_squared]
     found = tuple(float(abs(s[i]) * rate / (2.0 * np.pi)) for i in shown)
     X, of = at[:, own], s[own] * rate
     both = np.vstack([X, X * of])

@@ -50,6 +50,7 @@ class Solution(NamedTuple):
         all: how many poles the scene has, memories included; n where every one was worked out.
         method: in words, which were worked out and what that says of the others; "" for every one.
         growth: by how much a motion was seen to grow in a sample period of which no pole was found; else 0.
+        eigen: the eigenvalues (n,) of the loop's change and its eigenvectors (n, n), where every pole was worked out.
     """
 
     poles: Complexes
@@ -57,6 +58,7 @@ class Solution(NamedTuple):
     all: int
     method: str = ""
     growth: float = 0.0
+    eigen: tuple[Complexes, Complexes] | None = None
 
     @property
     def spectral_radius(self) -> float:
@@ -81,7 +83,8 @@ def all_modes(network: Network) -> Solution:
         return not_finite(size)
     w, states = np.linalg.eig(change)
     poles = settled(network, change, np.asarray(1.0 + w, complex))
-    return Solution(sort_by_modulus(poles), modes_of(network, poles, points @ states, states), size)
+    modes = modes_of(network, poles, points @ states, states)
+    return Solution(sort_by_modulus(poles), modes, size, eigen=(w, states))
 
 
 @np.errstate(all="ignore")

@@ -1,0 +1,79 @@
+"""`check`, `measure`, `sweep` and the page of hands that move masses or each other say one thing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapsim import load_scene, predict
+from hapsim.live.messages import Predict
+from hapsim.live.plane import predicted
+from hapsim.sweeping.quantities import Task
+
+FREE = """
+version: 1
+rate: 1000
+device: {mass: 0.2, friction: 1.0, clock: lockstep}
+modules:
+  hand: {type: device, channel: 0}
+  wall: {type: ground}
+  ball: {type: mass, mass: 1.0}
+  far: {type: mass, mass: 2.0}
+  touch: {type: viscoelastic, between: [hand, ball], stiffness: 2000, damping: 5}
+  more: {type: viscoelastic, between: [ball, far], stiffness: 2000, damping: 5}
+  hold: {type: viscoelastic, between: [far, wall], stiffness: 2000, damping: 5}
+"""
+Hapsim = Callable[..., Any]
+
+
+def words(told: str) -> str:
+    return " ".join(told.split())
+
+
+def test_of_a_hand_with_a_motion_of_its_own_the_pair_is_shown_everywhere(hapsim: Hapsim) -> None:
+    scene = load_scene("configs/held_string.yaml")
+    (one,) = predict(scene, with_margins=False).together
+    own = one.own_motion
+    assert own is not None
+    out = words(hapsim("check", "configs/held_string.yaml").out)
+    assert f"hand: k {one.asked_for.k[0, 0]:.6g} {own.k:.6g} {one.static_stiffness[0, 0]:.6g} N/m" in out
+    assert "k and b are those of its own motion; asked for are those of the scene in continuous time" in out
+    (document,) = json.loads(hapsim("check", "configs/held_string.yaml", "--json").out)["felt_together"]
+    assert (document["k"], document["b"], document["reason"]) == ([[own.k]], [[own.b]], "")
+    task = Task(scene.model_dump(mode="json"), ("predicted",))
+    found, reason = task.at(scene)
+    assert (found["predicted_k"], found["predicted_b"], reason) == (own.k, own.b, "")
+    (shown,) = predicted(scene, {}, Predict(type="predict"))["together"]
+    assert shown == {"names": ("hand",), "k": [own.k], "b": [own.b]}
+
+
+def test_it_is_what_measure_finds(hapsim: Hapsim) -> None:
+    out = hapsim("measure", "configs/held_string.yaml").out
+    ((_, predicted_k, measured_k, *_),) = [row.split("│")[1:-1] for row in out.splitlines() if "k  N/m" in row]
+    assert float(measured_k) == pytest.approx(float(predicted_k), rel=1e-4)
+    assert "predicted is its own motion" in words(out)
+
+
+def test_of_two_hands_it_is_shown_what_each_feels_of_the_other(hapsim: Hapsim) -> None:
+    (one,) = predict(load_scene("configs/two_hands.yaml"), with_margins=False).together
+    out = words(hapsim("check", "configs/two_hands.yaml").out)
+    assert f"left of right: k {-one.asked_for.k[0, 1]:.6g} {-one.felt.k[0, 1]:.6g} 300 N/m" in out
+    assert f"right: b {one.asked_for.b[1, 1]:.6g} {one.felt.b[1, 1]:.6g} N·s/m" in out
+
+
+def test_of_a_hand_without_a_motion_of_its_own_its_modes_are_named(hapsim: Hapsim, tmp_path: Path) -> None:
+    file = tmp_path / "free.yaml"
+    file.write_text(FREE, encoding="utf-8")
+    out = words(hapsim("check", str(file)).out)
+    assert "no single k and b say what it feels" in out
+    assert "(modes of 3.66, 8.8 and 18.1 Hz)" in out
+    assert "A steady push meets 666.7 N/m; moved to and fro, the hand meets at 2 Hz" in out
+    (document,) = json.loads(hapsim("check", str(file), "--json").out)["felt_together"]
+    assert (document["k"], document["continuous"]["k"]) == (None, None)
+    assert [one["frequency_hz"] for one in document["moved"]] == [2.0, 8.0, 30.0]
+    scene = load_scene(file)
+    assert "predicted_k" not in Task(scene.model_dump(mode="json"), ("predicted",)).at(scene)[0]
