@@ -15,7 +15,7 @@ from hapsim.number_format import number
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hapsim.prediction import FeltTogether, Prediction
+    from hapsim.prediction import FeltTogether, Prediction, Weight
 
 _FREQUENCIES = 5  # of a sentence
 
@@ -58,6 +58,8 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
         yield f"{whys}: no single k and b say what it feels: {felt.reason}{_modes(felt.frequencies_hz)}"
         if len(one.names) == 1:
             yield _at_frequencies(one)
+        if one.weight is not None and prediction.scene.device.motions(prediction.scene.channels)[0] == "linear":
+            yield _weight(one.weight)
 
 
 def _modes(frequencies: tuple[float, ...]) -> str:
@@ -73,7 +75,22 @@ def _at_frequencies(one: FeltTogether) -> str:
 
     static, pairs = float(one.static_stiffness[0, 0]), zip(HAND_HZ, *one.at_frequencies, strict=True)
     moved = [f"at {hz:g} Hz {number(k, 4)} N/m and {number(b, 3)} N·s/m" for hz, k, b in pairs if math.isfinite(k)]
-    return f"A steady push meets {number(static, 4)} N/m; moved to and fro, the hand meets {', '.join(moved)}"
+    inertia = " (below 0: inertia)" if any(k < 0.0 for k in one.at_frequencies[0]) else ""
+    return f"A steady push meets {number(static, 4)} N/m; moved to and fro, the hand meets {', '.join(moved)}{inertia}"
+
+
+def _weight(weight: Weight) -> str:
+    from hapsim.prediction import HAND_STIFFNESS
+
+    coupling = number(weight.continuous, 4)
+    share = "all of it the coupling's" if coupling == number(weight.felt, 4) else f"{coupling} kg by the coupling alone"
+    told = f"{number(weight.mass, 4)} kg that nothing holds feel like {number(weight.felt, 4)} kg to a hand of "
+    told += f"{HAND_STIFFNESS:g} N/m that shakes them, {share}"
+    if math.isfinite(weight.within_10_percent_hz):
+        told += f"; like themselves, within 10 %, up to {number(weight.within_10_percent_hz, 2)} Hz"
+    if math.isfinite(weight.to_simulate):
+        told += f". Simulate {number(weight.to_simulate, 4)} kg to feel {number(weight.mass, 4)}"
+    return told
 
 
 def together_document(prediction: Prediction) -> list[dict[str, Any]]:
@@ -91,6 +108,7 @@ def together_document(prediction: Prediction) -> list[dict[str, Any]]:
             "other_motions": one.felt.others,
             "frequencies_hz": one.felt.frequencies_hz,
             "reason": one.felt.reason,
+            "weight": one.weight and one.weight._asdict(),
             "moved": [
                 {"frequency_hz": hz, "k": k, "b": b}
                 for hz, k, b in zip(HAND_HZ, *(part.tolist() for part in one.at_frequencies), strict=True)

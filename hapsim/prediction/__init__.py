@@ -6,7 +6,7 @@ Public is what `__all__` names.
 from firmware_protocol.wire_time import WireTime
 from hapsim.prediction.desired import Desired
 from hapsim.prediction.felt import Felt, Robustness, correction_for, felt_at_rate, robustness_of
-from hapsim.prediction.felt_together import HAND_HZ, FeltTogether, OwnMotion
+from hapsim.prediction.felt_together import HAND_HZ, HAND_STIFFNESS, FeltTogether, OwnMotion, Weight
 from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.link_margins import LinkMargin
@@ -26,6 +26,7 @@ from hapsim.prediction.warnings import warnings_about
 
 __all__ = [
     "HAND_HZ",
+    "HAND_STIFFNESS",
     "Desired",
     "Felt",
     "FeltTogether",
@@ -37,6 +38,7 @@ __all__ = [
     "Region",
     "Robustness",
     "Shaking",
+    "Weight",
     "WireTime",
     "ZWidth",
     "configuration_of",

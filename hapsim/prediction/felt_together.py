@@ -3,8 +3,9 @@ they do; and what is always defined."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -13,11 +14,43 @@ import numpy as np
 from hapsim.one_thread import one_thread
 from hapsim.theory import Network, Solution, frequency_and_ratio
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.network import FeltPair, continuous_pair, felt_pair, no_pair, part_of, part_of_each, static_stiffness
+from hapsim.theory.network import (
+    FeltPair,
+    continuous_mass,
+    continuous_pair,
+    felt_mass,
+    felt_pair,
+    is_large,
+    no_pair,
+    part_of,
+    part_of_each,
+    static_stiffness,
+)
 from hapsim.theory.network.impedance import loop_impedance
 
 HAND_HZ = (2.0, 8.0, 30.0)
 """At which a hand moves: slowly, as fast as it can, and shaken by what it holds."""
+
+
+HAND_STIFFNESS = 300.0
+"""N/m, of a hand that weighs something by shaking it."""
+_OFF = 1.1  # of a mass that no longer feels like itself
+_FREE = 1e-9  # of the stiffest link: what holds nothing
+_HALVINGS = 40
+
+
+class Weight(NamedTuple):
+    """How heavy masses feel that nothing holds, to a hand of `HAND_STIFFNESS`: kg."""
+
+    mass: float
+    """Of all that the hand moves."""
+    felt: float
+    continuous: float
+    """What of it the same scene in continuous time has."""
+    within_10_percent_hz: float
+    """Up to where, shaken more slowly, it feels like itself within a tenth; NaN where it does nowhere."""
+    to_simulate: float
+    """So much has to be simulated to feel like `mass`; NaN where nothing does."""
 
 
 class OwnMotion(NamedTuple):
@@ -65,6 +98,21 @@ class FeltTogether:
         return OwnMotion(k, b, float(frequency), float(ratio))
 
     @cached_property
+    def weight(self) -> Weight | None:
+        """Of a hand by itself whose masses nothing holds; else None."""
+        network = self._network
+        mass, stiffest = float(network.point_mass.sum()), float(np.abs(network.stiffness).max(initial=0.0))
+        is_held = len(self.names) > 1 or not mass or abs(self.static_stiffness[0, 0]) > _FREE * stiffest
+        if is_held or self.not_predicted or is_large(network):
+            return None
+        with one_thread():
+            felt, _ = felt_mass(network, HAND_STIFFNESS)
+            off, hz = _crossing(lambda kh: felt_mass(network, kh), _OFF * mass, stiffest)
+            lighter, _ = _crossing(lambda share: felt_mass(_lighter(network, share), HAND_STIFFNESS), mass, 1.0)
+            continuous = continuous_mass(network, HAND_STIFFNESS)
+        return Weight(mass, felt, continuous, hz if off else math.nan, lighter * mass or math.nan)
+
+    @cached_property
     def asked_for(self) -> FeltPair:
         """The same of the scene in continuous time: what sampling, hold and delay make another of."""
         with one_thread():
@@ -83,6 +131,22 @@ class FeltTogether:
         own = self._network.channel_friction[0], self._network.channel_stiffness[0]
         rendered = loop_impedance(self._network, HAND_HZ).rendered[:, 0, 0]
         return own[1] - 2.0 * np.pi * np.array(HAND_HZ) * rendered.imag, own[0] + rendered.real
+
+
+def _lighter(network: Network, share: float) -> Network:
+    return replace(network, point_mass=share * network.point_mass)
+
+
+def _crossing(of: Callable[[float], tuple[float, float]], wanted: float, most: float) -> tuple[float, float]:
+    """The number up to `most` from which on the first of what is made of it is above `wanted`, and the second; 0 where
+    it is there, or is nowhere."""
+    low, high = 1e-6 * most, most
+    if not of(low)[0] < wanted < of(high)[0]:
+        return 0.0, math.nan
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if of(middle)[0] > wanted else (middle, high)
+    return low, of(low)[1]
 
 
 def felt_together(

@@ -15,7 +15,8 @@ from hapsim import predict
 from hapsim.prediction import FeltTogether, OwnMotion
 from hapsim.running import in_memory
 from hapsim.scene import Scene, parse_scene
-from hapsim.theory import Configuration
+from hapsim.theory import Configuration, Network
+from hapsim.theory.network import continuous_mass, felt_mass
 
 SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "12")))
 HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
@@ -79,6 +80,51 @@ class TestFiguresWorkedOutElsewhere:
         np.testing.assert_allclose(one.asked_for.k, 2000.0 * apart, rtol=1e-9)
         np.testing.assert_allclose(one.static_stiffness, 2000.0 * apart, rtol=1e-9)
         assert one.own_motion is None
+
+
+class TestWeight:
+    """Worked out elsewhere with 50 digits."""
+
+    @staticmethod
+    def cup(**more: Any) -> Network:
+        values: dict[str, Any] = {"rate": 4000.0, "delay": 1.0, "hold": "zoh", "sampling": "ideal"}
+        values |= {"channel_mass": [0.4], "point_mass": [2.4], "stiffness": [800.0], "damping": [2.0]}
+        lists = {"channel_friction": [1.0], "ends": [[0, 1]]} | values | more
+        return Network(**{name: np.array(one) if isinstance(one, list) else one for name, one in lists.items()})
+
+    @pytest.mark.parametrize(
+        ("hand", "felt", "continuous"),
+        [
+            (50.0, 2.529150257, 2.528862),
+            (150.0, 2.793588867, 2.793347),
+            (300.0, 3.200173514, 3.199962),
+            (1000.0, 5.184818350, 5.184560),
+        ],
+    )
+    def test_of_a_heavy_cup(self, hand: float, felt: float, continuous: float) -> None:
+        assert felt_mass(self.cup(), hand)[0] == pytest.approx(felt, rel=1e-9)
+        assert continuous_mass(self.cup(), hand) == pytest.approx(continuous, rel=1e-6)
+
+    def test_of_a_lighter_one_at_1_khz(self) -> None:
+        cup = self.cup(rate=1000.0, channel_mass=[0.2], point_mass=[1.0], stiffness=[2000.0], damping=[5.0])
+        for hand, felt, hz, continuous in (
+            (2000.0, 1.905057868, 4.903042, 1.902914),
+            (200.0, 1.085528039, 1.983757, 1.084350),
+        ):
+            assert felt_mass(cup, hand) == (pytest.approx(felt, rel=1e-9), pytest.approx(hz, rel=1e-6))
+            assert continuous_mass(cup, hand) == pytest.approx(continuous, rel=1e-6)
+
+    def test_is_said_of_a_scene_whose_masses_nothing_holds(self) -> None:
+        modules = {"cup": mass(2.4), "touch": link("hand", "cup", 800.0, 2.0)}
+        weight = together(modules, rate=4000, device={"mass": 0.4}).weight
+        assert weight is not None
+        assert (weight.mass, weight.felt) == pytest.approx((2.4, 3.200173514), rel=1e-9)
+        assert weight.within_10_percent_hz == pytest.approx(0.88, abs=0.005)
+        assert weight.to_simulate == pytest.approx(1.816, abs=5e-4)
+        lighter = together(modules | {"cup": mass(weight.to_simulate)}, rate=4000, device={"mass": 0.4}).weight
+        assert lighter is not None
+        assert lighter.felt == pytest.approx(2.4, rel=1e-8)
+        assert together(modules | {"hold": link("cup", "wall", 5.0, 0.0)}).weight is None
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -6,6 +6,7 @@ from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import SURELY, Mode, Solution, poles_of
 from hapsim.theory.network.network import Network, never_grows, part_of, part_of_each
+from hapsim.theory.network.weight import continuous_mass, felt_mass
 from hapsim.theory.sample import LARGE, is_large, loop, state_size, transition
 from hapsim.theory.schemes import NotWorkedOutError
 
@@ -21,8 +22,10 @@ __all__ = [
     "NotWorkedOutError",
     "Solution",
     "Stabilizing",
+    "continuous_mass",
     "continuous_modes",
     "continuous_pair",
+    "felt_mass",
     "felt_pair",
     "is_large",
     "loop",
