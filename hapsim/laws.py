@@ -173,7 +173,7 @@ class Law:
             return np.zeros(np.shape(d))
         return np.interp(inside, edges, tensions) + self.below * below + self.beyond * beyond
 
-    def pull(self, d: Floats, speed: Floats) -> Floats:
+    def pull(self, d: Floats, speed: Floats | float) -> Floats:
         """N, which pulls the ends together, at these distances (m) while they part at these speeds (m/s); where it may
         slide, none."""
         import numpy as np

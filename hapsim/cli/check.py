@@ -33,6 +33,7 @@ from hapsim.prediction.felt import felt_document
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
 from hapsim.prediction.linear import late_by_mean, with_device
 from hapsim.prediction.timing import on_wire
+from hapsim.prediction.tolerance import SHARES, Tolerance
 from hapsim.theory.network.margins import SEARCHED
 from hapsim.units import InUnits
 
@@ -192,6 +193,8 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
     )
     for sentence in (*details.travel_sentences(scene), *details.count_sentences(scene, prediction)):
         out.print(sentence)
+    for sentence in details.tolerance_sentences(prediction, SHARES[:1]):
+        out.print(sentence)
     for desired in prediction.desired:
         if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:
             out.print(details.reached_sentence(desired, prediction.rendering.kind.name, prediction.regions))
@@ -275,6 +278,10 @@ def prediction_document(
     }
 
 
+def _tolerance(one: Tolerance) -> dict[str, Any]:
+    return {"share": one.share, "mass_kg": one.mass, "friction": one.friction, "delay_samples": one.delay}
+
+
 def _correction_document(prediction: Prediction, channel: int | None) -> dict[str, Any]:
     """Returns `desired` and `correction`; nothing without a correction."""
     rendering = prediction.rendering
@@ -292,6 +299,7 @@ def _correction_document(prediction: Prediction, channel: int | None) -> dict[st
     modes = [pick(mode, "root", "frequency_hz", "damping_ratio") for mode in prediction.desired_modes]
     return {
         "desired": next((_desired(one) for one in prediction.desired if channel in (None, one.channel)), None),
+        "tolerances": {one.name: [*map(_tolerance, prediction.tolerances(one.name))] for one in prediction.desired},
         "correction": {
             "name": rendering.kind.name,
             "device_points": ports,

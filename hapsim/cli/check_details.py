@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from rich.markup import escape
@@ -24,6 +24,7 @@ from hapsim.prediction import (
 )
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
 from hapsim.prediction.timing import what_helps, wire_parts
+from hapsim.prediction.tolerance import SHARES
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import SURELY
 
@@ -215,6 +216,21 @@ def _ranges(ranges: tuple[tuple[float, float], ...] | None) -> str:
     return _UNKNOWN if ranges is None else " or ".join(words) or _NO_FACTOR
 
 
+def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iterator[str]:
+    """Yields how well the device has to be known for a correction to be off by no more than these shares."""
+    for felt in prediction.felt:
+        for one in prediction.tolerances(felt.name, shares):
+            mass, friction, delay = (_within(*span) for span in (one.mass, one.friction, one.delay))
+            yield (
+                f"{escape(felt.name)} feels what is desired within {one.share:.0%} where its mass is {mass} kg, its "
+                f"friction {friction} N·s/m, or the delay {delay} samples"
+            )
+
+
+def _within(least: float, most: float) -> str:
+    return f"{rounded_up(least)} or more" if math.isinf(most) else between(least, most)
+
+
 def _show_correction(out: Console, prediction: Prediction) -> None:
     """Prints what a correction reaches, and the modes that it aims at; nothing without one."""
     rendering = prediction.rendering
@@ -227,6 +243,8 @@ def _show_correction(out: Console, prediction: Prediction) -> None:
         rows = [(f"{mode.frequency_hz:.6g}", f"{mode.damping_ratio:.6g}") for mode in modes[:_ROWS]]
         title = "Desired modes (the scene in continuous time)"
         out.print("", table(title, ("Hz", "damping ratio"), rows, _more(len(modes))))
+    for sentence in tolerance_sentences(prediction, SHARES):
+        out.print(sentence)
     for note in rendering.notes:
         out.print(f"[yellow]Of the correction:[/yellow] {escape(note)}.")
 

@@ -112,6 +112,10 @@ class Characteristic:
         pulls = [link.sign * link.law.tension(link.distance(x)) for link in self.links.values()]
         return np.sum([self.own_stiffness * np.asarray(x, float), *pulls], axis=0)
 
+    def press(self, x: float) -> float:
+        """N, of the scene on the hand at rest at x (m)."""
+        return self.own_stiffness * x - float(self.force(x))
+
     def moving_force(self, x: Floats, speed: float) -> Floats:
         """The same while the hand moves at `speed` m/s, friction slides and dampers brake; (N,) as x."""
         force = self.own_stiffness * x
@@ -120,9 +124,7 @@ class Characteristic:
             if math.isfinite(link.law.reach):
                 force = force + math.copysign(link.law.slides_at, speed)
             else:
-                force = force + link.sign * np.minimum(
-                    link.law.tension(d) + link.law.damping_along(d) * parts, link.law.most
-                )
+                force = force + link.sign * link.law.pull(d, parts)
         return force
 
     def edges(self) -> list[float]:

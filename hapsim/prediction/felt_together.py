@@ -102,7 +102,7 @@ class FeltTogether:
         """Of a hand by itself whose masses nothing holds; else None."""
         network = self._network
         mass, stiffest = float(network.point_mass.sum()), float(np.abs(network.stiffness).max(initial=0.0))
-        is_held = len(self.names) > 1 or not mass or abs(self.static_stiffness[0, 0]) > _FREE * stiffest
+        is_held = len(self.names) > 1 or not mass or self.static_stiffness[0, 0] != 0.0
         if is_held or self.not_predicted or is_large(network):
             return None
         with one_thread():
@@ -122,7 +122,8 @@ class FeltTogether:
     def static_stiffness(self) -> Floats:
         """(n, n): N/m, that steady pushes meet."""
         with one_thread():
-            return static_stiffness(self._network)
+            found = static_stiffness(self._network)
+        return np.where(np.abs(found) > _FREE * np.abs(self._network.stiffness).max(initial=0.0), found, 0.0)
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, lru_cache
@@ -24,6 +24,7 @@ from hapsim.prediction.shaking import Shaking
 from hapsim.prediction.stability import Judge, Region
 from hapsim.prediction.states import ContactStates
 from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
+from hapsim.prediction.tolerance import SHARES, Tolerance, tolerance_of
 from hapsim.scene import Link, Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.part import Table
@@ -275,6 +276,17 @@ class Prediction:
     def desired(self) -> tuple[Desired, ...]:
         """What the hand is to feel, for the same device points as `felt`; none without a correction."""
         return tuple(desired_of(self._rendering, self._lone, self.here))
+
+    def tolerances(self, name: str, shares: Sequence[float] = SHARES) -> tuple[Tolerance, ...]:
+        """How well the device has to be known for what is corrected on this device point to be off by no more than each
+        of these shares; none where nothing is corrected, or what is desired is not reached."""
+        felt = next((one for one in self.felt if one.name == name), None)
+        wanted = next((one for one in self.desired if one.name == name), None)
+        kind = self._rendering.kind
+        if felt is None or wanted is None or kind is None or kind.adapts or name in self.regions:
+            return ()
+        found = (tolerance_of(felt, wanted.k, wanted.b, share) for share in shares)
+        return tuple(one for one in found if one is not None)
 
     @cached_property
     def desired_modes(self) -> tuple[ContinuousMode, ...]:

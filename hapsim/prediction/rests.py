@@ -21,7 +21,6 @@ from hapsim.theory.rows import stretches_of
 
 _INSIDE = 1e-2  # m: so far from the only edge of a state a hand is, where it need not press more than it can
 _STILL = 1e-12  # of the hand's way: a link that is stretched by less of it is not stretched
-_PRESSED = 0.5  # of the force limit, at most, where a nearer place is in the same state
 
 
 def swing_of_part(
@@ -39,7 +38,8 @@ def swing_of_part(
         grown: by how much in a sample, and the state.
 
     Returns:
-        None also where the part has several hands, masses that pull themselves, or links that remember.
+        None also where the part has several hands, masses that pull themselves, or links that remember. It is never
+        unnoticed where something grows in a state that has no rest, or while a damper is fast.
     """
     names, begins = [points[point] for point in inside], beginnings(scene)
     hands = [name for name in names if name in scene.device_points]
@@ -65,8 +65,10 @@ def swing_of_part(
                 springs[0][i], springs[1][i] = state[name].linear.stiffness, state[name].linear.damping
                 pieces[i] = state[name].near(stretch[i])
         there = replace(part, stiffness=springs[0], damping=springs[1])
-        rests.append(rest_in(there, fixed, laws, pieces, travel, scene.device.force_limit, growth))
-    return swinging.swing_at([one for one in rests if one is not None])
+        is_fast = any(0.0 < law.fast_damping == springs[1][i] for i, law in laws.items())
+        rests.append(None if is_fast else rest_in(there, fixed, laws, pieces, travel, scene.device.force_limit, growth))
+    found = [one for one in rests if one is not None]
+    return swinging.swing_at(found, is_all=len(found) == len(rests))
 
 
 def rest_in(
@@ -78,7 +80,8 @@ def rest_in(
     force_limit: float,
     growth: float,
 ) -> Rest | None:
-    """Where the part of a scene with one hand or none rests in the middle of this state; None where it does nowhere.
+    """Where the part of a scene with one hand or none rests in the middle of this state, pressed no harder than the
+    force limit lets it; None where it does nowhere.
 
     Args:
         network: the part, as its links are in this state.
@@ -108,20 +111,24 @@ def rest_in(
             low, high = max(low, near), min(high, far)
         elif not ends[0] <= begin[link] <= ends[1]:
             return None
-    if low > high:
-        return None
     press, rise = (-float(of_hand @ one) for one in (force + stiffness * (begin - fixed), stiffness * slope))
-    x = _place(low, high, press, rise, _PRESSED * force_limit)
+    low, high = pressed_within(low, high, press, rise, force_limit)
+    if not low <= high:
+        return None
+    x = _place(low, high)
     distances = [float(begin[link] + slope[link] * x) for link in laws]
     return Rest(x, distances, press + rise * x, min(far - near for near, far in pieces.values()), growth)
 
 
-def _place(low: float, high: float, press: float, rise: float, most: float) -> float:
-    """m, in the middle, or nearer to 0 N where press + rise x is more than `most`."""
-    x = 0.5 * (low + high)
-    if not math.isfinite(x):
-        x = low + _INSIDE if math.isfinite(low) else high - _INSIDE if math.isfinite(high) else 0.0
-    force = press + rise * x
-    if rise and abs(force) > most:
-        x = (math.copysign(most, force) - press) / rise
-    return min(max(x, low), high)
+def pressed_within(low: float, high: float, press: float, rise: float, most: float) -> tuple[float, float]:
+    """The part of a way, m, in which a force of press + rise x is at most so many N; empty where there is none."""
+    if not rise:
+        return (low, high) if abs(press) <= most else (math.inf, -math.inf)
+    near, far = sorted((side * most - press) / rise for side in (-1.0, 1.0))
+    return max(low, near), min(high, far)
+
+
+def _place(low: float, high: float) -> float:
+    if math.isfinite(high - low):
+        return 0.5 * (low + high)
+    return low + _INSIDE if math.isfinite(low) else high - _INSIDE if math.isfinite(high) else 0.0

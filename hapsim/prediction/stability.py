@@ -22,13 +22,15 @@ import numpy as np
 from hapsim.prediction.characteristic import Characteristic, Piece
 from hapsim.prediction.felt import Felt
 from hapsim.prediction.linear import LinearLink
+from hapsim.prediction.rests import pressed_within
 from hapsim.prediction.shaking import NetworkVerdict, Shaking, without_real
-from hapsim.prediction.states import ContactStates
+from hapsim.prediction.states import ContactStates, Grown
 from hapsim.prediction.swings import Rest, Swing, Swinging, has_pieces
 from hapsim.theory.network import SURELY, part_of, state_size
 
 RegionKind = Literal["held", "free", "snap"]
 
+_MOST_SWINGS = 4  # of parts, that are simulated
 _POINTS = 1025  # at which the energy of a curved snap is summed
 
 
@@ -72,13 +74,21 @@ class Region:
         return self.felt.predictor is None and as_written and not is_dry
 
     @property
-    def pressed_place(self) -> float:
-        """m: its place, or one nearer to it where half of the force limit presses the hand; friction sticks."""
-        slope, most = self.piece.stiffness + self.felt.configuration.stiffness, 0.5 * self.hand.force_limit
-        if slope == 0.0 or self.piece.is_curved or abs(self.force) <= most:
-            return self.piece.place
-        low, high = self.piece.within
-        return min(max(self.piece.place + (math.copysign(most, self.force) - self.force) / slope, low), high)
+    def rest(self) -> Rest | None:
+        """Where a steady push holds the hand: at its place, or where the scene asks for more than the force limit in
+        the middle of the part of the region in which it does not; friction sticks. None where it asks for more
+        everywhere: the force is constant there, and drives nothing."""
+        piece, hand, at = self.piece, self.hand, self.piece.place
+        if abs(press := hand.press(at)) > hand.force_limit:
+            low, high = piece.within
+            if piece.is_curved or not math.isfinite(low + high):
+                low, high = at, at
+            low, high = pressed_within(low, high, press + piece.stiffness * at, -piece.stiffness, hand.force_limit)
+            if not low <= high:
+                return None
+            at = 0.5 * (low + high)
+        distances = [float(link.distance(at)) for link in hand.links.values() if has_pieces(link.law)]
+        return Rest(at, distances, hand.press(at), piece.high - piece.low, self.growth)
 
     @property
     def force(self) -> float:
@@ -94,12 +104,6 @@ class Region:
         x = np.linspace(*self.piece.within, _POINTS if self.piece.is_curved else 2)
         force = self.hand.force(x)
         return float(np.trapezoid(np.max(force) - force, x))
-
-
-def _rest(region: Region) -> Rest:
-    at, piece, links = region.pressed_place, region.piece, region.hand.links.values()
-    distances = [float(link.distance(at)) for link in links if has_pieces(link.law)]
-    return Rest(at, distances, float(region.hand.force(at)), piece.high - piece.low, region.growth)
 
 
 def modulus_without(poles: Iterable[complex], kind: RegionKind) -> float:
@@ -124,6 +128,7 @@ class Judge(NetworkVerdict):
     loose: tuple[Felt, ...]
     states: ContactStates
     _found: dict[str, Swing | None] = field(default_factory=dict, init=False)
+    _of_parts: dict[int, Swing | None] = field(default_factory=dict, init=False)
 
     @cached_property
     def is_stable_as_taken(self) -> bool:
@@ -143,13 +148,26 @@ class Judge(NetworkVerdict):
         """What will surely shake a hand; None where nothing does, or it is not sure."""
         if self._shaken_hand is not None:
             return self._shaken_hand
-        noticed = (one for one in self._shaken_parts if one.swing is None or not one.swing.is_unnoticed)
-        return max(noticed, default=None)
+        for i, one in enumerate(self._grown):
+            swing = self._swing_of_part(i)
+            if swing is None or not swing.is_unnoticed:
+                return one.shaking._replace(swing=swing)
+        return None
 
     @cached_property
-    def _shaken_parts(self) -> list[Shaking]:
-        """What grows most in each part of the scene that is judged by the poles of the network, with its swing."""
-        return self.states.worst(None if self.is_lone else self.shaken_by_network())
+    def _grown(self) -> list[Grown]:
+        """What grows in each part of the scene that is judged by the poles of the network, the fastest first."""
+        taken = None if self.is_lone else self.shaken_by_network()
+        found = self.states.grown(taken is not None, self.regions)
+        if found or taken is None or taken.module in self._unstable:
+            return found
+        return [Grown(taken, [], [])]
+
+    def _swing_of_part(self, number: int) -> Swing | None:
+        """Of one of these."""
+        if number not in self._of_parts:
+            self._of_parts[number] = self.states.swing_of(self._grown[number])
+        return self._of_parts[number]
 
     def is_soon_stable(self, most_states: int) -> bool:
         """Whether `shaking` is None, where that is found without poles of a network, nor squares of a transition with
@@ -167,10 +185,13 @@ class Judge(NetworkVerdict):
 
     @cached_property
     def swings(self) -> dict[str, Swing | None]:
-        """Of each hand that its regions shake, and of what moves most in each other part in which something grows, how
-        far it swings; None where that was not found."""
-        of_parts = {one.module if one.swing is None else one.swing.point: one.swing for one in self._shaken_parts}
-        return of_parts | {name: self.swing_of(name) for name in self._unstable}
+        """Of each hand that its regions shake, and of what moves most in other parts in which something grows (of some
+        of them at most), how far it swings; None where that was not found."""
+        found: dict[str, Swing | None] = {}
+        for i, one in enumerate(self._grown[:_MOST_SWINGS]):
+            swing = self._swing_of_part(i)
+            found[one.shaking.module if swing is None else swing.point] = swing
+        return found | {name: self.swing_of(name) for name in self._unstable}
 
     def swing_of(self, name: str) -> Swing | None:
         """Of a hand that its regions shake."""
@@ -185,7 +206,7 @@ class Judge(NetworkVerdict):
         hand, network = regions[0].hand, part_of(self.network, np.array([self.points.index(name)]))
         laws = {i: link.law for i, link in enumerate(hand.links.values()) if has_pieces(link.law)}
         swinging = Swinging(network, [name], laws, hand.force_limit, (hand.low, hand.high), hand.count)
-        return swinging.swing_at([_rest(one) for one in regions])
+        return swinging.swing_at([one.rest for one in regions if one.rest is not None])
 
     @cached_property
     def _shaken_hand(self) -> Shaking | None:
@@ -196,7 +217,8 @@ class Judge(NetworkVerdict):
             if swing is None or not swing.is_unnoticed:
                 where = max(worst.linear, key=lambda at: worst.linear[at].stiffness)
                 return Shaking(worst.growth, f"{name} in {where}", swing=swing)
-        off = [Shaking(felt.spectral_radius, felt.name) for felt in self.loose] if self.is_lone else []
+        loose = [felt for felt in self.loose if felt.name not in self._unstable]  # those were looked at
+        off = [Shaking(felt.spectral_radius, felt.name) for felt in loose] if self.is_lone else []
         if off and math.isnan(self.solved[1].spectral_radius):
             return Shaking(math.inf, "")
         return max((shaking for shaking in off if shaking.growth > SURELY), default=None)

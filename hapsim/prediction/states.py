@@ -9,10 +9,11 @@ and a hand that moves nothing else are not among them: that hand has regions (`s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import cached_property
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from hapsim.prediction.pieces import Option, State, options_of
 from hapsim.prediction.reach import Reach
 from hapsim.prediction.rests import swing_of_part
 from hapsim.prediction.shaking import NetworkVerdict, Shaking
+from hapsim.prediction.swings import Swing
 from hapsim.scene import Scene
 from hapsim.theory import Network
 from hapsim.theory.arrays import Bools, Floats, Indices
@@ -35,6 +37,17 @@ _OF_STATE = 4e5  # of one of which nothing has to be worked out
 _OF_EACH = 90.0  # added to the size: the time that does not grow with it
 _OF_LARGE = 1.6e5  # times the size of a large one
 _MOST_CONTACTS = 64  # of a part
+
+
+class Grown(NamedTuple):
+    """A part of the scene in which something grows."""
+
+    shaking: Shaking
+    """What grows most."""
+    points: list[int]
+    """The numbers of its points."""
+    states: list[tuple[float, State]]
+    """By how much something grows in a sample in which state of its contacts."""
 
 
 class ContactStates:
@@ -155,28 +168,29 @@ class ContactStates:
             unjudged += not is_judged
         return found, unjudged
 
-    def worst(self, taken: Shaking | None) -> list[Shaking]:
-        """What grows most in each part of the scene in which something does, with its swing; `taken`: what does as the
-        scene is taken."""
+    def grown(self, is_unstable: bool, regional: Collection[str]) -> list[Grown]:
+        """What grows in each part of the scene in which something does, the fastest first; `is_unstable`: something
+        does as the scene is taken, but for hands that are `regional`."""
         of_point = part_of_each(self._network.ends, len(self._points)).tolist()
-        names = [name.partition(".")[0] for name in self._points]
+        points = {its: [i for i, at in enumerate(of_point) if at == its] for its in dict.fromkeys(of_point)}
         part = {name: of_point[max(self._ends[name])] for one in self.parts for state in one for name in state}
         grown = dict[int, list[tuple[Shaking, State]]]()
-        if taken is not None:
-            its = of_point[names.index(taken.module)] if taken.module in names else -1
-            options = {name: [one for one in self._options[name] if self._is_taken(name, one)] for name in part}
-            as_taken = {name: found[0] for name, found in options.items() if part[name] == its and found}
-            grown[its] = [(taken, as_taken)]
         for shaking, state in self._verdicts[0]:
             grown.setdefault(part[next(iter(state))], []).append((shaking, state))
+        for its, inside in points.items() if is_unstable else ():
+            names = tuple(self._points[point] for point in inside)
+            taken = NetworkVerdict(part_of(self._network, np.array(inside)), names).shaken_by_network()
+            if taken is not None and not {*names} & {*regional}:
+                options = {name: [one for one in self._options[name] if self._is_taken(name, one)] for name in part}
+                state = {name: found[0] for name, found in options.items() if part[name] == its and found}
+                grown.setdefault(its, []).append((taken, state))
         most = {its: max(every, key=lambda one: one[0].growth)[0] for its, every in grown.items()}
-        found = []
-        for its, one in most.items():
-            points = [i for i, at in enumerate(of_point) if at == its]
-            states = [(shaking.growth, state) for shaking, state in grown[its]]
-            swing = swing_of_part(self._scene, self._linear, self._network, self._points, points, states)
-            found.append(one._replace(swing=swing))
-        return found
+        states = {its: [(one.growth, state) for one, state in every] for its, every in grown.items()}
+        return [Grown(most[its], points[its], states[its]) for its in sorted(most, key=lambda its: -most[its].growth)]
+
+    def swing_of(self, grown: Grown) -> Swing | None:
+        """How large a swing gets in this part of the scene; None where that was not found."""
+        return swing_of_part(self._scene, self._linear, self._network, self._points, grown.points, grown.states)
 
     @cached_property
     def _block(self) -> Indices:

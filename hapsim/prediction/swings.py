@@ -17,14 +17,16 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.network import loop, state_size
 from hapsim.theory.rows import stretches_of
 
-_PLACES = 256  # at most, of all unstable rests
+_PLACES = 256  # at most, of all unstable rests; of more no swing is unnoticed
 _KICKS = (-10.0, -1.0, -0.1, 0.1, 1.0, 10.0)  # of a region's width
-_WIDE = 1e-3  # m: of a region that has no end
+_WIDE = 1e-2  # m: a region that is wider is kicked as one of that width
+_COUNTS = (3.0, 30.0, 300.0)  # by which a hand moves, a swing of which is to stay unnoticed
 _ASIDE = -0.7  # of a point's kick, that of the next
 _GROWN = 20.0  # e-folds, after which a kick has become what it can
 _MOST_SAMPLES = 4000
 _MOST_STATES = 100  # numbers in the state, of 4000 samples of which nobody waits for long
 _STEADY = 1.05  # a swing that is larger in the last quarter than in the one before by more still grows
+_DRIFT = 0.25  # of a swing, by which its middle moves in a quarter at the most
 _NOTICED = 0.02  # of the force limit
 
 
@@ -93,15 +95,12 @@ class Swinging(NamedTuple):
         is_small = network.channel_mass.size < 2 and state_size(network) <= _MOST_STATES
         return is_small and network.substeps == 1 and at_the_sample and not has_memory
 
-    def swing_at(self, rests: Sequence[Rest]) -> Swing | None:
-        """The largest at these rests, none of which is stable.
+    def swing_at(self, rests: Sequence[Rest], is_all: bool = True) -> Swing | None:
+        """The largest at these rests, none of which is stable; `is_all`: something grows nowhere else.
 
-        None where it still grew at the end or grows too slowly to tell, where the hand left its travel or nothing moved
-        though each rest drives it off, where all rests are beyond the force limit, and where a link remembers more than
-        its damper does.
+        None where it still grew at the end or grows too slowly to tell, where it drifts or dies out, where the hand
+        left its travel, and where a link remembers more than its damper does.
         """
-        # Beyond the force limit the force is constant there, and drives nothing.
-        rests = [one for one in rests if abs(one.press) <= self.force_limit]
         if not rests or not self.is_simulated or not all(math.isfinite(one.growth) for one in rests):
             return None
         slowest = min(math.log(one.growth) for one in rests)
@@ -109,27 +108,49 @@ class Swinging(NamedTuple):
         if slowest * (samples // 4) < 2.0 * math.log(_STEADY):
             return None
         every = rests[:: -(-len(rests) // _PLACES)]
-        kicks = np.outer([one.width if math.isfinite(one.width) else _WIDE for one in every], _KICKS)
-        with np.errstate(all="ignore"):
-            (before, after), stays = self._spans(every, kicks.ravel(), samples)
+        kicks = np.outer([min(one.width, _WIDE) for one in every], _KICKS)
+        ends, stays = self._ends(every, kicks, samples, _ASIDE)
         hands = self.network.channel_mass.size
-        widest = after[hands:].max(axis=0).reshape(kicks.shape)
-        still = widest > _STEADY * before[hands:].max(axis=0).reshape(kicks.shape)
+        before, after = (ends[:, 1, hands:] - ends[:, 0, hands:]).max(axis=1)
+        drift = np.abs(np.diff(ends[:, :, hands:].mean(axis=1), axis=0)[0]).max(axis=0)
         # A larger swing that is steady bounds one that grows.
-        if not np.isfinite([before, after]).all() or not stays or still[:, [0, -1]].any():
+        if not np.isfinite(ends).all() or not stays or (after > _STEADY * before)[:, [0, -1]].any():
             return None
-        if widest.max() < np.abs(kicks).min():
+        moves = after >= np.abs(kicks).min(axis=1, keepdims=True)
+        steady = moves & (after < _STEADY * before) & (before < _STEADY * after) & (drift < _DRIFT * after)
+        if not steady.any():
             return None
-        worst, kick = np.unravel_index(widest.argmax(), widest.shape)
-        spans = after.reshape(-1, *kicks.shape)[:, worst]
-        force, most = float(spans[:hands].max(initial=0.0)), float(widest.max())
-        is_unnoticed = most < self.quantum and force < _NOTICED * self.force_limit
-        point = self.points[int(spans[hands:, kick].argmax())]
-        return Swing(point, float(widest[worst][~still[worst]].min()), most, force, is_unnoticed)
+        worst, kick = np.unravel_index(np.where(steady, after, 0.0).argmax(), after.shape)
+        spans = ends[1, 1] - ends[1, 0]
+        force = float(spans[:hands, worst, steady[worst]].max(initial=0.0))
+        swing = Swing(
+            point=self.points[int(spans[hands:, worst, kick].argmax())],
+            least=float(after[worst][steady[worst]].min()),
+            most=float(after[worst, kick]),
+            force=force,
+            is_unnoticed=False,
+        )
+        is_small = is_all and len(every) == len(rests) and bool(moves.any(axis=1).all()) and self._is_small(ends[1])
+        return swing._replace(is_unnoticed=is_small and self._stays_small(every))
 
-    def _spans(self, rests: Sequence[Rest], kicks: Floats, samples: int) -> tuple[Floats, bool]:
-        """(2, C + C + M, n): from end to end in the last two quarters, N on the hand and m of every point; whether the
-        hand stayed within its travel."""
+    def _is_small(self, ends: Floats) -> bool:
+        """Whether nothing moves by a count, and next to no force."""
+        spans, hands = ends[1] - ends[0], self.network.channel_mass.size
+        force, way = spans[:hands].max(initial=0.0), spans[hands:].max()
+        return bool(way < self.quantum and force < _NOTICED * self.force_limit)
+
+    def _stays_small(self, rests: Sequence[Rest]) -> bool:
+        """Whether it is as small again after a hand has moved."""
+        low, high = self.travel
+        ways = [side * counts * self.quantum for side in (-1.0, 1.0) for counts in _COUNTS]
+        kicks = np.array([[min(max(way, low - one.at), high - one.at) for way in ways] for one in rests])
+        ends, stays = self._ends(rests, kicks, _MOST_SAMPLES, 0.0)
+        return stays and bool(np.isfinite(ends).all()) and self._is_small(ends[1])
+
+    @np.errstate(all="ignore")
+    def _ends(self, rests: Sequence[Rest], kicks: Floats, samples: int, aside: float) -> tuple[Floats, bool]:
+        """(2, 2, C + C + M, rests, kicks): of the last two quarters the least and the most, N on the hand and m of
+        every point; whether the hand stayed within its travel. `aside`: of a point's kick, that of the next."""
         links, hands, limit = [*self.laws], self.network.channel_mass.size, self.force_limit
         springs = self.network.stiffness.copy(), self.network.damping.copy()
         for linear in springs:
@@ -139,15 +160,15 @@ class Swinging(NamedTuple):
         )
         stretch, rate = stretch[links], self.network.rate * rate[links]
         pulled = -stretches_of(self.network, sparse=False)[links].T
-        each = np.repeat(np.arange(len(rests)), len(_KICKS))
+        each = np.repeat(np.arange(len(rests)), kicks.shape[1])
         rest = np.array([one.distances for one in rests]).reshape(len(rests), -1).T[:, each]
         at, press = (np.array([getattr(one, what) for one in rests])[each] for what in ("at", "press"))
         held = self._pulls(rest, 0.0 * rest)
-        state, stays, spans = np.zeros((len(change), kicks.size)), True, []
+        state, stays, found = np.zeros((len(change), kicks.size)), True, []
         # Neighbours are kicked to either side, so that what is between them is too.
-        state[: len(points)] = np.outer(_ASIDE ** np.arange(len(points)), kicks)
+        state[: len(points)] = np.outer(aside ** np.arange(len(points)), kicks.ravel())
         for quarter in range(4):
-            ends = np.full((2, 2 * hands + self.network.point_mass.size, kicks.size), np.nan)
+            ends = np.full((2, hands + len(points), kicks.size), np.nan)
             for _ in range(samples // 4):
                 pushed = pulled @ (self._pulls(rest + stretch @ state, rate @ state) - held)
                 linear = computed @ state
@@ -160,8 +181,8 @@ class Swinging(NamedTuple):
                 x = at + places[:hands]
                 stays &= bool(((x >= self.travel[0]) & (x <= self.travel[1])).all())
                 state = state + change @ state + push @ pushed
-            spans.append(ends[1] - ends[0])
-        return np.array(spans[2:]), stays
+            found.append(ends.reshape(2, -1, *kicks.shape))
+        return np.array(found[2:]), stays
 
     def _pulls(self, d: Floats, speed: Floats) -> Floats:
         """(laws, n): N."""

@@ -125,7 +125,7 @@ def _pair(network: Network, motions: _Motions, most: float = CARRIED) -> FeltPai
     own = np.flatnonzero(share >= OWN)
     own = own[np.argsort(np.abs(s[own]), kind="stable")[: 2 * hands]]
     beside = np.setdiff1d(np.arange(s.size), own)
-    lasts = math.inf if (s.real < 0.0).all() else math.ceil(_TURNS / np.abs(s[own]).min(initial=1.0))
+    lasts = math.inf if (s.real < 0.0).all() else _TURNS / max(np.abs(s[own]).min(initial=1.0), 1e-12)
     all_squared = _squared(s, carried, lasts)
     others = math.sqrt(max(_squared(s[beside], carried[..., beside], lasts) / all_squared, 0.0)) if all_squared else 0.0
     ended = 0.0 if math.isinf(lasts) else np.exp(2.0 * lasts * s.real)
