@@ -139,6 +139,14 @@ class Law:
         steepest = self._over_speed.sector[1]
         return steepest if steepest > max(self.dampings) else 0.0
 
+    def dampings_at(self, speed: float) -> tuple[float, ...]:
+        """N·s/m, other dampings than those at rest that a motion up to this speed, m/s, may meet: the steepest, and
+        none where it is level beyond its points."""
+        if not self.speeds:
+            return ()
+        is_level = max(self.dampings) > 0.0 and min(-self.speeds[0][0], self.speeds[-1][0]) < speed
+        return (self.fast_damping,) * (self.fast_damping > 0.0) + (0.0,) * is_level
+
     def strongest(self, rate: float) -> float:
         """N, which the tension never exceeds at this rate of samples (Hz); infinite where nothing bounds it."""
         reach = self.edges[-1] if self.grips else self.reach

@@ -44,6 +44,7 @@ class LinearScene(NamedTuple):
     """Sentences: how the theory takes links that are not linear."""
 
 
+_FASTEST = {"linear": 1.0, "rotary": 30.0}
 STAYS = "."  # what is inside a structure and stays where it is: no module is called so
 
 
@@ -108,14 +109,19 @@ def dampers_of(linear: LinearScene, name: str) -> dict[tuple[str, float | None],
     return {(module.damper, module.cutoff): link for link, module in links.items() if module.damping > 0.0}
 
 
+def fastest_motion(scene: Scene) -> float:
+    """m/s or rad/s: faster no hand moves for long."""
+    return _FASTEST["rotary" if "rotary" in scene.device.motions(scene.channels) else "linear"]
+
+
 def has_more_than_regions(scene: Scene, name: str) -> bool:
     """Whether the pieces of a hand's travel do not say everything of it: dampers of several kinds act at it somewhere,
-    or one that is steeper while it moves."""
+    or one that is another while it moves."""
     links = [link for link in scene.links.values() if name in link.between]
     laws = [link.law() for link in links]
     damping = [link for link, law in zip(links, laws, strict=True) if any(law.dampings)]
     kinds = ((link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None) for link in damping)
-    return len({*kinds}) > 1 or any(law.fast_damping for law in laws)
+    return len({*kinds}) > 1 or any(law.dampings_at(fastest_motion(scene)) for law in laws)
 
 
 def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:

@@ -23,6 +23,11 @@ class Option(NamedTuple):
     period: float = 0.0
     """m, in which the piece repeats; 0: it does not."""
 
+    def at_pace(self, pace: str, damping: float | None) -> Option:
+        """The same while its ends move so; `damping`: N·s/m, if it is another then."""
+        linear = self.linear if damping is None else self.linear._replace(damping=damping)
+        return self._replace(state=f"{self.state} and {pace}" if self.state else pace, linear=linear)
+
     def near(self, d: float) -> tuple[float, float]:
         """From where to where the piece goes that is nearest to this distance, m."""
         middle = 0.5 * (self.low + self.high)
@@ -35,8 +40,9 @@ class Option(NamedTuple):
         return self.linear.stiffness != 0.0 or self.linear.damping != 0.0
 
 
-def options_of(law: Law) -> tuple[Option, ...]:
-    """The pieces that a link of this law can be in, alike neighbours as one; one for a link that is always the same."""
+def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
+    """The pieces that a link of this law can be in, alike neighbours as one; one for a link that is always the same.
+    `fastest`: how fast its ends part, m/s."""
     here = law.linear()
     pieces = [(piece, here._replace(stiffness=piece.slope, damping=piece.damping)) for piece in law.pieces]
     if math.isfinite(law.reach):
@@ -53,11 +59,10 @@ def options_of(law: Law) -> tuple[Option, ...]:
             found[-1] = found[-1]._replace(high=high)
         elif not law.period or linear not in [one.linear for one in found]:
             found.append(Option(piece.state, linear, low, high, period=law.period))
-    if law.fast_damping:
-        slow = [one._replace(state=f"{one.state} and slow" if one.state else "slow") for one in found]
-        fast = [one.linear._replace(damping=law.fast_damping) for one in found]
-        ways = [(one.state.replace("slow", "fast"), linear) for one, linear in zip(slow, fast, strict=True)]
-        found = slow + [one._replace(state=way, linear=linear) for one, (way, linear) in zip(slow, ways, strict=True)]
+    dampings = law.dampings_at(fastest)
+    if dampings:
+        paces = [("slow", None), *(("fast" if damping else "faster than its table", damping) for damping in dampings)]
+        found = [one.at_pace(pace, damping) for pace, damping in paces for one in found]
     return tuple(found)
 
 

@@ -65,8 +65,10 @@ def swing_of_part(
                 springs[0][i], springs[1][i] = state[name].linear.stiffness, state[name].linear.damping
                 pieces[i] = state[name].near(stretch[i])
         there = replace(part, stiffness=springs[0], damping=springs[1])
-        is_fast = any(0.0 < law.fast_damping == springs[1][i] for i, law in laws.items())
-        rests.append(None if is_fast else rest_in(there, fixed, laws, pieces, travel, scene.device.force_limit, growth))
+        is_moving = any(law.speeds and springs[1][i] != law.linear().damping for i, law in laws.items())
+        rests.append(
+            None if is_moving else rest_in(there, fixed, laws, pieces, travel, scene.device.force_limit, growth)
+        )
     found = [one for one in rests if one is not None]
     return swinging.swing_at(found, is_all=len(found) == len(rests))
 

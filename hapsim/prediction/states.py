@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.laws import Linear
-from hapsim.prediction.linear import LinearScene, has_more_than_regions, why_coupled
+from hapsim.prediction.linear import LinearScene, fastest_motion, has_more_than_regions, why_coupled
 from hapsim.prediction.pieces import Option, State, options_of
 from hapsim.prediction.reach import Reach
 from hapsim.prediction.rests import swing_of_part
@@ -66,7 +66,8 @@ class ContactStates:
         self._ends = dict(zip(linear.links, network.ends.tolist(), strict=False))
         moving = (name for name, (first, second) in self._ends.items() if first != second)  # not two grounds, -1
         own = (name for name in moving if not {*linear.links[name].between} & alone)
-        every = ((name, options_of(scene.links[name].law())) for name in own)
+        fastest = fastest_motion(scene)
+        every = ((name, options_of(scene.links[name].law(), fastest)) for name in own)
         options = {name: found for name, found in every if len(found) > 1}
         self.parts: list[list[State]] = []
         self.is_complete = True

@@ -291,6 +291,22 @@ class TestADamperThatIsSteeperWhileItMoves:
         assert found(prediction) == {"slow, touched", "slow, apart", "fast, touched", "fast, apart"}
         assert {one.state for one in prediction.states.growing} >= {"damper is fast, finger is apart"}
 
+    def test_a_spring_that_needs_it_is_unstable_faster_than_its_table(self) -> None:
+        """The kernel's motion from 0.5 m/s swings between the force limits; with a table up to 1 m/s it dies out."""
+        for most, stable in ((0.1, False), (1.0, True)):
+            damper = {"type": "nonlinear", "between": ["hand", "wall"]}
+            damper |= {"force_over_velocity": [[-most, -15.0 * most], [most, 15.0 * most]]}
+            spring = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 6000.0}
+            mock = {"initial": {"velocity": 0.5}}
+            scene = scene_of({"damper": damper, "spring": spring}, mock=mock, mass=0.1, friction=3.0, force_limit=50.0)
+            prediction = predict(scene)
+            assert prediction.stable_as_taken
+            assert prediction.stable == stable
+            trace = in_memory.run_in_memory(scene, duration=2.0)
+            assert (np.abs(trace.force[-100:]).max() < 1.0) == stable
+            states = [one.state for one in prediction.states.growing]
+            assert states == ([] if stable else ["damper is faster than its table"])
+
     def test_one_that_is_less_steep_is_one_state(self) -> None:
         """As the friction of a bow is: less force where it is faster."""
         bow = {
