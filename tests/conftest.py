@@ -21,6 +21,8 @@ import pytest
 
 import firmware_protocol
 from hapsim import cli
+from hapsim.cli.output import speak_in
+from hapsim.units import LINEAR
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 
@@ -85,8 +87,8 @@ class Answer:
 
 
 @pytest.fixture
-def hapsim(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
-    """Calls `hapsim …` and tells what came of it."""
+def hapsim(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Callable[..., Answer]]:
+    """Calls `hapsim …` and tells what came of it; what it printed in (N·m of a knob) ends with the test."""
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.delenv("HAPSIM_TRACEBACK", raising=False)
 
@@ -97,7 +99,8 @@ def hapsim(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -
         captured = capfd.readouterr()
         return Answer(int(caught.value.code or 0), captured.out, captured.err)
 
-    return call
+    yield call
+    speak_in(LINEAR)
 
 
 class Forked:
