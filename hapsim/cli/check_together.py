@@ -49,17 +49,20 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
     """Yields what the rows are of, or what is felt where there are none."""
     for one in prediction.together:
         whys = "; ".join(f"[bold]{escape(name)}[/bold] {escape(prediction.coupled[name])}" for name in one.names)
-        felt = one.felt
+        felt, unit = one.felt, spoken(one.channels[0])
         if not felt.reason:
-            whose = "its own motion" if len(one.names) == 1 else "the hands' own motions"
-            others = "; of another hand: as of a spring and damper between them" if len(one.names) > 1 else ""
-            yield f"{whys}. k and b are those of {whose}{others}; asked for are those of the scene in continuous time"
-            continue
-        yield f"{whys}: no single k and b say what it feels: {felt.reason}{_modes(felt.frequencies_hz)}"
-        if len(one.names) == 1:
-            yield _at_frequencies(one)
-        if one.weight is not None and prediction.scene.device.motions(prediction.scene.channels)[0] == "linear":
-            yield _weight(one.weight)
+            held = " (of another hand: as of a spring and damper between them)" if len(one.names) > 1 else ""
+            yield (
+                f"{whys}. Felt are the spring and damper that it swings on{held}; asked for are the same without "
+                "sampling and delay"
+            )
+        else:
+            yield f"{whys}: no single k and b say what it feels, for {felt.reason}{_modes(felt.frequencies_hz)}"
+            if len(one.names) == 1:
+                yield unit(_at_frequencies(one))
+        is_linear = prediction.scene.device.motions(prediction.scene.channels)[one.channels[0]] == "linear"
+        if one.weight is not None and is_linear:
+            yield unit(_weight(one.weight))
 
 
 def _modes(frequencies: tuple[float, ...]) -> str:
@@ -75,19 +78,17 @@ def _at_frequencies(one: FeltTogether) -> str:
 
     static, pairs = float(one.static_stiffness[0, 0]), zip(HAND_HZ, *one.at_frequencies, strict=True)
     moved = [f"at {hz:g} Hz {number(k, 4)} N/m and {number(b, 3)} N·s/m" for hz, k, b in pairs if math.isfinite(k)]
-    inertia = " (below 0: inertia)" if any(k < 0.0 for k in one.at_frequencies[0]) else ""
+    inertia = " (below 0: there it feels a mass, no spring)" if any(k < 0.0 for k in one.at_frequencies[0]) else ""
     return f"A steady push meets {number(static, 4)} N/m; moved to and fro, the hand meets {', '.join(moved)}{inertia}"
 
 
 def _weight(weight: Weight) -> str:
     from hapsim.prediction import HAND_STIFFNESS
 
-    coupling = number(weight.continuous, 4)
-    share = "all of it the coupling's" if coupling == number(weight.felt, 4) else f"{coupling} kg by the coupling alone"
-    told = f"{number(weight.mass, 4)} kg that nothing holds feel like {number(weight.felt, 4)} kg to a hand of "
-    told += f"{HAND_STIFFNESS:g} N/m that shakes them, {share}"
+    told = f"The free masses weigh {number(weight.mass, 4)} kg. Shaken by a hand of {HAND_STIFFNESS:g} N/m they feel "
+    told += f"like {number(weight.felt, 4)} kg (without sampling and delay: {number(weight.continuous, 4)} kg)"
     if math.isfinite(weight.within_10_percent_hz):
-        told += f"; like themselves, within 10 %, up to {number(weight.within_10_percent_hz, 2)} Hz"
+        told += f". Up to {number(weight.within_10_percent_hz, 2)} Hz they feel like themselves, within 10 %"
     if math.isfinite(weight.to_simulate):
         told += f". Simulate {number(weight.to_simulate, 4)} kg to feel {number(weight.mass, 4)}"
     return told

@@ -15,15 +15,16 @@ from hapsim.one_thread import one_thread
 from hapsim.theory import Network, Solution, frequency_and_ratio
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import (
+    CARRIED,
     FeltPair,
     continuous_mass,
     continuous_pair,
     felt_mass,
     felt_pair,
-    is_large,
     no_pair,
     part_of,
     part_of_each,
+    state_size,
     static_stiffness,
 )
 from hapsim.theory.network.impedance import loop_impedance
@@ -36,7 +37,8 @@ HAND_STIFFNESS = 300.0
 """N/m, of a hand that weighs something by shaking it."""
 _OFF = 1.1  # of a mass that no longer feels like itself
 _FREE = 1e-9  # of the stiffest link: what holds nothing
-_HALVINGS = 40
+_HALVINGS = 20
+_MOST_STATES = 100  # of the loop that is worked out fifty times
 
 
 class Weight(NamedTuple):
@@ -102,21 +104,26 @@ class FeltTogether:
         """Of a hand by itself whose masses nothing holds; else None."""
         network = self._network
         mass, stiffest = float(network.point_mass.sum()), float(np.abs(network.stiffness).max(initial=0.0))
-        is_held = len(self.names) > 1 or not mass or self.static_stiffness[0, 0] != 0.0
-        if is_held or self.not_predicted or is_large(network):
+        acts = (network.stiffness != 0.0) | (network.damping != 0.0)
+        is_held = bool((network.ends[acts] < 0).any()) or network.channel_stiffness[0] > 0.0
+        if is_held or len(self.names) > 1 or not mass or self.not_predicted or state_size(network) > _MOST_STATES:
             return None
         with one_thread():
             felt, _ = felt_mass(network, HAND_STIFFNESS)
             off, hz = _crossing(lambda kh: felt_mass(network, kh), _OFF * mass, stiffest)
             lighter, _ = _crossing(lambda share: felt_mass(_lighter(network, share), HAND_STIFFNESS), mass, 1.0)
             continuous = continuous_mass(network, HAND_STIFFNESS)
+        if not math.isfinite(felt) or not math.isfinite(continuous):
+            return None
         return Weight(mass, felt, continuous, hz if off else math.nan, lighter * mass or math.nan)
 
     @cached_property
     def asked_for(self) -> FeltPair:
         """The same of the scene in continuous time: what sampling, hold and delay make another of."""
         with one_thread():
-            return continuous_pair(self._continuous)
+            return continuous_pair(
+                self._continuous, 1.5 * CARRIED
+            )  # beside one that is felt, though it has a little more
 
     @cached_property
     def static_stiffness(self) -> Floats:
@@ -142,7 +149,7 @@ def _crossing(of: Callable[[float], tuple[float, float]], wanted: float, most: f
     """The number up to `most` from which on the first of what is made of it is above `wanted`, and the second; 0 where
     it is there, or is nowhere."""
     low, high = 1e-6 * most, most
-    if not of(low)[0] < wanted < of(high)[0]:
+    if of(low)[0] >= wanted or not of(high)[0] > wanted:  # what does not swing is not above
         return 0.0, math.nan
     for _ in range(_HALVINGS):
         middle = math.sqrt(low * high)

@@ -52,6 +52,7 @@ class Prediction:
             _require_within_numbers(scene)
         self.scene, self._at, self._with_margins, self._wherever = scene, at, with_margins, wherever
         self._rendering = rendered(scene)
+        self._tolerances: dict[object, Tolerance | None] = {}
         self._seen = self._rendering.seen
         self._take()
         if instead := self.states.instead():
@@ -285,7 +286,12 @@ class Prediction:
         kind = self._rendering.kind
         if felt is None or wanted is None or kind is None or kind.adapts or name in self.regions:
             return ()
-        found = (tolerance_of(felt, wanted.k, wanted.b, share) for share in shares)
+        alike = felt.configuration, felt.stiffness, felt.damping
+        found = []
+        for share in shares:
+            if (*alike, share) not in self._tolerances:
+                self._tolerances[*alike, share] = tolerance_of(felt, wanted.k, wanted.b, share)
+            found.append(self._tolerances[*alike, share])
         return tuple(one for one in found if one is not None)
 
     @cached_property

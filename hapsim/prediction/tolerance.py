@@ -13,16 +13,16 @@ from hapsim.theory import Configuration
 
 SHARES = (0.05, 0.1)
 """By which k and b may be off."""
-_STEP = 0.01  # of the mass, of b, and of a sample: what is desired may be met again further away, which does not count
-_LONGER = 1.15  # times the one before, each step, up to
+_STEP = 0.02  # of the mass, of b, and of a sample: what is desired may be met again further away, which does not count
+_LONGER = 1.3  # times the one before, each step, up to
 _LONGEST = 0.1
 _MOST = 100.0  # steps: what they do not leave is as good as any
-_HALVINGS = 30
+_HALVINGS = 16
 
 
 class Tolerance(NamedTuple):
     """The least and the most of each with which k and b stay within a share of what is desired, and the loop stable;
-    infinite where ten times the mass, of b or samples do not leave it."""
+    infinite where e^10 times the mass, ten times b, or ten samples more do not leave it."""
 
     share: float
     mass: tuple[float, float]

@@ -16,7 +16,7 @@ from hapsim.prediction import FeltTogether, OwnMotion
 from hapsim.running import in_memory
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration, Network
-from hapsim.theory.network import continuous_mass, felt_mass
+from hapsim.theory.network import continuous_mass, felt_mass, felt_pair
 
 SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "12")))
 HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
@@ -52,12 +52,14 @@ class TestFiguresWorkedOutElsewhere:
         assert wanted == pytest.approx((552.901493894, 1.535624061), rel=1e-9)
         assert one.felt.share == pytest.approx(0.99209, abs=1e-5)
 
-    def test_on_a_heavy_mass(self) -> None:
-        one = together(
-            {"block": mass(5.0), "touch": link("hand", "block", 2000.0, 5.0), "hold": link("block", "wall", 100.0, 1.0)}
-        )
-        assert (one.felt.k[0, 0], one.felt.b[0, 0]) == pytest.approx((2165.5, 3.189), rel=1e-4)
+    def test_on_a_heavy_mass_that_it_then_follows(self) -> None:
+        """The figures are those of its own motion; after an impulse it moves with the mass much further, and slower."""
+        modules = {"block": mass(5.0), "touch": link("hand", "block", 2000.0, 5.0)}
+        one = together(modules | {"hold": link("block", "wall", 100.0, 1.0)})
+        assert one.felt.reason == "much of its movement follows what it holds"
         assert one.felt.share == pytest.approx(0.96, abs=5e-3)
+        own = felt_pair(one._network, most=1.0)
+        assert (own.k[0, 0], own.b[0, 0]) == pytest.approx((2165.5, 3.189), rel=1e-4)
 
     def test_on_a_wall_with_a_mass_beside(self) -> None:
         one = together(
@@ -123,7 +125,7 @@ class TestWeight:
         assert weight.to_simulate == pytest.approx(1.816, abs=5e-4)
         lighter = together(modules | {"cup": mass(weight.to_simulate)}, rate=4000, device={"mass": 0.4}).weight
         assert lighter is not None
-        assert lighter.felt == pytest.approx(2.4, rel=1e-8)
+        assert lighter.felt == pytest.approx(2.4, rel=2e-5)  # to the digits that are shown
         assert together(modules | {"hold": link("cup", "wall", 5.0, 0.0)}).weight is None
 
 
@@ -139,7 +141,8 @@ def test_a_mass_without_weight_changes_nothing(seed: int) -> None:
 
 
 def random_scene(seed: int) -> Scene:
-    """A hand on one to four masses or cells, or on a string, at any hold and delay, on a wall as well or not."""
+    """One or two hands on one to four masses or cells, or on a string, at any hold and delay, on a wall as well or not;
+    their friction and the masses up to a hundred times as large as others."""
     draw = np.random.default_rng(seed)
     modules: dict[str, Any] = {}
     if draw.random() < 0.3:
@@ -149,23 +152,25 @@ def random_scene(seed: int) -> Scene:
     else:
         ends = [f"m{i}" for i in range(int(draw.integers(1, 5)))]
         for name in ends:
-            modules[name] = mass(10.0 ** draw.uniform(-2.5, 0.5))
+            modules[name] = mass(10.0 ** draw.uniform(-2.5, 1.0))
             modules[f"{name}_hold"] = link(name, "wall", draw.uniform(100.0, 3000.0), draw.uniform(0.1, 3.0))
         for first, second in pairwise(ends):
             modules[f"{first}_{second}"] = link(first, second, draw.uniform(10.0, 2000.0), draw.uniform(0.0, 1.0))
-    modules["touch"] = link("hand", ends[0], draw.uniform(100.0, 2500.0), draw.uniform(0.0, 4.0))
+    modules["touch"] = link("hand", ends[0], draw.uniform(50.0, 2500.0), draw.uniform(0.0, 8.0))
     if draw.random() < 0.4:
-        modules["wall_touch"] = link("hand", "wall", draw.uniform(100.0, 2000.0), draw.uniform(0.0, 4.0))
-    device = {"mass": draw.uniform(0.1, 0.5), "friction": draw.uniform(0.3, 2.0), "delay": draw.choice([0.0, 0.4, 1.0])}
-    device |= {"hold": draw.choice(["zoh", "impulse"])}
-    plain = {name: one if isinstance(one, str) else float(one) for name, one in device.items()}
-    mock = {"quantum": 1e-11, "initial": {"position": 1e-4}}
-    return scene_of(
-        modules, device=plain | {"hold": str(device["hold"])}, mock=mock, substeps=int(draw.choice([1, 1, 3]))
-    )
+        modules["wall_touch"] = link("hand", "wall", draw.uniform(100.0, 2000.0), draw.uniform(0.0, 15.0))
+    hands = 1 + int(draw.random() < 0.3)
+    if hands == 2:
+        modules["other"] = {"type": "device", "channel": 1}
+        modules["other_touch"] = link("other", ends[-1], draw.uniform(50.0, 2500.0), draw.uniform(0.0, 8.0))
+    device: dict[str, Any] = {"mass": draw.uniform(0.1, 1.0, hands).tolist()}
+    device |= {"friction": (10.0 ** draw.uniform(-0.5, 1.3, hands)).tolist()}
+    device |= {"delay": float(draw.choice([0.0, 0.4, 1.0])), "hold": str(draw.choice(["zoh", "impulse"]))}
+    mock = {"quantum": 1e-11, "initial": {"velocity": [1e-3] + [0.0] * (hands - 1)}}
+    return scene_of(modules, device=device, mock=mock, substeps=int(draw.choice([1, 1, 3])))
 
 
-def poles_in(positions: NDArray[np.float64], most: int = 300) -> NDArray[np.complex128]:
+def poles_in(positions: NDArray[np.float64], most: int) -> NDArray[np.complex128]:
     """The poles of a sum of decaying swings, by the matrix pencil of these positions (Hua and Sarkar, 1990)."""
     rows = np.lib.stride_tricks.sliding_window_view(positions, most)[: positions.size - most + 1]
     basis, size, _ = np.linalg.svd(rows.T, full_matrices=False)
@@ -174,22 +179,35 @@ def poles_in(positions: NDArray[np.float64], most: int = 300) -> NDArray[np.comp
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_predicted_motion_is_among_those_of_the_mock(seed: int, figures: Any) -> None:
-    """In virtual time, from a hand that is let go beside its rest. Where none is said to be the hand's own, others
-    carry at least a quarter of its velocity, or a mass has more than a tenth of its energy."""
+def test_the_predicted_motion_is_the_mock_s(seed: int, figures: Any) -> None:
+    """In virtual time, after an impulse: that of M x'' + b x' + k x = 0 within what other motions may carry; of one
+    hand that swings for long enough to tell its pole, by pencils of some length, that within 1e-5. Where none is
+    stated, others carry at least a quarter, or a mass has more than a tenth of the energy."""
     scene = random_scene(seed)
     prediction = predict(scene, with_margins=False)
-    (one,), own = prediction.together, prediction.together[0].own_motion
-    if own is None:
+    (one,) = prediction.together
+    if one.felt.reason:
         assert one.felt.others > 0.25 or one.felt.share < 0.9
-    if own is None or not prediction.stable:  # one that grows to the force limit is no sum of swings
+    if one.felt.reason or not prediction.stable:  # one that grows to the force limit is no sum of swings
         return
     trace = in_memory.run_in_memory(scene, duration=1.5)
-    s = np.roots([scene.device.masses(1)[0], own.b, own.k]) / scene.rate
-    poles = poles_in(trace.position_counts[5:, 0] * float(trace.position_scale[0]))
-    off = float(np.abs(poles - np.exp(s[0])).min() / abs(s[0]))
-    figures.most("a hand's own motion off by, relative", off)
-    assert off < 1e-6
+    hands = len(one.names)
+    seen = trace.position_counts[:, :hands] * trace.position_scale[:hands]
+    M = np.diag(scene.device.masses(hands))
+    change = np.block(
+        [[np.zeros((hands, hands)), np.eye(hands)], [-np.linalg.solve(M, one.felt.k), -np.linalg.solve(M, one.felt.b)]]
+    )
+    roots, vectors = np.linalg.eig(change)
+    amounts = np.linalg.solve(vectors, np.eye(2 * hands)[:, hands].astype(complex) * 1e-3)
+    told = (vectors[:hands] @ (amounts[:, None] * np.exp(np.outer(roots, np.arange(len(seen)) / scene.rate)))).real.T
+    off = float(np.linalg.norm(seen - told) / np.linalg.norm(told))
+    figures.most("a hand's way after an impulse off by, rms", off)
+    assert off < 0.4
+    if hands == 1 and abs(roots[0].imag) > -roots[0].real:
+        s = roots[0] / scene.rate
+        off = min(float(np.abs(poles_in(seen[5:, 0], most) - np.exp(s)).min() / abs(s)) for most in (40, 120, 300))
+        figures.most("a hand's own motion off by, relative", off)
+        assert off < 1e-5
 
 
 def test_what_a_hand_meets_where_no_motion_is_its_own() -> None:

@@ -1,7 +1,7 @@
 """The closed loop of any linear scene: hands, masses and links together."""
 
 from hapsim.theory.network.continuous import ContinuousMode, continuous_modes
-from hapsim.theory.network.felt import FeltPair, continuous_pair, felt_pair, no_pair, static_stiffness
+from hapsim.theory.network.felt import CARRIED, FeltPair, continuous_pair, felt_pair, no_pair, static_stiffness
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import SURELY, Mode, Solution, poles_of
@@ -11,6 +11,7 @@ from hapsim.theory.sample import LARGE, is_large, loop, state_size, transition
 from hapsim.theory.schemes import NotWorkedOutError
 
 __all__ = [
+    "CARRIED",
     "LARGE",
     "SURELY",
     "ContinuousMode",

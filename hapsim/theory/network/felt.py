@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.continuous import matrices
 from hapsim.theory.network.network import Network
 from hapsim.theory.sample import is_large, loop, sizes_of
@@ -21,14 +21,17 @@ from hapsim.theory.sample import is_large, loop, sizes_of
 OWN = 0.9
 """Of a motion's kinetic energy: with more in the hands it is theirs."""
 CARRIED = 0.25
-"""Of the hands' velocity after an impulse, rms: with more in other motions no pair says what is felt."""
+"""Of the hands' velocity and position after an impulse, rms: with more in other motions no pair says what is felt."""
 _MEMORY = 1e-7  # a pole of smaller modulus is a memory that empties
+_RESTS = 1e-12  # radians and nepers in a sample: what moves by less rests
 _SAME = 1e-6  # relative: two numbers that rounding alone tells apart
 _WORST = 1e12  # condition of the motions that a pair is solved from
 _SHOWN = 0.1  # of the hands' velocity after an impulse, rms: a motion that the hands share in
 _TURNS = 10.0  # radians of the slowest motion of the hands: how long one is looked at that does not die out
 
 TOO_LARGE = "the scene is too large for it"
+TOGETHER = "it swings together with what it holds"
+FOLLOWS = "much of its movement follows what it holds"
 
 
 class FeltPair(NamedTuple):
@@ -39,7 +42,7 @@ class FeltPair(NamedTuple):
     share: float
     """The least that the hands have of the kinetic energy of a motion of their own."""
     others: float
-    """What other motions carry of the hands' velocity after an impulse, rms."""
+    """What other motions carry of a hand's velocity or position after an impulse on one, rms: of these the most."""
     frequencies_hz: tuple[float, ...]
     """Of the motions that the hands share in, what carries most first."""
     reason: str = ""
@@ -60,9 +63,11 @@ class _Motions(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None) -> FeltPair:
-    """What the hands of a part of a scene feel whose points links join, by the loop's motions; ``eigen``: of
-    ``Solution``, where they are known."""
+def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None, most: float = CARRIED) -> FeltPair:
+    """What the hands of a part of a scene feel whose points links join, by the loop's motions.
+
+    ``eigen``: of ``Solution``, where they are known. ``most``: that other motions may carry.
+    """
     hands, sizes = network.channel_mass.size, sizes_of(network)
     if is_large(network):
         return no_pair(hands, TOO_LARGE)
@@ -76,12 +81,12 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
     kick = np.eye(len(states))[:, begin : begin + hands]
     kept = np.abs(1.0 + w) > _MEMORY
     s, at, share, carried = _motions(network, np.log1p(w.astype(complex)), states, states[begin : begin + hands], kick)
-    return _pair(network, _Motions(s[kept], at[:, kept], share[kept], carried[..., kept]))
+    return _pair(network, _Motions(s[kept], at[:, kept], share[kept], carried[..., kept]), most)
 
 
 @np.errstate(all="ignore")
-def continuous_pair(network: Network) -> FeltPair:
-    """What they would feel in continuous time; also where other motions carry much."""
+def continuous_pair(network: Network, most: float = CARRIED) -> FeltPair:
+    """What they would feel in continuous time."""
     if is_large(network):
         return no_pair(network.channel_mass.size, TOO_LARGE)
     M, Z, K = matrices(network)
@@ -91,7 +96,7 @@ def continuous_pair(network: Network) -> FeltPair:
     kick = np.eye(2 * size)[:, size : size + hands]
     s = np.asarray(roots / network.rate, complex)
     motions = _motions(network, s, states, states[size : size + hands], kick)
-    return _pair(network, motions, most=math.inf)
+    return _pair(network, motions, most)
 
 
 def static_stiffness(network: Network) -> Floats:
@@ -119,31 +124,26 @@ def _motions(network: Network, s: Complexes, states: Complexes, speeds: Complexe
     return _Motions(s, states[:hands], share, speeds[:, None, :] * amounts.T[None, :, :])
 
 
-def _pair(network: Network, motions: _Motions, most: float = CARRIED) -> FeltPair:
-    """``most``: that other motions may carry in a scene with masses."""
+def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
+    """``most``: that other motions may carry, but of one hand without masses, which has no others."""
     hands, rate, (s, at, share, carried) = network.channel_mass.size, network.rate, motions
     own = np.flatnonzero(share >= OWN)
     own = own[np.argsort(np.abs(s[own]), kind="stable")[: 2 * hands]]
-    beside = np.setdiff1d(np.arange(s.size), own)
-    lasts = math.inf if (s.real < 0.0).all() else _TURNS / max(np.abs(s[own]).min(initial=1.0), 1e-12)
-    all_squared = _squared(s, carried, lasts)
-    others = math.sqrt(max(_squared(s[beside], carried[..., beside], lasts) / all_squared, 0.0)) if all_squared else 0.0
-    ended = 0.0 if math.isinf(lasts) else np.exp(2.0 * lasts * s.real)
-    pairs = 4.0 * (np.abs(carried) ** 2).sum(axis=(0, 1)) * (1.0 - ended) / -np.expm1(2.0 * s.real)
-    alone = np.nan_to_num(pairs)
-    shown = [i for i in np.argsort(-alone) if s[i].imag > 0.0 and alone[i] > _SHOWN**2 * all_squared]
+    sums = _sums(s, own)
+    others = _others(s, carried, own, sums)
+    alone = (np.abs(carried) ** 2).sum(axis=(0, 1)) * np.diagonal(sums).real
+    least = (_SHOWN / 2.0) ** 2 * _squared(carried.reshape(-1, s.size), sums)  # of each of a conjugate pair
+    shown = [i for i in np.argsort(-alone) if s[i].imag > 0.0 and alone[i] > least]
     found = tuple(float(abs(s[i]) * rate / (2.0 * np.pi)) for i in shown)
     X, of = at[:, own], s[own] * rate
     both = np.vstack([X, X * of])
     alike = np.vstack([X, X * of / max(np.abs(of).max(initial=0.0), 1e-300)])
-    if own.size < 2 * hands:
-        reason = "no motion is its own" if hands == 1 else "too few motions are the hands' own"
-    elif any(np.abs(s[own] - one.conj()).min() > _SAME * abs(one) for one in s[own]):
-        reason = "not all of a motion is its own"
+    if own.size < 2 * hands or any(np.abs(s[own] - one.conj()).min() > _SAME * abs(one) for one in s[own]):
+        reason = TOGETHER
     elif (np.abs(np.abs(s[own].imag) - np.pi) < _SAME).any():
         reason = "its own motion changes its direction with every sample"
-    elif network.point_mass.size and not others <= most:
-        reason = "it moves in others than its own"
+    elif network.point_mass.size + hands > 1 and not others <= most:
+        reason = FOLLOWS
     elif not np.linalg.cond(alike / np.linalg.norm(alike, axis=0)) < _WORST:
         reason = "two motions of its own are one"
     else:
@@ -152,9 +152,29 @@ def _pair(network: Network, motions: _Motions, most: float = CARRIED) -> FeltPai
     return no_pair(hands, reason, float(share[own].min(initial=1.0)), others, found)
 
 
-def _squared(s: Complexes, carried: Complexes, lasts: float) -> float:
-    """The sum of the squared velocities over as many samples."""
+def _others(s: Complexes, carried: Complexes, own: Indices, sums: Complexes) -> float:
+    """What motions that are not the hands' own carry of the velocities, or of the positions, after an impulse on one of
+    the hands: the most of these, rms, of the whole. A light hand is not hidden by a heavy one so, nor what is slow."""
+    beside, most = np.setdiff1d(np.arange(s.size), own), 0.0
+    moves = np.where(np.abs(s) > _RESTS, 1.0 / np.expm1(s), 0.0)
+    for amounts in (carried, carried * moves):
+        for struck in range(carried.shape[1]):
+            whole = _squared(amounts[:, struck], sums)
+            rest = _squared(amounts[:, struck][:, beside], sums[np.ix_(beside, beside)])
+            most = max(most, math.sqrt(max(rest, 0.0) / whole) if whole > 0.0 else 0.0)
+    return min(most, 1.0)
+
+
+def _sums(s: Complexes, own: Indices) -> Complexes:
+    """(n, n): the sum over all samples of the product of one motion and the conjugate of another; where one does not
+    die out, over as many as the slowest of the hands' own takes for some turns."""
     both = s[:, None] + s.conj()[None, :]
-    ended = 0.0 if math.isinf(lasts) else np.exp(lasts * both)
-    products = np.einsum("ijk,ijl->kl", carried, carried.conj()) * (1.0 - ended) / -np.expm1(both)
-    return float(np.nan_to_num(products).sum().real)
+    if (s.real < 0.0).all():
+        return np.asarray(1.0 / -np.expm1(both))
+    lasts = _TURNS / max(float(np.abs(s[own]).min(initial=1.0)), _RESTS)
+    return np.asarray(np.where(np.abs(both) * lasts < _RESTS, lasts, np.expm1(lasts * both) / np.expm1(both)))
+
+
+def _squared(amounts: Complexes, sums: Complexes) -> float:
+    """The sum of squares of motions (rows, n) over those samples."""
+    return float(np.nan_to_num((amounts.conj() @ sums.T) * amounts).sum().real)

@@ -14,22 +14,26 @@ import numpy as np
 
 from hapsim.theory.arrays import Complexes
 from hapsim.theory.network.continuous import matrices
-from hapsim.theory.network.modes import poles_of
 from hapsim.theory.network.network import Network
+from hapsim.theory.sample import loop
 
 _MEMORY = 1e-7  # a pole of smaller modulus is a memory that empties
+_ALONG = 0.3  # of the masses' way: by less the hand does not shake them
 _SWINGS = 1e-9  # of itself: what turns by less creeps
 
 
 def felt_mass(network: Network, hand_stiffness: float) -> tuple[float, float]:
-    """kg, of the masses in the loop, and Hz: how fast a hand of so many N/m shakes them; NaN where nothing swings.
+    """kg, of the masses in the loop, and Hz: how fast a hand of so many N/m shakes them; NaN where nothing swings, and
+    where the hand hardly moves in it: that swing is of the masses alone.
 
     ``network``: one channel and what it moves, which is not large.
     """
     held = replace(network, channel_stiffness=np.array([hand_stiffness]))
-    poles = poles_of(held)
-    s = network.rate * np.log(poles[np.abs(poles) > _MEMORY].astype(complex))
-    return _of_slowest(held, s)
+    change, points, *_ = loop(held)
+    w, states = np.linalg.eig(change)
+    kept = np.abs(1.0 + w) > _MEMORY
+    s = network.rate * np.log1p(w[kept].astype(complex))
+    return _of_slowest(held, s, points @ states[:, kept])
 
 
 def continuous_mass(network: Network, hand_stiffness: float) -> float:
@@ -38,13 +42,18 @@ def continuous_mass(network: Network, hand_stiffness: float) -> float:
     M, Z, K = matrices(held)
     size, mass = len(M), np.diag(M)[:, None]
     change = np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass, -Z / mass]])
-    return _of_slowest(held, np.linalg.eigvals(change).astype(complex))[0]
+    roots, states = np.linalg.eig(change)
+    return _of_slowest(held, roots.astype(complex), states[:size])[0]
 
 
-def _of_slowest(network: Network, s: Complexes) -> tuple[float, float]:
-    swinging = s[s.imag > _SWINGS * np.abs(s)]
+def _of_slowest(network: Network, s: Complexes, moved: Complexes) -> tuple[float, float]:
+    swinging = np.flatnonzero(s.imag > _SWINGS * np.abs(s))
     if not swinging.size:
         return math.nan, math.nan
-    slowest = swinging[np.argmin(np.abs(swinging))]
-    mass = float(network.channel_stiffness[0] / np.abs(slowest) ** 2 - network.channel_mass[0])
-    return mass, float(slowest.imag) / (2.0 * math.pi)
+    slowest = swinging[np.argmin(np.abs(s[swinging]))]
+    hand, *masses = np.abs(moved[:, slowest])
+    together = math.sqrt(float(network.point_mass @ np.square(masses)) / network.point_mass.sum())
+    mass = float(network.channel_stiffness[0] / np.abs(s[slowest]) ** 2 - network.channel_mass[0])
+    if mass <= 0.0 or hand < _ALONG * together:
+        return math.nan, math.nan
+    return mass, float(s[slowest].imag) / (2.0 * math.pi)
