@@ -32,7 +32,7 @@ def felt_mass(network: Network, hand_stiffness: float) -> tuple[float, float]:
     change, points, *_ = loop(held)
     w, states = np.linalg.eig(change)
     kept = np.abs(1.0 + w) > _MEMORY
-    s = network.rate * np.log1p(w[kept].astype(complex))
+    s = np.asarray(network.rate * np.log1p(w[kept].astype(complex)), complex)
     return _of_slowest(held, s, points @ states[:, kept])
 
 
@@ -43,7 +43,7 @@ def continuous_mass(network: Network, hand_stiffness: float) -> float:
     size, mass = len(M), np.diag(M)[:, None]
     change = np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass, -Z / mass]])
     roots, states = np.linalg.eig(change)
-    return _of_slowest(held, roots.astype(complex), states[:size])[0]
+    return _of_slowest(held, np.asarray(roots, complex), states[:size])[0]
 
 
 def _of_slowest(network: Network, s: Complexes, moved: Complexes) -> tuple[float, float]:
