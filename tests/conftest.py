@@ -88,7 +88,7 @@ class Answer:
 
 @pytest.fixture
 def hapsim(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Callable[..., Answer]]:
-    """Calls `hapsim …` and tells what came of it; what it printed in (N·m of a knob) ends with the test."""
+    """Calls `hapsim …` and returns its answer; the units in which it printed (N·m of a knob) end with the test."""
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.delenv("HAPSIM_TRACEBACK", raising=False)
 

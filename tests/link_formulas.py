@@ -43,9 +43,8 @@ def tension_of(link: Any, rate: float, sensed: Callable[[], float] = lambda: 0.0
         push = link.peak - np.array([link.peak, 0.0, link.drop, link.drop - 0.5 * link.peak, 0.0])
         push[4] = push[3] + 1000.0 * link.bottom * link.travel
         most = max(0.0, link.drop - link.peak)  # it stays down
-        return lambda d, growth: (
-            min(most, link.damping * rate * growth - float(np.interp(-d, at, push))) if d < 0.0 else 0.0
-        )
+        pulled = lambda d, growth: np.minimum(most, link.damping * rate * growth - np.interp(-d, at, push))  # noqa: E731
+        return lambda d, growth: np.where(d < 0.0, pulled(d, growth), 0.0)
     return (friction if link.type == "friction" else plectrum)(link, rate)
 
 

@@ -60,9 +60,14 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
             yield f"{whys}: no single k and b say what it feels, for {felt.reason}{_modes(felt.frequencies_hz)}"
             if len(one.names) == 1:
                 yield unit(_at_frequencies(one))
-        is_linear = prediction.scene.device.motions(prediction.scene.channels)[one.channels[0]] == "linear"
-        if one.weight is not None and is_linear:
-            yield unit(_weight(one.weight))
+        if (weight := _weight_of(prediction, one)) is not None:
+            yield unit(_weight(weight))
+
+
+def _weight_of(prediction: Prediction, one: FeltTogether) -> Weight | None:
+    """Of what turns nobody knows a hand's stiffness."""
+    motions = prediction.scene.device.motions(prediction.scene.channels)
+    return one.weight if motions[one.channels[0]] == "linear" else None
 
 
 def _modes(frequencies: tuple[float, ...]) -> str:
@@ -109,7 +114,7 @@ def together_document(prediction: Prediction) -> list[dict[str, Any]]:
             "other_motions": one.felt.others,
             "frequencies_hz": one.felt.frequencies_hz,
             "reason": one.felt.reason,
-            "weight": one.weight and one.weight._asdict(),
+            "weight": (weight := _weight_of(prediction, one)) and weight._asdict(),
             "moved": [
                 {"frequency_hz": hz, "k": k, "b": b}
                 for hz, k, b in zip(HAND_HZ, *(part.tolist() for part in one.at_frequencies), strict=True)

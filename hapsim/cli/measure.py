@@ -201,12 +201,7 @@ def show_measurement(
         title = f"What the hand feels at {rate} Hz (or this machine held the device up)"
         out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz), of_mass))
     if felt is None:
-        what = "no single spring and damper is predicted for it" if own is None else "predicted is its own motion"
-        out.print(
-            f"This hand {prediction.coupled[hands[channel]]}: {what}. Measured is the mode that has nearly all of the "
-            "energy, or else rings longest; k and b would give the hand's mass alone that mode. `hapsim check "
-            "--explain` lists the modes."
-        )
+        out.print(_of_coupled(prediction.coupled[hands[channel]], own))
     reasons = () if measurement.left_region else other_device(felt, measurement, prediction, of_mass)
     for sentence in (
         *attempts(measurement),
@@ -225,6 +220,15 @@ def show_measurement(
     show_assumptions(out, prediction.assumptions)
     if others := ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel):
         out.print(f"Other hands of this scene: {others}.")
+
+
+def _of_coupled(why: str, own: OwnMotion | None) -> str:
+    """Returns what is predicted and measured of a hand that moves masses or another hand."""
+    what = "no single spring and damper is predicted for it" if own is None else "predicted is its own motion"
+    return (
+        f"This hand {why}: {what}. Measured is the mode that has nearly all of the energy, or else rings longest; k "
+        "and b would give the hand's mass alone that mode. `hapsim check --explain` lists the modes."
+    )
 
 
 def _plainly(reason: str) -> str:

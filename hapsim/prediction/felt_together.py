@@ -31,8 +31,6 @@ from hapsim.theory.network.impedance import loop_impedance
 
 HAND_HZ = (2.0, 8.0, 30.0)
 """At which a hand moves: slowly, as fast as it can, and shaken by what it holds."""
-
-
 HAND_STIFFNESS = 300.0
 """N/m, of a hand that weighs something by shaking it."""
 _OFF = 1.1  # of a mass that no longer feels like itself
@@ -121,9 +119,8 @@ class FeltTogether:
     def asked_for(self) -> FeltPair:
         """The same of the scene in continuous time: what sampling, hold and delay make another of."""
         with one_thread():
-            return continuous_pair(
-                self._continuous, 1.5 * CARRIED
-            )  # beside one that is felt, though it has a little more
+            # What is felt may be just within the bound, and this just beyond: they are shown side by side.
+            return continuous_pair(self._continuous, 1.5 * CARRIED)
 
     @cached_property
     def static_stiffness(self) -> Floats:

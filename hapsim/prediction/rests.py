@@ -123,7 +123,7 @@ def rest_in(
 
 
 def pressed_within(low: float, high: float, press: float, rise: float, most: float) -> tuple[float, float]:
-    """The part of a way, m, in which a force of press + rise x is at most so many N; empty where there is none."""
+    """The part of a way, m, in which a force of press + rise x does not exceed `most`, N; empty where there is none."""
     if not rise:
         return (low, high) if abs(press) <= most else (math.inf, -math.inf)
     near, far = sorted((side * most - press) / rise for side in (-1.0, 1.0))

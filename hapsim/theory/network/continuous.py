@@ -52,14 +52,20 @@ def matrices(network: Network, sparse: bool = False) -> tuple[Rows, Rows, Rows]:
     return times(mass, one), Z, K
 
 
+def first_order(network: Network) -> Floats:
+    """(2 C + 2 M, 2 C + 2 M): what the rates of positions and velocities are of these, 1/s."""
+    M, Z, K = matrices(network)
+    size, mass = len(M), np.diag(M)[:, None]
+    return np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass, -Z / mass]])
+
+
 def continuous_modes(network: Network) -> list[ContinuousMode]:
     """Every mode, the slowest to decay first; those at rest too."""
-    M, Z, K = matrices(network)
-    size, mass = len(M), np.diag(M)
+    mass = np.concatenate([network.channel_mass, network.point_mass])
+    size = mass.size
     if size == 0:
         return []
-    step = np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass[:, None], -Z / mass[:, None]]])
-    roots, vectors = np.linalg.eig(step)
+    roots, vectors = np.linalg.eig(first_order(network))
     energy = mass[:, None] * np.abs(vectors[size:]) ** 2
     total = energy.sum(axis=0)
     share = np.where(total > 0.0, energy / np.where(total > 0.0, total, 1.0), 1.0 / size)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
-from hapsim.theory.network.continuous import matrices
+from hapsim.theory.network.continuous import first_order, matrices
 from hapsim.theory.network.network import Network
 from hapsim.theory.sample import is_large, loop, sizes_of
 
@@ -89,10 +89,8 @@ def continuous_pair(network: Network, most: float = CARRIED) -> FeltPair:
     """What they would feel in continuous time."""
     if is_large(network):
         return no_pair(network.channel_mass.size, TOO_LARGE)
-    M, Z, K = matrices(network)
-    size, mass, hands = len(M), np.diag(M)[:, None], network.channel_mass.size
-    change = np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass, -Z / mass]])
-    roots, states = np.linalg.eig(change)
+    hands, size = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
+    roots, states = np.linalg.eig(first_order(network))
     kick = np.eye(2 * size)[:, size : size + hands]
     s = np.asarray(roots / network.rate, complex)
     motions = _motions(network, s, states, states[size : size + hands], kick)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hapsim.theory.arrays import Complexes
-from hapsim.theory.network.continuous import matrices
+from hapsim.theory.network.continuous import first_order
 from hapsim.theory.network.network import Network
 from hapsim.theory.sample import loop
 
@@ -23,8 +23,8 @@ _SWINGS = 1e-9  # of itself: what turns by less creeps
 
 
 def felt_mass(network: Network, hand_stiffness: float) -> tuple[float, float]:
-    """kg, of the masses in the loop, and Hz: how fast a hand of so many N/m shakes them; NaN where nothing swings, and
-    where the hand hardly moves in it: that swing is of the masses alone.
+    """kg, of the masses in the loop, and Hz: how fast a hand of this stiffness (N/m) shakes them; NaN where nothing
+    swings, and where the hand hardly moves in it: that swing is of the masses alone.
 
     ``network``: one channel and what it moves, which is not large.
     """
@@ -39,11 +39,8 @@ def felt_mass(network: Network, hand_stiffness: float) -> tuple[float, float]:
 def continuous_mass(network: Network, hand_stiffness: float) -> float:
     """kg, that the same masses have in continuous time."""
     held = replace(network, channel_stiffness=np.array([hand_stiffness]))
-    M, Z, K = matrices(held)
-    size, mass = len(M), np.diag(M)[:, None]
-    change = np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass, -Z / mass]])
-    roots, states = np.linalg.eig(change)
-    return _of_slowest(held, np.asarray(roots, complex), states[:size])[0]
+    roots, states = np.linalg.eig(first_order(held))
+    return _of_slowest(held, np.asarray(roots, complex), states[: len(states) // 2])[0]
 
 
 def _of_slowest(network: Network, s: Complexes, moved: Complexes) -> tuple[float, float]:
