@@ -65,7 +65,7 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
 
 
 def _weight_of(prediction: Prediction, one: FeltTogether) -> Weight | None:
-    """Of what turns nobody knows a hand's stiffness."""
+    """Return its weight; None for rotary motion, for which `HAND_STIFFNESS` is no hand's."""
     motions = prediction.scene.device.motions(prediction.scene.channels)
     return one.weight if motions[one.channels[0]] == "linear" else None
 
