@@ -14,6 +14,8 @@ from matplotlib.ticker import MultipleLocator
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
+from hapsim.errors import UsageError
+from hapsim.prediction import predict
 from hapsim.prediction.impedance import PredictedImpedance, predict_impedance
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Complexes, Floats
@@ -25,6 +27,8 @@ _POINTS = 400
 _MOST_IN_A_MATRIX = 6
 _BELOW_EIGENFREQUENCY, _BELOW_NYQUIST = 20.0, 1000.0  # where the picture begins; the second if nothing swings
 _POINTS_OF_TRANSPARENCY = 1200
+_SHARP = 0.3  # damping ratio of a resonance that points some hundredths apart would miss
+_ABOUT = np.array([-10.0, -3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0, 10.0])  # of its damping ratio
 
 
 class Measured(NamedTuple):
@@ -47,6 +51,12 @@ class Curves(NamedTuple):
 def phase(impedance: Complexes) -> Floats:
     """Returns degrees, followed from the lowest frequency on: the phase of a late force goes on turning."""
     return np.asarray(np.degrees(np.unwrap(np.angle(impedance))))
+
+
+def spring_and_damper(frequency: Floats, impedance: Complexes) -> tuple[Floats, Floats]:
+    """Returns k (n,) in N/m and b (n,) in N·s/m that have this impedance, force over velocity, at each frequency; of a
+    mass k is negative."""
+    return -2.0 * np.pi * frequency * impedance.imag, impedance.real
 
 
 def draw_sizes(axes: Axes, curves: Curves) -> None:
@@ -167,11 +177,12 @@ def _curves(name: str, dense: PredictedImpedance, measured: MeasuredImpedance, a
 
 @dataclass(frozen=True)
 class Transparency:
-    """Force over velocity, N·s/m (n,), defined as by `hapsim measure --impedance`: desired is the scene's continuous
-    impedance, rendered what the sampled, held and late loop presents at the device. The device's own mass, friction and
-    spring are in neither."""
+    """Force over velocity of one hand, N·s/m (n,), defined as by `hapsim measure --impedance`: desired is the scene's
+    continuous impedance, rendered what the sampled, held and late loop presents at the device, the others being held.
+    The device's own mass, friction and spring are in neither."""
 
-    hand: Hand
+    rate: float
+    """Hz."""
     frequency: Floats
     """Hz, (n,), up to just below the Nyquist frequency."""
     desired: Complexes
@@ -181,13 +192,12 @@ class Transparency:
 
     def columns(self) -> dict[str, Floats]:
         """Returns what is drawn, by the names that a data file uses."""
-        return {
-            "frequency_Hz": self.frequency,
-            "desired_Ns_per_m": np.abs(self.desired),
-            "rendered_Ns_per_m": np.abs(self.rendered),
-            "desired_phase_deg": phase(self.desired),
-            "rendered_phase_deg": phase(self.rendered),
-        }
+        found = {"frequency_Hz": self.frequency}
+        for name, impedance in (("desired", self.desired), ("rendered", self.rendered)):
+            k, b = spring_and_damper(self.frequency, impedance)
+            found |= {f"{name}_Ns_per_m": np.abs(impedance), f"{name}_phase_deg": phase(impedance)}
+            found |= {f"{name}_k_N_per_m": k, f"{name}_b_Ns_per_m": b}
+        return found
 
     def gives_energy(self) -> list[tuple[float, float]]:
         """Returns bands (from, to) in Hz in which the scene gives the hand energy instead of taking it: Re Z < 0."""
@@ -196,35 +206,66 @@ class Transparency:
         # Between two frequencies the power is nearly straight.
         step = np.diff(power)
         crossings = f[:-1] - power[:-1] * np.diff(f) / np.where(step == 0.0, 1.0, step)
-        at = np.concatenate([[f[0]], crossings, [0.5 * self.hand.configuration.rate]])
+        at = np.concatenate([[f[0]], crossings, [0.5 * self.rate]])
         return [(low, high) for low, high in at[edges].reshape(-1, 2).tolist()]
 
 
 def transparency(hand: Hand) -> Transparency:
     """Returns the impedances of one hand, for the K and B that are simulated for it."""
-    nyquist = 0.5 * hand.configuration.rate
-    eigenfrequency = hand.eigenfrequency()
-    lowest = eigenfrequency / _BELOW_EIGENFREQUENCY if eigenfrequency > 0.0 else nyquist / _BELOW_NYQUIST
-    frequency = np.geomspace(lowest, nyquist, _POINTS_OF_TRANSPARENCY, endpoint=False)
+    rate, eigenfrequency = hand.configuration.rate, hand.eigenfrequency()
+    frequency = _frequencies(rate, eigenfrequency, _POINTS_OF_TRANSPARENCY)
     stiffness, damping = hand.desired
     desired = np.asarray(stiffness / (2j * np.pi * frequency) + damping, complex)
     scene_alone = replace(hand.configuration, friction=0.0, stiffness=0.0)
     rendered = scene_alone.impedance(hand.stiffness, hand.damping, frequency)
-    return Transparency(hand, frequency, desired, rendered, eigenfrequency)
+    return Transparency(rate, frequency, desired, rendered, eigenfrequency)
+
+
+def transparency_in(scene: Scene, name: str, eigenfrequency: float) -> Transparency:
+    """Returns the impedances at a device point of a scene, whatever it moves. `eigenfrequency`: Hz, of the hand there;
+    NaN for none. Raises UsageError where what is rendered is not worked out."""
+    about = [mode for mode in predict(scene, with_margins=False).modes if mode.damping_ratio < _SHARP]
+    widths = 1.0 + np.outer([mode.damping_ratio for mode in about], _ABOUT)
+    resonances = (np.array([mode.frequency_hz for mode in about])[:, None] * widths).ravel()
+    frequency = np.union1d(_frequencies(scene.rate, eigenfrequency, _POINTS), resonances)
+    frequency = frequency[(frequency > 0.0) & (frequency < 0.5 * scene.rate)]
+    found = predict_impedance(scene, frequency)
+    at = found.names.index(name)
+    if np.isnan(found.rendered[:, at, at]).all():
+        raise UsageError(f"{name}: {found.assumptions[-1]}")
+    return Transparency(scene.rate, frequency, found.desired[:, at, at], found.rendered[:, at, at], eigenfrequency)
+
+
+def _frequencies(rate: float, eigenfrequency: float, points: int) -> Floats:
+    nyquist = 0.5 * rate
+    lowest = eigenfrequency / _BELOW_EIGENFREQUENCY if eigenfrequency > 0.0 else nyquist / _BELOW_NYQUIST
+    return np.geomspace(lowest, nyquist, points, endpoint=False)
 
 
 def draw_transparency(data: Transparency, title: str, path: Path) -> None:
-    """Draws it to a file: .svg, .png or .pdf."""
+    """Draws size and phase, and the spring and damper of the same force, to a file: .svg, .png or .pdf."""
     curves = Curves(data.frequency, data.desired, data.rendered)
-    with figure_to(path, 6.5, 5.6) as figure:
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.15, 1.0])
+    with figure_to(path, 9.5, 5.6) as figure:
+        panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.15, 1.0])
         figure.suptitle(title)
-        draw_sizes(upper, curves)
-        draw_phases(lower, curves)
-        upper.set_ylabel("|force / velocity|  (N·s/m)")
-        lower.set_ylabel("phase  (degrees)")
+        draw_sizes(panels[0, 0], curves)
+        draw_phases(panels[1, 0], curves)
+        panels[0, 0].set_ylabel("|force / velocity|  (N·s/m)")
+        panels[1, 0].set_ylabel("phase  (degrees)")
+        both = [spring_and_damper(data.frequency, one) for one in (data.desired, data.rendered)]
+        for axes, label, part in zip(panels[:, 1], ("k  (N/m)", "b  (N·s/m)"), (0, 1), strict=True):
+            _set_up(axes)
+            # Near what is asked for it is drawn to scale, resonances and what is below 0 beyond on a logarithmic one.
+            level = float(np.median(np.abs(both[0][part])))
+            axes.set_yscale("symlog", linthresh=level or 1.0)
+            axes.plot(data.frequency, both[0][part], **style.DESIRED)
+            axes.plot(data.frequency, both[1][part], **style.RENDERED)
+            axes.set_ylabel(label)
+        panels[1, 1].set_xlabel("frequency  (Hz)")
+        panels[0, 0].set_title("impedance")
+        panels[0, 1].set_title("the same as a spring and a damper")
         if math.isfinite(data.eigenfrequency):
             label = f"eigenfrequency of the hand, {data.eigenfrequency:.4g} Hz"
-            for axes in (upper, lower):
+            for axes in panels.flat:
                 axes.axvline(data.eigenfrequency, label=label, **style.EIGENFREQUENCY)
         legend_below(figure, 2, handlelength=2.6)

@@ -65,6 +65,7 @@ EIGENFREQUENCY: Look = {"color": "black", "linewidth": 0.9, "dashes": (2, 2), "z
 OUTCOMES = ("#12355b", "#2f7f9e", "#9cc9c4", "#f3ead2", "#ffffff", "#c9c0b4", "#ffffff")
 OUTCOME_HATCHES = {"OUT_OF_REACH": "//////", "UNSTABLE": "xxxxxx"}
 HATCH = "0.45"
+WITHIN: Look = {"facecolor": "0.5", "alpha": 0.12, "linewidth": 0, "zorder": 0.5}
 SHARES: Look = {
     "fontsize": 8.5,
     "bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.88, "pad": 2.0},

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.markup import escape
 
 from hapsim.cli import check_details as details
+from hapsim.cli.check_any_hand import any_hands_document, hand_ranges, worst_hand_sentences
 from hapsim.cli.check_regions import regions_document, show_regions, show_states, states_document, swings_document
 from hapsim.cli.check_together import show_together, together_document
 from hapsim.cli.live import at_work
-from hapsim.cli.options import At, Json, SceneFile, flag, load, position, scene_name
+from hapsim.cli.options import At, Json, SceneFile, flag, load, option, position, scene_name
 from hapsim.cli.output import Table, document, pick, spoken, stderr, stdout, table
 from hapsim.errors import GuardError, UsageError
 from hapsim.holds import HOLDS
@@ -51,9 +52,15 @@ def check(
     explain: Annotated[
         bool, flag("--explain", "Print every mode, margin and bound; compile the scene too, and time its parts.")
     ] = False,
+    hand_mass: Annotated[
+        str | None, option("LOW:HIGH", "Judge hands that add so much mass, kg, and stiffness: 0.1:2.", "--hand-mass")
+    ] = None,
+    hand_stiffness: Annotated[
+        str | None, option("LOW:HIGH", "The stiffness that these hands add, N/m: 0:500.", "--hand-stiffness")
+    ] = None,
 ) -> None:
     """Predict without running: stability, what the hand feels, gain margins, the wire."""
-    loaded = load(scene)
+    loaded, hands = load(scene), hand_ranges(hand_mass, hand_stiffness)
     if why := refused_travel(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
@@ -71,6 +78,7 @@ def check(
         compiled |= {"partials_hz": partials} if partials else {}
         bounds = {"force_bounds": run_bounds(loaded)._asdict(), "travel": travel_document(loaded)}
         predicted = prediction_document(prediction, on_wire=on_wire)
+        predicted |= {"any_hands": any_hands_document(prediction, hands)}
         about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
         print(document(about | predicted | bounds | compiled))
         return
@@ -85,6 +93,8 @@ def check(
     if explanation is not None:
         for sentence in details.sound_sentences(loaded, peaks):
             out.print(sentence)
+    for sentence in worst_hand_sentences(prediction, hands):
+        out.print(sentence)
     for warning in warnings:
         out.print(f"[yellow]Warning:[/yellow] {escape(warning)}")
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
+from hapsim.cli.check_any_hand import any_hand_sentences
 from hapsim.cli.check_regions import show_regions, show_states
 from hapsim.cli.check_together import show_together
 from hapsim.cli.output import Table, table
@@ -52,6 +53,8 @@ def show_details(out: Console, scene: Scene, prediction: Prediction, on_wire: Pr
     show_states(out, prediction)
     _show_correction(out, prediction)
     show_together(out, prediction)
+    for sentence in any_hand_sentences(prediction):
+        out.print(sentence)
     if prediction.modes:
         out.print("", _modes(prediction))
     if prediction.poles_method:
@@ -90,8 +93,6 @@ def _show_felt(out: Console, prediction: Prediction, felt: Felt) -> None:
     is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction))
     if not (is_in_table and felt.stable and math.isfinite(felt.stiffness_factor)):
         out.print(margin_sentence(felt))
-    unknown = "Passivity: no condition is known where a predictor answers; another hand's mass is judged above."
-    out.print(_PASSIVITY[felt.passive] if felt.predictor is None else unknown)
 
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:
@@ -137,13 +138,6 @@ def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
     if not most > 0.0:
         return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
     return f"{becomes} where the damping is between {between(max(least, 0.0), most, ' and ')} N·s/m"
-
-
-_PASSIVITY = {
-    True: "Passive: no hand, however it moves, makes it unstable (Colgate and Schenkel).",
-    False: "Not passive: this hand is judged above; a heavier, lighter or stiffer one may make it unstable.",
-    None: "Passivity: no condition is known for this hold, sampling and damper.",
-}
 
 
 def _modes(prediction: Prediction) -> Table:

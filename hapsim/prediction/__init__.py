@@ -4,6 +4,7 @@ Public is what `__all__` names.
 """
 
 from firmware_protocol.wire_time import WireTime
+from hapsim.prediction.any_hand import AnyHand, ShakingHand, WorstHand
 from hapsim.prediction.desired import Desired
 from hapsim.prediction.felt import Felt, Robustness, correction_for, felt_at_rate, robustness_of
 from hapsim.prediction.felt_together import HAND_HZ, HAND_STIFFNESS, FeltTogether, OwnMotion, Weight
@@ -27,6 +28,7 @@ from hapsim.prediction.warnings import warnings_about
 __all__ = [
     "HAND_HZ",
     "HAND_STIFFNESS",
+    "AnyHand",
     "Desired",
     "Felt",
     "FeltTogether",
@@ -38,8 +40,10 @@ __all__ = [
     "Region",
     "Robustness",
     "Shaking",
+    "ShakingHand",
     "Weight",
     "WireTime",
+    "WorstHand",
     "ZWidth",
     "configuration_of",
     "correction_for",

@@ -13,6 +13,7 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
+from hapsim.prediction.any_hand import AnyHand, any_hands
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.desired import Desired, desired_of
@@ -148,6 +149,14 @@ class Prediction:
         channels = {name: self.scene.device_points[name].channel for name in self.coupled}
         network, solution, _ = self.judge.solved
         return felt_together(network, solution, written, self.points, channels, not_predicted)
+
+    @cached_property
+    def any_hands(self) -> tuple[AnyHand, ...]:
+        """What hands other than the declared ones do, by the parts of the scene that no link joins."""
+        kind = self._rendering.kind
+        not_derived = "it is not derived where a predictor answers" if kind and kind.predicts else ""
+        channels = {name: point.channel for name, point in self.scene.device_points.items()}
+        return any_hands(self.judge.solved[0], self.points, channels, not_derived)
 
     @cached_property
     def judge(self) -> Judge:

@@ -47,9 +47,11 @@ _FELT = {
     "frequency_hz": Variable("Hz", "eigenfrequency", lambda one: one.frequency_hz),
     "damping_ratio": Variable("", "damping ratio", lambda one: one.damping_ratio),
 }
-_OF_HAND = {f"predicted_{name}": one.called("predicted") for name, one in _FELT.items()} | {
-    "passive": Variable("", "1: no hand makes it unstable; 0: some do", lambda one: _truth(one.passive)),
+_PASSIVE = {
+    "passive": Variable("", "1: no hand makes it unstable; 0: some do"),
+    "needed_friction": Variable("N·s/m", "friction from which on no hand makes it unstable"),
 }
+_OF_HAND = {f"predicted_{name}": one.called("predicted") for name, one in _FELT.items()}
 _OF_SCENE = {
     "stable": Variable("", "1: predicted stable; 0: unstable", lambda one: _truth(one.stable)),
     "contact_states": Variable("", "states found that its contacts can be in", lambda one: float(one.states.count)),
@@ -66,7 +68,7 @@ _IMPEDANCE = {
     for how in ("predicted", "measured")
     for part, name in (("re", "real"), ("im", "imaginary"))
 }
-KINDS = {"predicted": _OF_HAND | _OF_SCENE, "measured": _MEASURED, "impedance": _IMPEDANCE}
+KINDS = {"predicted": _OF_HAND | _PASSIVE | _OF_SCENE, "measured": _MEASURED, "impedance": _IMPEDANCE}
 """The variables of each kind of quantity, by name."""
 
 
@@ -105,8 +107,12 @@ def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
     hand = next((one for one in prediction.felt if one.channel == task.channel), None)
     found = {name: one.of(prediction) for name, one in _OF_SCENE.items()}
     if hand is not None:
+        found |= {"passive": _truth(hand.passive), "needed_friction": hand.needed_friction}
         return {name: one.of(hand) for name, one in _OF_HAND.items()} | found, hand.reason
     shared = next((one for one in prediction.together if task.channel in one.channels), None)
+    if (any_hand := next((one for one in prediction.any_hands if task.channel in one.channels), None)) is not None:
+        needed = float(any_hand.needed[any_hand.channels.index(task.channel)])
+        found |= {"passive": _truth(any_hand.is_passive), "needed_friction": needed}
     if shared is None or (own := shared.own_motion) is None:
         return found, "" if shared is None else f"no single k and b: {shared.felt.reason or 'several hands'}"
     return {f"predicted_{name}": one.of(own) for name, one in _FELT.items()} | found, ""

@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 
 from hapsim.chart.figure import figure_to, save_rows
 from hapsim.errors import UsageError
+from hapsim.prediction import predict, predict_impedance
+from hapsim.scene import load_scene
 from hapsim.theory import Configuration
 from hapsim.whole_file import whole_file
 
@@ -67,9 +69,45 @@ def test_left_out_the_picture_has_the_name_of_the_command(chart: Chart, scene_fi
 
 def test_a_hand_that_feels_nothing_can_be_drawn(chart: Chart, scene_file: SceneFile, rows_of: RowsOf) -> None:
     answer = chart("transparency", scene_file("nothing", friction=0.0), "--picture", "of.svg", "--data", "of.csv")
-    assert "At no frequency does the wall give energy" in answer.out
+    assert "At no frequency does the scene give energy" in answer.out
     assert Path("of.svg").read_bytes().startswith(BEGINS[".svg"])
     assert {float(row["rendered_Ns_per_m"]) for row in rows_of("of.csv")} == {0.0}
+
+
+def test_a_hand_that_moves_masses_is_drawn_as_the_scene_has_it(
+    chart: Chart, scene_file: SceneFile, rows_of: RowsOf
+) -> None:
+    answer = chart("transparency", scene_file("coupled"), "--picture", "of.svg", "--data", "of.csv", "--json")
+    assert Path("of.svg").read_bytes().startswith(BEGINS[".svg"])
+    rows, predicted = rows_of("of.csv"), predict(load_scene(scene_file("coupled")))
+    at = np.array([float(row["frequency_Hz"]) for row in rows])
+    impedance = predict_impedance(predicted.scene, at)
+    for name, wanted in (("desired", impedance.desired), ("rendered", impedance.rendered)):
+        k, b = (np.array([float(row[f"{name}_{one}"]) for row in rows]) for one in ("k_N_per_m", "b_Ns_per_m"))
+        np.testing.assert_allclose(k / (2j * np.pi * at) + b, wanted[:, 0, 0], rtol=1e-9)
+    own = predicted.together[0].own_motion
+    assert (answer.document["hand"]["k"], answer.document["hand"]["b"]) == ((own.k, own.b) if own else (None, None))
+    for mode in predicted.modes:  # a sharp resonance is not missed
+        assert mode.damping_ratio > 0.3 or min(abs(at - mode.frequency_hz)) < 1e-6
+
+
+@pytest.mark.parametrize("over", ["device.mass", "device.friction", "device.delay"])
+def test_how_well_the_device_has_to_be_known_is_drawn(
+    chart: Chart, scene_file: SceneFile, rows_of: RowsOf, over: str
+) -> None:
+    words = ["--over", over, "--picture", "of.png", "--data", "of.csv", "--json"]
+    found = chart("felt", scene_file("spring"), *words).document["within"]
+    assert Path("of.png").read_bytes().startswith(BEGINS[".png"])
+    declared = 0.2 if over == "device.mass" else 1.0
+    for correction in ("poles", "predictor"):
+        (one, _) = predict(load_scene(scene_file("spring", correction=correction))).tolerances("hand")
+        assert found[correction][0] == list(getattr(one, over.removeprefix("device.")))
+        for row in rows_of("of.csv"):
+            true = float(row[over]) * (declared if over == "device.mass" else 1.0)
+            errors = [abs(float(row[f"{correction}_{part}_error"])) for part in ("k", "b")]
+            if found[correction][0][0] < true < found[correction][0][1]:
+                assert max(errors) <= 0.05 + 1e-9
+    assert found["none"] == []
 
 
 @pytest.mark.parametrize("only", [["--data", "numbers.csv"], ["--json"]])
@@ -180,7 +218,10 @@ def test_table1_is_corrected_as_asked_for(
         (["plane", "--mass", "1", "--rate", "1", "--channel", "0"], "without a SCENE there is one hand only"),
         (["plane", "spring", "--simulated-stiffness", "nan"], "--simulated-stiffness: found nan"),
         (["plane", "coupled"], "but hand moves a mass of the scene too"),
-        (["transparency", "coupled"], "but hand moves a mass of the scene too"),
+        (["transparency", "coupled", "--mass", "1"], "--mass: hand moves a mass of the scene too"),
+        (["felt", "spring", "--over", "mass"], "--over: found mass, expected one of device.mass, device.friction"),
+        (["felt", "--over", "device.mass"], "--over: it is drawn for the hand of a SCENE as that is"),
+        (["felt", "spring", "--over", "device.mass", "--rate", "1"], "leave out what changes it"),
         (["transparency", "--mass", "1", "--rate", "1"], "--simulated-stiffness is missing"),
         (["table1", "coupled"], "but hand moves a mass of the scene too"),
         (["table1", "damper"], "found no spring"),

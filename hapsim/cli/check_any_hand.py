@@ -1,0 +1,133 @@
+"""What `hapsim check` prints of hands other than the declared ones: any passive hand, and those of a range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from rich.markup import escape
+
+from hapsim.cli.output import spoken
+from hapsim.errors import UsageError
+from hapsim.number_format import number, rounded_down, rounded_up
+
+if TYPE_CHECKING:
+    from hapsim.prediction import AnyHand, Prediction
+
+Range = tuple[float, float]
+
+
+def hand_ranges(mass: str | None, stiffness: str | None) -> tuple[Range, Range] | None:
+    """Returns the ranges of mass and stiffness that hands add; None where none is asked for. Raises UsageError."""
+    if mass is None and stiffness is None:
+        return None
+    return _range_of("--hand-mass", mass or "0"), _range_of("--hand-stiffness", stiffness or "0")
+
+
+def _range_of(option: str, text: str) -> Range:
+    try:
+        low, *high = (float(part) for part in text.split(":"))
+    except ValueError:
+        low, high = -1.0, []
+    if len(high) > 1 or not 0.0 <= low <= (high or [low])[0] < math.inf:
+        raise UsageError(f"{option}: found {text}, expected LOW:HIGH or one number, from 0 on, such as 0.1:2")
+    return low, (high or [low])[0]
+
+
+def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields for each part of the scene from which friction on it is stable in any hands, and in which it is not."""
+    for one in prediction.any_hands:
+        unit, who = spoken(one.channels[0]), _who(one)
+        is_taken = prediction.assumptions or any(name in prediction.regions for name in one.names)
+        taken = " (as it is taken)" if is_taken else ""
+        if one.is_passive is None:
+            yield f"{who}: whether it is passive is not known, for {one.not_derived or 'its numbers are out of range'}"
+        elif one.lasting:
+            held = "the hands are" if len(one.names) > 1 else "the hand is"
+            yield unit(
+                f"{who}: not passive{taken}, whatever the friction, for while {held} held a motion of "
+                f"{escape(one.lasting)} at {number(one.frequency_hz, 4)} Hz does not die out"
+            )
+        elif one.is_passive:
+            yield unit(
+                f"{who}: passive{taken}, which is stable in any hands (Colgate and Schenkel): that needs "
+                f"{_needed(one)} of friction (declared: {_numbers(one.friction)})"
+            )
+        else:
+            yield unit(
+                f"{who}: not passive{taken}: only from {_needed(one)} of friction on is it stable in any hands "
+                f"(declared: {_numbers(one.friction)}){_shaken(prediction, one)}"
+            )
+
+
+def _who(one: AnyHand) -> str:
+    first, *others = [f"[bold]{escape(name)}[/bold]" for name in one.names]
+    return f"{', '.join([first, *others[:-1]])} and {others[-1]}" if others else first
+
+
+def _needed(one: AnyHand) -> str:
+    shown = [rounded_up(max(0.0, float(needed))) for needed in one.needed]
+    alike = len({*shown}) == 1
+    return f"{shown[0] if alike else ' and '.join(shown)} N·s/m{' each' if alike and len(shown) > 1 else ''}"
+
+
+def _numbers(friction: Any) -> str:
+    return " and ".join(dict.fromkeys(number(float(one)) for one in friction))
+
+
+def _shaken(prediction: Prediction, one: AnyHand) -> str:
+    """Returns below which friction a single hand is shaken, and which, unless the declared one is already."""
+    least, hand = one.needed_for_one, one.shaking if prediction.stable_as_taken else None
+    below = f"; below {rounded_down(least)} a mass or a spring shakes it" if least > 0.0 else ""
+    if hand is None:
+        return below
+    holds = f"{number(hand.mass, 3)} kg" if hand.mass else f"{number(hand.stiffness, 3)} N/m"
+    on = f" on [bold]{escape(hand.name)}[/bold] shake it" if len(one.names) > 1 else ""
+    how = f"{holds} more{on}, {number(hand.growth, 7)}-fold in a sample at {number(hand.frequency_hz, 4)} Hz"
+    return f"{below}, such as {how}" if below else f"; {how}"
+
+
+def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | None) -> Iterator[str]:
+    """Yields for each part of the scene whether some hand of these ranges of mass and stiffness is shaken, and the
+    worst."""
+    if ranges is None:
+        return
+    of = f"{_range(ranges[0])} kg and {_range(ranges[1])} N/m more"
+    for one in prediction.any_hands:
+        unit, worst = spoken(one.channels[0]), one.worst_hand(*ranges)
+        if worst is None:
+            yield f"Hands on {_who(one)}: not worked out of a scene with so many masses"
+            continue
+        hands = zip(worst.masses, worst.stiffnesses, strict=True)
+        which = " and ".join(f"{number(m, 3)} kg, {number(k, 3)} N/m" for m, k in hands)
+        verdict = "[green]stable with all that were tried[/green]" if worst.is_stable else "[red]some are shaken[/red]"
+        yield unit(
+            f"Hands on {_who(one)} of {of}: {verdict}; the worst, {which}, has a spectral radius of "
+            f"{number(worst.spectral_radius, 9)}"
+        )
+
+
+def _range(values: Range) -> str:
+    low, high = values
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
+def any_hands_document(prediction: Prediction, ranges: tuple[Range, Range] | None = None) -> list[dict[str, Any]]:
+    """Returns the same as a JSON document. `ranges`: of mass and stiffness."""
+    return [
+        {
+            "device_points": one.names,
+            "friction": one.friction,
+            "needed_friction": [float(each) if math.isfinite(each) else None for each in one.needed],
+            "needed_friction_of_single_hands": one.needed_for_one,
+            "passive": one.is_passive,
+            "frequency_hz": one.frequency_hz,
+            "lasting": one.lasting,
+            "not_derived": one.not_derived,
+            "shaking_hand": (shaking := one.shaking) and shaking._asdict(),
+            "worst_hand": (worst := one.worst_hand(*ranges) if ranges else None)
+            and worst._asdict() | {"stable": worst.is_stable},
+        }
+        for one in prediction.any_hands
+    ]

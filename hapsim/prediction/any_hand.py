@@ -1,0 +1,292 @@
+"""Whether hands that are not the declared one shake a scene: any passive hand, or one of some mass and stiffness."""
+
+from __future__ import annotations
+
+import cmath
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.errors import UsageError
+from hapsim.one_thread import one_thread
+from hapsim.theory import Network
+from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.network import SURELY, part_of, part_of_each, poles_of, state_size
+from hapsim.theory.network.impedance import device_forces
+from hapsim.theory.network.passivity import HeldScene, Passivity, highest, passivity_of, why_not_derived
+
+Range = tuple[float, float]
+
+_CANDIDATES = 3  # frequencies at which a hand is looked for
+_BELOW_NYQUIST = 0.9 * math.pi  # at half the rate itself a motion is its own image
+_LEVEL = 0.999  # of the most: it goes on to rest
+_CLOSER = np.array(
+    [0.7, 0.8, 0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.4]
+)  # times the mass or the spring in resonance
+_NEWTON, _FOUND = 30, 1e-10
+_MOST_STATES = 150  # of a loop that is worked out some hundred times
+_GRID = np.array([0.0, 0.03, 0.1, 0.3, 0.6, 1.0])  # of a range of masses, or of stiffnesses
+_REFINED, _STEPS = 3, 120  # of the worst of them, by Nelder and Mead's steps
+
+
+class ShakingHand(NamedTuple):
+    """A hand that is shaken: a mass, or a spring to a place that does not move, beside what the device has."""
+
+    name: str
+    """Of the device point that it holds; others are let go."""
+    mass: float
+    """kg."""
+    stiffness: float
+    """N/m."""
+    frequency_hz: float
+    growth: float
+    """By how much its motion is multiplied in a sample, above 1."""
+
+
+class WorstHand(NamedTuple):
+    """Of some hands the one with which the loop is closest to its limit, or furthest beyond."""
+
+    masses: tuple[float, ...]
+    """kg, on each device point, beside the device's own."""
+    stiffnesses: tuple[float, ...]
+    """N/m."""
+    spectral_radius: float
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether none of these hands is shaken, as far as was searched."""
+        return self.spectral_radius <= SURELY
+
+
+@dataclass(frozen=True, eq=False)
+class AnyHand:
+    """Of one part of a scene that no link joins to another, with the hands on it.
+
+    Attributes:
+        names: of the n device points.
+        channels: theirs.
+        friction: (n,) N·s/m, declared.
+        not_derived: why it is not known what makes it passive; "" where it is.
+    """
+
+    names: tuple[str, ...]
+    channels: tuple[int, ...]
+    not_derived: str
+    _network: Network
+    _points: tuple[str, ...]
+
+    @cached_property
+    def _held(self) -> HeldScene:
+        return HeldScene(self._network)
+
+    @property
+    def friction(self) -> Floats:
+        """(n,) N·s/m, declared."""
+        return self._network.channel_friction
+
+    @cached_property
+    def _passivity(self) -> Passivity:
+        if self.not_derived:
+            return Passivity(math.nan, math.nan)
+        with one_thread():
+            return passivity_of(self._held)
+
+    @cached_property
+    def needed(self) -> Floats:
+        """(n,) N·s/m: the friction from which on no passive hand, however it moves, makes it unstable; infinite where
+        none suffices, NaN where it is not worked out."""
+        own, found = self.friction, self._passivity.friction
+        return found * own / own.mean() if (own > 0.0).all() and math.isfinite(found) else np.full(own.size, found)
+
+    @property
+    def frequency_hz(self) -> float:
+        """At which that is needed."""
+        return self._passivity.frequency_hz
+
+    @property
+    def lasting(self) -> str:
+        """What moves most in a motion that does not die out while the hands are held, which no friction of theirs
+        calms; "" where every motion does."""
+        moved = self._passivity.lasting
+        return self._points[int(np.argmax(moved))].partition(".")[0] if moved.size else ""
+
+    @property
+    def is_passive(self) -> bool | None:
+        """None where it is not known."""
+        return None if np.isnan(self.needed).any() else bool((self.friction >= self.needed).all())
+
+    @cached_property
+    def needed_for_one(self) -> float:
+        """N·s/m: below this friction a mass or a spring is shaken by itself. More is `needed` by hands that are made
+        for it, which move at the images of a motion too. NaN for several hands, and where it is not worked out."""
+        if len(self.names) > 1 or self.is_passive is None or not np.isfinite(self.needed).all():
+            return math.nan
+        with one_thread():
+            theta = self._held.angles[self._held.angles < _BELOW_NYQUIST]
+            _, most = highest(lambda angle: self._taken(angle, 0), theta)
+        return max(0.0, float(self.friction[0]) + most)
+
+    @cached_property
+    def shaking(self) -> ShakingHand | None:
+        """The single mass or spring on one device point that is shaken most; None where none was found."""
+        if self.is_passive is not False:
+            return None
+        with one_thread():
+            found = [one for at in range(len(self.names)) for one in self._shaken(at)]
+        return max(found, key=lambda one: one.growth, default=None)
+
+    @np.errstate(all="ignore")
+    def _shaken(self, at: int) -> Iterator[ShakingHand]:
+        """Yields those on one device point that are in resonance where its impedance takes most from a hand."""
+        for theta in self._taking(at):
+            omega = theta * self._network.rate
+            reactance = -float(self._held.driving_impedance(np.array([theta]), at)[0].imag)
+            mass, stiffness = max(reactance, 0.0) / omega, max(-reactance, 0.0) * omega
+            hands = ((share, self._pole(at, share * mass, share * stiffness, theta)) for share in _CLOSER.tolist())
+            share, pole = max(hands, key=lambda one: np.nan_to_num(abs(one[1])))
+            if abs(pole) > SURELY:
+                hertz = abs(cmath.phase(pole)) * self._network.rate / (2.0 * math.pi)
+                yield ShakingHand(self.names[at], share * mass, share * stiffness, hertz, abs(pole))
+
+    def _taking(self, at: int) -> list[float]:
+        """The theta at which its resistance is negative, and least; of what goes on to rest, where half is left."""
+        theta = self._held.angles
+        taken = self._taken(theta, at)
+        padded = np.concatenate([[-np.inf], taken, [-np.inf]])
+        peaks = np.flatnonzero((taken >= padded[:-2]) & (taken > padded[2:]))
+        found = []
+        for peak in peaks[np.argsort(-taken[peaks])][:_CANDIDATES].tolist():
+            about = theta[max(peak - 1, 0) : peak + 2]
+            place, most = highest(lambda angle: self._taken(angle, at), about)
+            if taken[0] > _LEVEL * most > 0.0:
+                place = float(theta[np.argmax(taken < 0.5 * taken[0])])
+            found += [min(place, _BELOW_NYQUIST)] if most > 0.0 else []
+        return found
+
+    def _taken(self, theta: Floats, at: int) -> Floats:
+        return np.asarray(-self._held.driving_impedance(theta, at).real)
+
+    def _pole(self, at: int, mass: float, stiffness: float, theta: float) -> complex:
+        """A pole of the loop with this hand near theta, by secants; NaN where none is found."""
+        hands = np.zeros((2, len(self.names)))
+        hands[:, at] = mass, stiffness
+        network, one = _with_hands(self._network, *hands), np.eye(len(self.names))
+
+        def met(w: Complexes) -> Complexes:
+            whole = self._held.forces(w) + device_forces(network, w)[:, None] * one
+            return np.asarray(np.linalg.det(whole))
+
+        w = np.exp(1j * theta) * np.array([1.0, 1.0 + 1e-6]) - 1.0
+        before, here = (complex(one) for one in w)
+        f_before, f = (complex(one) for one in met(w))
+        first = abs(f)
+        for _ in range(_NEWTON):
+            if not abs(f) > _FOUND * first or f == f_before:
+                break
+            before, here, f_before = here, here - f * (here - before) / (f - f_before), f
+            f = complex(met(np.array([here]))[0])
+        return 1.0 + here if abs(f) <= _FOUND * first else complex(math.nan)
+
+    def worst_hand(self, mass: Range, stiffness: Range) -> WorstHand | None:
+        """Of hands that add from so much to so much mass, kg, and stiffness, N/m, to each device point, but friction to
+        none: searched on a grid, at the resonances where the loop takes most from a hand, and about the worst of both;
+        None where the loop is too large for that.
+
+        Raises:
+            UsageError: a range begins below 0, or ends before it begins.
+        """
+        for name, (low, high) in (("mass", mass), ("stiffness", stiffness)):
+            if not 0.0 <= low <= high < math.inf:
+                raise UsageError(f"a hand's {name}: found {low:g}:{high:g}, expected low:high, from 0 on")
+        if state_size(self._network) > _MOST_STATES:
+            return None
+        least, most = (np.repeat([mass[end], stiffness[end]], len(self.names)) for end in (0, 1))
+
+        def radius(hands: Floats) -> float:
+            masses, springs = np.clip(hands, least, most).reshape(2, -1)
+            return float(np.abs(poles_of(_with_hands(self._network, masses, springs))).max())
+
+        with one_thread():
+            found = sorted(((radius(one), one) for one in self._hands(least, most)), key=lambda one: -one[0])
+            worst = [_climbed(radius, one, most - least) for _, one in found[:_REFINED]]
+            best = max([hands for _, hands in found[:1]] + worst, key=radius)
+            masses, springs = np.clip(best, least, most).reshape(2, -1)
+            return WorstHand(tuple(masses.tolist()), tuple(springs.tolist()), radius(best))
+
+    def _hands(self, low: Floats, high: Floats) -> Iterator[Floats]:
+        """Yields hands (2 n,): alike on all points, on each alone, and in resonance on each."""
+        n = len(self.names)
+        for shares in itertools.product(_GRID, _GRID):
+            alike = low + (high - low) * np.repeat(shares, n)
+            yield alike
+            for at in range(n if n > 1 else 0):
+                alone = low.copy()
+                alone[[at, n + at]] = alike[[at, n + at]]
+                yield alone
+        for at in range(n if not self.not_derived else 0):
+            for mass, stiffness in self._resonant(at, (low[at], high[at]), (low[n + at], high[n + at])):
+                alone = low.copy()
+                alone[[at, n + at]] = mass, stiffness
+                yield alone
+
+    def _resonant(self, at: int, mass: Range, stiffness: Range) -> Iterator[tuple[float, float]]:
+        """Yields the hands of these ranges, on one point, that are in resonance where its impedance is negative."""
+        theta = self._held.angles
+        impedance = self._held.driving_impedance(theta, at)
+        omega = theta * self._network.rate
+        # Where its resistance is least, of each stretch in which it is negative.
+        negative = impedance.real < 0.0
+        stretches = np.split(np.arange(theta.size), np.flatnonzero(np.diff(negative)) + 1)
+        for stretch in (one for one in stretches if negative[one[0]]):
+            for index in {int(stretch[np.argmin(impedance.real[stretch])]), *stretch[:: max(1, stretch.size // 8)]}:
+                w, missing = float(omega[index]), -float(impedance.imag[index])
+                for spring in np.linspace(*stiffness, 4).tolist():
+                    if mass[0] <= (m := missing / w + spring / w**2) <= mass[1]:
+                        yield m, spring
+
+
+def _with_hands(network: Network, masses: Floats, stiffnesses: Floats) -> Network:
+    return replace(
+        network,
+        channel_mass=network.channel_mass + masses,
+        channel_stiffness=network.channel_stiffness + stiffnesses,
+    )
+
+
+def _climbed(value: Callable[[Floats], float], start: Floats, span: Floats) -> Floats:
+    """From a start (n,) on uphill, along those numbers that have a span."""
+    from scipy.optimize import minimize
+
+    free = np.flatnonzero(span > 0.0)
+    if not free.size:
+        return start
+
+    def at(shares: Floats) -> Floats:
+        found = start.copy()
+        found[free] += shares * span[free]
+        return found
+
+    simplex = np.vstack([np.zeros(free.size), 0.05 * np.eye(free.size)])
+    options = {"initial_simplex": simplex, "maxfev": _STEPS}
+    return at(minimize(lambda shares: -value(at(shares)), simplex[0], method="Nelder-Mead", options=options).x)
+
+
+def any_hands(
+    network: Network, points: Sequence[str], channels: dict[str, int], not_derived: str
+) -> tuple[AnyHand, ...]:
+    """Of each part of the scene that has some of these hands, by name with their channels. `not_derived`: of what is
+    not the network's."""
+    part, found = part_of_each(network.ends, len(points)), []
+    for number in dict.fromkeys(int(part[points.index(name)]) for name in channels):
+        inside = np.flatnonzero(part == number)
+        names = tuple(name for name in channels if part[points.index(name)] == number)
+        of_part = part_of(network, inside)
+        why = not_derived or why_not_derived(of_part)
+        numbers = tuple(channels[name] for name in names)
+        found.append(AnyHand(names, numbers, why, of_part, tuple(points[at] for at in inside.tolist())))
+    return tuple(found)

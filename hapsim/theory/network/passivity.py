@@ -1,0 +1,224 @@
+"""How much real friction makes a whole scene passive, masses, strings and several hands: stable in any passive hands.
+
+Colgate and Schenkel, "Passivity of a class of sampled-data systems" (1997). What is a sampled wall there is here a
+scene that answers the positions of C hands by forces H(z), (C, C). Behind a zero-order hold and w + f samples of delay,
+w whole, with sigma_n = j (theta + 2 pi n) the images of a motion, the force at image n is
+
+    -T a_n H(z) sum_m v_m/sigma_m,      a_n = (1 - 1/z) z^-w exp(-f sigma_n)/sigma_n
+
+of the velocities v_m (C,) at all images, which hands may have at once. The power that they get is largest in the plane
+of a and of the conjugates of 1/sigma. With sum |1/sigma_n|² = 1/(4 sin²(theta/2)), sum |a_n|² = 1 and
+
+    g = sum a_n/sigma_n = -(1 - 1/z) z^-w (1 - f + f/z)/(4 sin²(theta/2))
+
+it is the largest eigenvalue of the Hermitian part of -T [[g H, 0], [sqrt(f (1 - f)) H, 0]], (2 C, 2 C): the friction
+that theta needs. A lone wall's is that of ``hand/passivity.py``. Where the scene has a motion of its own that does not
+die out while the hands are held, and that they feel, no friction suffices.
+
+It peaks at the resonances of the held scene. So a grid that is dense about each, by the residues of its poles, and the
+highest peaks followed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.hand.impedance import late_and_held
+from hapsim.theory.interface import whole_and_fraction
+from hapsim.theory.network.crossings import AT_ONCE, on_circle
+from hapsim.theory.network.network import Network
+from hapsim.theory.sample import is_large, loop, sizes_of
+
+LASTS = 1e-9  # of itself: a motion that loses less in a sample does not die out
+_FELT = 1e-9  # of the largest force: a motion with less is not felt
+_SAME = 1e-9  # relative: residues that are good
+_POINTS = 400  # of theta, evenly; and for each sample of delay
+_SLOW = 60  # of theta near 0, in steps of a factor
+_WIDTHS = np.array([-30.0, -10.0, -3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0, 10.0, 30.0])  # of a resonance
+_SWINGS = 0.3  # a pole of smaller modulus is no resonance
+_MOST_EXACT = 100  # numbers of a held scene whose residues are not good
+_PEAKS, _ZOOMS = 4, 10
+
+
+class Passivity(NamedTuple):
+    """What makes a scene passive.
+
+    Attributes:
+        friction: N·s/m that each hand needs; infinite where none suffices. Of hands with different frictions it is the
+            mean, their proportions being kept.
+        frequency_hz: at which it is needed.
+        lasting: (C + M,) how far each point moves in the motion that does not die out; empty where every one does.
+    """
+
+    friction: float
+    frequency_hz: float
+    lasting: Floats = np.zeros(0)
+
+
+def why_not_derived(network: Network) -> str:
+    """In words; "" where it is."""
+    if network.hold != "zoh" or network.sampling != "ideal":
+        return "it is derived for a zero-order hold and ideal sampling"
+    if any(damper.senses for damper in network.damper):
+        return "it is not derived for a damper that takes the device's velocity"
+    return "the scene is too large for it" if is_large(network) else ""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldScene:
+    """The scene without its hands: forces by positions. One for which ``why_not_derived`` has no reason."""
+
+    network: Network
+
+    @cached_property
+    def _rows(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """What a sample adds to the scene's own state, of itself and of positions and ways of hands; and forces of
+        both. The ways are those from the last sample."""
+        change, _, _, force, _ = loop(self.network, inputs=True)
+        starts, own, given = 0, np.zeros(len(change), bool), np.zeros(len(change), bool)
+        for name, size in sizes_of(self.network).items():
+            part = slice(starts, starts + size)
+            own[part], given[part] = name in {"mass", "mass_step", "older", "past"}, name in {"position", "way"}
+            starts += size
+        return change[np.ix_(own, own)], change[np.ix_(own, given)], force[:, own], force[:, given]
+
+    @cached_property
+    def _eigen(self) -> tuple[Complexes, Complexes, Complexes]:
+        """Eigenvalues of what a sample adds, w, eigenvectors, and how much of each the hands' inputs are."""
+        own, driven, *_ = self._rows
+        w, states = np.linalg.eig(own)
+        amounts = np.linalg.lstsq(states, driven.astype(complex), rcond=None)[0]
+        return w.astype(complex), states.astype(complex), amounts
+
+    @property
+    def poles(self) -> Complexes:
+        """(n,): of the scene while its hands are held."""
+        return np.asarray(1.0 + self._eigen[0])
+
+    def forces(self, w: Complexes) -> Complexes:
+        """(n, C, C): with which the hands are pulled back at z = 1 + w, of 1 m z^n of each alone; NaN where that is not
+        worked out."""
+        return self._by_residues(w) if self._has_residues else self._by_solving(w)
+
+    @cached_property
+    def _has_residues(self) -> bool:
+        w = on_circle(np.array([0.01, 0.4, 1.7, 3.0]))
+        exact = self._by_solving(w, len(self._rows[0]))
+        return bool(np.abs(self._by_residues(w) - exact).max(initial=0.0) <= _SAME * np.abs(exact).max(initial=0.0))
+
+    def _by_residues(self, w: Complexes) -> Complexes:
+        at, states, amounts = self._eigen
+        given = self._given(w)
+        moved = (amounts @ given) / (w[:, None] - at)[..., None]
+        return np.asarray(-(self._rows[3] @ given + (self._rows[2] @ states) @ moved))
+
+    def _by_solving(self, w: Complexes, most: int = _MOST_EXACT) -> Complexes:
+        own, driven, felt, at_once = self._rows
+        given, size = self._given(w), len(own)
+        found = np.full((w.size, len(felt), len(felt)), np.nan, dtype=complex)
+        step = max(1, AT_ONCE // max(1, size) ** 2)
+        for part in (slice(start, start + step) for start in range(0, w.size if size <= most else 0, step)):
+            moved = np.linalg.solve(w[part, None, None] * np.eye(size) - own, driven @ given[part])
+            found[part] = -(at_once @ given[part] + felt @ moved)
+        return found
+
+    def _given(self, w: Complexes) -> Complexes:
+        """(n, 2 C, C): positions and ways."""
+        one = np.eye(self.network.channel_mass.size)
+        return np.concatenate([np.ones(w.size)[:, None, None] * one, (w / (1.0 + w))[:, None, None] * one], axis=1)
+
+    def lasting(self) -> int | None:
+        """Which of ``poles`` does not die out and is felt, the fastest to grow; None where none is."""
+        at, states, amounts = self._eigen
+        felt = np.linalg.norm(self._rows[2] @ states, axis=0) * np.linalg.norm(amounts, axis=1)
+        least = _FELT * np.abs(self.forces(on_circle(np.array([0.1, 1.0, 2.0, 3.0])))).max(initial=0.0)
+        lasts = np.flatnonzero((np.abs(1.0 + at) > 1.0 - LASTS) & (felt > least))
+        return int(lasts[np.argmax(np.abs(1.0 + at[lasts]))]) if lasts.size else None
+
+    def moved(self, pole: int) -> Floats:
+        """(C + M,): how far each point goes in the motion of one of ``poles``."""
+        masses = np.abs(self._eigen[1][: self.network.point_mass.size, pole])
+        return np.concatenate([np.zeros(self.network.channel_mass.size), masses])
+
+    @cached_property
+    def angles(self) -> Floats:
+        """Of a grid of theta, from slow to half the rate, dense about each resonance."""
+        z = self.poles[np.abs(self.poles) > _SWINGS]
+        width = np.maximum(np.abs(1.0 - np.abs(z)), LASTS)
+        about = np.abs(np.angle(z))[:, None] + width[:, None] * _WIDTHS
+        count = math.ceil(_POINTS * (1.0 + self.network.delay))
+        grid = np.linspace(math.pi / count, math.pi, count)
+        every = np.concatenate([np.geomspace(1e-6, 0.1, _SLOW), grid, about.ravel()])
+        return np.unique(np.clip(every, 1e-7, math.pi))
+
+    def driving_impedance(self, theta: Floats, channel: int) -> Complexes:
+        """(n,) N·s/m at theta, that a hand on this channel meets which moves at no image, the others being let go."""
+        network, one = self.network, np.eye(self.network.channel_mass.size)
+        s = 1j * theta[:, None] * network.rate
+        device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
+        through = late_and_held(theta, network.delay, network.hold, network.sampling)
+        rendered = self.forces(on_circle(theta)) * (through / s[:, 0])[:, None, None]
+        return np.asarray(1.0 / np.linalg.inv(device[:, None] * one + rendered)[:, channel, channel])
+
+
+@np.errstate(all="ignore")
+def passivity_of(scene: HeldScene) -> Passivity:
+    """The friction that a scene needs; NaN where that is not worked out."""
+    network = scene.network
+    own = network.channel_friction
+    mean = float(own.mean())
+    weight = np.sqrt(own / mean) if (own > 0.0).all() else np.ones(own.size)
+    lasts = scene.lasting()
+    if lasts is not None:
+        hertz = abs(float(np.angle(scene.poles[lasts]))) * network.rate / (2.0 * np.pi)
+        return Passivity(math.inf, hertz, scene.moved(lasts))
+
+    def needed(theta: Floats) -> Floats:
+        return _needed(network, theta, scene.forces(on_circle(theta)) / np.outer(weight, weight))
+
+    theta, found = highest(needed, scene.angles)
+    return Passivity(found, theta * network.rate / (2.0 * np.pi))
+
+
+def _needed(network: Network, theta: Floats, forces: Complexes) -> Floats:
+    """(n,) N·s/m at theta."""
+    whole, fraction = whole_and_fraction(network.delay)
+    w, sine = on_circle(theta), 4.0 * np.sin(0.5 * theta) ** 2
+    later = 1.0 / (1.0 + w)
+    g = -w * later * later**whole * (1.0 - fraction + fraction * later) / sine
+    at_once = -forces / network.rate
+    matrix = g[:, None, None] * at_once
+    if fraction:
+        between = math.sqrt(fraction * (1.0 - fraction)) * at_once
+        matrix = np.block([[matrix, np.zeros_like(matrix)], [between, np.zeros_like(matrix)]])
+    hermitian = 0.5 * (matrix + np.conj(np.swapaxes(matrix, 1, 2)))
+    found = np.full(theta.size, np.nan)
+    good = np.isfinite(hermitian).all(axis=(1, 2))
+    found[good] = np.linalg.eigvalsh(hermitian[good])[:, -1]
+    return found
+
+
+def highest(values: Callable[[Floats], Floats], theta: Floats) -> tuple[float, float]:
+    """Where on a grid, and between its points, a function of theta is largest, and how large; NaN where it is that."""
+    found = values(theta)
+    if np.isnan(found).any():
+        return math.nan, math.nan
+    peaks = np.argsort(-found)[:_PEAKS]
+    best = float(theta[peaks[0]]), float(found[peaks[0]])
+    for peak in peaks:
+        low, high = theta[max(peak - 1, 0)], theta[min(peak + 1, theta.size - 1)]
+        for _ in range(_ZOOMS):
+            at = np.linspace(low, high, 9)
+            here = values(at)
+            top = int(np.argmax(here))
+            low, high = at[max(top - 1, 0)], at[min(top + 1, 8)]
+            if here[top] > best[1]:
+                best = float(at[top]), float(here[top])
+    return best

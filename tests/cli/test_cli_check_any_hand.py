@@ -1,0 +1,104 @@
+"""`check` and `sweep` of hands other than the declared ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapsim import load_scene, predict
+from hapsim.sweeping.quantities import Task
+
+WALL = """
+version: 1
+rate: 1000
+device: {{mass: 0.2, friction: {friction}, clock: lockstep{more}}}
+modules:
+  hand: {{type: device, channel: 0}}
+  wall: {{type: ground}}
+  ball: {{type: mass, mass: 1.0}}
+  touch: {{type: viscoelastic, between: [hand, ball], stiffness: 2000, damping: {damping}}}
+  hold: {{type: viscoelastic, between: [ball, wall], stiffness: 500, damping: {damping}}}
+"""
+Hapsim = Callable[..., Any]
+
+
+def words(told: str) -> str:
+    return " ".join(told.split())
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Callable[..., str]:
+    def write(friction: float = 1.0, damping: float = 5.0, more: str = "") -> str:
+        path = tmp_path / "scene.yaml"
+        path.write_text(WALL.format(friction=friction, damping=damping, more=more))
+        return str(path)
+
+    return write
+
+
+def test_what_friction_needs_and_which_hand_is_shaken_are_told(hapsim: Hapsim, scene: Callable[..., str]) -> None:
+    path = scene()
+    (one,) = predict(load_scene(path), with_margins=False).any_hands
+    told = words(hapsim("check", path, "--explain").out)
+    assert f"hand: not passive: only from {one.needed[0]:.4g} N·s/m of friction on is it stable in any hands" in told
+    hand = one.shaking
+    assert hand is not None
+    assert f"a mass or a spring shakes it, such as {hand.stiffness:.3g} N/m more" in told
+    (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
+    assert document["needed_friction"] == one.needed.tolist()
+    assert document["needed_friction_of_single_hands"] == one.needed_for_one
+    assert document["shaking_hand"] == hand._asdict()
+    assert document["worst_hand"] is None
+
+
+def test_of_a_passive_scene_no_hand_is_named(hapsim: Hapsim, scene: Callable[..., str]) -> None:
+    path = scene(friction=30.0)
+    assert "hand: passive, which is stable in any hands" in words(hapsim("check", path, "--explain").out)
+    (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
+    assert (document["passive"], document["shaking_hand"]) == (True, None)
+
+
+def test_what_swings_for_ever_is_named(hapsim: Hapsim, scene: Callable[..., str]) -> None:
+    path = scene(damping=0.0, friction=30.0)
+    told = words(hapsim("check", path, "--explain").out)
+    assert "not passive, whatever the friction, for while the hand is held a motion of ball at 7.9" in told
+    (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
+    assert (document["needed_friction"], document["lasting"]) == ([None], "ball")
+
+
+def test_it_is_not_told_where_it_is_not_derived(hapsim: Hapsim, scene: Callable[..., str]) -> None:
+    told = words(hapsim("check", scene(more=", hold: impulse"), "--explain").out)
+    assert "hand: whether it is passive is not known, for it is derived for a zero-order hold" in told
+
+
+class TestARange:
+    def test_is_judged(self, hapsim: Hapsim, scene: Callable[..., str]) -> None:
+        path = scene()
+        told = words(hapsim("check", path, "--hand-mass", "0.1:2", "--hand-stiffness", "0:3000").out)
+        assert "Hands on hand of 0.1 to 2 kg and 0 to 3000 N/m more: stable with all that were tried" in told
+        shaken = words(hapsim("check", path, "--hand-stiffness", "3e5:5e5").out)
+        assert "Hands on hand of 0 kg and 300000 to 500000 N/m more: some are shaken; the worst, 0 kg" in shaken
+        (document,) = json.loads(hapsim("check", path, "--hand-stiffness", "3e5:5e5", "--json").out)["any_hands"]
+        assert document["worst_hand"]["stable"] is False
+        assert 3e5 <= document["worst_hand"]["stiffnesses"][0] <= 5e5
+
+    @pytest.mark.parametrize("text", ["2:1", "-1:1", "1:2:3", "a", "nan", "0:inf"])
+    def test_that_is_none_is_refused(self, hapsim: Hapsim, scene: Callable[..., str], text: str) -> None:
+        ended = hapsim("check", scene(), f"--hand-mass={text}")
+        assert ended.status == 2
+        assert f"--hand-mass: found {text}, expected LOW:HIGH or one number, from 0 on" in words(ended.err)
+
+
+def test_a_sweep_has_the_friction_that_is_needed(scene: Callable[..., str]) -> None:
+    loaded = load_scene(scene())
+    found, _ = Task(loaded.model_dump(mode="json"), ("predicted",)).at(loaded)
+    (one,) = predict(loaded, with_margins=False).any_hands
+    assert (found["needed_friction"], found["passive"]) == (one.needed[0], 0.0)
+    alone = load_scene("configs/wall.yaml")
+    found, _ = Task(alone.model_dump(mode="json"), ("predicted",)).at(alone)
+    (one,) = predict(alone, with_margins=False).any_hands
+    assert found["needed_friction"] == pytest.approx(one.needed[0], rel=1e-8)
