@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
     from hapsim.measuring.identify_device import identify_device as identify_device
     from hapsim.measuring.measure import measure as measure
+    from hapsim.measuring.measure_hands import measure_hands as measure_hands
     from hapsim.measuring.measure_impedance import MeasuredImpedance as MeasuredImpedance
     from hapsim.measuring.measure_impedance import measure_impedance as measure_impedance
     from hapsim.measuring.measure_trace import Measurement as Measurement
     from hapsim.measuring.measure_trace import identify as identify  # the former name of measure_trace
     from hapsim.measuring.measure_trace import measure_trace as measure_trace
+    from hapsim.measuring.rings import HandsMeasurement as HandsMeasurement
     from hapsim.prediction import Prediction as Prediction
     from hapsim.prediction import predict as predict
     from hapsim.recording.trace import Trace as Trace
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "DeviceIdentification": "hapsim.measuring.identify_device",
+    "HandsMeasurement": "hapsim.measuring.rings",
     "MeasuredImpedance": "hapsim.measuring.measure_impedance",
     "Measurement": "hapsim.measuring.measure_trace",
     "Prediction": "hapsim.prediction",
@@ -52,6 +55,7 @@ _HOME = {
     "load_scene": "hapsim.scene",
     "load_trace": "hapsim.recording.trace",
     "measure": "hapsim.measuring.measure",
+    "measure_hands": "hapsim.measuring.measure_hands",
     "measure_impedance": "hapsim.measuring.measure_impedance",
     "measure_trace": "hapsim.measuring.measure_trace",
     "parse_scene": "hapsim.scene",
@@ -63,6 +67,7 @@ _HOME = {
 }
 __all__ = [
     "DeviceIdentification",
+    "HandsMeasurement",
     "MeasuredImpedance",
     "Measurement",
     "Prediction",
@@ -74,6 +79,7 @@ __all__ = [
     "load_scene",
     "load_trace",
     "measure",
+    "measure_hands",
     "measure_impedance",
     "measure_trace",
     "parse_scene",

@@ -16,7 +16,7 @@ from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.prediction import predict
-from hapsim.prediction.impedance import PredictedImpedance, predict_impedance
+from hapsim.prediction.impedance import PredictedImpedance, predict_impedance, spring_and_damper
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Complexes, Floats
 
@@ -51,12 +51,6 @@ class Curves(NamedTuple):
 def phase(impedance: Complexes) -> Floats:
     """Returns degrees, followed from the lowest frequency on: the phase of a late force goes on turning."""
     return np.asarray(np.degrees(np.unwrap(np.angle(impedance))))
-
-
-def spring_and_damper(frequency: Floats, impedance: Complexes) -> tuple[Floats, Floats]:
-    """Returns k (n,) in N/m and b (n,) in N·s/m that have this impedance, force over velocity, at each frequency; of a
-    mass k is negative."""
-    return -2.0 * np.pi * frequency * impedance.imag, impedance.real
 
 
 def draw_sizes(axes: Axes, curves: Curves) -> None:

@@ -15,6 +15,7 @@ from hapsim.cli.check_details import show_assumptions, show_wire
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_device import gives, limits, oscillation, other_device, probable_mass
 from hapsim.cli.measure_remarks import attempts, dry_friction, smaller_push
+from hapsim.cli.measure_weight import measured_weight, weight_sentence, with_hand
 from hapsim.cli.options import (
     DeviceOptions,
     ExcitationOptions,
@@ -24,6 +25,7 @@ from hapsim.cli.options import (
     Unstable,
     flag,
     position,
+    require_positive,
     say_written,
 )
 from hapsim.cli.output import Table, complain, document, failure_document, speak_of, stderr, stdout, table
@@ -61,12 +63,20 @@ def measure(
     around it. With --impedance it excites each channel in turn with many frequencies at once.
     """
     if excitation.impedance:
-        if excitation.at is not None:
-            raise UsageError("--at does not go with --impedance, which measures where the hand is")
+        given = {"--at": excitation.at is not None, "--mass": excitation.mass, "--hands": excitation.hands}
+        if which := next((option for option, is_given in given.items() if is_given), ""):
+            raise UsageError(f"{which} does not go with --impedance, which measures where the hand is")
         from hapsim.cli.measure_impedance import measure_impedance
 
         measure_impedance(device, excitation, picture, record, unstable, json)
         return
+    if excitation.hands:
+        from hapsim.cli.measure_hands import measure_hands
+
+        measure_hands(device, excitation, picture, record, unstable, json)
+        return
+    if excitation.hand_stiffness is not None and not excitation.mass:
+        raise UsageError("--hand-stiffness goes with --mass: it is missing")
     if excitation.travel is not None or excitation.z_width:
         raise UsageError("--travel and --z-width go with --impedance: it is missing")
     _measure_pair(device, excitation, picture, record, unstable, explain, json)
@@ -91,6 +101,8 @@ def _measure_pair(
     if channel in hands:
         speak_of(channel)
     at = position(excitation.at, scene)
+    if excitation.mass:
+        scene = with_hand(scene, channel, require_positive("--hand-stiffness", excitation.hand_stiffness, "N/m"))
     prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if picture.wanted:
@@ -119,11 +131,15 @@ def _measure_pair(
         measurement.trace.save(record.record)
     if picture.wanted:
         _draw(felt_on(prediction, channel), measurement, picture)
+    weight = measured_weight(scene, prediction, measurement, channel, excitation) if excitation.mass else None
     if json:
         measured = measurement_document(prediction, measurement, channel, on_wire)
+        measured |= {} if weight is None else {"felt_mass": weight._asdict()}
         print(document({"scene": device.scene, "warnings": warnings} | measured))
     else:
         show_measurement(stdout(), scene, prediction, measurement, channel, excitation.push)
+        if weight is not None:
+            stdout().print(weight_sentence(weight, channel))
         (show_report if explain else show_run)(stdout(), measurement.trace.report)
         if on_wire is not None or prediction.wire_delay:
             show_wire(stdout(), prediction, on_wire, explain=True)

@@ -25,6 +25,7 @@ from hapsim.prediction.impedance import (
     decades_of,
     mean_width,
     predict_impedance,
+    spring_and_damper,
     width_db,
     z_width_of,
 )
@@ -161,6 +162,7 @@ def show_impedance(out: Console, predicted: PredictedImpedance, measured: Measur
     for i in shown:
         for name, words in (("rendered", "Rendered impedance"), ("closed_loop", "Closed loop's impedance")):
             out.print("", _table(predicted, measured, i, name, words))
+        out.print("", _springs(predicted, measured, i))
     out.print()
     show_assumptions(out, predicted.assumptions)
     for sentence in _sentences(predicted, measured):
@@ -177,10 +179,27 @@ def _table(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int, n
             *(f"{abs(z[n, i, i]):.5g} ∠ {np.degrees(np.angle(z[n, i, i])):.1f}°" for z in columns),
             f"{circles.uncertainty[n, i, i]:.1g}",
         )
-        for n in np.unique(np.rint(np.linspace(0, predicted.frequency.size - 1, _ROWS)).astype(int))
+        for n in _shown(predicted.frequency)
     ]
     where = f"{predicted.names[i]}, channel {measured.channels[i]}"
     return table(f"{words} at {escape(where)}, N·s/m", ("f  Hz", "desired", "predicted", "measured", "±"), rows)
+
+
+def _springs(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int) -> Table:
+    """Returns the rendered impedance as a spring and a damper."""
+    f, circles = predicted.frequency, measured.rendered
+    pairs = [spring_and_damper(f, one[:, i, i]) for one in (predicted.desired, predicted.rendered, circles.value)]
+    off, rows = circles.uncertainty[:, i, i], []
+    for n in _shown(f):
+        cells = [f"{k[n]:.5g}, {b[n]:.4g}" for k, b in pairs]
+        rows.append((f"{f[n]:.4g}", *cells, f"{2.0 * np.pi * f[n] * off[n]:.1g}, {off[n]:.1g}"))
+    where = f"{escape(predicted.names[i])}, channel {measured.channels[i]}"
+    title = f"The same rendered at {where} as k, b: N/m, N·s/m (a mass has k below 0)"
+    return table(title, ("f  Hz", "desired", "predicted", "measured", "±"), rows)
+
+
+def _shown(frequency: Any) -> list[int]:
+    return np.unique(np.rint(np.linspace(0, frequency.size - 1, _ROWS)).astype(int)).tolist()
 
 
 def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> list[str]:
@@ -294,6 +313,14 @@ def impedance_document(
             "desired": predicted.desired,
             "predicted": pick(predicted, *names),
             "measured": {name: getattr(measured, name)._asdict() for name in names},
+            "spring_and_damper": {
+                name: dict(zip(("k", "b"), spring_and_damper(predicted.frequency[:, None, None], one), strict=True))
+                for name, one in (
+                    ("desired", predicted.desired),
+                    ("predicted", predicted.rendered),
+                    ("measured", measured.rendered.value),
+                )
+            },
             "off_by_uncertainties": {name: float(np.max(off_by(predicted, measured, name))) for name in names},
             "confidence": 0.999,
             "periods": [pairs + 1 for pairs in measured.periods],

@@ -154,6 +154,12 @@ class ExcitationOptions:
         float | None, seconds("Duration in seconds [default: about 2; with --impedance 8 for each channel]")
     ] = None
     push: Annotated[float | None, push_option()] = None
+    hands: Annotated[bool, flag("--hands", "Measure what all hands feel that are linked with that one.")] = False
+    mass: Annotated[bool, flag("--mass", "Also say how heavy what the hand shakes feels to it.")] = False
+    hand_stiffness: Annotated[
+        float | None,
+        option("KH", "With --mass: stiffness of the hand that holds the device, N/m [default: mock.hand.stiffness]"),
+    ] = None
     impedance: Annotated[
         bool, flag("--impedance", "Measure the driving-point impedance over frequency instead of k and b.")
     ] = False

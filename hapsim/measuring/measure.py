@@ -87,7 +87,7 @@ def measure_by(
     place = place_of(scene, channel, at)
     if place is not None:
         return _measure_at(run, scene, place, duration, push)
-    excitation = _pushes(scene, channel, duration, push)
+    excitation = pushes(scene, channel, duration, push)
     return _identified(scene, excitation, *_recorded(run, scene, excitation, duration))
 
 
@@ -133,7 +133,7 @@ def _measure_at(
     fine = _FINE if scene.device.clock == "lockstep" else _FINE_IN_TIME
     clear = 0.0  # m, the largest swing within the region
     while len(attempts) < _MOST_RUNS:
-        excitation = _pushes(scene, place.channel, duration, push, place, swing)
+        excitation = pushes(scene, place.channel, duration, push, place, swing)
         trace, failure = _recorded(run, scene, excitation, duration)
         guided = excitation.ticks_before(scene.rate)
         if trace.sample.size <= guided:
@@ -192,7 +192,7 @@ def _mass_of(scene: Scene, trace: Trace, channel: int) -> tuple[float, float | N
     return device.masses(scene.channels)[channel], device.mass_uncertainties(scene.channels)[channel]
 
 
-def _pushes(
+def pushes(
     scene: Scene,
     channel: int,
     duration: float,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -115,6 +116,17 @@ class Measurement:
         """Which links changed when the hand left its region in the run that was identified, in words; "" where it
         stayed within, or was led to no place."""
         return next((one.left for one in self.attempts if one.push_n == self.push_n), "")
+
+    def felt_mass(self, hand_stiffness: float) -> tuple[float, float]:
+        """kg, and its standard uncertainty: how heavy what the hand moves feels to a hand of this stiffness (N/m) that
+        held the device meanwhile, beside the device's own mass. A rigid mass on that hand would swing as fast as the
+        slowest swing that was seen. NaN where nothing swings."""
+        swings = [] if not self.dominant or self.damping_ratio >= 1.0 else [(self.k, self.k_uncertainty)]
+        if self.second_mode is not None:
+            s = self.trace.rate * cmath.log(self.second_mode.pole)
+            swings.append((self.mass * abs(s) ** 2, math.nan))
+        k, uncertainty = min(swings, default=(math.nan, math.nan))
+        return self.mass * (hand_stiffness / k - 1.0), self.mass * hand_stiffness / k**2 * uncertainty
 
     def at_rate(self, rate_hz: float) -> Measurement:
         """The same motion, if the device sampled at `rate_hz` and not at the trace's: its seconds are longer or

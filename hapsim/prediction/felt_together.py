@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.one_thread import one_thread
+from hapsim.prediction.impedance import spring_and_damper
 from hapsim.theory import Network, Solution, frequency_and_ratio
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import (
@@ -104,16 +105,24 @@ class FeltTogether:
         mass, stiffest = float(network.point_mass.sum()), float(np.abs(network.stiffness).max(initial=0.0))
         acts = (network.stiffness != 0.0) | (network.damping != 0.0)
         is_held = bool((network.ends[acts] < 0).any()) or network.channel_stiffness[0] > 0.0
-        if is_held or len(self.names) > 1 or not mass or self.not_predicted or state_size(network) > _MOST_STATES:
+        weighs = None if is_held else self.weighs(HAND_STIFFNESS)
+        if weighs is None or not np.isfinite(weighs).all():
             return None
         with one_thread():
-            felt, _ = felt_mass(network, HAND_STIFFNESS)
             off, hz = _crossing(lambda kh: felt_mass(network, kh), _OFF * mass, stiffest)
             lighter, _ = _crossing(lambda share: felt_mass(_lighter(network, share), HAND_STIFFNESS), mass, 1.0)
-            continuous = continuous_mass(network, HAND_STIFFNESS)
-        if not math.isfinite(felt) or not math.isfinite(continuous):
+        return Weight(mass, *weighs, hz if off else math.nan, lighter * mass or math.nan)
+
+    def weighs(self, hand_stiffness: float) -> tuple[float, float] | None:
+        """How heavy its masses feel to one hand of this stiffness (N/m) that shakes them, and how heavy in continuous
+        time, kg; NaN where that hand shakes them in no swing, None where it is not worked out."""
+        network = self._network
+        if len(self.names) > 1 or not network.point_mass.size or self.not_predicted:
             return None
-        return Weight(mass, felt, continuous, hz if off else math.nan, lighter * mass or math.nan)
+        if state_size(network) > _MOST_STATES:
+            return None
+        with one_thread():
+            return felt_mass(network, hand_stiffness)[0], continuous_mass(network, hand_stiffness)
 
     @cached_property
     def asked_for(self) -> FeltPair:
@@ -133,9 +142,10 @@ class FeltTogether:
     def at_frequencies(self) -> tuple[Floats, Floats]:
         """k and b, each (3,), that the first hand meets when it is moved at `HAND_HZ` and the others are held; NaN from
         half the rate on."""
-        own = self._network.channel_friction[0], self._network.channel_stiffness[0]
+        own = self._network.channel_stiffness[0], self._network.channel_friction[0]
         rendered = loop_impedance(self._network, HAND_HZ).rendered[:, 0, 0]
-        return own[1] - 2.0 * np.pi * np.array(HAND_HZ) * rendered.imag, own[0] + rendered.real
+        k, b = spring_and_damper(np.array(HAND_HZ), rendered)
+        return own[0] + k, own[1] + b
 
 
 def _lighter(network: Network, share: float) -> Network:

@@ -99,6 +99,12 @@ def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
     return found
 
 
+def spring_and_damper(frequency: Floats, impedance: Complexes) -> tuple[Floats, Floats]:
+    """k in N/m and b in N·s/m that have this impedance, force over velocity, at each frequency in Hz; of a mass k is
+    negative."""
+    return np.asarray(-2.0 * np.pi * frequency * impedance.imag), impedance.real
+
+
 @dataclass(frozen=True)
 class ZWidth:
     """The range of a device, from itself alone to its stiffest wall K/s + B (Colgate and Brown, 1994): at frequencies

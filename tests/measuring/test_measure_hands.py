@@ -1,0 +1,197 @@
+"""What several hands feel of the scene and of each other, and how heavy: measured beside predicted, on the mock."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import yaml
+
+from hapsim import load_scene, predict
+from hapsim.errors import UsageError
+from hapsim.measuring.measure_hands import measure_hands_by
+from hapsim.measuring.rings import HandsMeasurement
+from hapsim.prediction import FeltTogether
+from hapsim.running.in_memory import run_in_memory
+from hapsim.scene import Scene, parse_scene
+
+SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "12")))
+Hapsim = Callable[..., Any]
+
+
+def link(first: str, second: str, stiffness: float, damping: float) -> dict[str, Any]:
+    return {"type": "viscoelastic", "between": [first, second], "stiffness": stiffness, "damping": damping}
+
+
+TIED = {"tie": link("hand_0", "hand_1", 2000.0, 5.0)}
+
+
+def text_of(modules: dict[str, Any], hands: int = 2, **more: Any) -> str:
+    points = {f"hand_{channel}": {"type": "device", "channel": channel} for channel in range(hands)}
+    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | more.pop("device", {})
+    document = {
+        "version": 1,
+        "rate": 1000,
+        "device": device,
+        "modules": points | {"wall": {"type": "ground"}} | modules,
+    }
+    return yaml.safe_dump(document | more, sort_keys=False)
+
+
+def scene_of(modules: dict[str, Any], hands: int = 2, **more: Any) -> Scene:
+    return parse_scene(text_of(modules, hands, **more), "scene")
+
+
+def random_scene(rng: np.random.Generator) -> Scene:
+    """Two or three hands and up to three light masses, each tied to an earlier point, some to a wall."""
+    hands, masses = int(rng.integers(2, 4)), int(rng.integers(0, 4))
+    names = [f"hand_{i}" for i in range(hands)] + [f"mass_{i}" for i in range(masses)]
+    modules: dict[str, Any] = {
+        name: {"type": "mass", "mass": float(10.0 ** rng.uniform(-2.5, -1.3))} for name in names[hands:]
+    }
+    ends = [(names[int(rng.integers(0, i))], names[i]) for i in range(1, len(names))]
+    ends += [(names[int(rng.integers(0, len(names)))], "wall") for _ in range(int(rng.integers(0, 3)))]
+    for i, pair in enumerate(ends):
+        stiffness, damping = 10.0 ** rng.uniform(2.0, 3.5), 10.0 ** rng.uniform(-0.5, 0.8)
+        modules[f"link_{i}"] = link(*pair, float(stiffness), float(damping))
+    mass, friction = (10.0 ** rng.uniform(*span, hands) for span in ((-1.2, 0.0), (-0.3, 0.5)))
+    device = {"mass": mass.tolist(), "friction": friction.tolist(), "delay": float(rng.choice([0.5, 1.0]))}
+    substeps = {"substeps": int(rng.choice([2, 5]))} if rng.random() < 0.3 else {}
+    return scene_of(modules, hands, device=device, **substeps)
+
+
+def measured(scene: Scene, one: FeltTogether, **more: Any) -> HandsMeasurement:
+    return measure_hands_by(run_in_memory, scene, one.channels, more.pop("duration", None), None)
+
+
+class TestMatrices:
+    def test_of_two_hands_that_are_tied_are_those_of_the_prediction(self) -> None:
+        """Nothing holds them: they go on together, and the place where they stop is one of their motions."""
+        scene = scene_of(TIED)
+        (one,) = predict(scene, with_margins=False).together
+        found = measured(scene, one)
+        np.testing.assert_allclose(found.k, 2167.8914017232 * np.array([[1, -1], [-1, 1]]), rtol=2e-6)
+        np.testing.assert_allclose(found.b, np.eye(2) + 1.9923820182 * np.array([[1, -1], [-1, 1]]), rtol=4e-6)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_of_random_scenes_are_those_of_the_prediction(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        compared = 0
+        while not compared:
+            scene = random_scene(rng)
+            prediction = predict(scene, with_margins=False)
+            for one in prediction.together if prediction.stable else ():
+                if one.felt.reason or len(one.names) < 2:
+                    continue
+                found, compared = measured(scene, one), compared + 1
+                np.testing.assert_allclose(found.k, one.felt.k, atol=2e-4 * np.abs(one.felt.k).max())
+                np.testing.assert_allclose(found.b, one.felt.b, atol=2e-4 * np.abs(one.felt.b).max())
+
+    def test_do_not_depend_on_where_the_scene_rests(self) -> None:
+        held = TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}
+        found = []
+        for position in (0.0, 0.002):
+            scene = scene_of(held | {"wall": {"type": "ground", "position": position}})
+            found.append(measured(scene, predict(scene, with_margins=False).together[0]))
+        np.testing.assert_allclose(found[1].k, found[0].k, rtol=1e-5)
+        np.testing.assert_allclose(found[1].b, found[0].b, rtol=1e-5)
+
+    def test_are_as_uncertain_as_they_say_with_noise(self) -> None:
+        off = []
+        for seed in range(8):
+            held = TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}
+            scene = scene_of(held, mock={"noise": 2e-6, "seed": seed})
+            (one,) = predict(scene, with_margins=False).together
+            found = measured(scene, one)
+            off += [
+                ((found.k - one.felt.k) / found.k_uncertainty).ravel(),
+                ((found.b - one.felt.b) / found.b_uncertainty).ravel(),
+            ]
+        assert 0.4 < float(np.sqrt(np.mean(np.square(off)))) < 1.6
+        assert float(np.abs(off).max()) < 5.0
+
+    def test_are_not_told_where_too_little_moves(self) -> None:
+        scene = scene_of(TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}, mock={"noise": 1e-4})
+        (one,) = predict(scene, with_margins=False).together
+        with pytest.raises(UsageError, match=r"does not show the 4 decaying swings of 2 hands on springs and dampers"):
+            measured(scene, one)
+
+    def test_need_a_record(self) -> None:
+        scene = scene_of(TIED)
+        (one,) = predict(scene, with_margins=False).together
+        with pytest.raises(UsageError, match="too little of the free motion was recorded without a gap"):
+            measured(scene, one, duration=0.1)
+
+
+def test_the_command_shows_both_sides(hapsim: Hapsim, tmp_path: Path) -> None:
+    path = tmp_path / "tied.yaml"
+    path.write_text(text_of(TIED))
+    out = hapsim("measure", path, "--hands").out
+    rows = {
+        row[0].strip(): [cell.strip() for cell in row[1:5]]
+        for row in (line.split("│")[1:] for line in out.splitlines())
+        if len(row) > 4
+    }
+    assert list(rows)[2:4] == ["hand_0 of hand_1: k  N/m", "hand_0 of hand_1: b  N·s/m"]
+    predicted, found, off, *_ = rows["hand_0 of hand_1: k  N/m"]
+    assert float(predicted) == pytest.approx(2167.891, abs=1e-3)
+    assert float(found) == pytest.approx(float(predicted), abs=3.0 * float(off))
+    document = hapsim("measure", path, "--hands", "--json").document["hands"]
+    assert document["device_points"] == ["hand_0", "hand_1"]
+    np.testing.assert_allclose(document["measured"]["k"], document["predicted"]["k"], rtol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["wall", "--hands"], "--hands: the hand on channel 0 is linked to no other"),
+        (["two_hands", "--hands", "--at", "0"], "--at does not go with --hands"),
+        (["two_hands", "--hands", "--mass"], "--mass does not go with --hands"),
+        (["two_hands", "--impedance", "--hands"], "--hands does not go with --impedance"),
+        (["wall", "--hand-stiffness", "3"], "--hand-stiffness goes with --mass"),
+        (["wall", "--mass"], "--mass: no hand holds the mock; expected mock.hand.stiffness, or --hand-stiffness KH"),
+        (["wall", "--mass", "--hand-stiffness", "-1"], "--hand-stiffness: found -1, expected a finite number"),
+        (["wall", "--mass", "--port", "x"], "--mass: the stiffness of the hand that holds the device is missing"),
+    ],
+)
+def test_what_does_not_fit_is_said(hapsim: Hapsim, words: list[str], told: str) -> None:
+    answer = hapsim("measure", *words)
+    assert (answer.status, told in " ".join(answer.err.split())) == (2, True)
+
+
+class TestWeight:
+    """The figures are from 50 digits: a device of 0.4 kg, 1 N·s/m, at 4 kHz, behind 800 N/m and 2 N·s/m 2.4 kg."""
+
+    FREE: ClassVar[dict[str, Any]] = {
+        "ball": {"type": "mass", "mass": 2.4},
+        "touch": link("hand_0", "ball", 800.0, 2.0),
+    }
+
+    @pytest.mark.parametrize(
+        ("stiffness", "felt"),
+        [(50.0, 2.529150257), (150.0, 2.793588867), (300.0, 3.200173514), (1000.0, 5.184818350)],
+    )
+    def test_is_that_of_the_prediction(self, hapsim: Hapsim, tmp_path: Path, stiffness: float, felt: float) -> None:
+        path = tmp_path / "free.yaml"
+        path.write_text(text_of(self.FREE, 1, rate=4000, device={"mass": 0.4}))
+        document = hapsim("measure", path, "--mass", "--hand-stiffness", stiffness, "--json").document["felt_mass"]
+        assert document["predicted"] == pytest.approx(felt, rel=1e-9)
+        assert document["measured"] == pytest.approx(felt, rel=1e-4)
+        assert abs(document["measured"] - felt) < 5.0 * document["uncertainty"]
+
+    def test_is_felt_by_the_hand_of_the_mock(self, hapsim: Hapsim, tmp_path: Path) -> None:
+        path = tmp_path / "free.yaml"
+        path.write_text(text_of(self.FREE, 1, rate=4000, device={"mass": 0.4}, mock={"hand": {"stiffness": 300.0}}))
+        told = " ".join(hapsim("measure", path, "--mass").out.split())
+        assert "Shaken by a hand of 300 N/m, what it moves feels like 3.2" in told
+        assert "kg (predicted: 3.20017; without sampling and delay 3.19996)" in told
+
+    def test_of_a_wall_is_none(self, hapsim: Hapsim) -> None:
+        path = "configs/paper_6_3_real_damping.yaml"
+        assert load_scene(path).device.port is None
+        told = " ".join(hapsim("measure", path, "--mass", "--hand-stiffness", "100").out.split())
+        assert "it swings no slower than the device alone: what it moves feels like no mass" in told
