@@ -85,12 +85,8 @@ def test_a_room_imports_only_what_stands_below_it(module: str) -> None:
     assert {other for other in others if LEVELS[other] >= LEVELS[room]} == set()
 
 
-HAVE_SCENES_RUN = {
-    f"hapsim.measuring.{name}"
-    for name in ("measure", "measure_hands", "measure_impedance", "identify_device", "place")
-}
-    f"hapsim.measuring.{name}" for name in ("measure", "measure_hands", "measure_impedance", "identify_device", "place")
-}
+RUNS = ("measure", "measure_hands", "measure_impedance", "identify_device", "place")
+HAVE_SCENES_RUN = {f"hapsim.measuring.{name}" for name in RUNS}
 
 
 @pytest.mark.parametrize(
