@@ -11,6 +11,7 @@ from rich.markup import escape
 
 from hapsim.cli import check_details as details
 from hapsim.cli.check_any_hand import any_hands_document, hand_ranges, worst_hand_sentences
+from hapsim.cli.check_correction import reached_sentence, tolerance_sentences
 from hapsim.cli.check_regions import regions_document, show_regions, show_states, states_document, swings_document
 from hapsim.cli.check_together import show_together, together_document
 from hapsim.cli.live import at_work
@@ -203,11 +204,11 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
     )
     for sentence in (*details.travel_sentences(scene), *details.count_sentences(scene, prediction)):
         out.print(sentence)
-    for sentence in details.tolerance_sentences(prediction, SHARES[:1]):
+    for sentence in tolerance_sentences(prediction, SHARES[:1]):
         out.print(sentence)
     for desired in prediction.desired:
         if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:
-            out.print(details.reached_sentence(desired, prediction.rendering.kind.name, prediction.regions))
+            out.print(reached_sentence(desired, prediction.rendering.kind.name, prediction.regions))
     details.show_assumptions(out, prediction.assumptions)
 
 

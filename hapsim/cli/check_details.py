@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
 from hapsim.cli.check_any_hand import any_hand_sentences
+from hapsim.cli.check_correction import show_correction
 from hapsim.cli.check_regions import show_regions, show_states
 from hapsim.cli.check_together import show_together
 from hapsim.cli.output import Table, table
@@ -25,7 +26,6 @@ from hapsim.prediction import (
 )
 from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
 from hapsim.prediction.timing import what_helps, wire_parts
-from hapsim.prediction.tolerance import SHARES
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import SURELY
 
@@ -33,14 +33,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hapsim.cordis.explain import Explanation
-    from hapsim.prediction.correction import Remedies
     from hapsim.scene import Scene
 
 _ROWS = 12  # of a table
 _NAMES = 6  # of a sentence
 _HUGE = 100.0  # a pole beyond has no digit behind the point that matters
 _FAINT = 1e-9  # of m/T²: hardly a spring
-_EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error, and a small one
 _NO_FACTOR, _UNKNOWN = "–", "?"
 
 
@@ -51,7 +49,7 @@ def show_details(out: Console, scene: Scene, prediction: Prediction, on_wire: Pr
         _show_felt(out, prediction, felt)
     show_regions(out, scene, prediction)
     show_states(out, prediction)
-    _show_correction(out, prediction)
+    show_correction(out, prediction)
     show_together(out, prediction)
     for sentence in any_hand_sentences(prediction):
         out.print(sentence)
@@ -208,78 +206,6 @@ def _ranges(ranges: tuple[tuple[float, float], ...] | None) -> str:
         to = between(least, most) if math.isfinite(most) else f"{rounded_up(least)} or more"
         words.append(to if least > 0.0 else f"{rounded_down(most)} or less")
     return _UNKNOWN if ranges is None else " or ".join(words) or _NO_FACTOR
-
-
-def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iterator[str]:
-    """Yields how well the device has to be known for a correction to be off by no more than these shares."""
-    for felt in prediction.felt:
-        for one in prediction.tolerances(felt.name, shares):
-            mass, friction, delay = (_within(*span) for span in (one.mass, one.friction, one.delay))
-            yield (
-                f"{escape(felt.name)} feels what is desired within {one.share:.0%} where its mass is {mass} kg, its "
-                f"friction {friction} N·s/m, or the delay {delay} samples"
-            )
-
-
-def _within(least: float, most: float) -> str:
-    return f"{rounded_up(least)} or more" if math.isinf(most) else between(least, most)
-
-
-def _show_correction(out: Console, prediction: Prediction) -> None:
-    """Prints what a correction reaches, and the modes that it aims at; nothing without one."""
-    rendering = prediction.rendering
-    if rendering is None or rendering.kind is None:
-        return
-    for desired in prediction.desired:
-        out.print(reached_sentence(desired, rendering.kind.name, prediction.regions))
-    if prediction.coupled and prediction.desired_modes:
-        modes = prediction.desired_modes
-        rows = [(f"{mode.frequency_hz:.6g}", f"{mode.damping_ratio:.6g}") for mode in modes[:_ROWS]]
-        title = "Desired modes (the scene in continuous time)"
-        out.print("", table(title, ("Hz", "damping ratio"), rows, _more(len(modes))))
-    for sentence in tolerance_sentences(prediction, SHARES):
-        out.print(sentence)
-    for note in rendering.notes:
-        out.print(f"[yellow]Of the correction:[/yellow] {escape(note)}.")
-
-
-def reached_sentence(desired: Desired, name: str, regions: Collection[str]) -> str:
-    """Returns how close a correction comes to what is desired at one hand, and what would bring it closer. `regions`:
-    hands that feel different springs at different places."""
-    steady = ""
-    if abs(desired.steady_stiffness - desired.k) > _EXACT * abs(desired.k):
-        steady = f" A steady push meets {desired.steady_stiffness:.6g} N/m, not {desired.k:.6g}."
-    if desired.error < _EXACT:
-        return f"Correction {name}: {desired.name} swings as desired.{steady}"
-    if desired.name in regions:
-        return (
-            f"Correction {name}: what {desired.name} feels in its region is {desired.error:.1%} off what is desired. "
-            f"Contacts are corrected; tables, detents and clicks keep the scene's values.{steady}"
-        )
-    if desired.remedies is None:
-        off = f"{desired.error:.1%} off at most" if desired.error >= _SMALL else "less than 0.1 % off"
-        off = off if math.isfinite(desired.error) else "not a spring and damper's at some of them"
-        return (
-            f"Correction {name}: over the masses of its span, what {desired.name} feels is {off}; the table is of the "
-            f"middle of the span.{steady}"
-        )
-    off = f", {desired.error:.1%} off" if math.isfinite(desired.error) else ""
-    return (
-        f"[yellow]Correction {name} does not reach what is desired at {desired.name}[/yellow]: simulated is what comes "
-        f"nearest{off}. {_what_would(desired.remedies)}"
-    )
-
-
-def _what_would(remedies: Remedies) -> str:
-    ways = (
-        (remedies.rate_hz, "a rate of {:.4g} Hz or more, with a delay of as many samples"),
-        (remedies.delay_samples, "a delay of {:.3g} samples or less"),
-        (remedies.friction, "{:.4g} N·s/m or more of real friction in place of simulated damping"),
-        (remedies.predictor or None, "correction: predictor"),
-    )
-    if helpful := [text.format(value) for value, text in ways if value is not None]:
-        return f"It is reached by {'; or '.join(helpful)}."
-    return "No higher rate (up to 64 times), shorter delay, real friction or predictor alone makes it reachable."
 
 
 def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None, explain: bool) -> None:

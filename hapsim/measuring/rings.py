@@ -16,10 +16,10 @@ from hapsim.errors import UsageError
 from hapsim.measuring.converters import Complexes, Floats
 from hapsim.recording.trace import Trace
 
-DELAYS = 24  # rows of each hand
+DELAYS = 40  # rows of each hand
 _SPANS = (0.4, 0.2)  # of a ring: from the first of these rows to the last; and once more, to compare
 _CLEAR = 4.0  # times the noise: a motion
-_MOST_ORDER = 24
+_MOST_ORDER = 60
 _CONSTANT = 1e-3  # m beside a motion of 1 m: a row that stays the same
 _TRIES = 8  # with as much noise again: how far off the numbers may be
 _PAIRED = 1e-6

@@ -74,3 +74,11 @@ def test_check_says_it(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     )
     assert words in " ".join(hapsim("check", str(file)).out.split())
     assert "within 10% where its mass is" in " ".join(hapsim("check", str(file), "--explain").out.split())
+
+
+def test_of_a_predictor_check_says_what_poles_would_forgive(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(text_of(5000.0, 10.0, "predictor"))
+    told = " ".join(hapsim("check", path, "--explain").out.split())
+    assert "within 5% where its mass is 0.1701 to 0.245 kg" in told
+    assert "With correction: poles hand would feel it within 5% for 0.156 to 0.2941 kg" in told

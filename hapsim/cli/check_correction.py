@@ -1,0 +1,102 @@
+"""What `hapsim check` prints of a correction: what it reaches, and how well the device has to be known for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from rich.markup import escape
+
+from hapsim.cli.output import table
+from hapsim.number_format import between, rounded_up
+from hapsim.prediction import Desired, Prediction, predict
+from hapsim.prediction.linear import with_device
+from hapsim.prediction.tolerance import SHARES
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hapsim.prediction.correction import Remedies
+
+_ROWS = 12  # of a table
+_EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error, and a small one
+
+
+def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iterator[str]:
+    """Yields how well the device has to be known for a correction to be off by no more than these shares."""
+    for felt in prediction.felt:
+        for one in prediction.tolerances(felt.name, shares):
+            mass, friction, delay = (_within(*span) for span in (one.mass, one.friction, one.delay))
+            yield (
+                f"{escape(felt.name)} feels what is desired within {one.share:.0%} where its mass is {mass} kg, its "
+                f"friction {friction} N·s/m, or the delay {delay} samples"
+            )
+
+
+def _within(least: float, most: float) -> str:
+    return f"{rounded_up(least)} or more" if math.isinf(most) else between(least, most)
+
+
+def show_correction(out: Console, prediction: Prediction) -> None:
+    """Prints what a correction reaches, and the modes that it aims at; nothing without one."""
+    rendering = prediction.rendering
+    if rendering is None or rendering.kind is None:
+        return
+    for desired in prediction.desired:
+        out.print(reached_sentence(desired, rendering.kind.name, prediction.regions))
+    if prediction.coupled and prediction.desired_modes:
+        modes = prediction.desired_modes
+        more = f"and {len(modes) - _ROWS} more; --json has them all" if len(modes) > _ROWS else ""
+        rows = [(f"{mode.frequency_hz:.6g}", f"{mode.damping_ratio:.6g}") for mode in modes[:_ROWS]]
+        title = "Desired modes (the scene in continuous time)"
+        out.print("", table(title, ("Hz", "damping ratio"), rows, more))
+    for sentence in tolerance_sentences(prediction, SHARES):
+        out.print(sentence)
+    if rendering.kind.name == "predictor":
+        poles = predict(with_device(prediction.scene, correction="poles"), with_margins=False)
+        for felt in prediction.felt:
+            for one in poles.tolerances(felt.name, SHARES[:1]):
+                name, mass = escape(felt.name), _within(*one.mass)
+                out.print(f"With correction: poles {name} would feel it within {one.share:.0%} for {mass} kg")
+    for note in rendering.notes:
+        out.print(f"[yellow]Of the correction:[/yellow] {escape(note)}.")
+
+
+def reached_sentence(desired: Desired, name: str, regions: Collection[str]) -> str:
+    """Returns how close a correction comes to what is desired at one hand, and what would bring it closer. `regions`:
+    hands that feel different springs at different places."""
+    steady = ""
+    if abs(desired.steady_stiffness - desired.k) > _EXACT * abs(desired.k):
+        steady = f" A steady push meets {desired.steady_stiffness:.6g} N/m, not {desired.k:.6g}."
+    if desired.error < _EXACT:
+        return f"Correction {name}: {desired.name} swings as desired.{steady}"
+    if desired.name in regions:
+        return (
+            f"Correction {name}: what {desired.name} feels in its region is {desired.error:.1%} off what is desired. "
+            f"Contacts are corrected; tables, detents and clicks keep the scene's values.{steady}"
+        )
+    if desired.remedies is None:
+        off = f"{desired.error:.1%} off at most" if desired.error >= _SMALL else "less than 0.1 % off"
+        off = off if math.isfinite(desired.error) else "not a spring and damper's at some of them"
+        return (
+            f"Correction {name}: over the masses of its span, what {desired.name} feels is {off}; the table is of the "
+            f"middle of the span.{steady}"
+        )
+    off = f", {desired.error:.1%} off" if math.isfinite(desired.error) else ""
+    return (
+        f"[yellow]Correction {name} does not reach what is desired at {desired.name}[/yellow]: simulated is what comes "
+        f"nearest{off}. {_what_would(desired.remedies)}"
+    )
+
+
+def _what_would(remedies: Remedies) -> str:
+    ways = (
+        (remedies.rate_hz, "a rate of {:.4g} Hz or more, with a delay of as many samples"),
+        (remedies.delay_samples, "a delay of {:.3g} samples or less"),
+        (remedies.friction, "{:.4g} N·s/m or more of real friction in place of simulated damping"),
+        (remedies.predictor or None, "correction: predictor"),
+    )
+    if helpful := [text.format(value) for value, text in ways if value is not None]:
+        return f"It is reached by {'; or '.join(helpful)}."
+    return "No higher rate (up to 64 times), shorter delay, real friction or predictor alone makes it reachable."
