@@ -58,8 +58,7 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
             )
         else:
             yield f"{whys}: no single k and b say what it feels, for {felt.reason}{_modes(felt.frequencies_hz)}"
-            if len(one.names) == 1:
-                yield unit(_at_frequencies(one))
+            yield from (spoken(channel)(_at_frequencies(one, i)) for i, channel in enumerate(one.channels))
         if (weight := _weight_of(prediction, one)) is not None:
             yield unit(_weight(weight))
 
@@ -78,13 +77,17 @@ def _modes(frequencies: tuple[float, ...]) -> str:
     return f" (modes of {', '.join(first)} and {last} Hz)" if first else f" (a mode of {last} Hz)"
 
 
-def _at_frequencies(one: FeltTogether) -> str:
+def _at_frequencies(one: FeltTogether, i: int) -> str:
     from hapsim.prediction import HAND_HZ
 
-    static, pairs = float(one.static_stiffness[0, 0]), zip(HAND_HZ, *one.at_frequencies, strict=True)
+    static, (k_moved, b_moved) = float(one.static_stiffness[i, i]), one.at_frequencies
+    pairs = zip(HAND_HZ, k_moved[i].tolist(), b_moved[i].tolist(), strict=True)
     moved = [f"at {hz:g} Hz {number(k, 4)} N/m and {number(b, 3)} N·s/m" for hz, k, b in pairs if math.isfinite(k)]
-    inertia = " (below 0: there it feels a mass, no spring)" if any(k < 0.0 for k in one.at_frequencies[0]) else ""
-    return f"A steady push meets {number(static, 4)} N/m; moved to and fro, the hand meets {', '.join(moved)}{inertia}"
+    inertia = " (below 0: there it feels a mass, no spring)" if any(k < 0.0 for k in k_moved[i]) else ""
+    on, it = "", ", the hand"
+    if len(one.names) > 1:
+        on, it = f" on {escape(one.names[i])}", " while the others are held, it"
+    return f"A steady push{on} meets {number(static, 4)} N/m; moved to and fro{it} meets {', '.join(moved)}{inertia}"
 
 
 def _weight(weight: Weight) -> str:
@@ -117,7 +120,7 @@ def together_document(prediction: Prediction) -> list[dict[str, Any]]:
             "weight": (weight := _weight_of(prediction, one)) and weight._asdict(),
             "moved": [
                 {"frequency_hz": hz, "k": k, "b": b}
-                for hz, k, b in zip(HAND_HZ, *(part.tolist() for part in one.at_frequencies), strict=True)
+                for hz, k, b in zip(HAND_HZ, *(part[0].tolist() for part in one.at_frequencies), strict=True)
             ],
         }
         for one in prediction.together

@@ -140,12 +140,11 @@ class FeltTogether:
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:
-        """k and b, each (3,), that the first hand meets when it is moved at `HAND_HZ` and the others are held; NaN from
-        half the rate on."""
-        own = self._network.channel_stiffness[0], self._network.channel_friction[0]
-        rendered = loop_impedance(self._network, HAND_HZ).rendered[:, 0, 0]
+        """k and b, each (n, 3), that each hand meets where it is moved at `HAND_HZ`, others held; NaN from half the
+        rate on."""
+        rendered = np.diagonal(loop_impedance(self._network, HAND_HZ).rendered, axis1=1, axis2=2).T
         k, b = spring_and_damper(np.array(HAND_HZ), rendered)
-        return own[0] + k, own[1] + b
+        return self._network.channel_stiffness[:, None] + k, self._network.channel_friction[:, None] + b
 
 
 def _lighter(network: Network, share: float) -> Network:

@@ -213,7 +213,7 @@ def test_the_predicted_motion_is_the_mock_s(seed: int, figures: Any) -> None:
 def test_what_a_hand_meets_where_no_motion_is_its_own() -> None:
     """Slowly, the free ball's weight: m ω² less than nothing of a spring; fast, the link alone."""
     one = together({"ball": mass(1.0), "touch": link("hand", "ball", 2000.0, 5.0)})
-    k, _ = one.at_frequencies
+    (k,), _ = one.at_frequencies
     ball = -1.0 * (2.0 * np.pi * 2.0) ** 2
     assert k[0] == pytest.approx(1.0 / (1.0 / 2000.0 + 1.0 / ball), rel=0.02)
     assert k[2] > 2000.0
