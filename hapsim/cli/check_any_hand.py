@@ -13,9 +13,12 @@ from hapsim.errors import UsageError
 from hapsim.number_format import number, rounded_down, rounded_up
 
 if TYPE_CHECKING:
-    from hapsim.prediction import AnyHand, Prediction
+    from hapsim.prediction import AnyHand, Prediction, WorstHand
 
 Range = tuple[float, float]
+
+_ORDINARY = (0.0, 2.0), (0.0, 3000.0)  # kg and N/m that a hand and its arm add
+_CLAMP = 2e4  # N/m: no hand is as stiff
 
 
 def hand_ranges(mass: str | None, stiffness: str | None) -> tuple[Range, Range] | None:
@@ -36,29 +39,49 @@ def _range_of(option: str, text: str) -> Range:
 
 
 def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
-    """Yields for each part of the scene from which friction on it is stable in any hands, and in which it is not."""
+    """Yields for each part of the scene from which friction on it is stable in any hands, and in which it is not, and
+    whether ordinary hands shake it; what is alike once."""
+    alike: dict[str, list[str]] = {}
     for one in prediction.any_hands:
-        unit, who = spoken(one.channels[0]), _who(one)
-        is_taken = prediction.assumptions or any(name in prediction.regions for name in one.names)
-        taken = " (as it is taken)" if is_taken else ""
-        if one.is_passive is None:
-            yield f"{who}: whether it is passive is not known, for {one.not_derived or 'its numbers are out of range'}"
-        elif one.lasting:
-            held = "the hands are" if len(one.names) > 1 else "the hand is"
-            yield unit(
-                f"{who}: not passive{taken}, whatever the friction, for while {held} held a motion of "
-                f"{escape(one.lasting)} at {number(one.frequency_hz, 4)} Hz does not die out"
-            )
-        elif one.is_passive:
-            yield unit(
-                f"{who}: passive{taken}, which is stable in any hands (Colgate and Schenkel): that needs "
-                f"{_needed(one)} of friction (declared: {_numbers(one.friction)})"
-            )
-        else:
-            yield unit(
-                f"{who}: not passive{taken}: only from {_needed(one)} of friction on is it stable in any hands "
-                f"(declared: {_numbers(one.friction)}){_shaken(prediction, one)}"
-            )
+        told = f"{_passive(prediction, one)}{_ordinary(prediction, one)}"
+        alike.setdefault(spoken(one.channels[0])(told), []).append(_who(one))
+    for sentence, whose in alike.items():
+        yield f"{', '.join(whose)}: {sentence}"
+
+
+def _passive(prediction: Prediction, one: AnyHand) -> str:
+    is_taken = prediction.assumptions or any(name in prediction.regions for name in one.names)
+    taken = " (as it is taken)" if is_taken else ""
+    if one.is_passive is None:
+        return f"whether it is passive is not known, for {one.not_derived or 'its numbers are out of range'}"
+    if one.lasting:
+        held = "the hands are" if len(one.names) > 1 else "the hand is"
+        return (
+            f"not passive{taken}, whatever the friction, for while {held} held a motion of {escape(one.lasting)} at "
+            f"{number(one.frequency_hz, 4)} Hz does not die out"
+        )
+    friction = f"{_needed(one)} of friction (declared: {_numbers(one.friction)})"
+    if one.is_passive:
+        return f"passive{taken}, which is stable in any hands (Colgate and Schenkel): that needs {friction}"
+    return f"not passive{taken}: it is stable in any hands only with {friction}{_shaken(prediction, one)}"
+
+
+def _ordinary(prediction: Prediction, one: AnyHand) -> str:
+    """Returns whether ordinary hands shake it, where that is a question, and worked out."""
+    is_linear = prediction.scene.device.motions(prediction.scene.channels)[one.channels[0]] == "linear"
+    if one.is_passive or not is_linear or not prediction.stable_as_taken:
+        return ""
+    worst = one.worst_hand(*_ORDINARY)
+    if worst is None:
+        return ""
+    if worst.is_stable:
+        return f". Hands of up to {_ORDINARY[0][1]:g} kg and {_ORDINARY[1][1]:g} N/m more do not shake it"
+    return f". [red]An ordinary hand shakes it[/red]: {_hands(worst)} more"
+
+
+def _hands(worst: WorstHand) -> str:
+    each = zip(worst.masses, worst.stiffnesses, strict=True)
+    return " and ".join(f"{number(mass, 3)} kg, {number(stiffness, 3)} N/m" for mass, stiffness in each)
 
 
 def _who(one: AnyHand) -> str:
@@ -83,9 +106,10 @@ def _shaken(prediction: Prediction, one: AnyHand) -> str:
     if hand is None:
         return below
     holds = f"{number(hand.mass, 3)} kg" if hand.mass else f"{number(hand.stiffness, 3)} N/m"
-    on = f" on [bold]{escape(hand.name)}[/bold] shake it" if len(one.names) > 1 else ""
-    how = f"{holds} more{on}, {number(hand.growth, 7)}-fold in a sample at {number(hand.frequency_hz, 4)} Hz"
-    return f"{below}, such as {how}" if below else f"; {how}"
+    holds = f"a clamp of {holds}" if hand.stiffness > _CLAMP else f"{holds} more"
+    on = f" on [bold]{escape(hand.name)}[/bold]" if len(one.names) > 1 else ""
+    growth, hertz = number(hand.growth, 7), number(hand.frequency_hz, 4)
+    return f"{below}; with {holds}{on} it grows {growth}-fold a sample, at {hertz} Hz"
 
 
 def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | None) -> Iterator[str]:
@@ -99,11 +123,9 @@ def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | N
         if worst is None:
             yield f"Hands on {_who(one)}: not worked out of a scene with so many masses"
             continue
-        hands = zip(worst.masses, worst.stiffnesses, strict=True)
-        which = " and ".join(f"{number(m, 3)} kg, {number(k, 3)} N/m" for m, k in hands)
         verdict = "[green]stable with all that were tried[/green]" if worst.is_stable else "[red]some are shaken[/red]"
         yield unit(
-            f"Hands on {_who(one)} of {of}: {verdict}; the worst, {which}, has a spectral radius of "
+            f"Hands on {_who(one)} of {of}: {verdict}; the worst, {_hands(worst)}, has a spectral radius of "
             f"{number(worst.spectral_radius, 9)}"
         )
 

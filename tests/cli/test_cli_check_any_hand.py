@@ -44,10 +44,14 @@ def test_what_friction_needs_and_which_hand_is_shaken_are_told(hapsim: Hapsim, s
     path = scene()
     (one,) = predict(load_scene(path), with_margins=False).any_hands
     told = words(hapsim("check", path, "--explain").out)
-    assert f"hand: not passive: only from {one.needed[0]:.4g} N·s/m of friction on is it stable in any hands" in told
+    assert (
+        f"hand: not passive: it is stable in any hands only with {one.needed[0]:.4g} N·s/m of friction (declared: 1)"
+        in told
+    )
     hand = one.shaking
     assert hand is not None
-    assert f"a mass or a spring shakes it, such as {hand.stiffness:.3g} N/m more" in told
+    grows = f"with a clamp of {hand.stiffness:.3g} N/m it grows {hand.growth:.7g}-fold a sample"
+    assert f"a mass or a spring shakes it; {grows}" in told
     (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
     assert document["needed_friction"] == one.needed.tolist()
     assert document["needed_friction_of_single_hands"] == one.needed_for_one
@@ -102,3 +106,20 @@ def test_a_sweep_has_the_friction_that_is_needed(scene: Callable[..., str]) -> N
     found, _ = Task(alone.model_dump(mode="json"), ("predicted",)).at(alone)
     (one,) = predict(alone, with_margins=False).any_hands
     assert found["needed_friction"] == pytest.approx(one.needed[0], rel=1e-8)
+
+
+def test_ordinary_hands_are_judged_without_being_asked_for(hapsim: Hapsim, tmp_path: Path) -> None:
+    """A light handle on a stiff spring: a heavier one swings so slowly that delay takes more than friction gives."""
+    path = tmp_path / "scene.yaml"
+    wall = "wall: {type: ground}\n  tie: {type: viscoelastic, between: [hand, wall], stiffness: %s, damping: %s}"
+    text = WALL.format(friction=29.5, damping=0.0, more="").split("  wall:")[0]
+    path.write_text(f"{text}  {wall % (20000, 0)}\n")
+    (one,) = predict(load_scene(path), with_margins=False).any_hands
+    worst = one.worst_hand((0.0, 2.0), (0.0, 3000.0))
+    assert worst is not None
+    told = words(hapsim("check", path, "--explain").out)
+    assert ("Hands of up to 2 kg and 3000 N/m more do not shake it" in told) == worst.is_stable
+    assert not worst.is_stable
+    assert f"An ordinary hand shakes it: {worst.masses[0]:.3g} kg, 0 N/m more" in told
+    path.write_text(f"{text}  {wall % (5000, 2)}\n")
+    assert "Hands of up to 2 kg and 3000 N/m more do not shake it" in words(hapsim("check", path, "--explain").out)
