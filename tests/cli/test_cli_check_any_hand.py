@@ -121,5 +121,5 @@ def test_ordinary_hands_are_judged_without_being_asked_for(hapsim: Hapsim, tmp_p
     assert ("Hands of up to 2 kg and 3000 N/m more do not shake it" in told) == worst.is_stable
     assert not worst.is_stable
     assert f"An ordinary hand shakes it: {worst.masses[0]:.3g} kg, 0 N/m more" in told
-    path.write_text(f"{text}  {wall % (5000, 2)}\n")
+    path.write_text(f"{text}  {wall % (500, 2)}\n".replace("friction: 29.5", "friction: 1.0"))
     assert "Hands of up to 2 kg and 3000 N/m more do not shake it" in words(hapsim("check", path, "--explain").out)
