@@ -39,6 +39,8 @@ _UNIT = re.compile(
     re.MULTILINE,
 )
 
+_LIKE_A_UNIT = re.compile(r"(?<![\w·/])(?:N·s/m|N/[ms]|mm/s|m/s²?|[mµ]m|kg|newton|metres|[mN])(?![\w·/²])")
+
 
 class InUnits(str):
     """A text that has its units."""
@@ -53,8 +55,17 @@ class Units:
     not, each unit in both: "5 N or N·m".
     """
 
-    def __init__(self, motions: Iterable[Motion]) -> None:
+    def __init__(self, motions: Iterable[Motion], names: Iterable[str] = ()) -> None:
+        """`names`: of modules and files, which stay as the user wrote them though they look like units."""
         self._motions = frozenset(motions)
+        self._names = frozenset(one for one in names if _LIKE_A_UNIT.search(one))
+        # Behind a number even m is a unit. A longer name is looked for first.
+        every = "|".join(map(re.escape, sorted(self._names, key=len, reverse=True)))
+        self._kept = re.compile(rf"(?<![\w./·-])(?<![0-9] )(?:{every})(?![\w·/-])") if every else None
+
+    def keeping(self, names: Iterable[str]) -> Units:
+        """The same, which leaves these names too as they are."""
+        return Units(self._motions, self._names.union(names))
 
     @property
     def is_rotary(self) -> bool:
@@ -64,9 +75,15 @@ class Units:
     def __call__(self, text: str) -> str:
         if isinstance(text, InUnits):
             return text
-        return InUnits(_UNIT.sub(self._translated, text) if self.is_rotary else text)
+        if not self.is_rotary:
+            return InUnits(text)
+        names = self._kept.finditer(text) if self._kept else ()
+        kept = [at for name in names for at in range(*name.span())]
+        return InUnits(_UNIT.sub(lambda found: self._translated(found, found.start() in kept), text))
 
-    def _translated(self, found: re.Match[str]) -> str:
+    def _translated(self, found: re.Match[str], is_name: bool) -> str:
+        if is_name:
+            return found.group()
         rotary = _ROTARY[found.group()]
         return f"{found.group()} or {rotary}" if "linear" in self._motions else rotary
 

@@ -75,8 +75,9 @@ _units: list[Units] = []
 
 
 def speak_in(units: Units, *of_channels: Units) -> None:
-    """Prints from now on in these units, of a scene and of each of its channels."""
-    _units[:] = [units, *of_channels]
+    """Prints from now on in these units, of a scene and of each of its channels; files of the command line keep their
+    names."""
+    _units[:] = [one.keeping(sys.argv[1:]) for one in (units, *of_channels)]
 
 
 def speak_of(channel: int) -> None:

@@ -84,8 +84,9 @@ def scene_from_document(data: dict[str, Any]) -> Scene:
 
 def _units(data: object) -> Units:
     """The units in which a file's device moves, so far as it says so."""
-    device = data.get("device") if isinstance(data, dict) else None
-    return Units(one for one in MOTIONS if isinstance(device, dict) and one in str(device.get("motion")))
+    device, modules = ((data.get(key) if isinstance(data, dict) else None) for key in ("device", "modules"))
+    motions = [one for one in MOTIONS if isinstance(device, dict) and one in str(device.get("motion"))]
+    return Units(motions, map(str, modules) if isinstance(modules, dict) else ())
 
 
 def _in_units(units: Units, sentence: str) -> str:

@@ -132,11 +132,11 @@ class Scene(Part):
     @property
     def units(self) -> Units:
         """The units of its channels."""
-        return Units(self.device.motions(self.channels))
+        return Units(self.device.motions(self.channels), self.modules)
 
     def units_of(self, channel: int) -> Units:
         """The units of one channel."""
-        return Units([self.device.motions(self.channels)[channel]])
+        return Units([self.device.motions(self.channels)[channel]], self.modules)
 
     @property
     def device_points(self) -> dict[str, DevicePoint]:

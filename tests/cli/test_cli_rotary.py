@@ -141,3 +141,49 @@ def test_check_of_a_knob_marks_where_the_hand_is_and_says_what_repeats(hapsim: H
     assert wrong.status == 2
     assert "--at: found -4.3, which is -4.3 m; write -4.3mm if you meant mm" in wrong.err
     assert hapsim("check", "button", "--at=-4.3mm").out == hapsim("check", "button", "--at=-0.0043").out
+
+
+NAMED = """\
+version: 1
+rate: 1000
+device: {clock: lockstep, motion: rotary, mass: 2.0e-5, friction: 1.0e-4, force_limit: 0.05}
+modules:
+  knob: {type: device, channel: 0}
+  frame: {type: ground}
+  m: {type: mass, mass: 1.0e-5}
+  N: {type: viscoelastic, between: [knob, m], stiffness: 0.05, damping: DAMPING}
+  kg: {type: viscoelastic, between: [m, frame], stiffness: 0.05, damping: 5.0e-4}
+"""
+
+
+def test_names_that_look_like_units_stay_as_they_were_written(
+    hapsim: Hapsim, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("turn by 5 m.yaml").write_text(NAMED.replace("DAMPING", "5.0e-4"), encoding="utf-8")
+    told = " ".join(hapsim("check", "turn by 5 m.yaml").out.split())
+    assert told.startswith("turn by 5 m.yaml at 1000 Hz: stable")
+    assert "knob moves a mass of the scene too (m, by N)" in told
+    assert "times the stiffness of N" in told
+    assert "a hand of 2e-05 kg·m², friction 0.0001 N·m·s/rad" in told
+    answer = hapsim("run", "turn by 5 m.yaml", "--duration", "0.1", "--record", "a 5 m.trace")
+    assert "Trace: a 5 m.trace" in answer.out
+    assert Path("a 5 m.trace").exists()
+    Path("turn by 5 m.yaml").write_text(NAMED.replace("DAMPING", "-1"), encoding="utf-8")
+    told = hapsim("check", "turn by 5 m.yaml").err
+    assert "turn by 5 m.yaml:8:" in told
+    assert "damping: found -1, expected a number >= 0 (N·m·s/rad)" in told
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("moves m by 5 m", "moves m by 5 rad"),
+        ("at 3 N, (N, by m), m/s of N", "at 3 N·m, (N, by m), rad/s of N"),
+        ("run at 5 m.trace: 5 m.trace 5 m", "run at 5 m.trace: 5 rad.trace 5 rad"),
+        ("N·s/m and N/m, m 44%", "N·m·s/rad and N·m/rad, m 44%"),
+    ],
+)
+def test_behind_a_number_a_unit_is_a_unit(text: str, told: str) -> None:
+    assert Units(["rotary"], ["m", "N", "run at 5 m.trace", "wall"])(text) == told
+    assert LINEAR.keeping(["m"])(text) == text
