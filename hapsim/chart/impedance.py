@@ -27,6 +27,7 @@ _POINTS = 400
 _MOST_IN_A_MATRIX = 6
 _BELOW_EIGENFREQUENCY, _BELOW_NYQUIST = 20.0, 1000.0  # where the picture begins; the second if nothing swings
 _POINTS_OF_TRANSPARENCY = 1200
+_DRIFTS = 1e-6  # of half the rate: what swings more slowly drifts
 _SHARP = 0.3  # damping ratio of a resonance that points some hundredths apart would miss
 _ABOUT = np.array([-10.0, -3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0, 10.0])  # of its damping ratio
 
@@ -218,7 +219,9 @@ def transparency(hand: Hand) -> Transparency:
 def transparency_in(scene: Scene, name: str, eigenfrequency: float) -> Transparency:
     """Returns the impedances at a device point of a scene, whatever it moves. `eigenfrequency`: Hz, of the hand there;
     NaN for none. Raises UsageError where what is rendered is not worked out."""
-    about = [mode for mode in predict(scene, with_margins=False).modes if mode.damping_ratio < _SHARP]
+    eigenfrequency = eigenfrequency if eigenfrequency > _DRIFTS * scene.rate else math.nan
+    modes = predict(scene, with_margins=False).modes
+    about = [mode for mode in modes if mode.damping_ratio < _SHARP and mode.frequency_hz > _DRIFTS * scene.rate]
     widths = 1.0 + np.outer([mode.damping_ratio for mode in about], _ABOUT)
     resonances = (np.array([mode.frequency_hz for mode in about])[:, None] * widths).ravel()
     frequency = np.union1d(_frequencies(scene.rate, eigenfrequency, _POINTS), resonances)
@@ -232,7 +235,8 @@ def transparency_in(scene: Scene, name: str, eigenfrequency: float) -> Transpare
 
 def _frequencies(rate: float, eigenfrequency: float, points: int) -> Floats:
     nyquist = 0.5 * rate
-    lowest = eigenfrequency / _BELOW_EIGENFREQUENCY if eigenfrequency > 0.0 else nyquist / _BELOW_NYQUIST
+    swings = eigenfrequency > _DRIFTS * nyquist
+    lowest = eigenfrequency / _BELOW_EIGENFREQUENCY if swings else nyquist / _BELOW_NYQUIST
     return np.geomspace(lowest, nyquist, points, endpoint=False)
 
 
@@ -251,7 +255,7 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
             _set_up(axes)
             # Near what is asked for it is drawn to scale, resonances and what is below 0 beyond on a logarithmic one.
             level = float(np.median(np.abs(both[0][part])))
-            axes.set_yscale("symlog", linthresh=level or 1.0)
+            axes.set_yscale("symlog", linthresh=10.0 ** math.ceil(math.log10(level)) if level > 0.0 else 1.0)
             axes.plot(data.frequency, both[0][part], **style.DESIRED)
             axes.plot(data.frequency, both[1][part], **style.RENDERED)
             axes.set_ylabel(label)

@@ -38,18 +38,18 @@ class ToleranceChart:
     """Of the mass as a share of the declared one."""
     k_error: dict[str, Floats]
     b_error: dict[str, Floats]
-    within: dict[str, tuple[Tolerance, ...]]
-    """Of each correction that reaches what is desired, for each of `SHARES`."""
+    within: dict[str, tuple[Tolerance | None, ...]]
+    """By correction, for each of `SHARES`; None where what is desired is not felt so."""
 
     def columns(self) -> dict[str, Any]:
         """Returns what is drawn, by the names that a data file uses."""
         of_k = {f"{name}_k_error": error for name, error in self.k_error.items()}
         return {self.over: self.true} | of_k | {f"{name}_b_error": error for name, error in self.b_error.items()}
 
-    def ends(self, correction: str) -> list[tuple[float, float]]:
-        """Returns the least and the most of that quantity within each of `SHARES`; none where it is not reached."""
+    def ends(self, correction: str) -> list[tuple[float, float] | None]:
+        """Returns the least and the most of that quantity within each of `SHARES`."""
         field = self.over.removeprefix("device.")
-        return [getattr(one, field) for one in self.within[correction]]
+        return [one and getattr(one, field) for one in self.within[correction]]
 
 
 def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
@@ -74,8 +74,7 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
             if there.stable:
                 for of_one, found, asked in zip(errors, (there.k, there.b), wanted, strict=True):
                     of_one[correction][i] = found / asked - 1.0
-        spans = (tolerance_of(felt, *wanted, share) for share in SHARES)
-        within[correction] = tuple(one for one in spans if one is not None)
+        within[correction] = tuple(tolerance_of(felt, *wanted, share) for share in SHARES)
     return ToleranceChart(over, true, *errors, within)
 
 

@@ -67,11 +67,13 @@ def _tolerance(hand: HandOptions, over: str, others: list[Any], output: ChartOut
     ends = {name: chart.ends(name) for name in chart.within}
     if not output.json:
         headings = (f"<{over}, correction", *(f"within {percent(share, 2)}" for share in SHARES))
-        rows = [(name, *(map(_span, of_one) if of_one else ["–"] * len(SHARES))) for name, of_one in ends.items()]
+        rows = [(name, *map(_span, of_one)) for name, of_one in ends.items()]
         stdout().print(table("The device may be, for k and b to be felt as desired", headings, rows))
     output.close({"scene": hand.scene, "hand": chosen.name, "over": over, "shares": SHARES, "within": ends})
 
 
-def _span(ends: tuple[float, float]) -> str:
+def _span(ends: tuple[float, float] | None) -> str:
+    if ends is None:
+        return "–"
     low, high = ends
     return f"{number(low, 4)} to {number(high, 4) if math.isfinite(high) else 'any'}"

@@ -60,6 +60,8 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
             f"not passive{taken}, whatever the friction, for while {held} held a motion of {escape(one.lasting)} at "
             f"{number(one.frequency_hz, 4)} Hz does not die out"
         )
+    if one.pushes_away:
+        return f"not passive{taken}, whatever the friction: at rest the scene pushes the hand on"
     friction = f"{_needed(one)} of friction (declared: {_numbers(one.friction)})"
     if one.is_passive:
         return f"passive{taken}, which is stable in any hands (Colgate and Schenkel): that needs {friction}"
@@ -76,12 +78,19 @@ def _ordinary(prediction: Prediction, one: AnyHand) -> str:
         return ""
     if worst.is_stable:
         return f". Hands of up to {_ORDINARY[0][1]:g} kg and {_ORDINARY[1][1]:g} N/m more do not shake it"
-    return f". [red]An ordinary hand shakes it[/red]: {_hands(worst)} more"
+    return f". [red]An ordinary hand shakes it[/red]: {_hands(one, worst)} more"
 
 
-def _hands(worst: WorstHand) -> str:
-    each = zip(worst.masses, worst.stiffnesses, strict=True)
-    return " and ".join(f"{number(mass, 3)} kg, {number(stiffness, 3)} N/m" for mass, stiffness in each)
+def _hands(one: AnyHand, worst: WorstHand) -> str:
+    """Returns what they add; of several what those add that add something."""
+    each = zip(one.names, worst.masses, worst.stiffnesses, strict=True)
+    several = len(one.names) > 1
+    told = [
+        f"{number(mass, 3)} kg, {number(stiffness, 3)} N/m{f' on {escape(name)}' if several else ''}"
+        for name, mass, stiffness in each
+        if mass or stiffness or not several
+    ]
+    return " and ".join(told) or "nothing"
 
 
 def _who(one: AnyHand) -> str:
@@ -92,7 +101,9 @@ def _who(one: AnyHand) -> str:
 def _needed(one: AnyHand) -> str:
     shown = [rounded_up(max(0.0, float(needed))) for needed in one.needed]
     alike = len({*shown}) == 1
-    return f"{shown[0] if alike else ' and '.join(shown)} N·s/m{' each' if alike and len(shown) > 1 else ''}"
+    if alike:
+        return f"{shown[0]} N·s/m{' each' if len(shown) > 1 else ''}"
+    return f"{' and '.join(shown)} N·s/m, in these proportions,"
 
 
 def _numbers(friction: Any) -> str:
@@ -121,11 +132,11 @@ def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | N
     for one in prediction.any_hands:
         unit, worst = spoken(one.channels[0]), one.worst_hand(*ranges)
         if worst is None:
-            yield f"Hands on {_who(one)}: not worked out of a scene with so many masses"
+            yield f"Hands on {_who(one)}: not worked out of a loop with so many masses, or so long a delay"
             continue
         verdict = "[green]stable with all that were tried[/green]" if worst.is_stable else "[red]some are shaken[/red]"
         yield unit(
-            f"Hands on {_who(one)} of {of}: {verdict}; the worst, {_hands(worst)}, has a spectral radius of "
+            f"Hands on {_who(one)} of {of}: {verdict}; the worst, {_hands(one, worst)}, has a spectral radius of "
             f"{number(worst.spectral_radius, 9)}"
         )
 
@@ -146,6 +157,7 @@ def any_hands_document(prediction: Prediction, ranges: tuple[Range, Range] | Non
             "passive": one.is_passive,
             "frequency_hz": one.frequency_hz,
             "lasting": one.lasting,
+            "pushes_away": one.pushes_away,
             "not_derived": one.not_derived,
             "shaking_hand": (shaking := one.shaking) and shaking._asdict(),
             "worst_hand": (worst := one.worst_hand(*ranges) if ranges else None)

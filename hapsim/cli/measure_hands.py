@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
+from hapsim.cli.check_details import show_assumptions
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions
 from hapsim.cli.output import document, spoken, stderr, stdout, table
@@ -59,6 +60,7 @@ def measure_hands(
     rows = [row for i in range(len(one.names)) for j in range(len(one.names)) for row in _rows(one, found, i, j)]
     title = f"What {' and '.join(map(escape, one.names))} feel, of the scene and of each other"
     stdout().print(table(title, ("", "predicted", "measured", "±", "off by"), rows))
+    show_assumptions(stdout(), prediction.assumptions)
     if one.felt.reason:
         stdout().print(f"No pair is predicted, for {one.felt.reason}; measured are the motions with most energy.")
     stdout().print(

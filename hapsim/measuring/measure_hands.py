@@ -3,6 +3,7 @@ others. Nothing here knows the scene's links but that something holds the hands.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -65,7 +66,8 @@ def measure_hands_by(
         trace = run(scene, duration=seconds, excitation=excitation)
         begins = np.arange(0, trace.sample[-1] if trace.sample.size else 0, every)
         traces.append(trace)
-        segments += _free(trace, begins + excitation.ticks + _RUN_UP, begins + every, list(channels))
+        quiet = excitation.ticks + _RUN_UP + math.ceil(scene.device.delay)
+        segments += _free(trace, begins + quiet, begins + every, list(channels))
     mass = np.array([scene.device.masses(scene.channels)[channel] for channel in channels])
     with one_thread():
         return identify_rings(segments, mass, scene.rate, _is_held(scene, channels), tuple(channels), tuple(traces))

@@ -7,6 +7,7 @@ energy, s = ln(z)/T, have one k and b: M X S² + b X S + k X = 0.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.measuring.converters import Complexes, Floats
+from hapsim.number_format import percent
 from hapsim.recording.trace import Trace
 
 DELAYS = 40  # rows of each hand
@@ -23,6 +25,8 @@ _MOST_ORDER = 60
 _CONSTANT = 1e-3  # m beside a motion of 1 m: a row that stays the same
 _TRIES = 8  # with as much noise again: how far off the numbers may be
 _PAIRED = 1e-6
+_BESIDE, _LOPSIDED = 0.1, 0.3  # of the energy; of the largest: more is no springs' and dampers'
+_MOST_COLUMNS = 3e8  # numbers of a singular value decomposition, rows squared times columns
 _ROUNDED = 1e-6  # of the largest: less is not known, for the rounding of forces is no noise of the positions
 
 
@@ -74,18 +78,33 @@ def identify_rings(
     own = _own(rings, n)
     k, b = _matrices(rings, own, mass, rate)
     random = np.random.default_rng(0)
-    tries = []
-    for span in (*_TRIES * _SPANS[:1], _SPANS[1]):
-        rough = [one + (span == _SPANS[0]) * noise * random.standard_normal(one.shape) for one in segments]
-        again = _rings(*_rows(rough, span, rests)[:2], n, noise)
-        tries.append(_matrices(again, _own(again, n), mass, rate) - np.array([k, b]))
-    off = np.hypot(np.sqrt(np.mean(np.square(tries[:-1]), axis=0)), tries[-1])
+
+    def apart(tried: list[Floats], share: float) -> Floats:
+        again = _rings(*_rows(tried, share, rests)[:2], n, noise)
+        return np.asarray(_matrices(again, _own(again, n), mass, rate) - np.array([k, b]))
+
+    noisy = ([one + noise * random.standard_normal(one.shape) for one in segments] for _ in range(_TRIES))
+    spread = np.sqrt(np.mean([np.square(apart(one, _SPANS[0])) for one in noisy], axis=0))
+    # Of a motion that obeys one law neither other rows nor half of the rings, of another size, say something else.
+    others = [apart(segments, _SPANS[1])] + [apart(half, _SPANS[0]) for half in _halves(segments)]
+    off = np.sqrt(spread**2 + np.square(others).max(axis=0))
     least = _ROUNDED * np.abs([k, b]).max(axis=(1, 2))
     off = np.maximum(off, least[:, None, None])
-    others = 1.0 - float(rings.energy[own].sum() / rings.energy.sum())
-    samples = sum(map(len, segments))
-    poles = tuple(rings.poles[own].tolist())
-    return HandsMeasurement(channels, k, b, off[0], off[1], poles, max(0.0, others), samples, traces)
+    beside = 1.0 - float(rings.energy[own].sum() / rings.energy.sum())
+    lopsided = float(np.abs(k - k.T).max() / np.abs(k).max(initial=1e-300))
+    if beside > _BESIDE or lopsided > _LOPSIDED:
+        raise UsageError(
+            "the motion is not that of hands on springs and dampers between them: other motions have "
+            f"{percent(beside, 2)} of the energy, or a contact opens, or what damps is beyond what swings. `hapsim "
+            "measure --impedance` measures what they meet at each frequency"
+        )
+    samples, poles = sum(map(len, segments)), tuple(rings.poles[own].tolist())
+    return HandsMeasurement(channels, k, b, off[0], off[1], poles, max(0.0, beside), samples, traces)
+
+
+def _halves(segments: list[Floats]) -> list[list[Floats]]:
+    """The first half of the rings of each record, and the second, where there are as many."""
+    return [segments[::2], segments[1::2]] if len(segments) > 3 else []
 
 
 def _rows(segments: list[Floats], share: float, rests: float) -> tuple[Floats, Floats, float]:
@@ -93,13 +112,15 @@ def _rows(segments: list[Floats], share: float, rests: float) -> tuple[Floats, F
     every sample; the same a sample later; and the noise of a position, m, as the least of their singular values say."""
     span = int(share * min(map(len, segments)))
     delays = np.unique(np.rint(np.concatenate([[0.0], np.geomspace(1.0, span, DELAYS - 1)]))).astype(int).tolist()
+    rows = len(delays) * segments[0].shape[1]
+    step = math.ceil(sum(map(len, segments)) * rows**2 / _MOST_COLUMNS)
     size = float(max(np.abs(one).max() for one in segments))
     tables: tuple[list[Floats], list[Floats]] = ([], [])
     for one in segments:
         last = len(one) - span - 1
         for table, later in zip(tables, (0, 1), strict=True):
-            rows = [one[delay + later :][:last].T for delay in delays]
-            table.append(np.vstack([*rows, np.full((1, last), rests * size)]))
+            late = [one[delay + later :][:last:step].T for delay in delays]
+            table.append(np.vstack([*late, np.full((1, late[0].shape[1]), rests * size)]))
     before, after = np.hstack(tables[0]), np.hstack(tables[1])
     values = np.linalg.svd(before[:-1], compute_uv=False)
     return before, after, float(np.median(values[len(values) // 2 :])) / np.sqrt(before.shape[1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -30,8 +30,8 @@ _CLOSER = np.array(
 )  # times the mass or the spring in resonance
 _NEWTON, _FOUND = 30, 1e-10
 _MOST_STATES = 150  # of a loop that is worked out some hundred times
-_GRID = np.array([0.0, 0.03, 0.1, 0.3, 0.6, 1.0])  # of a range of masses, or of stiffnesses
-_REFINED, _STEPS = 3, 120  # of the worst of them, by Nelder and Mead's steps
+_GRID = np.array([0.0, 1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 0.6, 1.0])  # of a range of masses, or of stiffnesses
+_REFINED, _ABOUT = 3, (0.9, 0.97, 1.0, 1.03, 1.1)  # of the worst of them, and of their masses and stiffnesses
 
 
 class ShakingHand(NamedTuple):
@@ -114,6 +114,11 @@ class AnyHand:
         calms; "" where every motion does."""
         moved = self._passivity.lasting
         return self._points[int(np.argmax(moved))].partition(".")[0] if moved.size else ""
+
+    @property
+    def pushes_away(self) -> bool:
+        """Whether at rest the scene pushes the hands on, so that no friction suffices."""
+        return self._passivity.pushes_away
 
     @property
     def is_passive(self) -> bool | None:
@@ -203,20 +208,28 @@ class AnyHand:
         for name, (low, high) in (("mass", mass), ("stiffness", stiffness)):
             if not 0.0 <= low <= high < math.inf:
                 raise UsageError(f"a hand's {name}: found {low:g}:{high:g}, expected low:high, from 0 on")
-        if state_size(self._network) > _MOST_STATES:
+        if self.is_too_large:
             return None
         least, most = (np.repeat([mass[end], stiffness[end]], len(self.names)) for end in (0, 1))
 
-        def radius(hands: Floats) -> float:
-            masses, springs = np.clip(hands, least, most).reshape(2, -1)
-            return float(np.abs(poles_of(_with_hands(self._network, masses, springs))).max())
+        def judged(hands: Floats) -> tuple[float, Floats]:
+            masses, springs = hands.reshape(2, -1)
+            return float(np.abs(poles_of(_with_hands(self._network, masses, springs))).max()), hands
 
         with one_thread():
-            found = sorted(((radius(one), one) for one in self._hands(least, most)), key=lambda one: -one[0])
-            worst = [_climbed(radius, one, most - least) for _, one in found[:_REFINED]]
-            best = max([hands for _, hands in found[:1]] + worst, key=radius)
-            masses, springs = np.clip(best, least, most).reshape(2, -1)
-            return WorstHand(tuple(masses.tolist()), tuple(springs.tolist()), radius(best))
+            found = sorted(map(judged, self._hands(least, most)), key=lambda one: -one[0])[:_REFINED]
+            shares = np.array([*itertools.product(_ABOUT, _ABOUT)])
+            close = (
+                np.clip(np.repeat(one, len(self.names)) * hands, least, most) for _, hands in found for one in shares
+            )
+            radius, hands = max([*found, *map(judged, close)], key=lambda one: one[0])
+        masses, springs = hands.reshape(2, -1).tolist()
+        return WorstHand(tuple(masses), tuple(springs), radius)
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether hands of a range are not worked out: the loop's state has too many numbers, of masses and delay."""
+        return state_size(self._network) > _MOST_STATES
 
     def _hands(self, low: Floats, high: Floats) -> Iterator[Floats]:
         """Yields hands (2 n,): alike on all points, on each alone, and in resonance on each."""
@@ -225,29 +238,39 @@ class AnyHand:
             alike = low + (high - low) * np.repeat(shares, n)
             yield alike
             for at in range(n if n > 1 else 0):
-                alone = low.copy()
-                alone[[at, n + at]] = alike[[at, n + at]]
-                yield alone
+                yield _alone(at, alike, low)
         for at in range(n if not self.not_derived else 0):
-            for mass, stiffness in self._resonant(at, (low[at], high[at]), (low[n + at], high[n + at])):
-                alone = low.copy()
-                alone[[at, n + at]] = mass, stiffness
-                yield alone
+            for mass, stiffness in self._resonant(at, low[at], high[at], low[n + at], high[n + at]):
+                yield _alone(at, np.repeat([mass, stiffness], n), low)
 
-    def _resonant(self, at: int, mass: Range, stiffness: Range) -> Iterator[tuple[float, float]]:
-        """Yields the hands of these ranges, on one point, that are in resonance where its impedance is negative."""
+    def _resonant(
+        self, at: int, lightest: float, heaviest: float, softest: float, stiffest: float
+    ) -> Iterator[tuple[float, float]]:
+        """Yields hands between these, on one point, that are in resonance where its impedance is negative; first the
+        one that is shaken most."""
+        hand = self.shaking
+        if hand is not None and hand.name == self.names[at]:
+            yield float(np.clip(hand.mass, lightest, heaviest)), float(np.clip(hand.stiffness, softest, stiffest))
         theta = self._held.angles
         impedance = self._held.driving_impedance(theta, at)
-        omega = theta * self._network.rate
-        # Where its resistance is least, of each stretch in which it is negative.
-        negative = impedance.real < 0.0
+        omega, negative = theta * self._network.rate, impedance.real < 0.0
         stretches = np.split(np.arange(theta.size), np.flatnonzero(np.diff(negative)) + 1)
         for stretch in (one for one in stretches if negative[one[0]]):
+            # Where its resistance is least, and all along the stretch.
             for index in {int(stretch[np.argmin(impedance.real[stretch])]), *stretch[:: max(1, stretch.size // 8)]}:
                 w, missing = float(omega[index]), -float(impedance.imag[index])
-                for spring in np.linspace(*stiffness, 4).tolist():
-                    if mass[0] <= (m := missing / w + spring / w**2) <= mass[1]:
-                        yield m, spring
+                masses, springs = lightest + (heaviest - lightest) * _GRID, softest + (stiffest - softest) * _GRID
+                for_springs, for_masses = missing / w + springs / w**2, w * (w * masses - missing)
+                hands = np.vstack([np.append(masses, for_springs), np.append(for_masses, springs)])
+                good = (hands >= [[lightest], [softest]]) & (hands <= [[heaviest], [stiffest]])
+                yield from hands[:, good.all(axis=0)].T.tolist()
+
+
+def _alone(at: int, hands: Floats, low: Floats) -> Floats:
+    """The hand at one device point, with the least on the others."""
+    alone, places = low.copy(), [at, low.size // 2 + at]
+    alone[places] = hands[places]
+    return alone
 
 
 def _with_hands(network: Network, masses: Floats, stiffnesses: Floats) -> Network:
@@ -256,24 +279,6 @@ def _with_hands(network: Network, masses: Floats, stiffnesses: Floats) -> Networ
         channel_mass=network.channel_mass + masses,
         channel_stiffness=network.channel_stiffness + stiffnesses,
     )
-
-
-def _climbed(value: Callable[[Floats], float], start: Floats, span: Floats) -> Floats:
-    """From a start (n,) on uphill, along those numbers that have a span."""
-    from scipy.optimize import minimize
-
-    free = np.flatnonzero(span > 0.0)
-    if not free.size:
-        return start
-
-    def at(shares: Floats) -> Floats:
-        found = start.copy()
-        found[free] += shares * span[free]
-        return found
-
-    simplex = np.vstack([np.zeros(free.size), 0.05 * np.eye(free.size)])
-    options = {"initial_simplex": simplex, "maxfev": _STEPS}
-    return at(minimize(lambda shares: -value(at(shares)), simplex[0], method="Nelder-Mead", options=options).x)
 
 
 def any_hands(

@@ -91,6 +91,19 @@ def test_a_hand_that_moves_masses_is_drawn_as_the_scene_has_it(
         assert mode.damping_ratio > 0.3 or min(abs(at - mode.frequency_hz)) < 1e-6
 
 
+def test_what_drifts_is_no_frequency(chart: Chart, tmp_path: Path, rows_of: RowsOf) -> None:
+    path = tmp_path / "free.yaml"
+    path.write_text(
+        "version: 1\nrate: 1000\ndevice: {mass: 0.2, friction: 1, clock: lockstep}\nmodules:\n"
+        "  hand: {type: device, channel: 0}\n  ball: {type: mass, mass: 0.02}\n"
+        "  tie: {type: spring, between: [hand, ball], stiffness: 300}\n"
+    )
+    answer = chart("transparency", path, "--data", "of.csv", "--json")
+    assert float(rows_of("of.csv")[0]["frequency_Hz"]) >= 0.01
+    assert answer.document["hand"]["frequency_hz"] is None or answer.document["hand"]["frequency_hz"] < 1e-3
+    assert len(answer.document["gives_energy_hz"]) <= 3
+
+
 @pytest.mark.parametrize("over", ["device.mass", "device.friction", "device.delay"])
 def test_how_well_the_device_has_to_be_known_is_drawn(
     chart: Chart, scene_file: SceneFile, rows_of: RowsOf, over: str
@@ -107,7 +120,9 @@ def test_how_well_the_device_has_to_be_known_is_drawn(
             errors = [abs(float(row[f"{correction}_{part}_error"])) for part in ("k", "b")]
             if found[correction][0][0] < true < found[correction][0][1]:
                 assert max(errors) <= 0.05 + 1e-9
-    assert found["none"] == []
+    assert found["none"] == [None, None]
+    for shipped in ("button", "knob_24"):  # where one of both is missing, the other is shown
+        assert "–" in chart("felt", shipped, "--over", over, "--picture", f"{shipped}.svg").out
 
 
 @pytest.mark.parametrize("only", [["--data", "numbers.csv"], ["--json"]])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hapsim.errors import DescriptionError, GuardError, UsageError
 from hapsim.loop.endings import HEARD, OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED, LIMITED
-from hapsim.measuring.measure import _pushes
+from hapsim.measuring.measure import pushes
 from hapsim.prediction.force_bounds import fade_stiffness, refused_travel
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
@@ -227,8 +227,8 @@ def test_a_restarted_device_has_lost_a_zero_that_the_scene_names(origin: Any, tr
 
 def test_what_measures_pushes_less_where_the_travel_is_short() -> None:
     def swing(**device: Any) -> float:
-        pushes = _pushes(scene_of(mock=flung(0.0), device=device), 0, 2.0, None)
-        return pushes.force * pushes.ticks * 1e-3 / 0.2 * np.sqrt(0.2 / 1000.0)
+        planned = pushes(scene_of(mock=flung(0.0), device=device), 0, 2.0, None)
+        return planned.force * planned.ticks * 1e-3 / 0.2 * np.sqrt(0.2 / 1000.0)
 
     assert swing() == pytest.approx(0.1 * np.sqrt(0.2 / 1000.0), rel=0.05)
     assert swing(travel=[-0.1, 0.1]) == swing()

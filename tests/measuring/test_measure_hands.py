@@ -77,6 +77,50 @@ class TestMatrices:
         np.testing.assert_allclose(found.k, 2167.8914017232 * np.array([[1, -1], [-1, 1]]), rtol=2e-6)
         np.testing.assert_allclose(found.b, np.eye(2) + 1.9923820182 * np.array([[1, -1], [-1, 1]]), rtol=4e-6)
 
+    @pytest.mark.parametrize("seed", range(3, 8))
+    def test_of_hands_that_nothing_holds(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        hands = int(rng.integers(2, 4))
+        stiffness, damping = 10.0 ** rng.uniform(2.0, 3.5, hands), 10.0 ** rng.uniform(-0.5, 0.8, hands)
+        ties = {
+            f"tie_{i}": link(f"hand_{i - 1}", f"hand_{i}", float(stiffness[i]), float(damping[i]))
+            for i in range(1, hands)
+        }
+        scene = scene_of(ties, hands)
+        (one,) = predict(scene, with_margins=False).together
+        np.testing.assert_allclose(measured(scene, one).k, one.felt.k, atol=1e-5 * np.abs(one.felt.k).max())
+
+    @pytest.mark.parametrize(
+        "more",
+        [{"mock": {"misses": 0.02}}, {"device": {"delay": 3}}, {"device": {"force_limit": 2.0}}],
+        ids=["positions that never come", "a long delay", "a force that is clipped"],
+    )
+    def test_of_what_a_device_does_besides(self, more: dict[str, Any]) -> None:
+        scene = scene_of(
+            {"tie": link("hand_0", "hand_1", 500.0, 5.0), "hold": link("hand_1", "wall", 500.0, 2.0)}, **more
+        )
+        (one,) = predict(scene, with_margins=False).together
+        found = measured(scene, one)
+        np.testing.assert_allclose(found.k, one.felt.k, atol=1e-5 * np.abs(one.felt.k).max())
+        np.testing.assert_allclose(found.b, one.felt.b, atol=3e-5 * np.abs(one.felt.b).max())
+
+    @pytest.mark.parametrize(
+        ("tie", "friction"),
+        [
+            (link("hand_0", "hand_1", 600.0, 1.0) | {"type": "buffer"}, 1.0),
+            (link("hand_0", "hand_1", 600.0, 40.0), 35.0),
+        ],
+        ids=["a contact opens", "damping is beyond what swings"],
+    )
+    def test_are_refused_where_no_springs_and_dampers_move_so(self, tie: dict[str, Any], friction: float) -> None:
+        hold = link("hand_0", "wall", 200.0, float(tie["damping"]))
+        mock = {"initial": {"velocity": [0.05, 0.0]}}
+        device = {"mass": [0.15, 0.2], "friction": [friction, 1.2 * friction]}
+        scene = scene_of({"tie": tie, "hold": hold}, device=device, mock=mock)
+        (one,) = predict(scene, with_margins=False).together
+        with pytest.raises(UsageError, match="springs and dampers"):
+            measured(scene, one)
+
     @pytest.mark.parametrize("seed", SEEDS)
     def test_of_random_scenes_are_those_of_the_prediction(self, seed: int) -> None:
         rng = np.random.default_rng(seed)

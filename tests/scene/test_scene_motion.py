@@ -8,7 +8,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from hapsim.live.web import _channels
-from hapsim.measuring.measure import _pushes
+from hapsim.measuring.measure import pushes
 from hapsim.prediction.force_bounds import fade_stiffness
 from hapsim.scene import Scene, parse_scene, scene_schema
 
@@ -133,5 +133,5 @@ def test_a_push_of_a_measurement_gives_a_knob_the_speed_of_angles() -> None:
             f"version: 1\nrate: 1000\ndevice: {{motion: {motion}, mass: 0.002, clock: lockstep}}\n"
             "modules: {hand: {type: device, channel: 0}}\n"
         )
-        pushes = _pushes(scene, 0, 2.0, None)
-        assert pushes.force * pushes.ticks / scene.rate == pytest.approx(0.002 * speed, rel=0.05)
+        planned = pushes(scene, 0, 2.0, None)
+        assert planned.force * planned.ticks / scene.rate == pytest.approx(0.002 * speed, rel=0.05)

@@ -238,6 +238,29 @@ class TestTheFriction:
         alone = network(stiffness=[500.0], damping=[1.0])
         assert whole(loose).needed == pytest.approx(whole(alone).needed, rel=1e-9)
 
+    @pytest.mark.parametrize("friction", [1.0, 50.0])
+    def test_is_none_where_the_scene_pushes_the_hand_away(self, friction: float) -> None:
+        """However slow friction makes it, a hand that is let go leaves for good."""
+        one = whole(network(stiffness=[-100.0], channel_friction=[friction]))
+        assert (one.pushes_away, one.is_passive, one.needed.tolist()) == (True, False, [math.inf])
+        behind = network(point_mass=[0.5], ends=[[0, 1], [1, -1]], stiffness=[500.0, -100.0], damping=[5.0, 1.0])
+        assert grown(replace(behind, channel_friction=[friction])) > 1.0
+        assert not np.isfinite(whole(behind).needed).any()
+        held = network(ends=[[0, -1], [0, -1]], stiffness=[-100.0, 300.0], damping=[1.0, 1.0])
+        assert not whole(held).pushes_away
+
+    def test_is_found_at_a_resonance_that_is_as_narrow_as_friction_is_little(self) -> None:
+        """Of a mass whose swing takes minutes to die out: beside the demand at 200 000 points about it."""
+        of = network(point_mass=[0.5], ends=[[0, 1], [1, -1]], stiffness=[800.0, 300.0], damping=[1e-3, 1e-3])
+        scene = HeldScene(of)
+        pole = scene.poles[np.argmax(np.abs(scene.poles))]
+        theta = abs(np.angle(pole)) + (1.0 - abs(pole)) * np.linspace(-30.0, 30.0, 200_001)
+        z = np.exp(1j * theta)
+        demand = (-(1.0 - 1.0 / z) / z * -scene.forces(z - 1.0)[:, 0, 0] / RATE / (4.0 * np.sin(0.5 * theta) ** 2)).real
+        found = passivity_of(scene)
+        assert found.friction == pytest.approx(demand.max(), rel=1e-6)
+        assert found.friction > 20.0
+
     @pytest.mark.parametrize("hold", [name for name in HOLDS if name != "zoh"])
     def test_is_not_told_where_it_is_not_derived(self, hold: str) -> None:
         one = whole(network(hold=hold))
@@ -301,6 +324,17 @@ class TestTheWorstHand:
         assert worst.is_stable == (worst.spectral_radius <= 1.0 + 1e-9)
         assert not (worst.is_stable and max(tried) > 1.0 + 1e-8)
         assert grown(one._network, *worst.masses, *worst.stiffnesses) == pytest.approx(worst.spectral_radius, abs=1e-9)
+
+    def test_is_found_in_a_range_of_any_width(self) -> None:
+        """A knob that a clamp of 179 N·m/rad shakes, and a stiffer one does not."""
+        knob = {"channel_mass": [1e-4], "channel_friction": [5e-4], "stiffness": [0.3], "damping": [5e-4]}
+        one = whole(network(**knob))
+        assert one.shaking is not None
+        for most in (1e3, 1e4, 1e6, 1e9):
+            for mass in ((0.0, 0.0), (0.0, 2.0)):
+                worst = one.worst_hand(mass, (0.0, most))
+                assert worst is not None
+                assert worst.spectral_radius >= one.shaking.growth * (1.0 - 1e-9)
 
     def test_of_one_hand_is_that(self) -> None:
         worst = whole(network()).worst_hand((0.3, 0.3), (50.0, 50.0))

@@ -13,7 +13,7 @@ of a and of the conjugates of 1/sigma. With sum |1/sigma_n|² = 1/(4 sin²(theta
 
 it is the largest eigenvalue of the Hermitian part of -T [[g H, 0], [sqrt(f (1 - f)) H, 0]], (2 C, 2 C): the friction
 that theta needs. A lone wall's is that of ``hand/passivity.py``. Where the scene has a motion of its own that does not
-die out while the hands are held, and that they feel, no friction suffices.
+die out while the hands are held, and that they feel, no friction suffices; nor where its static stiffness is negative.
 
 It peaks at the resonances of the held scene. So a grid that is dense about each, by the residues of its poles, and the
 highest peaks followed.
@@ -45,6 +45,7 @@ _WIDTHS = np.array([-30.0, -10.0, -3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0, 10.0, 30
 _SWINGS = 0.3  # a pole of smaller modulus is no resonance
 _MOST_EXACT = 100  # numbers of a held scene whose residues are not good
 _PEAKS, _ZOOMS = 4, 10
+_REST = 1e-9  # z - 1, at which what the hands meet is the static stiffness
 
 
 class Passivity(NamedTuple):
@@ -55,11 +56,13 @@ class Passivity(NamedTuple):
             mean, their proportions being kept.
         frequency_hz: at which it is needed.
         lasting: (C + M,) how far each point moves in the motion that does not die out; empty where every one does.
+        pushes_away: whether at rest the scene pushes hands on, so that no friction suffices.
     """
 
     friction: float
     frequency_hz: float
     lasting: Floats = np.zeros(0)
+    pushes_away: bool = False
 
 
 def why_not_derived(network: Network) -> str:
@@ -134,12 +137,16 @@ class HeldScene:
         one = np.eye(self.network.channel_mass.size)
         return np.concatenate([np.ones(w.size)[:, None, None] * one, (w / (1.0 + w))[:, None, None] * one], axis=1)
 
+    @cached_property
+    def largest(self) -> float:
+        """N/m, of forces at some frequencies: what is far less is rounding."""
+        return float(np.abs(self.forces(on_circle(np.array([0.1, 1.0, 2.0, 3.0])))).max(initial=0.0))
+
     def lasting(self) -> int | None:
         """Which of ``poles`` does not die out and is felt, the fastest to grow; None where none is."""
         at, states, amounts = self._eigen
         felt = np.linalg.norm(self._rows[2] @ states, axis=0) * np.linalg.norm(amounts, axis=1)
-        least = _FELT * np.abs(self.forces(on_circle(np.array([0.1, 1.0, 2.0, 3.0])))).max(initial=0.0)
-        lasts = np.flatnonzero((np.abs(1.0 + at) > 1.0 - LASTS) & (felt > least))
+        lasts = np.flatnonzero((np.abs(1.0 + at) > 1.0 - LASTS) & (felt > _FELT * self.largest))
         return int(lasts[np.argmax(np.abs(1.0 + at[lasts]))]) if lasts.size else None
 
     def moved(self, pole: int) -> Floats:
@@ -179,6 +186,10 @@ def passivity_of(scene: HeldScene) -> Passivity:
     if lasts is not None:
         hertz = abs(float(np.angle(scene.poles[lasts]))) * network.rate / (2.0 * np.pi)
         return Passivity(math.inf, hertz, scene.moved(lasts))
+
+    rest = scene.forces(np.array([_REST + 0j]))[0].real
+    if np.linalg.eigvalsh(0.5 * (rest + rest.T))[0] < -_FELT * scene.largest:
+        return Passivity(math.inf, 0.0, pushes_away=True)
 
     def needed(theta: Floats) -> Floats:
         return _needed(network, theta, scene.forces(on_circle(theta)) / np.outer(weight, weight))
