@@ -75,4 +75,6 @@ def weight_sentence(weight: MeasuredWeight, channel: int) -> str:
     told = f"Shaken by {hand}, what it moves feels like {known} kg"
     if weight.predicted is not None and weight.continuous is not None and math.isfinite(weight.predicted):
         told += f" (predicted: {number(weight.predicted)}; without sampling and delay {number(weight.continuous)})"
+    elif weight.predicted is None:
+        told += " (not predicted: that is done for one hand and a loop of at most a hundred numbers)"
     return unit(told)
