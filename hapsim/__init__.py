@@ -18,6 +18,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from hapsim.measuring.diagnosis import Diagnosis as Diagnosis
+    from hapsim.measuring.diagnosis import diagnose as diagnose
     from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
     from hapsim.measuring.identify_device import identify_device as identify_device
     from hapsim.measuring.measure import measure as measure
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "DeviceIdentification": "hapsim.measuring.identify_device",
+    "Diagnosis": "hapsim.measuring.diagnosis",
     "HandsMeasurement": "hapsim.measuring.rings",
     "MeasuredImpedance": "hapsim.measuring.measure_impedance",
     "Measurement": "hapsim.measuring.measure_trace",
@@ -50,6 +53,7 @@ _HOME = {
     "Scene": "hapsim.scene",
     "Session": "hapsim.running",
     "Trace": "hapsim.recording.trace",
+    "diagnose": "hapsim.measuring.diagnosis",
     "identify": "hapsim.measuring.measure_trace",
     "identify_device": "hapsim.measuring.identify_device",
     "load_scene": "hapsim.scene",
@@ -67,6 +71,7 @@ _HOME = {
 }
 __all__ = [
     "DeviceIdentification",
+    "Diagnosis",
     "HandsMeasurement",
     "MeasuredImpedance",
     "Measurement",
@@ -74,6 +79,7 @@ __all__ = [
     "Scene",
     "Session",
     "Trace",
+    "diagnose",
     "identify",
     "identify_device",
     "load_scene",

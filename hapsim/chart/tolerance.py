@@ -24,7 +24,7 @@ _LABELS = {
     "device.friction": "true friction  (N·s/m)",
     "device.delay": "true delay  (samples)",
 }
-_POINTS = 241
+_POINTS = 121
 _MOST = 30.0  # per cent that are drawn
 
 

@@ -13,8 +13,7 @@ from rich.markup import escape
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import show_assumptions, show_wire
 from hapsim.cli.live import live_line
-from hapsim.cli.measure_device import gives, limits, oscillation, other_device, probable_mass
-from hapsim.cli.measure_remarks import attempts, dry_friction, smaller_push
+from hapsim.cli.measure_remarks import attempts, dry_friction, limits, other_device, smaller_push
 from hapsim.cli.measure_weight import measured_weight, weight_sentence, with_hand
 from hapsim.cli.options import (
     DeviceOptions,
@@ -32,6 +31,7 @@ from hapsim.cli.output import Table, complain, document, failure_document, speak
 from hapsim.cli.run import print_warnings, require_stable, with_mock
 from hapsim.cli.run_report import show_report, show_run
 from hapsim.errors import RunError, UsageError
+from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure import measure as measure_scene
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, relative_difference, rounded
@@ -218,7 +218,8 @@ def show_measurement(
         out.print(_side_by_side(title, at_seen, measurement.at_rate(seen.rate_hz), of_mass))
     if felt is None:
         out.print(_of_coupled(prediction.coupled[hands[channel]], own))
-    reasons = () if measurement.left_region else other_device(felt, measurement, prediction, of_mass)
+    diagnosis = diagnose(prediction, measurement, channel)
+    reasons = () if measurement.left_region else other_device(diagnosis, measurement, of_mass)
     for sentence in (
         *attempts(measurement),
         *smaller_push(push, measurement),
@@ -294,20 +295,16 @@ def measurement_document(
     """Returns what `hapsim measure` prints: prediction and measurement, and how the run went. `rate_hz` is the rate
     that scene and device declare; `at_rate_seen` has both sides for another rate that was seen."""
     seen, felt = measurement.seen_rate, felt_on(prediction, channel)
-    second, is_extra = measurement.second_mode, gives(prediction, measurement)
-    mass = None if is_extra or measurement.left_region else probable_mass(felt, measurement)
-    mode, at_seen_rate = None, None
-    if second is not None:
-        frequency, ratio = oscillation(measurement, second.pole)
-        mode = {"frequency_hz": frequency, "damping_ratio": ratio, "share": second.share, "predicted": not is_extra}
+    diagnosis, at_seen_rate = diagnose(prediction, measurement, channel), None
+    mass, mode = diagnosis.probable_mass, diagnosis.second_mode
     if seen is not None and seen.differs_from(prediction.rate):
         at_seen_rate = {
             "predicted": felt and felt_document(felt_at_rate(felt, seen.rate_hz)),
             "measured": _values(measurement.at_rate(seen.rate_hz)),
         }
     measured = _values(measurement) | {
-        "dominant": measurement.dominant and not is_extra,
-        "second_mode": mode,
+        "dominant": measurement.dominant and not diagnosis.gives,
+        "second_mode": mode and mode._asdict(),
         "probable_mass_kg": mass and mass.mass,
         "probable_mass_uncertainty_kg": mass and mass.uncertainty,
     }

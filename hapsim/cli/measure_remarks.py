@@ -1,4 +1,4 @@
-"""What is said beside a measured k and b: of the runs that led to it, and of dry friction."""
+"""What is said beside a measured k and b: of the runs that led to it, of dry friction, limits and another device."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from hapsim.loop.ring import FADED, LIMITED, SLEWED
+from hapsim.measuring.diagnosis import Diagnosis
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, percent
 from hapsim.scene import Scene
@@ -61,4 +63,52 @@ def dry_friction(scene: Scene, measurement: Measurement, channel: int) -> Iterat
         yield (
             f"The prediction leaves out the dry friction of {number(dry, 3)} N (mock.coulomb): {damps}. Push harder "
             "(--push) for less of it."
+        )
+
+
+def _shaped_ticks(measurement: Measurement) -> tuple[int, int, int, int]:
+    """Returns how many ticks there were, and how many of them at the force limit, at the slew limit and outside the
+    travel: of the whole run, or once a hand that was led is at its place."""
+    report, flags = measurement.trace.report, measurement.trace.flags
+    if measurement.at_m is None:
+        return report.ticks, report.limited_ticks, report.slewed_ticks, report.faded_ticks
+    limited, slewed, faded = (int((flags & flag != 0).sum()) for flag in (LIMITED, SLEWED, FADED))
+    return flags.size, limited, slewed, faded
+
+
+def limits(measurement: Measurement) -> Iterator[str]:
+    """Yields for which motions k and b hold, where something limited the force."""
+    in_all, limited, slewed, faded = _shaped_ticks(measurement)
+    for ticks, place, holds in (
+        (limited, "at the force limit", "stay below it; beyond, the hand feels less"),
+        (slewed, "at the slew limit or in the soft start", "are slower; in these the hand feels less"),
+        (faded, "outside device.travel or at a position that stood still, where the force fades", "stay within it"),
+    ):
+        if ticks:
+            many = f"{ticks} of {in_all} ticks were {place}"
+            yield f"[yellow]{many}[/yellow]: k and b hold for motions that {holds}."
+
+
+def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -> Iterator[str]:
+    """Yields in what the device differs from what the scene declares."""
+    second, mass = diagnosis.second_mode, diagnosis.probable_mass
+    if second is not None and diagnosis.gives:
+        yield (
+            f"[yellow]Something swings along[/yellow] at {second.frequency_hz:.3g} Hz, damping ratio "
+            f"{second.damping_ratio:.2g}, with {percent(second.share, 3)} of the motion's energy: the hand, or a part "
+            "of the device, moves against the rest like a mass on a spring; or dry friction bends the motion, which "
+            "`hapsim identify` finds. k and b are those of the longest ringing mode, not what the hand feels."
+        )
+    elif mass is not None:
+        share = mass.factor
+        yield (
+            f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], {mass.mass:.4g} kg: with it "
+            "the prediction has the eigenfrequency and the damping ratio that were measured, and the hand feels "
+            f"k = {share * measurement.k:.6g} N/m, b = {share * measurement.b:.6g} N·s/m. `hapsim identify --write` "
+            "measures and stores it."
+        )
+    elif diagnosis.is_another_device:
+        yield (
+            "[yellow]Measured and predicted are much further apart than the uncertainty[/yellow]: the device is not as "
+            "the scene declares it, or has dry friction. `hapsim identify` finds what it is."
         )

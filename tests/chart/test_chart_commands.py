@@ -91,6 +91,12 @@ def test_a_hand_that_moves_masses_is_drawn_as_the_scene_has_it(
         assert mode.damping_ratio > 0.3 or min(abs(at - mode.frequency_hz)) < 1e-6
 
 
+def test_where_what_is_desired_is_felt_within_a_tenth_alone_the_other_share_has_none(chart: Chart) -> None:
+    out = chart("felt", "button", "--over", "device.friction", "--picture", "button.svg").out
+    none = next(line.split("│")[1:-1] for line in out.splitlines() if "│ none" in line)
+    assert [cell.strip() == "–" for cell in none] == [False, True, False]
+
+
 def test_what_drifts_is_no_frequency(chart: Chart, tmp_path: Path, rows_of: RowsOf) -> None:
     path = tmp_path / "free.yaml"
     path.write_text(
@@ -121,8 +127,6 @@ def test_how_well_the_device_has_to_be_known_is_drawn(
             if found[correction][0][0] < true < found[correction][0][1]:
                 assert max(errors) <= 0.05 + 1e-9
     assert found["none"] == [None, None]
-    for shipped in ("button", "knob_24"):  # where one of both is missing, the other is shown
-        assert "–" in chart("felt", shipped, "--over", over, "--picture", f"{shipped}.svg").out
 
 
 @pytest.mark.parametrize("only", [["--data", "numbers.csv"], ["--json"]])

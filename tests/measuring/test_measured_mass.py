@@ -14,7 +14,7 @@ from rich.console import Console
 
 import hapsim as python_api
 from hapsim.cli.measure import measurement_document, show_measurement
-from hapsim.cli.measure_device import gives, probable_mass
+from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.prediction import predict, with_mass
 from hapsim.scene import Scene, parse_scene
@@ -72,7 +72,7 @@ def test_another_mass_than_the_declared_one_is_named_with_what_the_hand_then_fee
 def test_a_correction_does_not_hide_the_mass(correction: str) -> None:
     scene = scene_of(true=0.26, correction=correction, noise=3e-7)
     measurement = python_api.measure(scene)
-    found = probable_mass(predict(scene, with_margins=False).felt[0], measurement)
+    found = diagnose(predict(scene, with_margins=False), measurement).probable_mass
     assert found is not None
     assert found.mass == pytest.approx(0.26, abs=4.0 * found.uncertainty)
     assert found.factor == pytest.approx(found.mass / 0.2)
@@ -92,11 +92,12 @@ def test_a_device_as_declared_is_not_given_another_mass_and_a_damper_is_no_mass(
         )
         prediction = predict(scene, with_margins=False)
         measurement = python_api.measure(scene)
-        assert probable_mass(prediction.felt[0], measurement) is None
-        assert not gives(prediction, measurement)
+        found = diagnose(prediction, measurement)
+        assert (found.probable_mass, found.gives, found.is_another_device) == (None, False, False)
         # Of another friction the declared mass is not to blame.
         rubbed = scene.model_copy(update={"mock": scene.mock.model_copy(update={"friction": 1.6})})
-        assert probable_mass(prediction.felt[0], python_api.measure(rubbed)) is None
+        rubbed_found = diagnose(prediction, python_api.measure(rubbed))
+        assert (rubbed_found.probable_mass, rubbed_found.is_another_device) == (None, True)
 
 
 def test_the_uncertainty_of_the_mass_is_one_of_k_and_b_but_of_no_frequency(measured: Callable[..., Any]) -> None:
@@ -153,7 +154,7 @@ def test_a_hand_that_gives_is_named_as_a_second_mode(noise: float) -> None:
     assert measurement.k == pytest.approx(634.915, abs=max(0.002, 4.0 * measurement.k_uncertainty))
     assert measurement.second_mode is not None
     assert 0.05 < measurement.second_mode.share < 0.1
-    assert gives(predict(scene), measurement)
+    assert python_api.diagnose(predict(scene), measurement).gives
     document = measurement_document(predict(scene), measurement, 0)["measured"]
     assert (document["dominant"], document["second_mode"]["predicted"], document["probable_mass_kg"]) == (
         False,
@@ -188,11 +189,11 @@ def test_a_second_mode_that_the_scene_has_is_none_of_the_hand_s(hapsim: Callable
 
 def test_a_record_with_late_forces_tells_nothing_of_the_mass() -> None:
     scene = scene_of(true=0.3)
-    felt, measurement = predict(scene).felt[0], python_api.measure(scene)
-    assert probable_mass(felt, measurement) is not None
+    prediction, measurement = predict(scene), python_api.measure(scene)
+    assert diagnose(prediction, measurement).probable_mass is not None
     trace = measurement.trace
     late = replace(trace, report=replace(trace.report, deadline_misses=trace.report.ticks // 20))
-    assert probable_mass(felt, replace(measurement, trace=late)) is None
+    assert diagnose(prediction, replace(measurement, trace=late)).probable_mass is None
 
 
 @pytest.mark.parametrize("friction", [1.0, 0.999])
@@ -206,6 +207,6 @@ def test_a_force_that_is_limited_or_a_friction_a_little_off_does_not_hide_the_ma
     measurement = python_api.measure(scene)
     report = measurement.trace.report
     assert report.slewed_ticks + report.limited_ticks > 0.01 * report.ticks
-    found = probable_mass(predict(scene, with_margins=False).felt[0], measurement)
+    found = diagnose(predict(scene, with_margins=False), measurement).probable_mass
     assert found is not None
     assert found.mass == pytest.approx(0.3, rel=1e-3)

@@ -22,7 +22,7 @@ from hapsim.theory.network import poles_of
 from hapsim.theory.network.impedance import loop_impedance
 from hapsim.theory.network.passivity import HeldScene, passivity_of
 
-SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "12")))
+SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))
 RATE = 1000.0
 Floats = NDArray[np.float64]
 

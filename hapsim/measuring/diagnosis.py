@@ -1,16 +1,18 @@
-"""In what a device differs from what the scene declares, as a measured k and b show it beside the prediction."""
+"""In what a device differs from what the scene declares, as a measured k and b show it beside the prediction.
+
+Measured was before: nothing that is found here goes back into it.
+"""
 
 from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.measuring.measure_trace import Measurement
-from hapsim.number_format import percent
-from hapsim.prediction import Felt, Prediction
+
+if TYPE_CHECKING:
+    from hapsim.prediction import Felt, Prediction
 
 _UNSURE = 4.0  # uncertainties: what is further apart is not the same
 _MANY = 5.0
@@ -29,6 +31,44 @@ class ProbableMass(NamedTuple):
     """kg, standard."""
     factor: float
     """Times the mass to which the measurement refers."""
+
+
+class Mode(NamedTuple):
+    """A second mode of the motion."""
+
+    frequency_hz: float
+    damping_ratio: float
+    share: float
+    """Of the motion's energy."""
+    predicted: bool
+    """Whether the scene has it; else the hand swings along, or a part of the device."""
+
+
+class Diagnosis(NamedTuple):
+    """What a measurement says of a device beside the prediction."""
+
+    probable_mass: ProbableMass | None
+    """None where the declared mass fits, or none does better; and where the motion is not that of the hand alone."""
+    second_mode: Mode | None
+    is_another_device: bool
+    """Whether k or b is off by much more than its uncertainty, and no other mass explains it."""
+
+    @property
+    def gives(self) -> bool:
+        """Whether something swings along that the scene does not have."""
+        return self.second_mode is not None and not self.second_mode.predicted
+
+
+def diagnose(prediction: Prediction, measurement: Measurement, channel: int = 0) -> Diagnosis:
+    """In what the device differs from what the scene declares, as what was measured on `channel` shows it."""
+    felt = next((one for one in prediction.felt if one.channel == channel), None)
+    second, extra, mode = measurement.second_mode, gives(prediction, measurement), None
+    if second is not None:
+        mode = Mode(*_oscillation(measurement, second.pole), second.share, not extra)
+    disturbed = extra or bool(measurement.left_region)
+    mass = None if disturbed else probable_mass(felt, measurement)
+    is_other = felt is not None and not disturbed and mass is None and not math.isnan(measurement.dry_friction_n)
+    return Diagnosis(mass, mode, is_other and felt is not None and _is_another_device(felt, measurement))
 
 
 def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass | None:
@@ -92,56 +132,7 @@ def _is_undisturbed(measurement: Measurement) -> bool:
     return not late and (seen is None or not seen.differs_from(measurement.trace.rate))
 
 
-def _shaped_ticks(measurement: Measurement) -> tuple[int, int, int, int]:
-    """Returns how many ticks there were, and how many of them at the force limit, at the slew limit and outside the
-    travel: of the whole run, or once a hand that was led is at its place."""
-    report, flags = measurement.trace.report, measurement.trace.flags
-    if measurement.at_m is None:
-        return report.ticks, report.limited_ticks, report.slewed_ticks, report.faded_ticks
-    limited, slewed, faded = (int((flags & flag != 0).sum()) for flag in (LIMITED, SLEWED, FADED))
-    return flags.size, limited, slewed, faded
-
-
-def oscillation(measurement: Measurement, pole: complex) -> tuple[float, float]:
+def _oscillation(measurement: Measurement, pole: complex) -> tuple[float, float]:
     """Returns (eigenfrequency in Hz, damping ratio) of a pole in the z-plane."""
     s = cmath.log(pole) * measurement.trace.rate
     return abs(s) / (2.0 * math.pi), -s.real / abs(s)
-
-
-def limits(measurement: Measurement) -> Iterator[str]:
-    """Yields for which motions k and b hold, where something limited the force."""
-    in_all, limited, slewed, faded = _shaped_ticks(measurement)
-    for ticks, place, holds in (
-        (limited, "at the force limit", "stay below it; beyond, the hand feels less"),
-        (slewed, "at the slew limit or in the soft start", "are slower; in these the hand feels less"),
-        (faded, "outside device.travel or at a position that stood still, where the force fades", "stay within it"),
-    ):
-        if ticks:
-            many = f"{ticks} of {in_all} ticks were {place}"
-            yield f"[yellow]{many}[/yellow]: k and b hold for motions that {holds}."
-
-
-def other_device(felt: Felt | None, measurement: Measurement, prediction: Prediction, of_mass: str) -> Iterator[str]:
-    """Yields in what the device differs from what the scene declares."""
-    second, mass = measurement.second_mode, probable_mass(felt, measurement)
-    if second is not None and gives(prediction, measurement):
-        frequency, ratio = oscillation(measurement, second.pole)
-        yield (
-            f"[yellow]Something swings along[/yellow] at {frequency:.3g} Hz, damping ratio {ratio:.2g}, with "
-            f"{percent(second.share, 3)} of the motion's energy: the hand, or a part of the device, moves against the "
-            "rest like a mass on a spring; or dry friction bends the motion, which `hapsim identify` finds. "
-            "k and b are those of the longest ringing mode, not what the hand feels."
-        )
-    elif mass is not None:
-        share = mass.factor
-        yield (
-            f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], {mass.mass:.4g} kg: with it "
-            "the prediction has the eigenfrequency and the damping ratio that were measured, and the hand feels "
-            f"k = {share * measurement.k:.6g} N/m, b = {share * measurement.b:.6g} N·s/m. `hapsim identify --write` "
-            "measures and stores it."
-        )
-    elif felt is not None and not math.isnan(measurement.dry_friction_n) and _is_another_device(felt, measurement):
-        yield (
-            "[yellow]Measured and predicted are much further apart than the uncertainty[/yellow]: the device is not as "
-            "the scene declares it, or has dry friction. `hapsim identify` finds what it is."
-        )
