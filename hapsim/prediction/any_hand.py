@@ -18,6 +18,7 @@ from hapsim.theory import Network
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import SURELY, part_of, part_of_each, poles_of, state_size
 from hapsim.theory.network.impedance import device_forces
+from hapsim.theory.network.modes import snap_to_rest
 from hapsim.theory.network.passivity import HeldScene, Passivity, highest, passivity_of, why_not_derived
 
 Range = tuple[float, float]
@@ -213,8 +214,8 @@ class AnyHand:
         least, most = (np.repeat([mass[end], stiffness[end]], len(self.names)) for end in (0, 1))
 
         def judged(hands: Floats) -> tuple[float, Floats]:
-            masses, springs = hands.reshape(2, -1)
-            return float(np.abs(poles_of(_with_hands(self._network, masses, springs))).max()), hands
+            held = _with_hands(self._network, *hands.reshape(2, -1))
+            return float(np.abs(snap_to_rest(held, poles_of(held))).max()), hands
 
         with one_thread():
             found = sorted(map(judged, self._hands(least, most)), key=lambda one: -one[0])[:_REFINED]

@@ -120,20 +120,25 @@ def test_a_host_that_is_stopped_or_killed_leaves_no_force(
 ) -> None:
     board = start_board(name)
     for number in (signal.SIGSTOP, signal.SIGKILL):
-        host = start_host(start_hapsim, swinging(clock), board)
-        os.kill(host.pid, number)
-        if number == signal.SIGKILL:
-            host.wait()
-        seen = wait_for_the_end(board)
-        # The force of the last answer, and its end: by the board's clock no later than its time to live allows. One of
-        # the boards tells the time in whole samples; another puts out 255 forces only, so that up to four answers in a
-        # row are the same and the last of them is no change.
-        allowed = TIME_TO_LIVE + (2 if clock == "host" else 1.5) + (3 if name == "hapkit" else 0)
-        assert life_of_the_last(board, clock) <= allowed * PERIOD_US
+        for _ in range(4):
+            host, status = start_host(start_hapsim, swinging(clock), board), 3
+            os.kill(host.pid, number)
+            if number == signal.SIGKILL:
+                host.wait()
+            seen = wait_for_the_end(board)
+            # The force of the last answer, and its end: by the board's clock no later than its time to live allows. One
+            # of the boards tells the time in whole samples; another puts out 255 forces only, so that up to four
+            # answers in a row are the same and the last of them is no change.
+            allowed = TIME_TO_LIVE + (2 if clock == "host" else 1.5) + (3 if name == "hapkit" else 0)
+            assert life_of_the_last(board, clock) <= allowed * PERIOD_US
+            if number == signal.SIGSTOP:
+                time.sleep(1.0)  # the watchdog lasts a tenth of a second; the port is the stopped host's meanwhile
+                os.kill(host.pid, signal.SIGCONT)  # and what it goes on to say moves nothing
+                status = host.wait()
+            if status != 4:  # a guard may end a run whose forces a busy machine held up: then it begins anew
+                break
+        assert status == 3, host.err
         if number == signal.SIGSTOP:
-            time.sleep(1.0)  # the watchdog lasts a tenth of a second; the port is the stopped host's meanwhile
-            os.kill(host.pid, signal.SIGCONT)  # and what it goes on to say moves nothing
-            assert host.wait() == 3
             assert "(100 samples)" in host.err
         else:
             wait_for_latch(board)

@@ -336,6 +336,13 @@ class TestTheWorstHand:
                 assert worst is not None
                 assert worst.spectral_radius >= one.shaking.growth * (1.0 - 1e-9)
 
+    def test_is_none_where_all_drift(self) -> None:
+        """Hands that nothing holds, without friction: a double pole at 1, which rounding moves by 1e-8."""
+        of = network(channel_mass=[0.2, 0.3], channel_friction=[0.0, 0.0], delay=0.0, ends=[[0, 1]], damping=[20.0])
+        worst = whole(of).worst_hand((0.0, 2.0), (0.0, 0.0))
+        assert worst is not None
+        assert (worst.is_stable, worst.spectral_radius) == (True, pytest.approx(1.0, abs=1e-12))
+
     def test_of_one_hand_is_that(self) -> None:
         worst = whole(network()).worst_hand((0.3, 0.3), (50.0, 50.0))
         assert worst is not None
