@@ -101,7 +101,7 @@ def _measure_pair(
     if channel in hands:
         speak_of(channel)
     at = position(excitation.at, scene)
-    if excitation.mass:
+    if excitation.mass and channel in hands:
         scene = with_hand(scene, channel, require_positive("--hand-stiffness", excitation.hand_stiffness, "N/m"))
     prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
@@ -110,18 +110,7 @@ def _measure_pair(
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
     try:
-        with live_line(stderr()) as tell:
-            measurement = measure_scene(
-                scene,
-                channel=channel,
-                at=at,
-                duration=excitation.duration,
-                push=excitation.push,
-                transport=kind,
-                on_progress=tell,
-                stop_on_signals=True,
-                unstable=None if unstable else False,
-            )
+        measurement = _rung(scene, channel, at, kind, excitation, unstable)
     except RunError as error:
         if error.trace is None:
             raise
@@ -148,6 +137,23 @@ def _measure_pair(
     if measurement.failure is not None:
         complain(measurement.failure)
         raise typer.Exit(measurement.failure.exit_status)
+
+
+def _rung(
+    scene: Scene, channel: int, at: float | None, kind: Any, excitation: ExcitationOptions, unstable: bool
+) -> Measurement:
+    with live_line(stderr()) as tell:
+        return measure_scene(
+            scene,
+            channel=channel,
+            at=at,
+            duration=excitation.duration,
+            push=excitation.push,
+            transport=kind,
+            on_progress=tell,
+            stop_on_signals=True,
+            unstable=None if unstable else False,
+        )
 
 
 def _require_drawable(prediction: Prediction, hands: dict[int, str], channel: int) -> None:

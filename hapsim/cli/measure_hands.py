@@ -12,6 +12,7 @@ from hapsim.cli.options import DeviceOptions, ExcitationOptions, PictureOptions,
 from hapsim.cli.output import document, spoken, stderr, stdout, table
 from hapsim.cli.run import print_warnings, require_stable, with_mock
 from hapsim.errors import UsageError
+from hapsim.measuring.limits import require_device_point
 from hapsim.measuring.measure_hands import measure_hands as measure
 from hapsim.number_format import number, percent, plural, relative_difference, rounded
 from hapsim.prediction import predict
@@ -38,6 +39,7 @@ def measure_hands(
     scene = with_mock(device.load(), kind)
     prediction = predict(scene, with_margins=False)
     channel = next(iter(scene.device_points.values())).channel if excitation.channel is None else excitation.channel
+    require_device_point(scene, channel)
     one = next((part for part in prediction.together if channel in part.channels and len(part.names) > 1), None)
     if one is None:
         raise UsageError(f"--hands: the hand on channel {channel} is linked to no other; leave the option out")

@@ -111,7 +111,7 @@ def identify_rings(
 
 
 def _halves(segments: list[Floats]) -> list[list[Floats]]:
-    """The first half of the rings of each record, and the second, where there are as many."""
+    """Every second ring, and the others, where there are as many."""
     return [segments[::2], segments[1::2]] if len(segments) > 3 else []
 
 
