@@ -15,7 +15,7 @@ from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
-from hapsim.prediction import predict
+from hapsim.prediction import Prediction
 from hapsim.prediction.impedance import PredictedImpedance, predict_impedance, spring_and_damper
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Complexes, Floats
@@ -27,7 +27,7 @@ _POINTS = 400
 _MOST_IN_A_MATRIX = 6
 _BELOW_EIGENFREQUENCY, _BELOW_NYQUIST = 20.0, 1000.0  # where the picture begins; the second if nothing swings
 _POINTS_OF_TRANSPARENCY = 1200
-_DRIFTS = 1e-6  # of half the rate: what swings more slowly drifts
+_DRIFTS = 1e-6  # of the rate: what swings more slowly drifts
 _SHARP = 0.3  # damping ratio of a resonance that points some hundredths apart would miss
 _ABOUT = np.array([-10.0, -3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0, 10.0])  # of its damping ratio
 
@@ -216,12 +216,14 @@ def transparency(hand: Hand) -> Transparency:
     return Transparency(rate, frequency, desired, rendered, eigenfrequency)
 
 
-def transparency_in(scene: Scene, name: str, eigenfrequency: float) -> Transparency:
+def transparency_in(prediction: Prediction, name: str, eigenfrequency: float) -> Transparency:
     """Returns the impedances at a device point of a scene, whatever it moves. `eigenfrequency`: Hz, of the hand there;
     NaN for none. Raises UsageError where what is rendered is not worked out."""
+    scene = prediction.scene
     eigenfrequency = eigenfrequency if eigenfrequency > _DRIFTS * scene.rate else math.nan
-    modes = predict(scene, with_margins=False).modes
-    about = [mode for mode in modes if mode.damping_ratio < _SHARP and mode.frequency_hz > _DRIFTS * scene.rate]
+    about = [
+        mode for mode in prediction.modes if mode.damping_ratio < _SHARP and mode.frequency_hz > _DRIFTS * scene.rate
+    ]
     widths = 1.0 + np.outer([mode.damping_ratio for mode in about], _ABOUT)
     resonances = (np.array([mode.frequency_hz for mode in about])[:, None] * widths).ravel()
     frequency = np.union1d(_frequencies(scene.rate, eigenfrequency, _POINTS), resonances)
@@ -235,8 +237,7 @@ def transparency_in(scene: Scene, name: str, eigenfrequency: float) -> Transpare
 
 def _frequencies(rate: float, eigenfrequency: float, points: int) -> Floats:
     nyquist = 0.5 * rate
-    swings = eigenfrequency > _DRIFTS * nyquist
-    lowest = eigenfrequency / _BELOW_EIGENFREQUENCY if swings else nyquist / _BELOW_NYQUIST
+    lowest = eigenfrequency / _BELOW_EIGENFREQUENCY if eigenfrequency > 0.0 else nyquist / _BELOW_NYQUIST
     return np.geomspace(lowest, nyquist, points, endpoint=False)
 
 

@@ -77,11 +77,10 @@ def _of_scene(
     speak_of(channel)
     shared = next((one for one in prediction.together if name in one.names), None)
     motion = lone or (shared and shared.own_motion)
-    eigenfrequency = motion.frequency_hz if motion else math.nan
+    chart = transparency_in(prediction, name, motion.frequency_hz if motion else math.nan)
     summary = {"name": name, "channel": channel, "k": motion and motion.k, "b": motion and motion.b}
-    chart = transparency_in(scene, name, eigenfrequency)
     title = f"{name} of {scene_name(hand.scene)}, {scene.rate:g} Hz"
-    return chart, title, summary | {"frequency_hz": eigenfrequency}
+    return chart, title, summary | {"frequency_hz": chart.eigenfrequency}
 
 
 def _band(low: float, high: float, first: float, last: float) -> str:

@@ -94,7 +94,9 @@ def check(
     if explanation is not None:
         for sentence in details.sound_sentences(loaded, peaks):
             out.print(sentence)
-    for sentence in worst_hand_sentences(prediction, hands):
+    with at_work(stderr(), "trying hands"):
+        of_hands = [*worst_hand_sentences(prediction, hands)]
+    for sentence in of_hands:
         out.print(sentence)
     for warning in warnings:
         out.print(f"[yellow]Warning:[/yellow] {escape(warning)}")

@@ -132,7 +132,7 @@ def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | N
     for one in prediction.any_hands:
         unit, worst = spoken(one.channels[0]), one.worst_hand(*ranges)
         if worst is None:
-            yield f"Hands on {_who(one)}: not worked out of a loop with so many masses, or so long a delay"
+            yield f"Hands on {_who(one)}: not worked out, because the loop has too many masses or too long a delay"
             continue
         verdict = "[green]stable with all that were tried[/green]" if worst.is_stable else "[red]some are shaken[/red]"
         yield unit(

@@ -110,7 +110,9 @@ def _measure_pair(
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
     try:
-        measurement = _rung(scene, channel, at, kind, excitation, unstable)
+        with live_line(stderr()) as tell:
+            options = excitation.for_runs(kind, unstable)
+            measurement = measure_scene(scene, channel=channel, at=at, on_progress=tell, **options)
     except RunError as error:
         if error.trace is None:
             raise
@@ -137,23 +139,6 @@ def _measure_pair(
     if measurement.failure is not None:
         complain(measurement.failure)
         raise typer.Exit(measurement.failure.exit_status)
-
-
-def _rung(
-    scene: Scene, channel: int, at: float | None, kind: Any, excitation: ExcitationOptions, unstable: bool
-) -> Measurement:
-    with live_line(stderr()) as tell:
-        return measure_scene(
-            scene,
-            channel=channel,
-            at=at,
-            duration=excitation.duration,
-            push=excitation.push,
-            transport=kind,
-            on_progress=tell,
-            stop_on_signals=True,
-            unstable=None if unstable else False,
-        )
 
 
 def _require_drawable(prediction: Prediction, hands: dict[int, str], channel: int) -> None:

@@ -46,16 +46,7 @@ def measure_hands(
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
     with live_line(stderr()) as tell:
-        found = measure(
-            scene,
-            channels=one.channels,
-            duration=excitation.duration,
-            push=excitation.push,
-            transport=kind,
-            on_progress=tell,
-            stop_on_signals=True,
-            unstable=None if unstable else False,
-        )
+        found = measure(scene, channels=one.channels, on_progress=tell, **excitation.for_runs(kind, unstable))
     if json:
         print(document({"scene": device.scene, "warnings": warnings, "hands": hands_document(one, found)}))
         return

@@ -58,14 +58,7 @@ def measure_impedance(
     place = _place(scene, excitation.channel)
     record.require_writable()
     predict_before_arming(device.scene, scene, unstable)
-    options: dict[str, Any] = {
-        "duration": excitation.duration,
-        "push": excitation.push,
-        "travel": excitation.travel,
-        "transport": device.kind(),
-        "stop_on_signals": True,
-        "unstable": None if unstable else False,
-    }
+    options = excitation.for_runs(device.kind(), unstable) | {"travel": excitation.travel}
     with live_line(stderr()) as tell:
         options["on_progress"] = tell
         try:

@@ -169,6 +169,16 @@ class ExcitationOptions:
     ] = None
     z_width: Annotated[bool, flag("--z-width", "With --impedance: also with the stiffest passive wall.")] = False
 
+    def for_runs(self, transport: Any, unstable: bool) -> dict[str, Any]:
+        """Returns what every measurement takes: keywords. `transport`: the TransportKind."""
+        return {
+            "duration": self.duration,
+            "push": self.push,
+            "transport": transport,
+            "stop_on_signals": True,
+            "unstable": None if unstable else False,
+        }
+
 
 @dataclass
 class RecordOptions:

@@ -19,7 +19,7 @@ from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import SURELY, part_of, part_of_each, poles_of, state_size
 from hapsim.theory.network.impedance import device_forces
 from hapsim.theory.network.modes import snap_to_rest
-from hapsim.theory.network.passivity import HeldScene, Passivity, highest, passivity_of, why_not_derived
+from hapsim.theory.network.passivity import HeldScene, Passivity, highest, passivity_of, peaks_of, why_not_derived
 
 Range = tuple[float, float]
 
@@ -39,7 +39,7 @@ class ShakingHand(NamedTuple):
     """A hand that is shaken: a mass, or a spring to a place that does not move, beside what the device has."""
 
     name: str
-    """Of the device point that it holds; others are let go."""
+    """Of the device point that it holds; nothing holds the others."""
     mass: float
     """kg."""
     stiffness: float
@@ -163,10 +163,8 @@ class AnyHand:
         """The theta at which its resistance is negative, and least; of what goes on to rest, where half is left."""
         theta = self._held.angles
         taken = self._taken(theta, at)
-        padded = np.concatenate([[-np.inf], taken, [-np.inf]])
-        peaks = np.flatnonzero((taken >= padded[:-2]) & (taken > padded[2:]))
         found = []
-        for peak in peaks[np.argsort(-taken[peaks])][:_CANDIDATES].tolist():
+        for peak in peaks_of(taken)[:_CANDIDATES].tolist():
             about = theta[max(peak - 1, 0) : peak + 2]
             place, most = highest(lambda angle: self._taken(angle, at), about)
             if taken[0] > _LEVEL * most > 0.0:

@@ -132,8 +132,8 @@ class TestMatrices:
                 if one.felt.reason or len(one.names) < 2:
                     continue
                 found, compared = measured(scene, one), compared + 1
-                np.testing.assert_allclose(found.k, one.felt.k, atol=2e-4 * np.abs(one.felt.k).max())
-                np.testing.assert_allclose(found.b, one.felt.b, atol=2e-4 * np.abs(one.felt.b).max())
+                np.testing.assert_allclose(found.k, one.felt.k, atol=1e-4 * np.abs(one.felt.k).max())
+                np.testing.assert_allclose(found.b, one.felt.b, atol=1e-4 * np.abs(one.felt.b).max())
 
     def test_do_not_depend_on_where_the_scene_rests(self) -> None:
         held = TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}

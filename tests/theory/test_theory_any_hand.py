@@ -240,7 +240,7 @@ class TestTheFriction:
 
     @pytest.mark.parametrize("friction", [1.0, 50.0])
     def test_is_none_where_the_scene_pushes_the_hand_away(self, friction: float) -> None:
-        """However slow friction makes it, a hand that is let go leaves for good."""
+        """However slow friction makes it, a hand that nothing holds leaves for good."""
         one = whole(network(stiffness=[-100.0], channel_friction=[friction]))
         assert (one.pushes_away, one.is_passive, one.needed.tolist()) == (True, False, [math.inf])
         behind = network(point_mass=[0.5], ends=[[0, 1], [1, -1]], stiffness=[500.0, -100.0], damping=[5.0, 1.0])
@@ -320,7 +320,7 @@ class TestTheWorstHand:
         worst = one.worst_hand((0.0, 2.0), (0.0, 2000.0))
         assert worst is not None
         tried = [grown(one._network, m, k) for m in np.linspace(0.0, 2.0, 15) for k in np.linspace(0.0, 2000.0, 12)]
-        assert worst.spectral_radius >= max(tried) - 1e-4
+        assert worst.spectral_radius >= max(tried) - 2e-5
         assert worst.is_stable == (worst.spectral_radius <= 1.0 + 1e-9)
         assert not (worst.is_stable and max(tried) > 1.0 + 1e-8)
         assert grown(one._network, *worst.masses, *worst.stiffnesses) == pytest.approx(worst.spectral_radius, abs=1e-9)

@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.hand.impedance import late_and_held
 from hapsim.theory.interface import whole_and_fraction
 from hapsim.theory.network.crossings import AT_ONCE, on_circle
@@ -166,7 +166,7 @@ class HeldScene:
         return np.unique(np.clip(every, 1e-7, math.pi))
 
     def driving_impedance(self, theta: Floats, channel: int) -> Complexes:
-        """(n,) N·s/m at theta, that a hand on this channel meets which moves at no image, the others being let go."""
+        """(n,) N·s/m at theta, that a hand on this channel meets which moves at no image; nothing holds the others."""
         network, one = self.network, np.eye(self.network.channel_mass.size)
         s = 1j * theta[:, None] * network.rate
         device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
@@ -216,12 +216,19 @@ def _needed(network: Network, theta: Floats, forces: Complexes) -> Floats:
     return found
 
 
+def peaks_of(values: Floats) -> Indices:
+    """The places of the peaks of values (n,), the highest first; ends count."""
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    peaks = np.flatnonzero((values >= padded[:-2]) & (values > padded[2:]))
+    return np.asarray(peaks[np.argsort(-values[peaks], kind="stable")])
+
+
 def highest(values: Callable[[Floats], Floats], theta: Floats) -> tuple[float, float]:
     """Where on a grid, and between its points, a function of theta is largest, and how large; NaN where it is that."""
     found = values(theta)
     if np.isnan(found).any():
         return math.nan, math.nan
-    peaks = np.argsort(-found)[:_PEAKS]
+    peaks = peaks_of(found)[:_PEAKS]
     best = float(theta[peaks[0]]), float(found[peaks[0]])
     for peak in peaks:
         low, high = theta[max(peak - 1, 0)], theta[min(peak + 1, theta.size - 1)]
