@@ -11,9 +11,8 @@ from hapsim.cli.live import at_work
 from hapsim.cli.options import Json, RecordOptions, flag, option
 from hapsim.cli.output import document, say, stderr, warn
 from hapsim.number_format import number, plural
-from hapsim.replaying.columns import Columns
+from hapsim.replaying.export import Columns, require_exportable
 from hapsim.replaying.export import export as write
-from hapsim.replaying.export import require_exportable
 
 
 def export(

@@ -16,7 +16,7 @@ from hapsim.number_format import plural
 from hapsim.prediction import predict
 from hapsim.running.compile_ahead import prepare
 from hapsim.running.requirements import why_not_armed
-from hapsim.running.unit import closed_to_service, unit_for, unit_name
+from hapsim.running.service import closed_to_service, unit_for, unit_name
 from hapsim.scene import scene_schema
 
 

@@ -68,7 +68,7 @@ def replay(
 
 def _serve(record: Path, link: Path | None, json: bool, is_alone: bool) -> None:
     """`is_alone`: whether --device has nothing beside it but --link and --json."""
-    from hapsim.replaying.record_device import device_of
+    from hapsim.replaying.replay import device_of
 
     if not is_alone:
         raise UsageError("--device serves the record alone: it goes with --link and --json, and --link goes with it")

@@ -36,10 +36,10 @@ from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import Prediction, predict, warnings_about
 from hapsim.prediction.force_bounds import refused_slew
 from hapsim.progress import Progress
-from hapsim.running.observers import Notifier, RunState
 from hapsim.running.reconnecting import RunObserver, keep_running, together
 from hapsim.running.requirements import why_not_armed
-from hapsim.running.status import AUTO, path_for, telling
+from hapsim.running.service import Notifier
+from hapsim.running.status import AUTO, RunState, path_for, telling
 from hapsim.running.watch import WatchedFile
 from hapsim.stopping import undisturbed
 

@@ -19,7 +19,7 @@ from hapsim.errors import GuardError, HapsimError, UsageError
 from hapsim.running.parameters import Parameter, changes_from, parameters_of
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session
-from hapsim.running.state import Event, EventKind, State
+from hapsim.running.session_view import Event, EventKind, State
 from hapsim.scene import Scene, parse_scene
 
 HISTORY_S = 60.0

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from hapsim.errors import UsageError
-from hapsim.running.state import EventKind
+from hapsim.running.session_view import EventKind
 from hapsim.scene.issue import did_you_mean
 
 LONGEST, SHORT = 1 << 18, 1 << 16

@@ -17,9 +17,9 @@ from hapsim.errors import HapsimError, UsageError
 from hapsim.live.access import Address, ip_of
 from hapsim.live.hub import Hub
 from hapsim.live.osc_packets import Argument, Received, bundles_of, is_pattern, matches, messages_of, packet_of, shown
-from hapsim.live.sockets import free_port
+from hapsim.live.server import free_port
 from hapsim.running.parameters import Parameter
-from hapsim.running.state import Event
+from hapsim.running.session_view import Event
 
 ROOT = "/hapsim/"
 _OVER_S = 0.02  # of a change that names no ramp

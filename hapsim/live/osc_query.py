@@ -24,7 +24,7 @@ from hapsim.live.access import why_refused
 from hapsim.live.messages import text_of
 from hapsim.live.osc import OscView, arguments_of, read_only_values
 from hapsim.live.osc_packets import Argument, packet_of
-from hapsim.live.sockets import response, serve_at
+from hapsim.live.server import response, serve_at
 from hapsim.running.parameters import Parameter
 
 _READS, _READS_AND_WRITES = 1, 3  # ACCESS

@@ -30,12 +30,12 @@ from hapsim.live.messages import (
     ParameterMessage,
     text_of,
 )
-from hapsim.live.sockets import response, serve_at
+from hapsim.live.server import response, serve_at
 from hapsim.live.viewer import GOING_AWAY, TRY_LATER, Viewer
 from hapsim.loop.histogram import Histogram
 from hapsim.running.parameters import Parameter
 from hapsim.running.session import Session
-from hapsim.running.state import Event
+from hapsim.running.session_view import Event
 from hapsim.scene import Scene
 
 MOST_CLIENTS = 16

@@ -1,24 +1,37 @@
-"""A record written for other programs: `hapsim export`."""
+"""A record as columns in SI units, and written for other programs: `hapsim export`."""
 
 from __future__ import annotations
 
 import importlib.util
+import json
 from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
+from hapsim.loop import ring
+from hapsim.loop.ring import LATE_FORCE, VELOCITY
+from hapsim.number_format import plain
+from hapsim.prediction.timing import time_to_live_samples
 from hapsim.recording.background_file import require_writable
+from hapsim.recording.recorder import Scales
+from hapsim.recording.stream import open_record, reading
 from hapsim.recording.trace import convert
-from hapsim.replaying.columns import Columns
 from hapsim.replaying.replay import Record, Replay
+from hapsim.running.recorded_run import prediction_of, read_run
+from hapsim.scene import Scene, parse_scene
 from hapsim.scene.issue import one_of
 from hapsim.sound.wav import WavFile, require_writable_as_wav
-from hapsim.whole_file import whole_file
+from hapsim.units import Units
+from hapsim.whole_file import file_for_hdf5, whole_file
 
 _PACKAGES = {".h5": "h5py", ".mcap": "mcap"}
+_FLAGS = ("LATE_FORCE", "UNSENT", "LIMITED", "BRIDGED", "OFF_GRID", "SLEWED", "WITHHELD", "FADED")
 _ENDINGS = (".h5", ".csv", ".npz", ".wav", ".mcap")
 
 
@@ -48,13 +61,9 @@ def export(columns: Columns, out: Path, column: str | None, tell: Callable[[floa
         if column is not None:
             return _write_sound(file, columns, column)
         if out.suffix == ".h5":
-            from hapsim.replaying.hdf5_file import write_hdf5
-
-            write_hdf5(file, columns)
+            _write_hdf5(file, columns)
         elif out.suffix == ".mcap":
-            from hapsim.replaying.mcap_file import write_mcap
-
-            write_mcap(file, columns)
+            _write_mcap(file, columns)
         else:
             convert(columns.reader, file, out.suffix)
     return 0.0, ""
@@ -98,3 +107,201 @@ def _write_pick_up(file: Path, columns: Columns, name: str) -> None:
     for _ in replay.pieces():
         pass
     replay.close(keeps_part=False)
+
+
+def _write_hdf5(path: Path, columns: Columns) -> None:
+    """Writes a dataset for each column, with its unit; the rest of the record as texts in the group `record`.
+
+    The datasets are plain arrays with dimension scales, `time` and `channel`, by which xarray names their dimensions.
+    OSError where it cannot be written."""
+    import h5py
+
+    with file_for_hdf5(path) as place, h5py.File(place, "w") as file:
+        file["channel"] = np.arange(columns.channels)
+        file["channel"].attrs.update(units="1", description="of the device")
+        file["channel"].make_scale("channel")
+        for column in columns.all:
+            shape = (columns.count, columns.channels)[: 1 + column.by_channel]
+            made = file.create_dataset(column.name, shape, column.dtype)
+            made.attrs.update(units=columns.units_text(column), description=column.description)
+            if column.name == "time":  # the first
+                made.make_scale("time")
+                continue
+            for at, name in enumerate(("time", "channel")[: made.ndim]):
+                made.dims[at].attach_scale(file[name])
+        file["flags"].attrs["flag_masks"] = np.array([getattr(ring, name) for name in _FLAGS], "u1")
+        file["flags"].attrs["flag_meanings"] = " ".join(_FLAGS).lower()
+        first = 0
+        for values in columns.pieces():
+            place.require_written()
+            after = first + len(values["time"])
+            for name, one in values.items():
+                file[name][first:after] = one
+            first = after
+        file.attrs.update(rate_hz=columns.head.rate_hz, begun=columns.head.begun, ending=columns.report["ending"])
+        group = file.create_group("record")
+        for name, document in columns.documents.items():
+            group[name] = document if isinstance(document, str) else json.dumps(document)
+        for name, of, entries in (("change", "row", columns.changes), ("marker", "sample", columns.markers)):
+            group[name] = np.array([text for _, text in entries], h5py.string_dtype())
+            group[f"{name}_{of}"] = np.array([place for place, _ in entries], np.int64)
+
+
+def _write_mcap(path: Path, columns: Columns) -> None:
+    """Writes a JSON message for each row, which has a number for each quantity of each channel. Times are those of the
+    device's samples, counted from when the record was begun. OSError where it cannot be written."""
+    from mcap.writer import Writer
+
+    begun, rate = columns.head.begun, columns.head.rate_hz
+    begun_ns = round(datetime.fromisoformat(begun).timestamp() * 1e9) if begun else 0
+    fields = {
+        name: {"type": "number", "description": f"{column.description} ({unit})"}
+        for column in columns.all
+        for name, unit in zip(columns.names_of(column), columns.units_of(column), strict=True)
+    }
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("", "hapsim")
+        text_of = {"text": {"type": "string"}}
+        described = {"samples": fields, "changes": text_of, "markers": text_of}
+        samples, changes, markers = (_mcap_channel(writer, name, one) for name, one in described.items())
+        first_row, first_sample = 0, int(next(columns.pieces())["sample"][0])
+
+        def add(channel: int, sample: int, message: dict[str, Any]) -> None:
+            at = begun_ns + round((sample - first_sample) * 1e9 / rate)
+            writer.add_message(channel, at, json.dumps(message).encode(), at)
+
+        for values in columns.pieces():
+            for row, text in columns.changes:
+                if first_row <= row < first_row + len(values["time"]):
+                    add(changes, int(values["sample"][row - first_row]), {"text": text})
+            first_row += len(values["time"])
+            finite = np.isfinite(values["asked_force"]).all()
+            each = [one for column in columns.all for one in np.atleast_2d(values[column.name].T).tolist()]
+            for row_values in zip(*each, strict=True):
+                message = dict(zip(fields, row_values, strict=True))
+                add(samples, message["sample"], message if finite else plain(message))
+        for sample, text in columns.markers:
+            add(markers, sample, {"text": text})
+        texts = columns.documents.items()
+        writer.add_metadata("record", {name: one if isinstance(one, str) else json.dumps(one) for name, one in texts})
+        writer.finish()
+
+
+def _mcap_channel(writer: Any, name: str, fields: dict[str, Any]) -> int:
+    schema = json.dumps({"type": "object", "properties": fields}).encode()
+    return writer.register_channel(f"/hapsim/{name}", "json", writer.register_schema(name, "jsonschema", schema))
+
+
+class Column(NamedTuple):
+    """A quantity of a record: a value for each row, or with `by_channel` one for each channel."""
+
+    name: str
+    unit: str
+    """Of a linear channel; "1": a number."""
+    description: str
+    dtype: str
+    by_channel: bool = False
+
+
+class Columns:
+    """The columns of a record, and what it has beside them."""
+
+    def __init__(self, path: Path) -> None:
+        """Reads it once. UsageError where it is no record, is damaged, or has no rows."""
+        self.path, self.reader = path, open_record(path)
+        with reading(path):
+            self._read()
+
+    def _read(self) -> None:
+        self.head, self.report = self.reader.head, self.reader.summary["report"]
+        self.count, self.channels = self.reader.count, self.head.channels
+        motions = [*self.report.get("motion", ()), *["linear"] * self.channels]
+        self._units = [Units([motion]) for motion in motions[: self.channels]]
+        self.has_velocity = VELOCITY in (self.head.rows.names or ())
+        self.all = [column for column in _COLUMNS if self.has_velocity or column.name != "sensed_velocity"]
+        notes = self.reader.notes
+        self.markers = [(note["sample"], note["marker"]) for note in notes if "marker" in note]
+        """Of each marker: the sample at which it was set, and its text."""
+        self.documents: dict[str, Any] = {"report": self.report}
+        """What the record says of its run, by name: the scene as YAML, the rest for JSON."""
+        self.changes: list[tuple[int, str]] = []
+        """Of each change of the scene: the first row with it, and what changed, as JSON."""
+        self.scene: Scene | None = None
+        """None in an older record, which has neither documents nor changes."""
+        if (run := self.head.run) is not None:
+            read_run(run, self.channels)
+            self.scene = scene = parse_scene(json.dumps(run["scene"]), str(self.path))
+            predicted = [note["prediction"] for note in notes if "prediction" in note]  # not where it was cut off
+            self.documents |= {name: run[name] for name in ("options", "excitation", "versions")} | {
+                "scene": yaml.safe_dump(run["scene"], sort_keys=False, allow_unicode=True),
+                "device": run["description"],
+                "prediction": predicted[0] if predicted else prediction_of(scene),
+            }
+            for note in notes:
+                if "tick" in note:
+                    changed = {key: value for key, value in note.items() if key != "tick"}
+                    self.changes.append((note["tick"] - run["first_tick"], json.dumps(changed)))
+
+    def units_of(self, column: Column) -> list[str]:
+        """Returns the unit of each number that the column has in a row."""
+        if not column.by_channel:
+            return [column.unit]
+        return [units(f"in {column.unit}").removeprefix("in ") for units in self._units]
+
+    def units_text(self, column: Column) -> str:
+        """Returns the column's unit; where channels have different ones, each in their order: "rad, m"."""
+        each = self.units_of(column)
+        return ", ".join(each if len({*each}) > 1 else each[:1])
+
+    def names_of(self, column: Column, before: str = "_") -> list[str]:
+        """Returns a name for each number that the column has in a row: "position_0"; `before`: before a channel."""
+        return [f"{column.name}{before}{c}" for c in range(self.channels)] if column.by_channel else [column.name]
+
+    def pieces(self) -> Iterator[dict[str, NDArray[Any]]]:
+        """Yields the values of the rows by the names of their columns, some thousands at a time."""
+        rate = self.head.rate_hz
+        scales = Scales(rate, np.array(self.head.position_scale), np.array(self.head.force_scale))
+        age, before = 0, None
+        for rows in self.reader.rows():
+            samples = scales.samples(rows)
+            age_of_each = ages(rows["flags"], age)
+            values = {
+                "time": samples.sample / rate,
+                "sample": samples.sample,
+                "arrival": samples.time_ns,
+                "position": samples.position,
+                "velocity": samples.velocity,
+                "force": samples.force,
+                "asked_force": rows["asked_force"],
+                "flags": samples.flags,
+                "age": np.minimum(age_of_each, time_to_live_samples(rate) + 2),
+                "lost": np.diff(samples.sample, prepend=samples.sample[0] - 1 if before is None else before) - 1,
+            }
+            if self.has_velocity:
+                values["sensed_velocity"] = rows[VELOCITY] * np.array(self.documents["device"]["velocity_scale"])
+            age, before = int(age_of_each[-1]), samples.sample[-1]
+            yield values
+
+
+def ages(flags: NDArray[np.uint8], before: int) -> NDArray[np.int64]:
+    """Returns how many samples before each row the position came that the acting force answers; `before`: of the row
+    before the first."""
+    row = np.arange(1, len(flags) + 1)
+    in_time = np.maximum.accumulate(np.where(flags & LATE_FORCE, 0, row))
+    return np.where(in_time, row - in_time + 1, row + before)
+
+
+_COLUMNS = (
+    Column("time", "s", "since arming, by the device's count of samples", "f8"),
+    Column("sample", "1", "the device's number of the position, counted from arming", "i8"),
+    Column("arrival", "ns", "when the position arrived, by the host's monotonic clock", "i8"),
+    Column("position", "m", "measured by the device, from the scene's origin", "f8", True),
+    Column("velocity", "m/s", "backward difference of the positions", "f8", True),
+    Column("sensed_velocity", "m/s", "measured by the device", "f8", True),
+    Column("force", "N", "sent to the device in answer", "f8", True),
+    Column("asked_force", "N", "of the scene's modules, before excitation, limits and rounding", "f8", True),
+    Column("flags", "1", "what happened to the force: a sum of flag_masks", "u1"),
+    Column("age", "1", "samples from the position that the acting force answers to its change, at most", "u2"),
+    Column("lost", "1", "samples before this one that have no row: their positions never arrived", "i4"),
+)

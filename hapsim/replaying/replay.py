@@ -1,12 +1,13 @@
-"""A recorded run again: its positions and changes through its scene, or another, in virtual time."""
+"""A recorded run again: its positions and changes through its scene, or another, in virtual time; or its positions from
+a device on a pseudo-terminal (`hapsim replay --device`)."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,17 @@ from hapsim.errors import UsageError
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.replay import VALUES, replay_rows
 from hapsim.loop.ring import BEFORE, VELOCITY
-from hapsim.recording.stream import open_record, reading
+from hapsim.recording.stream import StreamReader, open_record, reading
 from hapsim.running.assemble import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
 from hapsim.running.recorded_run import options_of, read_run, versions_of_now
 from hapsim.scene import Scene, parse_scene
-from hapsim.sound.output import SoundOutput
+from hapsim.sound.play import SoundOutput
 from hapsim.sound.wav import WavFile, require_writable_as_wav
+
+if TYPE_CHECKING:
+    from hapsim.device.mock.recorded import RecordedDevice
 
 _AT_ONCE = 1 << 14  # rows
 _MOST_DRAWN = 1 << 20
@@ -262,3 +266,33 @@ def _as_recorded(record: Record, scene: Scene) -> Scene:
     if scene.sensed_links and not before.sensed_links:
         raise UsageError(f"{name}: found damper: sensed, expected another: the record has no sensed velocities")
     return scene.model_copy(update={"device": before.device})
+
+
+def device_of(path: Path) -> RecordedDevice:
+    """Returns the device of a record: it describes itself as the recorded one did, and sends the positions that it
+    sent, at its rate. UsageError where the record does not have that."""
+    with reading(path):
+        return _device_of(path, open_record(path))
+
+
+def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
+    from hapsim.device.mock.recorded import RecordedDevice
+
+    run, report = reader.head.run, reader.summary["report"]
+    if run is None:
+        raise UsageError(f"{path}: an older hapsim recorded it, without its device: it cannot be served")
+    samples, time_ns = (np.concatenate([piece[name] for piece in reader.rows()]) for name in ("sample", "time_ns"))
+    has_velocity = VELOCITY in (reader.head.rows.names or ())
+    words = ["position_counts", *[VELOCITY] * has_velocity]
+    counts = np.concatenate([np.hstack([piece[name] for name in words]) for piece in reader.rows()])
+    description = read_run(run, reader.head.channels).description
+    scene = parse_scene(json.dumps(run["scene"]), str(path))
+    for c, origin in enumerate(scene.device.origins(scene.channels)):  # rows count from there
+        counts[:, c] += round((origin or 0.0) / description.position_scale[c])
+    if not has_velocity:
+        description = replace(description, velocity_scale=())
+    samples -= samples[0] if run["first_tick"] else 0
+    period = 1.0 / description.rate_hz
+    if report["timed_by_device"] and len(samples) > 1:
+        period = 1e-9 * float(time_ns[-1] - time_ns[0]) / float(samples[-1] - samples[0])
+    return RecordedDevice(description, samples, counts, period)

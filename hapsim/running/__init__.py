@@ -4,13 +4,13 @@ Public is what `__all__` names.
 """
 
 from hapsim.progress import Progress
-from hapsim.recording.feed import Samples, Stream
+from hapsim.recording.recorder import Samples, Stream
 from hapsim.recording.trace import Report, Statistics, Trace
 from hapsim.running.options import Excitation, PeriodicExcitation
 from hapsim.running.parameters import Parameter
-from hapsim.running.run import run, start
-from hapsim.running.session import Session, sessions
-from hapsim.running.state import Event, State
+from hapsim.running.run import run
+from hapsim.running.session import Session, sessions, start
+from hapsim.running.session_view import Event, State
 
 __all__ = [
     "Event",

@@ -31,7 +31,7 @@ from hapsim.running.correction import LoopCorrection
 from hapsim.running.guard_setup import energy_guard_of, history_of, set_frozen_sensor, set_leap, set_slew, set_travel
 from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
-from hapsim.sound.output import SoundOutput
+from hapsim.sound.play import SoundOutput
 
 if TYPE_CHECKING:
     from hapsim.device.mock.live_hand import LiveHand

@@ -22,8 +22,7 @@ from hapsim.loop import endings
 from hapsim.loop.histogram import Histogram
 from hapsim.progress import Progress
 from hapsim.recording.trace import Report, Statistics
-from hapsim.running.run import follow, start
-from hapsim.running.session import Session
+from hapsim.running.session import Session, follow, start
 from hapsim.scene import Scene
 from hapsim.stopping import stopping_on_signals
 

@@ -1,89 +1,32 @@
-"""Starting a scene, and running one from beginning to end."""
+"""Running a scene from beginning to end: in a session, or on the mock in memory without one."""
 
 from __future__ import annotations
 
 import contextlib
-import inspect
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Concatenate, ParamSpec
+from typing import Any
 
-from hapsim.prediction.linear import with_device
-from hapsim.progress import Progress
+from firmware_protocol import schema
+from firmware_protocol.description import from_registers
+from hapsim.compiling.kept import compile_for
+from hapsim.compiling.progress import Counted
+from hapsim.device.connection import Connection
+from hapsim.device.conversation import arm
+from hapsim.errors import UsageError
+from hapsim.loop import endings
+from hapsim.loop.run import run_loop
+from hapsim.recording.recorder import Recorder
 from hapsim.recording.trace import Trace
-from hapsim.running.options import RunOptions
-from hapsim.running.session import Session
-from hapsim.scene.load import SceneSource, as_scene
+from hapsim.running import outcome
+from hapsim.running.assemble import assemble_loop
+from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
+from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
+from hapsim.running.requirements import PACING, require_compatible, require_in_time, require_runnable
+from hapsim.running.session import Session, follow, start
+from hapsim.scene import Scene
+from hapsim.scene.load import SceneSource
 from hapsim.stopping import stopping_on_signals
-
-_LOOK_S = 0.05  # how often the live line looks at the loop
-_Keywords = ParamSpec("_Keywords")
-
-
-def _with_keywords_of(
-    options: Callable[_Keywords, RunOptions],
-) -> Callable[[Callable[..., Session]], Callable[Concatenate[SceneSource, _Keywords], Session]]:
-    """Declares a function's keywords for type checkers and for `help`: they are those of `options`."""
-
-    def declared(function: Callable[..., Session]) -> Callable[Concatenate[SceneSource, _Keywords], Session]:
-        signature = inspect.signature(function)
-        scene = signature.parameters["scene"]
-        keywords = inspect.signature(options).parameters.values()
-        function.__signature__ = signature.replace(parameters=[scene, *keywords])  # type: ignore[attr-defined]
-        return function
-
-    return declared
-
-
-@_with_keywords_of(RunOptions)
-def start(scene: SceneSource, **options: Any) -> Session:
-    """Starts `scene`, a Scene or the path of a scene file, and returns its session.
-
-    The session runs for `duration` seconds (default: no limit), until it is stopped or closed, until its with-block is
-    left, and no longer than the program.
-
-    * `transport`: where the device is ("auto": the scene's port, or without one the mock that fits the clock).
-    * `excitation`: a force that is added to the scene's (`Excitation`, `PeriodicExcitation`).
-    * `keep`: False returns a trace without rows, for runs without an end.
-    * `record`: a .trace, .npz or .csv file that is written while the scene runs. Memory use does not grow, and
-      `load_trace` reads what was written before a crash.
-    * `reports`: the directory for the report file of a run that a guard, a device fault or a lost device ended.
-      Default: a directory of the user's where the device is on a port; no file for the mock.
-    * `realtime`: requests real-time privileges (hapsim.loop.realtime); `Session.grants` lists what was granted.
-    * `portable`: runs the loop in plain Python over pyserial. Off Linux, this loop also runs the mock in memory.
-    * `between`: wraps the transport to the device. The loop then runs in Python.
-    * `unstable`: whether a scene that is certainly predicted unstable may run. False rejects it at the start and as a
-      change (`Session.set`, `Session.adopt`). True accepts it, and the energy guard applies stricter rules
-      (hapsim/STABILITY.md). None accepts it at the start and in `set`; `adopt` rejects what is less stable than the
-      running scene.
-    * `judges_energy`: enables the energy guard for the mock, as `hapsim run` does. Behind a port, and for scenes that
-      name `energy_limit`, it is always enabled.
-    * `judges_sign`: stops a motor that pushes the wrong way for the mock, too. Behind a port it always does.
-    * `on_progress`: called during compilation.
-    * `on_warning`: called, from another thread, with a sentence if a file can no longer be written or the sound card
-      is gone.
-    * `on_arming`: called with the session just before the device is armed. From then on `stop` ends the run cleanly.
-    * `on_event`: called with an `Event` after each change, marker and recording, from the thread that caused it.
-    * `history_s`: how many seconds `Session.history` returns.
-    * `resumes`: the device took forces before. `Session.restarted` then says whether it powered up since, so that
-      its zero has changed; where the scene counts from that zero, the device is not armed.
-    * `sound`: plays the scene's sound on `sound_device` (a name, part of one or a number of `hapsim sound`; default:
-      the system's), `volume_db` (dB) louder than full scale, `latency_s` after a position has arrived, or as soon as
-      the card can. `sound_file`: a .wav to write, also in virtual time.
-
-    Raises SceneError and UsageError for what cannot run, and DeviceError if the port or the device fails. What ends
-    the run later is raised when the with-block is left, or by `Session.close`: DeviceError, GuardError where a guard
-    stopped the force, RecordError where the run went as asked but its record did not. Their attribute `trace` holds
-    what was recorded. If a session is never closed, the message is printed when the program ends.
-    """
-    record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
-    scene = as_scene(scene)
-    if record.transport != "auto":
-        scene = with_device(scene, port=None)  # nor has the mock the wire of a port
-    with scene.units.in_errors():
-        session = Session(scene, record)
-        session.begin()
-    return session
 
 
 def run(
@@ -150,8 +93,36 @@ def run_to_end(
     return session.trace
 
 
-def follow(session: Session, tell: Callable[[Progress], None]) -> None:
-    """Waits until the session has ended, and reports its progress meanwhile."""
-    while not session.wait(_LOOK_S):
-        tell(session.progress())
-    tell(session.progress())
+def run_in_memory(scene: Scene, *, duration: float, excitation: Excitation | PeriodicExcitation | None = None) -> Trace:
+    """Runs `scene` for `duration` seconds and returns its trace: the one of `run`, in a fifth of its time, since no
+    session is opened and nothing is asked over the wire that is known here. Nothing stops it early.
+
+    Raises what `run` raises, and UsageError where the scene does not run in virtual time."""
+    from hapsim.device.mock.assemble import assemble_mock
+    from hapsim.device.mock.loopback import loopback_transport
+
+    name = "mock in memory"
+    if scene.device.clock != "lockstep" or scene.device.port is not None:
+        raise UsageError(f"device: found clock: {scene.device.clock}, expected lockstep, and no port")
+    options = RunOptions(duration=duration, excitation=excitation)
+    require_runnable(scene, options)
+    compile_ahead(("loop", *DEVICE_UNITS["loopback"]), Counted(lambda *_: None))
+    mock = assemble_mock(scene)
+    connection = Connection(loopback_transport(mock), name, close=lambda: None, mock=mock)
+    description = from_registers(mock.registers)
+    require_compatible(scene, name, description)
+    loop = assemble_loop(scene, connection, description, options)
+    require_in_time(loop.rendered_scene)
+    compile_for(run_loop, loop.record)
+    recorder = Recorder(loop.ring, keep=True)
+    arm(connection, description, PACING["lockstep"], loop.watchdog_samples, bool(scene.sensed_links))
+    ending = endings.RING_FULL
+    while ending == endings.RING_FULL:
+        ending = run_loop(loop.record)
+        recorder.collect()
+    trace = outcome.trace_of(scene, loop, recorder, ending)
+    released = int(mock.board.state) in (schema.IDLE, schema.LATCHED)
+    trace = replace(trace, report=replace(trace.report, released=released))
+    if failure := outcome.failure_of(name, scene, loop, trace, ending):
+        raise failure
+    return trace

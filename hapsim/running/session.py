@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import inspect
 import math
 import os
 import sys
@@ -19,7 +20,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Concatenate, ParamSpec, Self
 
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
@@ -34,15 +35,15 @@ from hapsim.loop.realtime import PrivilegeResult, realtime
 from hapsim.loop.realtime.scheduling import no_timer_slack
 from hapsim.loop.run import run_loop
 from hapsim.loop.system import missing_calls
+from hapsim.prediction.linear import with_device
 from hapsim.progress import Progress
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
 from hapsim.recording.trace import Trace, columns_of
 from hapsim.running import outcome
 from hapsim.running.assemble import assemble_loop
-from hapsim.running.changes import Changes, LiveScene
+from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
-from hapsim.running.followed import Followed
 from hapsim.running.options import RunOptions
 from hapsim.running.recorded_run import prediction_of
 from hapsim.running.requirements import (
@@ -52,16 +53,18 @@ from hapsim.running.requirements import (
     require_known_zero,
     require_runnable,
 )
-from hapsim.running.state import StateReader, as_html
+from hapsim.running.session_view import SessionView, StateReader
 from hapsim.scene import Scene
-from hapsim.sound.output import SoundOutput
-from hapsim.sound.play import Playback
+from hapsim.scene.load import SceneSource, as_scene
+from hapsim.sound.play import Playback, SoundOutput
 from hapsim.sound.wav import WavFile
 from hapsim.stopping import note_arming, undisturbed
 
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
+_LOOK_S = 0.05  # how often the live line looks at the loop
 _LAST_ROWS = 1 << 16  # of the last second, at most
 _MOST_HISTORY = 1 << 21  # rows
+_Keywords = ParamSpec("_Keywords")
 _open: list[Session] = []
 """The sessions that run, and those whose failure was not raised yet."""
 
@@ -75,7 +78,7 @@ def _ignore(_: object) -> None:
     """Stands in for a callback that was not given."""
 
 
-class Session(Followed):
+class Session(SessionView):
     """A running scene. Made by `start`; every method may be called from any thread.
 
     It runs until its with-block is left, until `stop` or `close`, or until the program ends. Then the device is
@@ -127,54 +130,6 @@ class Session(Followed):
         failure = self._leave()
         if failure is not None and kind is None:
             raise failure
-
-    def __repr__(self) -> str:
-        progress = self.progress()
-        moved = zip(progress.position, progress.force, strict=False)
-        channels = ", ".join(self.scene.units(f"{x:+.3g} m {force:+.3g} N") for x, force in moved)
-        how = f"{progress.phase}, {progress.elapsed_s:.1f} s, {channels}, {progress.deadline_misses} misses"
-        return f"<Session: {self.scene.path or 'a scene'} on {self.name}, {how}>"
-
-    def _repr_html_(self) -> str:
-        return as_html(self.scene, self.name, self.state(), self.parameters)
-
-    @property
-    def name(self) -> str:
-        """The port of its device."""
-        return self._connection.name
-
-    def set(self, changes: Changes, over: float = 0.02) -> None:
-        """Changes parameters between two samples, all or none: `{"touch": {"stiffness": 500.0, "damping": 2.0},
-        "wall": {"position": 0.01}}`, in the scene's names and units.
-
-        The values ramp to their targets within `over` seconds (0: at once); no value moves by more than 1.5/N of its
-        way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. Where the
-        energy guard is on, a change that would give the hand too much energy is slowed, with all its values in step.
-        Tables of `nonlinear` (lists of points) and the shape of a `detent` crossfade the scene, as `adopt` does.
-        "mock.hand" is the hand that holds the mock: it ramps along a straight line, for 4 ms at least.
-
-        Raises UsageError, and changes nothing, where a name, a key or a value is wrong, where the parameter cannot
-        change while the scene runs, or, with `start(unstable=False)`, where the scene is then predicted unstable.
-        """
-        self._require_running()
-        self._live.set(changes, over)
-        self._tell(
-            "changed", values={f"{part}.{key}": value for part, keys in changes.items() for key, value in keys.items()}
-        )
-
-    def adopt(self, scene: Scene, over: float = 0.02) -> None:
-        """Changes to `scene`. Where only live parameters differ, this is `set`. Otherwise its modules are compiled
-        beside the running loop, which then moves both scenes for `over` seconds and crossfades the force, by no more
-        than 1.5/N of the difference in one of the N samples.
-
-        What both have under one name and of one type goes on from where it is: points with their velocities, live
-        parameters, the memory of links. Raises UsageError, and changes nothing, where the rate, the device or the mock
-        differ, where the device has too few channels or was not asked for the velocities that are needed, where the
-        scene is predicted unstable (except with `start(unstable=True)`), or has too much for its scheme.
-        """
-        self._require_running()
-        self._live.adopt(scene, over)
-        self._tell("changed")
 
     def stop(self) -> None:
         """Ends the run cleanly; returns at once."""
@@ -410,6 +365,82 @@ def _require_free(port: str) -> None:
                 f"{port}: a session of this program, which runs {session.scene.path or 'a scene'}, is using the port. "
                 "Call its `close` first (`hapsim.sessions()` returns the sessions that run)"
             )
+
+
+def _with_keywords_of(
+    options: Callable[_Keywords, RunOptions],
+) -> Callable[[Callable[..., Session]], Callable[Concatenate[SceneSource, _Keywords], Session]]:
+    """Declares a function's keywords for type checkers and for `help`: they are those of `options`."""
+
+    def declared(function: Callable[..., Session]) -> Callable[Concatenate[SceneSource, _Keywords], Session]:
+        signature = inspect.signature(function)
+        scene = signature.parameters["scene"]
+        keywords = inspect.signature(options).parameters.values()
+        function.__signature__ = signature.replace(parameters=[scene, *keywords])  # type: ignore[attr-defined]
+        return function
+
+    return declared
+
+
+@_with_keywords_of(RunOptions)
+def start(scene: SceneSource, **options: Any) -> Session:
+    """Starts `scene`, a Scene or the path of a scene file, and returns its session.
+
+    The session runs for `duration` seconds (default: no limit), until it is stopped or closed, until its with-block is
+    left, and no longer than the program.
+
+    * `transport`: where the device is ("auto": the scene's port, or without one the mock that fits the clock).
+    * `excitation`: a force that is added to the scene's (`Excitation`, `PeriodicExcitation`).
+    * `keep`: False returns a trace without rows, for runs without an end.
+    * `record`: a .trace, .npz or .csv file that is written while the scene runs. Memory use does not grow, and
+      `load_trace` reads what was written before a crash.
+    * `reports`: the directory for the report file of a run that a guard, a device fault or a lost device ended.
+      Default: a directory of the user's where the device is on a port; no file for the mock.
+    * `realtime`: requests real-time privileges (hapsim.loop.realtime); `Session.grants` lists what was granted.
+    * `portable`: runs the loop in plain Python over pyserial. Off Linux, this loop also runs the mock in memory.
+    * `between`: wraps the transport to the device. The loop then runs in Python.
+    * `unstable`: whether a scene that is certainly predicted unstable may run. False rejects it at the start and as a
+      change (`Session.set`, `Session.adopt`). True accepts it, and the energy guard applies stricter rules
+      (hapsim/STABILITY.md). None accepts it at the start and in `set`; `adopt` rejects what is less stable than the
+      running scene.
+    * `judges_energy`: enables the energy guard for the mock, as `hapsim run` does. Behind a port, and for scenes that
+      name `energy_limit`, it is always enabled.
+    * `judges_sign`: stops a motor that pushes the wrong way for the mock, too. Behind a port it always does.
+    * `on_progress`: called during compilation.
+    * `on_warning`: called, from another thread, with a sentence if a file can no longer be written or the sound card
+      is gone.
+    * `on_arming`: called with the session just before the device is armed. From then on `stop` ends the run cleanly.
+    * `on_event`: called with an `Event` after each change, marker and recording, from the thread that caused it.
+    * `history_s`: how many seconds `Session.history` returns.
+    * `resumes`: the device took forces before. `Session.restarted` then says whether it powered up since, so that
+      its zero has changed; where the scene counts from that zero, the device is not armed.
+    * `sound`: plays the scene's sound on `sound_device` (a name, part of one or a number of `hapsim sound`; default:
+      the system's), `volume_db` (dB) louder than full scale, `latency_s` after a position has arrived, or as soon as
+      the card can. `sound_file`: a .wav to write, also in virtual time.
+
+    Raises SceneError and UsageError for what cannot run, and DeviceError if the port or the device fails. What ends
+    the run later is raised when the with-block is left, or by `Session.close`: DeviceError, GuardError where a guard
+    stopped the force, RecordError where the run went as asked but its record did not. Their attribute `trace` holds
+    what was recorded. If a session is never closed, the message is printed when the program ends.
+    """
+    record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
+    scene = as_scene(scene)
+    if record.transport != "auto":
+        scene = with_device(scene, port=None)  # nor has the mock the wire of a port
+    with scene.units.in_errors():
+        session = Session(scene, record)
+        session.begin()
+    return session
+
+
+def follow(session: Session, tell: Callable[[Progress], None]) -> None:
+    """Waits until the session has ended, and reports its progress meanwhile."""
+    while not session.wait(_LOOK_S):
+        tell(session.progress())
+    tell(session.progress())
+
+
+_NAME = "mock in memory"
 
 
 @atexit.register

@@ -1,7 +1,7 @@
-"""The unix socket of `hapsim run --status`: it sends one document to each client, then hangs up.
+"""The status of a run, and the unix socket of `hapsim run --status`, which sends it to each client, then hangs up.
 
-It reads nothing from a client and waits for none: what the kernel does not take at once is dropped. Only its owner may
-connect, by its mode and that of its directory.
+The socket reads nothing from a client and waits for none: what the kernel does not take at once is dropped. Only its
+owner may connect, by its mode and that of its directory.
 """
 
 from __future__ import annotations
@@ -16,10 +16,16 @@ import stat
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any, Literal
 
 from hapsim.errors import UsageError
 from hapsim.loop.realtime.giving_way import Beside
+from hapsim.progress import Progress
+from hapsim.running.reconnecting import RunObserver
+from hapsim.running.session import Session
+from hapsim.units import Motion
 
 AUTO = "auto"
 """In place of a path: where `hapsim status` looks."""
@@ -161,3 +167,72 @@ def _made(document: Callable[[], str]) -> bytes:
         return document().encode("utf-8", "replace")
     except Exception as error:  # the next one may succeed
         return f'{{"error": "the status cannot be reported: {type(error).__name__}"}}'.encode()
+
+
+class RunState:
+    """The state of a run, kept up by its `observer`."""
+
+    def __init__(self, scene: str, port: str | None, nominal_rate_hz: float, motion: tuple[Motion, ...] = ()) -> None:
+        """`scene`: its file. `port`: None for the mock. `motion`: of each channel."""
+        about = {"pid": os.getpid(), "scene": scene, "port": port, "nominal_rate_hz": nominal_rate_hz}
+        self._about = about | {"motion": motion}
+        self._phase: Literal["starting", "running", "waiting", "ended"] = "starting"
+        self._armed_since: str | None = None
+        self._session: Session | None = None
+        self._sessions = 0
+        self._released: bool | None = None
+        self._news = ""
+        self._lost: str | None = None
+
+    @property
+    def observer(self) -> RunObserver:
+        """Keeps the state up."""
+        return RunObserver(started=self._started, over=self._over, waiting=self._waiting, tell=self._tell)
+
+    def document(self) -> dict[str, Any]:
+        """Returns the state under the names of `--json`, for the session that runs, or else the last one. Force,
+        position and age are None while nothing runs: the hand does not have the last ones now."""
+        runs = self._phase == "running"
+        progress = Progress("waiting") if self._session is None else self._session.progress()
+        return self._about | {
+            "phase": self._phase,
+            "armed_since": self._armed_since,
+            "reconnections": max(self._sessions - 1, 0),
+            "news": self._news,
+            "lost": self._lost,
+            "released": self._released,
+            "duration_s": progress.elapsed_s if self._session else None,
+            "rate_hz": progress.rate_hz if self._session else None,
+            "ticks": progress.ticks,
+            "force_n": progress.force if runs else None,
+            "position_m": progress.position if runs else None,
+            "age_samples": progress.age_samples if runs else None,
+            "deadline_misses": progress.deadline_misses,
+            "limited_ticks": progress.limited_ticks,
+            "frozen": progress.frozen,
+            "estimated_mass_kg": progress.estimated_mass_kg,
+            "estimated_mass_uncertainty_kg": progress.estimated_mass_uncertainty_kg,
+            "mass_explained": progress.mass_explained,
+            "mass_age_s": progress.mass_age_s,
+        }
+
+    def _started(self, session: Session) -> None:
+        self._session, self._sessions = session, self._sessions + 1
+        self._armed_since = datetime.now(UTC).isoformat(timespec="milliseconds")
+        self._released, self._lost, self._phase = None, None, "running"
+
+    def _over(self) -> None:
+        if self._phase == "running" and self._session is not None:
+            with contextlib.suppress(UsageError):  # a session whose end failed has no report
+                self._released = self._session.trace.report.released
+        elif self._released:
+            self._released = None  # a try since then may have armed the device, and there is no report of it
+        self._armed_since, self._phase = None, "ended"
+
+    def _waiting(self) -> None:
+        self._phase = "waiting"
+
+    def _tell(self, event: str, sentence: str) -> None:
+        self._news = sentence
+        if event == "lost":
+            self._lost = sentence  # later events are about the port

@@ -6,15 +6,17 @@ import atexit
 import contextlib
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from hapsim.errors import UsageError
+from hapsim.loop.histogram import histogram_of
 from hapsim.loop.sound import SoundRing
 from hapsim.loop.system import require_linux
 from hapsim.number_format import frequency, short_duration
 from hapsim.scene.issue import did_you_mean
 from hapsim.sound.resample import Player, play
+from hapsim.sound.wav import WavFile
 
 MOST_RATIO = 32.0
 _INSTALL = "`pip install 'hapsim[sound]'`, and PortAudio's library (Debian: `apt install libportaudio2`)"
@@ -195,3 +197,54 @@ class Playback:
             self._stream.close()
             if not self._is_lost and self._portaudio._initialized == 1:
                 self._portaudio._terminate()
+
+
+class SoundOutput:
+    """The readers of a ring. `file`, `playback`: set where there is one."""
+
+    def __init__(self, ring: SoundRing, in_file: Sequence[int] | None = None) -> None:
+        """`in_file`: which pick-ups the file gets [default: all]."""
+        self._ring, self._lock = ring, threading.Lock()
+        self._in_file = slice(None) if in_file is None else list(in_file)
+        self.file: WavFile | None = None
+        self.playback: Playback | None = None
+        self._is_over = False
+
+    def collect(self) -> None:
+        """Empties the ring into the file, and looks after the card; from any thread."""
+        with self._lock:
+            if self.file is not None and (frames := self._ring.drain()).size:
+                self.file.put(frames[:, self._in_file], patient=bool(self._ring.record.waits))
+        if self.playback is not None:
+            self.playback.look()
+
+    def fade(self) -> None:
+        """Has the sound fade out: no more frames come."""
+        if self.playback is not None:
+            self.playback.fade()
+
+    def close(self) -> None:
+        """Closes card and file, which then has every frame."""
+        if self.playback is not None:
+            self.playback.close()
+        if self.file is not None:
+            self.collect()
+            self.file.finish()
+        self._is_over = True
+
+    def counts(self) -> dict[str, Any]:
+        """Returns what Progress and Report say of the sound, by the names of their fields."""
+        ring, lost = self._ring.record, 0
+        if self.file is not None:
+            lost = self._ring.lost + (self.file.unwritten if self._is_over else 0)
+        counts = {"sound_frames": int(ring.written), "clipped_sound_values": int(ring.clipped)}
+        if self.playback is None:
+            return counts | {"lost_sound_frames": lost}
+        player = self.playback.record
+        latency = histogram_of(player.latency, 1e-9)
+        return counts | {
+            "lost_sound_frames": lost + int(player.lost),
+            "underruns": int(player.underruns + player.card_underruns),
+            "resampling_ppm": self.playback.ratio_ppm if latency.total else None,
+            "sound_latency_s": (latency.quantile(0.5), latency.quantile(0.99)) if latency.total else None,
+        }

@@ -16,7 +16,7 @@ from hapsim.measuring.measure_impedance import measure_impedance_by
 from hapsim.measuring.multisine import lines_for
 from hapsim.one_thread import one_thread
 from hapsim.prediction import predict, predict_impedance
-from hapsim.running.in_memory import run_in_memory
+from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene
 from hapsim.sweeping.points import Value
 from hapsim.sweeping.vary import Varied

@@ -16,7 +16,7 @@ from hapsim.errors import UsageError
 from hapsim.measuring.measure_hands import measure_hands_by
 from hapsim.measuring.rings import HandsMeasurement
 from hapsim.prediction import FeltTogether
-from hapsim.running.in_memory import run_in_memory
+from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 
 SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))

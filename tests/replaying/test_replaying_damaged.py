@@ -25,10 +25,8 @@ from hapsim.errors import HapsimError, UsageError
 from hapsim.recording import report_file
 from hapsim.recording.stream import MAGIC, StreamReader, StreamWriter, _next_chunk
 from hapsim.recording.trace import load_trace
-from hapsim.replaying.columns import Columns
-from hapsim.replaying.export import export
-from hapsim.replaying.record_device import device_of
-from hapsim.replaying.replay import Record
+from hapsim.replaying.export import Columns, export
+from hapsim.replaying.replay import Record, device_of
 from hapsim.running import run
 from hapsim.scene import parse_scene
 from hapsim.whole_file import whole_file
@@ -125,7 +123,7 @@ import resource, signal, sys
 from pathlib import Path
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 from hapsim.errors import UsageError
-from hapsim.replaying.columns import Columns
+from hapsim.replaying.export import Columns
 from hapsim.replaying.export import export
 columns, out = Columns(Path(sys.argv[1])), Path(sys.argv[2])
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))

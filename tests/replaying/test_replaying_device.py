@@ -22,7 +22,7 @@ from hapsim.errors import DeviceError, RunError
 from hapsim.loop.ring import BRIDGED
 from hapsim.recording.stream import StreamReader
 from hapsim.recording.trace import Trace, load_trace
-from hapsim.replaying.record_device import device_of
+from hapsim.replaying.replay import device_of
 from hapsim.running import start
 from hapsim.scene import Scene, parse_scene
 

@@ -18,7 +18,7 @@ from test_replaying_command import SCENE, SOUND, recorded, rewrite
 
 from hapsim.recording.stream import MAGIC
 from hapsim.recording.trace import load_trace
-from hapsim.replaying.columns import Columns, ages
+from hapsim.replaying.export import Columns, ages
 from hapsim.running import Session, start
 from hapsim.scene import parse_scene
 

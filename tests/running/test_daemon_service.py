@@ -19,8 +19,7 @@ import pytest
 
 from hapsim.errors import UsageError
 from hapsim.progress import Progress
-from hapsim.running.observers import Notifier
-from hapsim.running.unit import closed_to_service, unit_for
+from hapsim.running.service import Notifier, closed_to_service, unit_for
 
 SCENE = """
 version: 1

@@ -20,8 +20,7 @@ from hapsim.cli.output import document
 from hapsim.cli.status import show_status
 from hapsim.errors import UsageError
 from hapsim.running import start, status
-from hapsim.running.observers import RunState
-from hapsim.running.status import ask, path_for, sockets, telling
+from hapsim.running.status import RunState, ask, path_for, sockets, telling
 from hapsim.scene import parse_scene
 
 SCENE = """

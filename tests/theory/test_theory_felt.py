@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hapsim import predict
 from hapsim.prediction import FeltTogether, OwnMotion
-from hapsim.running import in_memory
+from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration, Network
 from hapsim.theory.network import continuous_mass, felt_mass, felt_pair
@@ -190,7 +190,7 @@ def test_the_predicted_motion_is_the_mock_s(seed: int, figures: Any) -> None:
         assert one.felt.others > 0.25 or one.felt.share < 0.9
     if one.felt.reason or not prediction.stable:  # one that grows to the force limit is no sum of swings
         return
-    trace = in_memory.run_in_memory(scene, duration=1.5)
+    trace = run_in_memory(scene, duration=1.5)
     hands = len(one.names)
     seen = trace.position_counts[:, :hands] * trace.position_scale[:hands]
     M = np.diag(scene.device.masses(hands))

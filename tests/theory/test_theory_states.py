@@ -14,7 +14,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
 from hapsim.prediction.pieces import options_of
 from hapsim.prediction.states import MOST_STATES
-from hapsim.running import in_memory
+from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Network
 from hapsim.theory.network import never_grows, poles_of
@@ -281,7 +281,7 @@ class TestADamperThatIsSteeperWhileItMoves:
             assert prediction.stable_as_taken
             assert prediction.stable == stable
             assert (surely_shaken_by(scene) is None) == stable
-            trace = in_memory.run_in_memory(scene, duration=1.0)
+            trace = run_in_memory(scene, duration=1.0)
             assert (np.abs(trace.force[-100:]).max() < 1.0) == stable
         assert [one.state for one in prediction.states.growing] == ["damper is fast"]
 
@@ -302,7 +302,7 @@ class TestADamperThatIsSteeperWhileItMoves:
             prediction = predict(scene)
             assert prediction.stable_as_taken
             assert prediction.stable == stable
-            trace = in_memory.run_in_memory(scene, duration=2.0)
+            trace = run_in_memory(scene, duration=2.0)
             assert (np.abs(trace.force[-100:]).max() < 1.0) == stable
             states = [one.state for one in prediction.states.growing]
             assert states == ([] if stable else ["damper is faster than its table"])

@@ -15,8 +15,7 @@ import yaml
 from hapsim import predict, start
 from hapsim.errors import UsageError
 from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
-from hapsim.running import in_memory
-from hapsim.running.run import run
+from hapsim.running.run import run, run_in_memory
 from hapsim.scene import Scene, parse_scene
 from tests.contact_scenes import Motion
 
@@ -66,7 +65,7 @@ def swing_on_mock(points: Points, prediction: Prediction) -> float:
         for kick in (0.1, 1.0, 10.0):
             away = kick * (region.piece.high - region.piece.low)
             begins, push = {"position": region.piece.place + away}, {"force": region.force}
-            trace = in_memory.run_in_memory(scene_of(points, initial=begins, hand=push), duration=6.0)
+            trace = run_in_memory(scene_of(points, initial=begins, hand=push), duration=6.0)
             counts = trace.position_counts[-1000:, 0]
             most = max(most, float(np.ptp(counts) * trace.position_scale[0]))
     return most

@@ -1,26 +1,37 @@
-"""A systemd unit for a scene: `hapsim run` as a service, with the rights that it needs and no others.
+"""A scene as a service of systemd: its unit, and what a run notifies the service manager of.
 
-`hapsim.service` beside this file is the template.
+The unit runs `hapsim run` with the rights that it needs and no others; `hapsim.service` beside this file is the
+template. The notifier sends datagrams to $NOTIFY_SOCKET, as sd_notify(3): ready, running, stopping. It sends WATCHDOG=1
+only if the loop has ticked since the last one, or while it waits for a device. systemd kills and restarts a loop that
+hangs; the device has released its force by then.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import socket
 import stat
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from string import Template
 from typing import NamedTuple
 
-from hapsim.errors import UsageError
+from hapsim.errors import HapsimError, UsageError
+from hapsim.progress import Progress
+from hapsim.running.reconnecting import RunObserver
+from hapsim.running.session import Session
 
 _TEMPLATE = Path(__file__).with_name("hapsim.service")
 _OF_SYSTEM = re.compile(r"# Only the system's service manager.*?\n\n", re.DOTALL)
 _SERIAL_GROUP, _SOUND_GROUP = "dialout", "audio"  # of serial ports and sound cards, where a system has them
 _SERIAL_DRIVERS = ("ttyACM", "ttyUSB")
 _TEMPORARY = ("/tmp/", "/var/tmp/")
+_SHARE = 1 / 3  # of the watchdog's time, between two notifications
+_STATUS_S = 1.0  # between two lines of STATUS
 
 
 def unit_name(port: str) -> str:
@@ -153,3 +164,99 @@ def _escaped(word: str) -> str:
     if not word.isprintable():
         raise UsageError(f"found {word!r}, which has a character that no unit can hold: rename it")
     return word.replace("%", "%%")
+
+
+class Notifier:
+    """Notifies the service manager, if there is one. Nothing that fails here ends a run."""
+
+    def __init__(
+        self,
+        reconnects: bool,
+        environ: Mapping[str, str] = os.environ,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`reconnects`: the run goes on after the end of a session. `clock`: s."""
+        address = environ.get("NOTIFY_SOCKET", "")
+        self._address = f"\0{address[1:]}" if address.startswith("@") else address
+        self._watchdog_s = _watchdog_s(environ)
+        self._reconnects, self._clock = reconnects, clock
+        self._ticks = 0
+        self._alive_at = self._status_at = -1e9
+
+    @property
+    def observer(self) -> RunObserver:
+        """Has a run notify the service manager."""
+        if not self._address:
+            return RunObserver()
+        return RunObserver(
+            started=self._started, running=self._running, over=self._over, waiting=self._waiting, tell=self._tell
+        )
+
+    def stopping(self, why: object = "") -> None:
+        """Notifies that the run is over. `why`: it did not end as asked, a sentence."""
+        self._send("STOPPING=1", *([f"STATUS={_one_line(why)}"] if why else []))
+
+    @contextlib.contextmanager
+    def told_of_failures(self) -> Iterator[None]:
+        """Around a run: notifies of a failure before arming, too."""
+        try:
+            yield
+        except Exception as failure:
+            self.stopping(failure if isinstance(failure, HapsimError) else f"a defect of hapsim: {failure!r}")
+            raise
+
+    def _started(self, session: Session) -> None:
+        self._ticks = 0
+        self._send("READY=1", f"STATUS={_one_line(session.scene.path or 'the scene')} runs")
+
+    def _running(self, progress: Progress) -> None:
+        if progress.phase not in ("running", "ended"):
+            self._status(progress.phase)
+            return
+        if progress.ticks > self._ticks and self._keep_alive():
+            self._ticks = progress.ticks
+        rate = "" if progress.seen_rate_hz is None else f" {progress.seen_rate_hz:.1f} Hz,"
+        self._status(f"running {progress.elapsed_s:.0f} s,{rate} deadline misses {progress.deadline_misses}")
+
+    def _over(self) -> None:
+        if not self._reconnects:
+            self.stopping()
+
+    def _tell(self, _event: str, sentence: str) -> None:
+        self._status_at = -1e9
+        self._status(sentence)
+
+    def _waiting(self) -> None:
+        self._keep_alive()
+
+    def _keep_alive(self) -> bool:
+        """Notifies the watchdog if it is due; returns whether it was."""
+        if self._watchdog_s is None or self._clock() - self._alive_at < self._watchdog_s * _SHARE:
+            return False
+        self._alive_at = self._clock()
+        self._send("WATCHDOG=1")
+        return True
+
+    def _status(self, sentence: str) -> None:
+        if self._clock() - self._status_at >= _STATUS_S:
+            self._status_at = self._clock()
+            self._send(f"STATUS={_one_line(sentence)}")
+
+    def _send(self, *lines: str) -> None:
+        if self._address:
+            with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sending:
+                sending.setblocking(False)
+                sending.sendto("\n".join(lines).encode("utf-8", "replace"), self._address)
+
+
+def _one_line(sentence: object) -> str:
+    return " ".join(str(sentence).split())
+
+
+def _watchdog_s(environ: Mapping[str, str]) -> float | None:
+    """Returns the time within which systemd expects a notification of this process; None where it expects none."""
+    try:
+        process, time_us = int(environ.get("WATCHDOG_PID") or os.getpid()), float(environ.get("WATCHDOG_USEC") or 0)
+    except ValueError:
+        return None
+    return 1e-6 * time_us if 0 < time_us < float("inf") and process == os.getpid() else None

@@ -1,0 +1,393 @@
+"""What a program sees of a running session, and what it may change, note and record meanwhile."""
+
+from __future__ import annotations
+
+import html
+import math
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.description import Description
+from hapsim.cordis.program import Program, positions_of
+from hapsim.device.connection import Connection
+from hapsim.errors import UsageError
+from hapsim.progress import Progress
+from hapsim.recording.recorder import Recorder, RecordFile, Samples, Scales, Stream
+from hapsim.recording.stream import Head
+from hapsim.recording.trace import Report, Statistics, require_writable_as_trace
+from hapsim.running import outcome
+from hapsim.running.assemble import LoopMemory
+from hapsim.running.changes import OVER, Changes, LiveScene
+from hapsim.running.options import RunOptions
+from hapsim.running.parameters import Parameter, parameters_of
+from hapsim.running.recorded_run import run_of
+from hapsim.scene import Scene
+from hapsim.scene.issue import did_you_mean
+
+_STREAM_S = 60.0  # that a stream keeps for who reads it late
+_TRIES = 8  # to read values of one sample
+
+
+EventKind = Literal[
+    "armed",
+    "changed",
+    "rejected",
+    "marker",
+    "recording",
+    "recorded",
+    "lost",
+    "waiting",
+    "reconnected",
+    "guard",
+    "ended",
+]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened to a run."""
+
+    kind: EventKind
+    sentence: str = ""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """Of `changed`: the parameters, by name."""
+    sample: int = 0
+    """The device's sample at which it was noticed, counted from arming."""
+    at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
+    """UTC, ISO 8601."""
+
+
+@dataclass(frozen=True)
+class State:
+    """The latest values of a running scene of C channels."""
+
+    sample: int
+    """The device's number of the newest position, counted from arming."""
+    age_s: float
+    """Since that position arrived."""
+    position: tuple[float, ...]
+    """(C,) m."""
+    velocity: tuple[float, ...]
+    """(C,) m/s: the difference of the last two positions over the time between them."""
+    force: tuple[float, ...]
+    """(C,) N, that was sent last: 0 once the run is over."""
+    modules: Mapping[str, float | NDArray[np.float64]]
+    """m: where each point is; of a string or a membrane (masses,) where each of its masses is. Taken while the loop
+    runs: masses of one structure may differ by a sample."""
+    progress: Progress
+    """Phase, rate and counters."""
+
+
+class StateReader:
+    """Reads the latest values of a loop beside it. The loop does not notice."""
+
+    def __init__(self, loop: LoopMemory, rate: float) -> None:
+        self._loop, self._rate = loop, rate
+        self._program: Program | None = None
+        self._places: dict[str, int | NDArray[np.int64]] = {}
+
+    def read(self, progress: Progress) -> State:
+        """Returns the values now. `progress`: of the same moment."""
+        io, state, used = self._loop.record.io, self._loop.state, slice(self._loop.wire.channels)
+        for _ in range(_TRIES):  # until no sample came meanwhile
+            sample, newest = int(state.sample), int(state.newest_ns)
+            here, before, gap = io.measured[used].copy(), io.before[used].copy(), max(int(state.gap), 1)
+            force = (io.force_counts * io.force_scale)[used]
+            if sample == int(state.sample):
+                break
+        return State(
+            sample=sample,
+            age_s=max(time.monotonic_ns() - newest, 0) * 1e-9 if newest else 0.0,
+            position=tuple(here.tolist()),
+            velocity=tuple(((here - before) * self._rate / gap).tolist()),
+            force=tuple(force.tolist()),
+            modules=self.modules(),
+            progress=progress,
+        )
+
+    def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
+        """Returns the newest sample's number, and where points and masses of structures ("gut.7", "skin.3.4") are:
+        (names,) m. Raises UsageError where there is no such one."""
+        program, hands = self._loop.program, self._hands()
+        row, numbers = positions_of(program)[0], program.numbers
+        for name in names:
+            if name not in numbers:
+                part = name.partition(".")[0]
+                masses = [one for one in numbers if one.startswith(f"{part}.")]
+                near = f"one of its masses, {masses[0]} to {masses[-1]}" if masses else "a point, or a structure's mass"
+                others = {one.partition(".")[0]: None for one in numbers}
+                raise UsageError(f"found '{name}', expected {near}{'' if masses else did_you_mean(part, list(others))}")
+        places = [hands[name] if name in hands else row[numbers[name]] for name in names]
+        return int(self._loop.state.sample), np.array(places, np.float64)
+
+    def modules(self) -> dict[str, float | NDArray[np.float64]]:
+        """Returns where each point is."""
+        program = self._loop.program
+        if program is not self._program:
+            self._program, self._places = program, _places(program.numbers)
+        row = positions_of(program)[0]
+        return {
+            name: row[place].astype(np.float64) if isinstance(place, np.ndarray) else float(row[place])
+            for name, place in self._places.items()
+        } | self._hands()
+
+    def _hands(self) -> dict[str, float]:
+        """Where the hands were measured, in m: their places in the program are the tick's own."""
+        measured = self._loop.record.io.measured
+        return {name: float(measured[one.channel]) for name, one in self._loop.rendered_scene.device_points.items()}
+
+
+def _places(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]:
+    """Where each module stands in a program's rows: one number, or those of a structure's masses."""
+    places: dict[str, Any] = {}
+    for name, number in numbers.items():
+        module, dot, _ = name.partition(".")
+        if dot:
+            places.setdefault(module, []).append(number)
+        else:
+            places[name] = number
+    return {name: np.array(place) if isinstance(place, list) else place for name, place in places.items()}
+
+
+def as_html(scene: Scene, name: str, state: State, parameters: Mapping[str, Any]) -> str:
+    """Returns a session for a notebook: what runs where, each channel, each parameter."""
+    progress = state.progress
+    title = f"{scene.path or 'a scene'} on {name}: {progress.phase}, {progress.elapsed_s:.1f} s"
+    rate = "" if progress.seen_rate_hz is None else f", {progress.seen_rate_hz:.1f} Hz"
+    channels = "".join(
+        f"<tr><td>channel {c}</td><td>{x:.6g} m</td><td>{v:.4g} m/s</td><td>{f:.4g} N</td></tr>"
+        for c, (x, v, f) in enumerate(zip(state.position, state.velocity, state.force, strict=True))
+    )
+    values = "".join(
+        f"<tr><td>{html.escape(one.name)}</td><td colspan=3>{html.escape(_short(one.value))} {one.unit}</td></tr>"
+        for one in parameters.values()
+    )
+    misses = f", {progress.deadline_misses} deadline misses of {progress.ticks} ticks"
+    return f"<table><caption>{html.escape(title + rate + misses)}</caption>{scene.units(channels)}{values}</table>"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_short, value[:4]))}{', …' if len(value) > 4 else ''}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+class SessionView:
+    """The part of a `Session` that reads and changes the loop beside it; `Session` sets the attributes."""
+
+    markers: list[Event]
+    """Of `mark`."""
+    _noted_markers: int
+    """How many of them a record has."""
+    _description: Description
+    _in_python: bool
+    _options: RunOptions
+    _over: threading.Event
+    """The loop has ended."""
+    _done: threading.Event
+    """Everything has."""
+    _connection: Connection
+    _loop: LoopMemory
+    _live: LiveScene
+    _recorder: Recorder
+    _recorded_scene: Scene
+    """As it was when the record began."""
+    _state: StateReader
+    _to_file: threading.Lock
+
+    def __repr__(self) -> str:
+        progress = self.progress()
+        moved = zip(progress.position, progress.force, strict=False)
+        channels = ", ".join(self.scene.units(f"{x:+.3g} m {force:+.3g} N") for x, force in moved)
+        how = f"{progress.phase}, {progress.elapsed_s:.1f} s, {channels}, {progress.deadline_misses} misses"
+        return f"<Session: {self.scene.path or 'a scene'} on {self.name}, {how}>"
+
+    def _repr_html_(self) -> str:
+        return as_html(self.scene, self.name, self.state(), self.parameters)
+
+    @property
+    def name(self) -> str:
+        """The port of its device."""
+        return self._connection.name
+
+    @property
+    def scene(self) -> Scene:
+        """The scene as it is now, with every change that was made."""
+        return self._live.scene
+
+    @property
+    def sound_peaks(self) -> dict[str, float]:
+        """The largest size that each pick-up has had, before the soft clip; 1.0 is full scale."""
+        return dict(zip(self.scene.sound, self._loop.record.sound.peak.tolist(), strict=False))
+
+    @property
+    def has_mock(self) -> bool:
+        """Whether its device is a mock of this process."""
+        return self._connection.mock is not None
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """What may change while the scene runs, by name ("touch.stiffness"), with its value, unit and bounds."""
+        return parameters_of(self.scene, self.has_mock)
+
+    def progress(self) -> Progress:
+        """Returns the counters of the loop now; its phase is "ended" once it is over."""
+        progress = outcome.progress_of(self._loop)
+        return replace(progress, phase="ended") if self._over.is_set() else progress
+
+    def state(self) -> State:
+        """Returns the latest position, velocity and force of each channel, the position of each module, and how old
+        they are. It takes some tens of microseconds, and the loop does not notice."""
+        return self._state.read(self.progress())
+
+    def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
+        """Returns the newest sample's number, and where points and masses of structures ("gut.7", "skin.3.4") are:
+        (names,) m. Raises UsageError where there is no such one."""
+        return self._state.positions(names)
+
+    def stream(self, history_s: float = 0.0) -> Stream:
+        """Returns an iterator over all `Samples` from now on, without gaps, in pieces as they come. It ends with the
+        run. In real time one that is not read for a minute raises UsageError for the samples that are lost.
+        `history_s`: seconds of `history` that come first."""
+        rate = self.scene.rate
+        longest = None if self._loop.record.ring.waits else math.ceil(_STREAM_S * rate)
+        stream = Stream(self._scales(), longest, self._done.is_set, self._recorder.collect)
+        self._recorder.follow(stream, math.ceil(history_s * rate))
+        return stream
+
+    def history(self) -> Samples:
+        """Returns the last samples: those of a second, or of `start(history_s=...)`."""
+        self._recorder.collect()
+        return self._scales().samples(self._recorder.last_rows())
+
+    def _scales(self) -> Scales:
+        io, used = self._loop.record.io, slice(self._loop.wire.channels)
+        return Scales(self.scene.rate, io.position_scale[used].copy(), io.force_scale[used].copy())
+
+    def subscribe(self, rate: float) -> Iterator[State]:
+        """Yields the `State` `rate` times per second until the run has ended. Who is late gets the next one, not a
+        backlog."""
+        if not (math.isfinite(rate) and rate > 0):
+            raise UsageError(f"rate: found {rate}, expected how often a second, above 0 (Hz)")
+        due = time.monotonic()
+        while not self._over.is_set():
+            yield self.state()
+            due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
+            self._over.wait(max(due - time.monotonic(), 0.0))
+
+    def set(self, changes: Changes, over: float = 0.02) -> None:
+        """Changes parameters between two samples, all or none: `{"touch": {"stiffness": 500.0, "damping": 2.0},
+        "wall": {"position": 0.01}}`, in the scene's names and units.
+
+        The values ramp to their targets within `over` seconds (0: at once); no value moves by more than 1.5/N of its
+        way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. Where the
+        energy guard is on, a change that would give the hand too much energy is slowed, with all its values in step.
+        Tables of `nonlinear` (lists of points) and the shape of a `detent` crossfade the scene, as `adopt` does.
+        "mock.hand" is the hand that holds the mock: it ramps along a straight line, for 4 ms at least.
+
+        Raises UsageError, and changes nothing, where a name, a key or a value is wrong, where the parameter cannot
+        change while the scene runs, or, with `start(unstable=False)`, where the scene is then predicted unstable.
+        """
+        self._require_running()
+        self._live.set(changes, over)
+        self._tell(
+            "changed", values={f"{part}.{key}": value for part, keys in changes.items() for key, value in keys.items()}
+        )
+
+    def adopt(self, scene: Scene, over: float = 0.02) -> None:
+        """Changes to `scene`. Where only live parameters differ, this is `set`. Otherwise its modules are compiled
+        beside the running loop, which then moves both scenes for `over` seconds and crossfades the force, by no more
+        than 1.5/N of the difference in one of the N samples.
+
+        What both have under one name and of one type goes on from where it is: points with their velocities, live
+        parameters, the memory of links. Raises UsageError, and changes nothing, where the rate, the device or the mock
+        differ, where the device has too few channels or was not asked for the velocities that are needed, where the
+        scene is predicted unstable (except with `start(unstable=True)`), or has too much for its scheme.
+        """
+        self._require_running()
+        self._live.adopt(scene, over)
+        self._tell("changed")
+
+    def mark(self, text: str = "") -> Event:
+        """Notes that something happened at this sample; returns the event. `markers` lists them."""
+        event = self._tell("marker", text)
+        self.markers.append(event)
+        return event
+
+    def record(self, path: str | Path) -> None:
+        """Begins to write every sample from now on to `path`, a new .trace, .npz or .csv. UsageError where it cannot,
+        or where a record is being written."""
+        self._require_running()
+        with self._to_file:
+            if self._recorder.file is not None:
+                raise UsageError(f"{path}: {self._recorder.file.path} is being recorded: stop that first")
+            require_writable_as_trace(Path(path))
+            if Path(path).exists():
+                raise UsageError(f"{path}: the file exists; it was not touched")
+            self._recorder.use_file(self._begin_record(self.scene, Path(path)))
+        self._tell("recording", str(path))
+
+    @property
+    def recording(self) -> Path | None:
+        """The file that is being written; None where there is none."""
+        file = self._recorder.file
+        return None if file is None else file.path
+
+    def stop_recording(self) -> Path | None:
+        """Ends the record that is being written, and returns its file; None where there is none."""
+        with self._to_file:
+            file = self._recorder.use_file(None)
+        if file is None:
+            return None
+        file.finish(outcome.report_of(self.scene, self._loop, "running"), outcome.statistics_of(self._loop))
+        self._tell("recorded", file.problem or str(file.path))
+        return file.path
+
+    def _tell(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> Event:
+        event = Event(kind, sentence, values or {}, int(self._loop.state.sample))
+        if self._options.on_event is not None:
+            self._options.on_event(event)
+        return event
+
+    def statistics(self) -> Statistics:
+        """Returns lateness, exchange time and age of the force of all ticks so far."""
+        return outcome.statistics_of(self._loop)
+
+    def _take_notes(self) -> list[dict[str, Any]]:
+        """What is noted in a record: changes of the scene, and markers."""
+        new = self.markers[self._noted_markers :]
+        self._noted_markers += len(new)
+        return self._live.take_notes() + [{"marker": one.sentence, "sample": one.sample, "at": one.at} for one in new]
+
+    def _begin_record(self, scene: Scene, path: Path) -> RecordFile:
+        loop, io = self._loop, self._loop.record.io
+        self._recorded_scene = scene
+        position, force = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
+        run = run_of(scene, loop, self._description, self._connection.behind_port, self._in_python, self._options)
+        head = Head(
+            scene.rate,
+            position,
+            force,
+            scene.path or "",
+            datetime.now(UTC).isoformat(),
+            velocity=loop.wire.velocity,
+            by_host=scene.device.clock == "host",
+            run=run,
+        )
+
+        def report_so_far() -> tuple[Report, Statistics]:
+            return outcome.report_of(scene, loop, "running"), outcome.statistics_of(loop)
+
+        return RecordFile(path, head, report_so_far, self._options.on_warning or (lambda _: None))
+
+    def _require_running(self) -> None:
+        if self._over.is_set():
+            raise UsageError(OVER)
