@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from hapsim.prediction import Prediction
-from hapsim.prediction.pieces import State
+from hapsim.prediction.reach import State
 from hapsim.scene import Link, Nonlinear, Scene, parse_scene
 from tests.link_formulas import tension_of
 

@@ -20,8 +20,7 @@ from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.prediction.correction import CORRECTIONS, felt_error
-from hapsim.prediction.correction.kind import Observer
-from hapsim.prediction.correction.predictor import pole_of_push
+from hapsim.prediction.correction.kind import Observer, pole_of_push
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
 

@@ -14,7 +14,7 @@ from hapsim.chart.felt import DRAWN
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.errors import UsageError
 from hapsim.prediction import predict
-from hapsim.prediction.tolerance import SHARES, Tolerance, tolerance_of
+from hapsim.prediction.felt import SHARES, Tolerance, tolerance_of
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Floats
 

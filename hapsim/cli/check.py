@@ -31,11 +31,10 @@ from hapsim.prediction import (
     robustness_of,
     warnings_about,
 )
-from hapsim.prediction.felt import felt_document
+from hapsim.prediction.felt import SHARES, Tolerance, felt_document
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
 from hapsim.prediction.linear import late_by_mean, with_device
 from hapsim.prediction.timing import on_wire
-from hapsim.prediction.tolerance import SHARES, Tolerance
 from hapsim.theory.network.margins import SEARCHED
 from hapsim.units import InUnits
 

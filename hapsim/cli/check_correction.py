@@ -11,8 +11,8 @@ from rich.markup import escape
 from hapsim.cli.output import table
 from hapsim.number_format import between, rounded_up
 from hapsim.prediction import Desired, Prediction, predict
+from hapsim.prediction.felt import SHARES
 from hapsim.prediction.linear import with_device
-from hapsim.prediction.tolerance import SHARES
 
 if TYPE_CHECKING:
     from rich.console import Console

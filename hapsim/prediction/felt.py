@@ -1,17 +1,28 @@
-"""What one lone hand feels: k, b and what is beside them, of a loop as the scene and its correction have it."""
+"""What one lone hand feels: k, b and what is beside them, of a loop as the scene and its correction have it; what it
+should feel with a correction, and how well the device has to be known for that."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapsim.prediction.correction import CORRECTIONS, Rendering, felt_error, stable_masses
+from hapsim.prediction.characteristic import Piece
+from hapsim.prediction.correction import (
+    CORRECTIONS,
+    Corrected,
+    CorrectionKind,
+    Remedies,
+    Rendering,
+    felt_error,
+    remedies_for,
+    stable_masses,
+)
 from hapsim.prediction.linear import LinearScene, hand_of
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
@@ -254,3 +265,135 @@ def felt_document(felt: Felt) -> dict[str, Any]:
     device = {name: getattr(felt.configuration, name) for name in _OF_DEVICE}
     device |= {"device_stiffness": felt.configuration.stiffness}
     return {name: getattr(felt, name) for name in _NUMBERS} | {"limits": limits} | device | felt.robustness._asdict()
+
+
+_MASSES = 9  # of a span, at which the error of a correction is looked at
+_REACHED = 1e-6  # an error of a correction that is none
+
+
+class Desired(NamedTuple):
+    """The scene's stiffness and damping at one device point, the device's own included; and how far a correction brings
+    the hand there."""
+
+    name: str
+    channel: int
+    k: float
+    """N/m"""
+    b: float
+    """N·s/m"""
+    frequency_hz: float
+    damping_ratio: float
+    error: float
+    """Of what is felt, as `felt_error` counts it; over a span of masses the largest."""
+    reached: bool
+    remedies: Remedies | None
+    """What would make it reachable; None where it is reached, or the mass is a span."""
+    stable_masses: tuple[float, float]
+    steady_stiffness: float
+    """Both as in `Robustness`, of the corrected loop."""
+
+
+def desired_of(rendering: Rendering, felt: Sequence[Felt], here: Mapping[str, Piece]) -> Iterator[Desired]:
+    """Yields one for each of these lone hands that a correction acts on; `here`: where those with regions are."""
+    hands = {one.name: one for one in felt}
+    if rendering.kind is None:
+        return
+    for port in (one for one in rendering.ports if one.name in hands and not math.isnan(one.desired[0])):
+        one, device, (k, b) = hands[port.name], port.declared, port.desired
+        piece = here.get(port.name)
+        least, most = rendering.desired.device.mass_spans(rendering.desired.channels)[port.channel]
+        if piece is not None:
+            k, b = device.stiffness + piece.stiffness, device.friction + piece.damping
+            error = float(felt_error((np.array(one.k), np.array(one.b)), (k, b), one.configuration.mass))
+        else:
+            masses = np.geomspace(least, most, 1 if least == most else _MASSES).tolist()
+            error = max(_error_with(rendering.kind, port, mass) for mass in masses)
+        reached = port.reached if piece is None else error < _REACHED
+        given_up = not reached and piece is None and least == most
+        yield Desired(
+            port.name,
+            port.channel,
+            k,
+            b,
+            *swing(device.mass, k, b),
+            error=error,
+            reached=reached,
+            remedies=remedies_for(rendering.kind, device, port.desired) if given_up else None,
+            stable_masses=one.robustness.stable_masses,
+            steady_stiffness=one.robustness.steady_stiffness,
+        )
+
+
+def _error_with(kind: CorrectionKind, port: Corrected, mass: float) -> float:
+    """`felt_error` of a hand of this mass, once an estimate of it has settled; 0 for the device alone."""
+    one = port.settled(mass)
+    if one.stiffness == one.damping == 0.0:
+        return 0.0
+    loop = kind.closed(replace(port.declared, mass=mass), replace(port.declared, mass=one.made_for), one.observer)
+    return float(felt_error(loop.equivalent(one.stiffness, one.damping), port.desired, mass))
+
+
+SHARES = (0.05, 0.1)
+"""By which k and b may be off."""
+_STEP = 0.02  # of the mass, of b, and of a sample: what is desired may be met again further away, which does not count
+_LONGER = 1.3  # times the one before, each step, up to
+_LONGEST = 0.1
+_MOST = 100.0  # steps: what they do not leave is as good as any
+_HALVINGS = 16
+
+
+class Tolerance(NamedTuple):
+    """The least and the most of each with which k and b stay within a share of what is desired, and the loop stable;
+    infinite where e^10 times the mass, ten times b, or ten samples more do not leave it."""
+
+    share: float
+    mass: tuple[float, float]
+    """kg."""
+    friction: tuple[float, float]
+    """N·s/m."""
+    delay: tuple[float, float]
+    """Sample periods."""
+
+
+def tolerance_of(felt: Felt, k: float, b: float, share: float) -> Tolerance | None:
+    """Of a hand that is to feel k and b (N/m, N·s/m); None where it does not, with the device as it is declared.
+
+    One of the three is varied at a time, for what was made for the declared ones.
+    """
+    device = felt.configuration
+
+    def meets(other: Configuration) -> bool:
+        try:
+            found = replace(felt, configuration=other)
+            return found.stable and abs(found.k - k) <= share * k and abs(found.b - b) <= share * b
+        except (ValueError, ArithmeticError):
+            return False
+
+    if not meets(device):
+        return None
+    m, b0, delay = device.mass, device.friction, device.delay
+    less, more = _span(lambda x: meets(replace(device, mass=m * math.exp(x))), math.inf)
+    weaker, stronger = _span(lambda x: meets(replace(device, friction=b0 + b * x)), b0 / b)
+    sooner, later = _span(lambda x: meets(replace(device, delay=delay + x)), delay)
+    mass, friction = (m * math.exp(less), m * math.exp(more)), (b0 + b * weaker, b0 + b * stronger)
+    return Tolerance(share, mass, friction, (delay + sooner, delay + later))
+
+
+def _span(meets: Callable[[float], bool], most_less: float) -> tuple[float, float]:
+    return _last(meets, -1, most_less), _last(meets, 1)
+
+
+def _last(meets: Callable[[float], bool], side: int, most: float = math.inf) -> float:
+    """How far from 0 to this side, and by `most` at most, what is asked is met without a gap; infinite for ever."""
+    at, step = 0.0, _STEP
+    while True:
+        beyond = min(at + step, most)
+        if at == most or at > _MOST * _LONGEST:
+            return side * (at if at == most else math.inf)
+        if not meets(side * beyond):
+            break
+        at, step = beyond, min(_LONGER * step, _LONGEST)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (at + beyond)
+        at, beyond = (middle, beyond) if meets(side * middle) else (at, middle)
+    return side * at

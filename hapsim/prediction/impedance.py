@@ -17,7 +17,7 @@ from hapsim.scene import Scene
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.correction import PredictedLoop
-from hapsim.theory.hand.walls import StiffestWall, stiffest_passive, stiffest_stable
+from hapsim.theory.hand.configuration import StiffestWall, stiffest_passive, stiffest_stable
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
 
 

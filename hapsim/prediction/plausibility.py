@@ -17,7 +17,7 @@ from hapsim.prediction.linear import configuration_of
 from hapsim.scene import Mock, Scene
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import Expectation, Known, Span
-from hapsim.theory.hand.walls import stiffest_stable
+from hapsim.theory.hand.configuration import stiffest_stable
 
 
 class Range(NamedTuple):

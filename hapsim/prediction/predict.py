@@ -16,16 +16,13 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.any_hand import AnyHand, any_hands
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.desired import Desired, desired_of
-from hapsim.prediction.felt import Felt, felt_by, swing
+from hapsim.prediction.felt import SHARES, Desired, Felt, Tolerance, desired_of, felt_by, swing, tolerance_of
 from hapsim.prediction.felt_together import FeltTogether, felt_together
 from hapsim.prediction.linear import has_more_than_regions, links_of, network_of, why_coupled
-from hapsim.prediction.link_margins import LinkMargin, least_margins, link_margins
-from hapsim.prediction.shaking import Shaking
-from hapsim.prediction.stability import Judge, Region
+from hapsim.prediction.stability import Judge, LinkMargin, Region, least_margins, link_margins
 from hapsim.prediction.states import ContactStates
+from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
-from hapsim.prediction.tolerance import SHARES, Tolerance, tolerance_of
 from hapsim.scene import Link, Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.part import Table

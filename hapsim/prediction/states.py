@@ -19,11 +19,8 @@ import numpy as np
 
 from hapsim.laws import Linear
 from hapsim.prediction.linear import LinearScene, fastest_motion, has_more_than_regions, why_coupled
-from hapsim.prediction.pieces import Option, State, options_of
-from hapsim.prediction.reach import Reach
-from hapsim.prediction.rests import swing_of_part
-from hapsim.prediction.shaking import NetworkVerdict, Shaking
-from hapsim.prediction.swings import Swing
+from hapsim.prediction.reach import Option, Reach, State, options_of, swing_of_part
+from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
 from hapsim.scene import Scene
 from hapsim.theory import Network
 from hapsim.theory.arrays import Bools, Floats, Indices

@@ -21,7 +21,7 @@ from hapsim.loop.mass_estimate import MOST_SLOW_SPAN, MOST_SPAN
 from hapsim.loop.posted import Posts
 from hapsim.loop.predictor import STATES, predict
 from hapsim.prediction.correction import Corrected, Rendering
-from hapsim.prediction.correction.predictor import predictor_for
+from hapsim.prediction.correction.kind import predictor_for
 from hapsim.theory.correction import StatePredictor, forces_in_second_difference
 
 Table = NDArray[np.float64]

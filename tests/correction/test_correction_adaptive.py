@@ -15,8 +15,8 @@ from hapsim import run, start
 from hapsim.loop.adaptive import SLEW_S
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.prediction.correction import CORRECTIONS, rendered
-from hapsim.prediction.correction.adaptive import schedule_for
-from hapsim.prediction.correction.predictor import predictor_for
+from hapsim.prediction.correction.element import schedule_for
+from hapsim.prediction.correction.kind import predictor_for
 from hapsim.running import Excitation, Session
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.theory import Configuration

@@ -28,7 +28,7 @@ from hapsim.prediction.impedance import mean_width, predict_impedance, z_width_o
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene, Span, load_scene, parse_scene
-from hapsim.theory.hand.impedance import late_and_held
+from hapsim.theory.interface import late_and_held
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SHIPPED = ("first_touch", "paper_6_2_one_sample", "sensed_velocity", "sprung_device", "held_string", "two_hands")

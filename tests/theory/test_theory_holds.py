@@ -13,8 +13,7 @@ from hapsim.holds import HOLDS, Piece, Term
 from hapsim.theory import Configuration, Network, solve
 from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import device_step
-from hapsim.theory.hand.impedance import late_and_held
-from hapsim.theory.interface import SAMPLINGS, Sampling, damper_named, hold_lag, hold_segments
+from hapsim.theory.interface import SAMPLINGS, Sampling, damper_named, hold_lag, hold_segments, late_and_held
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from device_answer import channel_answer

@@ -11,9 +11,8 @@ import pytest
 
 from hapsim.holds import HOLDS
 from hapsim.theory import Configuration, Network
-from hapsim.theory.hand.impedance import late_and_held
-from hapsim.theory.hand.walls import stiffest_passive, stiffest_stable
-from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel, damper_named
+from hapsim.theory.hand.configuration import stiffest_passive, stiffest_stable
+from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel, damper_named, late_and_held
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
 from hapsim.theory.sample import loop
 from hapsim.theory.schemes import SCHEMES

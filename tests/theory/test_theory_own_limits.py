@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hapsim.prediction import predict, warnings_about
-from hapsim.prediction.own_limits import own_limits
+from hapsim.prediction.warnings import own_limits
 from hapsim.scene import Scene, parse_scene
 
 

@@ -12,7 +12,7 @@ import yaml
 from hapsim import predict, start
 from hapsim.errors import UsageError
 from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
-from hapsim.prediction.pieces import options_of
+from hapsim.prediction.reach import options_of
 from hapsim.prediction.states import MOST_STATES
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene

@@ -14,9 +14,8 @@ from hapsim.prediction import predict
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, Network, NotWorkedOutError, sample, solve
 from hapsim.theory.device_step import device_step
-from hapsim.theory.hand.impedance import late_and_held
-from hapsim.theory.hand.walls import stiffest_passive, stiffest_stable
-from hapsim.theory.interface import damper_named
+from hapsim.theory.hand.configuration import stiffest_passive, stiffest_stable
+from hapsim.theory.interface import damper_named, late_and_held
 from hapsim.theory.network import large_loop, large_modes, transition
 from hapsim.theory.network.impedance import loop_impedance
 from hapsim.theory.network.large_loop import sparse_transition

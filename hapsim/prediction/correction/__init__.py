@@ -1,8 +1,8 @@
-"""What is run in place of a scene, so that the hand feels the scene: `device.correction`, one kind a file."""
+"""What is run in place of a scene, so that the hand feels the scene: `device.correction`. Its kinds: `kind.py`."""
 
 from hapsim.prediction.correction.element import Remedies, felt_error, remedies_for, stable_masses
-from hapsim.prediction.correction.kind import CorrectionKind
-from hapsim.prediction.correction.rendering import CORRECTIONS, Corrected, Rendering, rendered
+from hapsim.prediction.correction.kind import CORRECTIONS, CorrectionKind
+from hapsim.prediction.correction.rendering import Corrected, Rendering, rendered
 
 __all__ = [
     "CORRECTIONS",

@@ -8,21 +8,27 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
-from hapsim.prediction.correction.adaptive import ADAPTIVE, Schedule, schedule_for
 from hapsim.prediction.correction.coupled import MOST_STATES, is_small, is_stable, match_modes
-from hapsim.prediction.correction.element import Element, element_for
-from hapsim.prediction.correction.kind import CorrectionKind, Observer, Port, ports_of, shared_out, with_modules
-from hapsim.prediction.correction.poles import POLES
-from hapsim.prediction.correction.predictor import PREDICTOR, observer_of, predictor_for, without_delay
+from hapsim.prediction.correction.element import Element, Schedule, element_for, schedule_for
+from hapsim.prediction.correction.kind import (
+    CORRECTIONS,
+    POLES,
+    CorrectionKind,
+    Observer,
+    Port,
+    observer_of,
+    ports_of,
+    predictor_for,
+    shared_out,
+    with_modules,
+    without_delay,
+)
 from hapsim.prediction.linear import configuration_of, dampers_of, linear_scene, why_coupled, with_device
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
 from hapsim.theory import Configuration
 from hapsim.theory.correction import StatePredictor
-
-CORRECTIONS: dict[str, CorrectionKind] = {kind.name: kind for kind in (POLES, PREDICTOR, ADAPTIVE)}
-"""By the names of `device.correction`; "none" is not among them."""
 
 
 class Corrected(NamedTuple):

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hapsim.holds import HOLDS
-from hapsim.theory import checks
-from hapsim.theory.arrays import Bools, Complexes, Floats
-from hapsim.theory.hand.impedance import damper_gain, late_and_held
-from hapsim.theory.hand.inverse_map import double_pole, element_of_oscillator, is_attainable, leads
-from hapsim.theory.hand.limits import Undamped, stable_interval, undamped_curve
+from hapsim.theory.arrays import Bools, Complexes, Floats, not_negative, one_of, positive
+from hapsim.theory.hand.inverse_map import (
+    Undamped,
+    double_pole,
+    element_of_oscillator,
+    is_attainable,
+    leads,
+    stable_interval,
+    undamped_curve,
+)
 from hapsim.theory.hand.lone_hand import LoneHand, characteristic, lone_hand
 from hapsim.theory.hand.passivity import Wall, needed_friction
 from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
@@ -26,7 +33,7 @@ from hapsim.theory.hand.poles import (
     why_not_attained,
     why_not_dominant,
 )
-from hapsim.theory.interface import SAMPLINGS, damper_named, hold_lag
+from hapsim.theory.interface import SAMPLINGS, damper_gain, damper_named, hold_lag, late_and_held
 
 MOST_EIGENVALUES = 8  # poles: of a longer delay they take too long to look for a stable interval by
 _quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
@@ -76,11 +83,11 @@ class Configuration:
 
     def __post_init__(self) -> None:
         for name in ("mass", "rate"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+            object.__setattr__(self, name, positive(name, getattr(self, name)))
         for name in ("friction", "delay", "stiffness", "spring_lag"):
-            object.__setattr__(self, name, checks.not_negative(name, getattr(self, name)))
-        checks.one_of("hold", self.hold, HOLDS)
-        checks.one_of("sampling", self.sampling, SAMPLINGS)
+            object.__setattr__(self, name, not_negative(name, getattr(self, name)))
+        one_of("hold", self.hold, HOLDS)
+        one_of("sampling", self.sampling, SAMPLINGS)
         damper_named(self.damper, self.cutoff, self.rate)
         if self.spring_lag and self.damper != "backward":
             raise ValueError(
@@ -349,3 +356,58 @@ def _solved_at(configuration: Configuration, K: float, B: float) -> tuple[Leadin
 @lru_cache(64)  # every region of a hand has the same
 def _undamped(configuration: Configuration) -> Undamped:
     return undamped_curve(configuration.normalised_loop)
+
+
+_POINTS, _ZOOMS = 61, 8  # of the search for the stiffest wall
+
+
+class StiffestWall(NamedTuple):
+    """K in N/m and B in N·s/m; (0, 0) where no wall with a spring qualifies."""
+
+    stiffness: float
+    damping: float
+
+
+def stiffest_passive(configuration: Configuration) -> StiffestWall:
+    """That no hand whatever makes unstable (Colgate and Schenkel, 1997), B >= 0.
+
+    The friction that passivity needs grows in proportion to the wall: along each direction of the (K, B) plane one wall
+    needs just what the device has.
+
+    Raises:
+        ValueError: the passivity condition is not derived (``Configuration.needed_friction``).
+    """
+    unit = 2.0 * configuration.rate
+
+    def stiffness(angle: Floats) -> Floats:
+        K = unit * np.cos(angle)
+        needed = np.asarray(configuration.needed_friction(K, np.sin(angle)))
+        return np.asarray(K * (configuration.friction / needed))
+
+    angle, K = _highest(stiffness, 0.0, 0.5 * np.pi * (1.0 - 1e-9))
+    return StiffestWall(K, K * float(np.tan(angle)) / unit) if K > 0.0 else StiffestWall(0.0, 0.0)
+
+
+def stiffest_stable(configuration: Configuration) -> StiffestWall:
+    """That is stable with the hand's own mass, B >= 0."""
+
+    def stiffness(B: Floats) -> Floats:
+        most = np.asarray(configuration.stable_stiffness(B)[1])
+        return np.where(np.isfinite(most), most, 0.0)
+
+    B, K = _highest(stiffness, 0.0, 4.0 * configuration.damping_unit)
+    return StiffestWall(K, B) if K > 0.0 else StiffestWall(0.0, 0.0)
+
+
+def _highest(function: Callable[[Floats], Floats], low: float, high: float) -> tuple[float, float]:
+    """(where, how much): the best point of a grid, then of finer ones about it."""
+    best, most = low, 0.0
+    for _ in range(_ZOOMS):
+        at = np.linspace(low, high, _POINTS)
+        value = function(at)
+        place = int(np.argmax(value))
+        if value[place] >= most:
+            best, most = float(at[place]), float(value[place])
+        step = at[1] - at[0]
+        low, high = max(low, best - step), min(high, best + step)
+    return best, most

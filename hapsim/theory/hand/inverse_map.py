@@ -1,9 +1,15 @@
-"""The simulated element that the hand feels as a given oscillator: the paper's Figure 4, in closed form.
+"""The simulated element that the hand feels as a given oscillator, the paper's Figure 4 in closed form; and by it where
+the loop is stable: the curve b = 0 (Florens et al., §6.2), and the stable interval of one of K and B.
 
 In normalised units, periods as time: sigma and kappa of s² + sigma s + kappa are asked for, K T²/m and B T/m answer.
+On the curve the hand feels an oscillator without damping, s = j theta, theta its frequency in radians per sample.
+Besides, a real pole may leave the unit circle at z = 1 (a spring pulled inside out) or at z = -1.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,3 +77,146 @@ def double_pole(hand: LoneHand, decay: Floats) -> tuple[Floats, Floats, Floats]:
     leads = (decay < FASTEST) & (slowest.imag == 0.0) & (slowest.real > modulus) & (next_one < modulus)
     slow_decay = -np.log(np.where(leads, slowest.real, np.nan))
     return np.where(leads, kappa, np.nan), np.where(leads, beta, np.nan), slow_decay
+
+
+SLOWEST = 1e-9  # radians per sample: what swings more slowly is not looked for
+POINTS_PER_DECADE = 24  # of the slow frequencies
+POINTS_PER_SAMPLE = 48  # of the others, for each sample by which the loop is late
+BISECTIONS = 60
+IN_PHASE = 1e-9  # of its size: a part out of phase that is none
+ROUNDING = 1e-12  # an interval relatively narrower than this is none
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+IsStable = Callable[[Floats, Floats], Bools]
+
+
+class Undamped(NamedTuple):
+    """The curve b = 0 at frequencies theta (G,), in between which neither K T²/m nor B T/m turns back."""
+
+    theta: Floats
+    kappa: Floats
+    beta: Floats
+    tied: list[tuple[float, float]]
+    """(h, g) of frequencies at which a whole line K T²/m + B T/m h + g = 0 has its pole on the circle."""
+
+
+def undamped_element(hand: LoneHand, theta: Floats) -> tuple[Floats, Floats]:
+    """(K T²/m, B T/m) with which the hand swings undamped, theta radians per sample."""
+    return element_of_oscillator(hand, *undamped(hand, theta))[:2]
+
+
+def undamped_curve(hand: LoneHand) -> Undamped:
+    """The whole curve, with its turning points among the frequencies."""
+    late = hand.degree + 2
+    slow = np.geomspace(SLOWEST, 0.05, 1 + POINTS_PER_DECADE * 8, endpoint=False)
+    theta = np.concatenate([slow, np.linspace(0.05, np.pi, POINTS_PER_SAMPLE * late, endpoint=False)])
+    along = undamped_element(hand, theta)
+    turns = [_turning_points(hand, which, theta, along[which]) for which in (0, 1)]
+    theta = np.unique(np.concatenate([theta, *turns]))
+    return Undamped(theta, *undamped_element(hand, theta), _tied(hand, theta))
+
+
+def stable_interval(
+    hand: LoneHand, curve: Undamped, sought: int, given: Floats, is_stable: IsStable
+) -> tuple[Floats, Floats]:
+    """The lowest stable interval of kappa (``sought`` 0) or beta (1), for given values (n,) of the other.
+
+    Between two values at which a pole may cross the unit circle stability does not change: one test of each interval
+    is enough. Returns (least, most), NaN where nothing is stable, infinity where nothing ends it.
+    """
+    with_real_pole = [at(hand, sought, given)[:, None] for at in (_with_pole_at_rest, _with_alternating_pole)]
+    tied = [(-(g + h * given) if sought == 0 else -(g + given) / h)[:, None] for h, g in curve.tied]
+    crossings = np.concatenate([*with_real_pole, *tied, _crossings(hand, curve, sought, given)], axis=-1)
+    edges = np.sort(np.where(np.isfinite(crossings), crossings, np.inf), axis=-1)
+    edges = np.concatenate([np.full((given.size, 1), -np.inf), edges, np.full((given.size, 1), np.inf)], axis=-1)
+    inside = _between(edges[:, :-1], edges[:, 1:])
+    given_there = np.broadcast_to(given[:, None], inside.shape)
+    stable = is_stable(inside, given_there) if sought == 0 else is_stable(given_there, inside)
+    wide = edges[:, 1:] > edges[:, :-1] + ROUNDING * np.abs(np.where(np.isfinite(edges[:, :-1]), edges[:, :-1], 0.0))
+    stable &= wide
+    place = np.arange(stable.shape[1])
+    first = np.argmax(stable, axis=-1)[:, None]
+    # Where a pole only touches the circle both sides are stable: the interval goes on to the next unstable one.
+    broken = np.cumsum(wide & ~stable & (place > first), axis=-1) > 0
+    last = np.max(np.where(stable & ~broken, place, 0), axis=-1)[:, None]
+    least, most = (np.take_along_axis(edges, at, axis=-1)[:, 0] + 0.0 for at in (first, last + 1))
+    any_stable = stable.any(axis=-1)
+    return np.where(any_stable, least, np.nan), np.where(any_stable, most, np.nan)
+
+
+def _between(low: Floats, high: Floats) -> Floats:
+    """A value inside each interval, halfway; beyond the last finite edge far out, but not beyond all numbers."""
+    scale = np.maximum(np.abs(np.where(np.isfinite(low), low, 0.0)), np.abs(np.where(np.isfinite(high), high, 0.0)))
+    low = np.where(np.isfinite(low), low, -3.0 * scale - 1.0)
+    high = np.where(np.isfinite(high), high, 3.0 * scale + 1.0)
+    # Edges far apart in size: halfway on a logarithmic scale, where the small stiffnesses are.
+    both = (low > 0.0) & (high > 4.0 * low)
+    return np.where(both, np.sqrt(np.where(both, low * high, 1.0)), 0.5 * (low + high))
+
+
+def _with_pole_at_rest(hand: LoneHand, sought: int, given: Floats) -> Floats:
+    """The value that puts a pole at z = 1: nothing is left of what holds the hand in its place."""
+    rest = PolePair(np.zeros(1), np.zeros(1))
+    of_beta, of_device = (part.constant for part in relation_on_pair(hand, rest, (hand.p - rest.p, hand.q - rest.q)))
+    if sought == 0:
+        return np.asarray(-(of_device + of_beta * given))
+    return np.asarray(-(given + of_device) / (of_beta if hand.damper.senses else np.nan))
+
+
+def _with_alternating_pole(hand: LoneHand, sought: int, given: Floats) -> Floats:
+    """The value that puts a pole at z = -1: the force swings to and fro with every sample."""
+    constant, *slopes = hand.polynomials @ (-1.0) ** np.arange(hand.degree, -1, -1)
+    slopes[0] -= hand.lag * slopes[1]
+    return np.asarray(-(constant + slopes[1 - sought] * given) / slopes[sought])
+
+
+def _tied(hand: LoneHand, theta: Floats) -> list[tuple[float, float]]:
+    """Where the damper's reading is in phase with the position, and so is what moves the mass (a centred damper at half
+    the Nyquist frequency): K and B cannot be distinguished there, and the curve has a hole."""
+
+    def slope(theta: Floats) -> Floats:
+        return np.asarray(relation_of_oscillator(hand, *undamped(hand, theta))[0].slope) + 0.0 * theta
+
+    sign = np.sign(slope(theta))
+    at = np.flatnonzero(sign[1:] != sign[:-1])
+    low, high = theta[at], theta[at + 1]
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        before = np.sign(slope(middle)) == sign[at]
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    h, g = relation_of_oscillator(hand, *undamped(hand, 0.5 * (low + high)))
+    tied = np.abs(g.slope) <= IN_PHASE * np.abs(g.constant)
+    return [(float(one), float(other)) for one, other in zip(h.constant[tied], g.constant[tied], strict=True)]
+
+
+def _crossings(hand: LoneHand, curve: Undamped, sought: int, given: Floats) -> Floats:
+    """(n, crossings): where the curve passes the given values, padded with NaN."""
+    along = curve.beta if sought == 0 else curve.kappa
+    above = along[None, :] > given[:, None]
+    row, piece = np.nonzero(above[:, 1:] != above[:, :-1])
+    low, high = curve.theta[piece], curve.theta[piece + 1]
+    low_above = above[row, piece]
+    for _ in range(BISECTIONS):
+        middle = np.where(high > 4.0 * low, np.sqrt(low * high), 0.5 * (low + high))
+        is_above = undamped_element(hand, middle)[1 - sought] > given[row]
+        low, high = np.where(is_above == low_above, middle, low), np.where(is_above == low_above, high, middle)
+    element = undamped_element(hand, 0.5 * (low + high))
+    # A sign that changes through infinity is no crossing.
+    reached = np.abs(element[1 - sought] - given[row]) <= 1e-6 * (np.abs(given[row]) + np.abs(along[piece]))
+    found = np.full((given.size, 1 + np.bincount(row, minlength=1).max()), np.nan)
+    place = np.arange(row.size) - np.searchsorted(row, row)
+    found[row, place] = np.where(reached, element[sought], np.nan)
+    return found
+
+
+def _turning_points(hand: LoneHand, which: int, theta: Floats, values: Floats) -> Floats:
+    """Frequencies at which K or B turns back along the curve, by golden section between the neighbours."""
+    rises = np.diff(values) > 0.0
+    at = 1 + np.flatnonzero(rises[1:] != rises[:-1])
+    low, high = theta[at - 1], theta[at + 1]
+    sign = np.where(rises[at - 1], 1.0, -1.0)
+    for _ in range(BISECTIONS):
+        one, other = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+        left = sign * undamped_element(hand, one)[which] > sign * undamped_element(hand, other)[which]
+        low, high = np.where(left, low, one), np.where(left, other, high)
+    return 0.5 * (low + high)

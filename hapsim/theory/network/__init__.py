@@ -1,12 +1,21 @@
 """The closed loop of any linear scene: hands, masses and links together."""
 
-from hapsim.theory.network.continuous import ContinuousMode, continuous_modes
-from hapsim.theory.network.felt import CARRIED, FeltPair, continuous_pair, felt_pair, no_pair, static_stiffness
+from hapsim.theory.network.felt import (
+    CARRIED,
+    ContinuousMode,
+    FeltPair,
+    continuous_mass,
+    continuous_modes,
+    continuous_pair,
+    felt_mass,
+    felt_pair,
+    no_pair,
+    static_stiffness,
+)
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import SURELY, Mode, Solution, poles_of
 from hapsim.theory.network.network import Network, never_grows, part_of, part_of_each
-from hapsim.theory.network.weight import continuous_mass, felt_mass
 from hapsim.theory.sample import LARGE, is_large, loop, state_size, transition
 from hapsim.theory.schemes import NotWorkedOutError
 

@@ -1,22 +1,86 @@
-"""The springs and dampers that hands feel in a network, one hand or several: those of the hands' own motions.
+"""The springs and dampers that hands feel in a network, one hand or several, and how heavy its masses feel; and all of
+it in continuous time, M x'' + Z x' + K x = 0, every link a spring and a damper: what sampling, hold and delay deform.
 
 Of the loop's motions by themselves, the hands' own are the slowest with nine tenths of the kinetic energy in the hands.
 Where these carry what the hands do, no other object than M x'' + b x' + k x = 0 has the same motions: with a real basis
 V of them, A V = V R, S = log(R)/T and X the hands' rows of V, [k b] = -M X S² [X; X S]⁻¹. One hand without masses feels
 the pair of Florens et al., §6.
+
+A hand of stiffness kh, a spring beside the device, shakes what it holds. Of the slowest swing s a rigid mass
+M' = kh/|s|² - m would have the same, m the device's own. In continuous time the same rule says what of it is the
+coupling's: a mass behind a spring feels heavier the faster it is shaken.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
-from hapsim.theory.network.continuous import first_order, matrices
 from hapsim.theory.network.network import Network
+from hapsim.theory.rows import Rows, stretches_of, times, unit_rows
 from hapsim.theory.sample import is_large, loop, sizes_of
+
+
+class ContinuousMode(NamedTuple):
+    """One motion of the continuous scene by itself: a conjugate pair, or a real root.
+
+    Attributes:
+        root: s in 1/s; of a pair, the one above the real axis.
+        participation: (C + M,) each point's share of the kinetic energy, sum 1, device channels first.
+    """
+
+    root: complex
+    participation: Floats
+
+    @property
+    def frequency_hz(self) -> float:
+        """|s|/(2 pi), the undamped eigenfrequency."""
+        return abs(self.root) / (2.0 * math.pi)
+
+    @property
+    def damping_ratio(self) -> float:
+        """-Re s/|s|; NaN where it rests."""
+        return -self.root.real / abs(self.root) if self.root else math.nan
+
+
+def matrices(network: Network, sparse: bool = False) -> tuple[Rows, Rows, Rows]:
+    """(M, Z, K), each (C + M, C + M): kg, N·s/m, N/m."""
+    mass, stretches = np.concatenate([network.channel_mass, network.point_mass]), stretches_of(network, sparse)
+    one, others = unit_rows(mass.size, sparse), np.zeros(network.point_mass.size)
+    Z, K = (
+        stretches.T @ times(of_links, stretches) + times(np.concatenate([own, others]), one)
+        for of_links, own in (
+            (network.damping, network.channel_friction),
+            (network.stiffness, network.channel_stiffness),
+        )
+    )
+    return times(mass, one), Z, K
+
+
+def first_order(network: Network) -> Floats:
+    """(2 C + 2 M, 2 C + 2 M): what the rates of positions and velocities are of these, 1/s."""
+    M, Z, K = matrices(network)
+    size, mass = len(M), np.diag(M)[:, None]
+    return np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass, -Z / mass]])
+
+
+def continuous_modes(network: Network) -> list[ContinuousMode]:
+    """Every mode, the slowest to decay first; those at rest too."""
+    mass = np.concatenate([network.channel_mass, network.point_mass])
+    size = mass.size
+    if size == 0:
+        return []
+    roots, vectors = np.linalg.eig(first_order(network))
+    energy = mass[:, None] * np.abs(vectors[size:]) ** 2
+    total = energy.sum(axis=0)
+    share = np.where(total > 0.0, energy / np.where(total > 0.0, total, 1.0), 1.0 / size)
+    modes = [ContinuousMode(complex(roots[i]), share[:, i]) for i in range(roots.size) if roots[i].imag >= 0.0]
+    return sorted(modes, key=lambda mode: -mode.root.real)
+
 
 OWN = 0.9
 """Of a motion's kinetic energy: with more in the hands it is theirs."""
@@ -176,3 +240,41 @@ def _sums(s: Complexes, own: Indices) -> Complexes:
 def _squared(amounts: Complexes, sums: Complexes) -> float:
     """The sum of squares of motions (rows, n) over those samples."""
     return float(np.nan_to_num((amounts.conj() @ sums.T) * amounts).sum().real)
+
+
+_ALONG = 0.3  # of the masses' way: by less the hand does not shake them
+_SWINGS = 1e-9  # of itself: what turns by less creeps
+
+
+def felt_mass(network: Network, hand_stiffness: float) -> tuple[float, float]:
+    """kg, of the masses in the loop, and Hz: how fast a hand of this stiffness (N/m) shakes them; NaN where nothing
+    swings, and where the hand hardly moves in it: that swing is of the masses alone.
+
+    ``network``: one channel and what it moves, which is not large.
+    """
+    held = replace(network, channel_stiffness=np.array([hand_stiffness]))
+    change, points, *_ = loop(held)
+    w, states = np.linalg.eig(change)
+    kept = np.abs(1.0 + w) > _MEMORY
+    s = np.asarray(network.rate * np.log1p(w[kept].astype(complex)), complex)
+    return _of_slowest(held, s, points @ states[:, kept])
+
+
+def continuous_mass(network: Network, hand_stiffness: float) -> float:
+    """kg, that the same masses have in continuous time."""
+    held = replace(network, channel_stiffness=np.array([hand_stiffness]))
+    roots, states = np.linalg.eig(first_order(held))
+    return _of_slowest(held, np.asarray(roots, complex), states[: len(states) // 2])[0]
+
+
+def _of_slowest(network: Network, s: Complexes, moved: Complexes) -> tuple[float, float]:
+    swinging = np.flatnonzero(s.imag > _SWINGS * np.abs(s))
+    if not swinging.size:
+        return math.nan, math.nan
+    slowest = swinging[np.argmin(np.abs(s[swinging]))]
+    hand, *masses = np.abs(moved[:, slowest])
+    together = math.sqrt(float(network.point_mass @ np.square(masses)) / network.point_mass.sum())
+    mass = float(network.channel_stiffness[0] / np.abs(s[slowest]) ** 2 - network.channel_mass[0])
+    if mass <= 0.0 or hand < _ALONG * together:
+        return math.nan, math.nan
+    return mass, float(s[slowest].imag) / (2.0 * math.pi)

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Complexes
-from hapsim.theory.hand.impedance import late_and_held
-from hapsim.theory.network.continuous import matrices
+from hapsim.theory.interface import late_and_held
 from hapsim.theory.network.crossings import AT_ONCE, on_circle
+from hapsim.theory.network.felt import matrices
 from hapsim.theory.network.large_loop import PIVOTS, factorised, sparse_transition
 from hapsim.theory.network.network import Network, is_centred
 from hapsim.theory.rows import times, unit_rows

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.holds import HOLDS
-from hapsim.theory import checks
-from hapsim.theory.arrays import Bools, Floats, Indices
+from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, not_negative, one_of, positive, vector
 from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
@@ -78,27 +77,27 @@ class Network:
     decimation: str = "last"
 
     def __post_init__(self) -> None:
-        mass = checks.vector("channel_mass", self.channel_mass, above=0.0)
-        point_mass = checks.vector("point_mass", self.point_mass, above=0.0)
-        ends = checks.link_ends("ends", self.ends, mass.size + point_mass.size)
+        mass = vector("channel_mass", self.channel_mass, above=0.0)
+        point_mass = vector("point_mass", self.point_mass, above=0.0)
+        ends = link_ends("ends", self.ends, mass.size + point_mass.size)
         own = np.zeros(mass.size) if len(self.channel_stiffness) == 0 else self.channel_stiffness
         checked: dict[str, Any] = {
-            "rate": checks.positive("rate", self.rate),
+            "rate": positive("rate", self.rate),
             "channel_mass": mass,
-            "channel_friction": checks.vector("channel_friction", self.channel_friction, mass.size, least=0.0),
-            "delay": checks.not_negative("delay", self.delay),
-            "hold": checks.one_of("hold", self.hold, HOLDS),
-            "sampling": checks.one_of("sampling", self.sampling, SAMPLINGS),
+            "channel_friction": vector("channel_friction", self.channel_friction, mass.size, least=0.0),
+            "delay": not_negative("delay", self.delay),
+            "hold": one_of("hold", self.hold, HOLDS),
+            "sampling": one_of("sampling", self.sampling, SAMPLINGS),
             "point_mass": point_mass,
             "ends": ends,
-            "stiffness": checks.vector("stiffness", self.stiffness, len(ends)),
-            "damping": checks.vector("damping", self.damping, len(ends)),
-            "channel_stiffness": checks.vector("channel_stiffness", own, mass.size, least=0.0),
+            "stiffness": vector("stiffness", self.stiffness, len(ends)),
+            "damping": vector("damping", self.damping, len(ends)),
+            "channel_stiffness": vector("channel_stiffness", own, mass.size, least=0.0),
             "damper": tuple(self.damper) or (BACKWARD,) * len(ends),
-            "scheme": checks.one_of("scheme", self.scheme, SCHEMES),
+            "scheme": one_of("scheme", self.scheme, SCHEMES),
             "outside": tuple(self.outside),
-            "substeps": int(checks.positive("substeps", self.substeps)),
-            "decimation": checks.one_of("decimation", self.decimation, DECIMATIONS),
+            "substeps": int(positive("substeps", self.substeps)),
+            "decimation": one_of("decimation", self.decimation, DECIMATIONS),
         }
         for name in ("damper", "outside"):
             if checked[name] and len(checked[name]) != len(ends):

@@ -30,8 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
-from hapsim.theory.hand.impedance import late_and_held
-from hapsim.theory.interface import whole_and_fraction
+from hapsim.theory.interface import late_and_held, whole_and_fraction
 from hapsim.theory.network.crossings import AT_ONCE, on_circle
 from hapsim.theory.network.network import Network
 from hapsim.theory.sample import is_large, loop, sizes_of

@@ -1,0 +1,220 @@
+"""Between a motion and the computer: the samplings, holds and dampers, by the names that a scene file uses, and delays.
+
+A new sampling is an entry in `SAMPLINGS`, and its window in the mock; a new damper one in `DAMPERS`, and its recurrence
+in the kernel (`hapsim/cordis/modules`). Holds are declared in `hapsim/holds.py`: what is here follows from their
+transfer functions. The loop reads a sampling's window (``device_step.py``), an impedance its transfer function. That
+the two agree is a test of both.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hapsim.holds import HOLDS, Piece, Term
+from hapsim.theory.arrays import Complexes, Floats
+
+
+def whole_and_fraction(delay: float) -> tuple[int, float]:
+    """A delay in sample periods as whole samples and the fraction of one, 0 <= fraction < 1."""
+    whole = math.floor(delay)
+    return whole, delay - whole
+
+
+class Sampling(NamedTuple):
+    """How a motion becomes a number.
+
+    Attributes:
+        terms: of the transfer function from the position to the reading.
+        window: sample periods, 0 to 1, that end with the sample, over which the reading is the mean; 0 where the
+            position is read at the sample.
+    """
+
+    terms: tuple[Term, ...]
+    window: float
+
+    @property
+    def lag(self) -> float:
+        """Its mean delay in sample periods."""
+        return 0.5 * self.window
+
+
+IDEAL = Sampling(terms=(Term(1.0, 0.0, 0),), window=0.0)
+"""The computer reads the position at the instant of the sample."""
+
+AVERAGE = Sampling(terms=(Term(1.0, 0.0, 1), Term(-1.0, 1.0, 1)), window=1.0)
+"""It reads the mean position over the sample period that has just ended: the paper's "1 sample integrator at input"
+(Florens et al., §6.2)."""
+
+SAMPLINGS: dict[str, Sampling] = {"ideal": IDEAL, "average": AVERAGE}
+
+
+ROUNDING = 1e-12  # sample periods
+
+
+def hold_lag(hold: str) -> float:
+    """The mean delay of a hold in sample periods: how much later a slow motion meets its force."""
+    return -math.fsum(
+        weight * (-lag) ** (integrations + 1) / math.factorial(integrations + 1)
+        for weight, lag, integrations in HOLDS[hold].terms
+    )
+
+
+def hold_segments(hold: str, fraction: float) -> list[Piece]:
+    """One sample period of a hold in time, worked out from its transfer function.
+
+    A new force acts from ``fraction`` of the period on, 0 <= fraction < 1. The durations add up to 1.
+    """
+    terms = HOLDS[hold].terms
+    ends = [0.0, 1.0]
+    for change in (fraction, *((fraction + term.lag) % 1.0 for term in terms)):
+        if min(abs(change - end) for end in ends) > ROUNDING:
+            ends.append(change)
+    ends.sort()
+    ages = range(math.floor(fraction + max(term.lag for term in terms)) + 1)
+    return [
+        Piece(end - begin, *(_weights(terms, order, begin, [fraction - age for age in ages]) for order in range(3)))
+        for begin, end in itertools.pairwise(ends)
+    ]
+
+
+def _weights(terms: tuple[Term, ...], order: int, time: float, starts: list[float]) -> tuple[float, ...]:
+    """What forces that act from ``starts`` on, by age, contribute at ``time``; nothing is written of those that are
+    over."""
+    weights = [_weight(terms, order, time, start) for start in starts]
+    while weights and abs(weights[-1]) < ROUNDING:
+        weights.pop()
+    return tuple(weights)
+
+
+def _weight(terms: tuple[Term, ...], order: int, time: float, start: float) -> float:
+    """What one force that acts from ``start`` on contributes at ``time``: its impulse, level or slope, by ``order``."""
+    weight = 0.0
+    for term in terms:
+        since = time - (start + term.lag)
+        if order == 0 and term.integrations == 0:
+            weight += term.weight if abs(since) < ROUNDING else 0.0
+        elif 0 < order <= term.integrations and since > -ROUNDING:
+            power = term.integrations - order
+            weight += term.weight * max(since, 0.0) ** power / math.factorial(power)
+    return weight
+
+
+class DamperModel(NamedTuple):
+    """How readings become the velocity that a link's damping acts on, in metres per sample period.
+
+    v[n] is the sum of ``of_positions`` over y[n], y[n-1], ... and of ``of_velocities`` over v[n-1], v[n-2], ...
+    Where it ``senses``, the device sends the velocity of its own end, and they stand for the other end alone.
+    """
+
+    of_positions: tuple[float, ...]
+    of_velocities: tuple[float, ...] = ()
+    senses: bool = False
+
+
+def backward(_cutoff: float) -> DamperModel:
+    """v[n] = (y[n] - y[n-1])/T (first-order Euler; Florens et al., §6); v/y = w/(w + 1)."""
+    return DamperModel(of_positions=(1.0, -1.0))
+
+
+def centred(_cutoff: float) -> DamperModel:
+    """v[n] = (y[n] - y[n-2])/(2 T), the velocity at the sample before; v/y = w (1 + w/2)/(1 + w)²."""
+    return DamperModel(of_positions=(0.5, 0.0, -0.5))
+
+
+def filtered(cutoff: float) -> DamperModel:
+    """v[n] = (1 - a) v[n-1] + a (y[n] - y[n-1])/T, a = 1 - exp(-cutoff); v/y = w a/(w + a).
+
+    A low-pass of first order behind the backward difference, with the poles of its continuous model
+    1/(1 + s/(2 pi cutoff)). ``cutoff``: 2 pi times the cutoff frequency times the sample period.
+    """
+    a = -math.expm1(-cutoff)
+    return DamperModel(of_positions=(a, -a), of_velocities=(math.exp(-cutoff),))
+
+
+def sensed(_cutoff: float) -> DamperModel:
+    """v[n] is what the device itself measures, late and held like the position: a second output of the plant.
+
+    With averaged sampling it is the mean velocity over the sample period that has just ended. A simulated end has no
+    sensor: its velocity is the backward difference of its positions.
+    """
+    return DamperModel(of_positions=(1.0, -1.0), senses=True)
+
+
+#: Each made from 2 pi times the cutoff frequency times the sample period, which only a filter uses.
+DAMPERS: dict[str, Callable[[float], DamperModel]] = {
+    "backward": backward,
+    "centred": centred,
+    "filtered": filtered,
+    "sensed": sensed,
+}
+WITH_CUTOFF = ("filtered",)
+
+
+def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:
+    """The damper of this name. ``cutoff`` and ``rate``: Hz; a filter needs its cutoff, and nothing else has one.
+
+    Raises:
+        ValueError: the name is unknown, or the cutoff is missing, superfluous or not above zero.
+    """
+    if name not in DAMPERS:
+        raise ValueError(f"damper is {name!r}, but it has to be one of: {', '.join(DAMPERS)}.")
+    if name not in WITH_CUTOFF:
+        if cutoff is not None:
+            raise ValueError(f"cutoff is {cutoff!r}, but the {name} damper has none: leave it out.")
+        return DAMPERS[name](math.inf)
+    if cutoff is None or not 0.0 < cutoff < math.inf:
+        raise ValueError(f"cutoff is {cutoff!r}, but the {name} damper needs one, in Hz, greater than zero.")
+    return DAMPERS[name](2.0 * math.pi * cutoff / rate)
+
+
+def damper_answer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
+    """v/y of the damper's recurrence; its weights of positions add up to zero, which leaves a factor 1 - 1/z = w/z."""
+    from_positions = np.polyval(np.cumsum(damper.of_positions)[-2::-1], 1.0 / z)
+    return w / z * from_positions / (1.0 - np.polyval([*damper.of_velocities[::-1], 0.0], 1.0 / z))
+
+
+def late_and_held(theta: Floats, delay: float, hold: str, sampling: str) -> Complexes:
+    """What delay, hold and sampling make of a force that swings with theta radians per sample: its fundamental."""
+    through = _through(HOLDS[hold].terms, theta) * _through(SAMPLINGS[sampling].terms, theta)
+    return np.asarray(through * np.exp(-1j * delay * theta))
+
+
+def damper_gain(damper: DamperModel, theta: Floats) -> Complexes:
+    """The damper's velocity over the true one at theta: 1 where it is what it should be."""
+    if damper.senses:
+        return np.ones_like(theta, dtype=complex)
+    return np.asarray(velocity_read(damper, theta) / (1j * theta))
+
+
+def velocity_read(damper: DamperModel, theta: Floats) -> Complexes:
+    """What the damper makes of positions, in metres per sample, over the position, at z = exp(j theta)."""
+    w = 2j * np.sin(0.5 * theta) * np.exp(0.5j * theta)  # z - 1, to all its digits
+    return damper_answer(damper, np.exp(1j * theta), w)
+
+
+def _through(terms: tuple[Term, ...], theta: Floats) -> Complexes:
+    """A transfer function at s = j theta, theta not 0.
+
+    All that the terms have of 1/s, 1/s², … cancels between them. So each is taken without it: exp(-lag s)/s^p less the
+    first p powers is (-lag)^p times the remainder of the exponential series, which has all its digits at small theta.
+    """
+    through = np.zeros(theta.shape, complex)
+    for weight, lag, power in terms:
+        through += weight * (-lag) ** power * _remainder(power, -1j * lag * theta)
+    return through
+
+
+def _remainder(power: int, z: Any) -> Complexes:
+    """sum of z^k / (k + power)!: the exponential series of z from z^power on, divided by it."""
+    near, series = np.where(np.abs(z) < 1.0, z, 0.0), np.zeros_like(z)
+    for k in reversed(range(20)):
+        series = series * near + 1.0 / math.factorial(k + power)
+    far, found = np.where(np.abs(z) < 1.0, 1.0, z), np.exp(z)
+    for k in range(power):
+        found = (found - 1.0 / math.factorial(k)) / far
+    return np.where(np.abs(z) < 1.0, series, found)
