@@ -13,8 +13,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import ONE, entry, inlined, new_record
-from firmware_protocol.encoding import crc_of, unstuff
-from firmware_protocol.frames import FRAMING, ROOM, Format, framing_of
+from firmware_protocol.frames import FRAMING, ROOM, Format, crc_of, framing_of, unstuff
 
 _RING = np.uint64(ROOM - 1)  # ROOM is a power of two
 

@@ -13,8 +13,16 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder, use_format
-from firmware_protocol.encoding import crc_of, stuff
-from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes, frame_to_device, frame_to_host
+from firmware_protocol.frames import (
+    SETUP,
+    Format,
+    armed_format,
+    crc_of,
+    frame_bytes,
+    frame_to_device,
+    frame_to_host,
+    stuff,
+)
 
 FORMATS = (
     {"setup": SETUP}

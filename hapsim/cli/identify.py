@@ -11,7 +11,7 @@ import typer
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option, push_option, require_file, seconds
 from hapsim.cli.output import Table, complain, document, pick, say, speak_of, stderr, stdout, table
-from hapsim.device.known_devices import is_new
+from hapsim.device.ports import is_new
 from hapsim.errors import UsageError
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 from hapsim.number_format import relative_difference, rounded

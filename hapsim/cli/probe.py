@@ -12,7 +12,7 @@ from hapsim.bringup.probe import Leave, judge, open_wire, steps_of
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Json, option, require_positive
 from hapsim.cli.output import complain, document, speak_in, stderr, stdout
-from hapsim.device.known_devices import is_new
+from hapsim.device.ports import is_new
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
 from hapsim.stopping import stopping_on_signals

@@ -30,7 +30,7 @@ from hapsim.cli.options import (
 )
 from hapsim.cli.output import complain, document, json_log, log_as_json, stderr, stdout, warn
 from hapsim.cli.run_report import lifetime_document, show_report
-from hapsim.device.known_devices import is_new
+from hapsim.device.ports import is_new
 from hapsim.errors import UsageError
 from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import Prediction, predict, warnings_about

@@ -85,7 +85,7 @@ def open_connection(
 
 
 def _loopback(scene: Scene) -> Connection:
-    from hapsim.device.mock.loopback import loopback_transport
+    from hapsim.device.mock.wire import loopback_transport
 
     mock = _mock(scene)
     return Connection(loopback_transport(mock), "mock in memory", close=lambda: None, mock=mock)

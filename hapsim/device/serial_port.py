@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hapsim.device.connection import Connection
-from hapsim.device.port_name import leads_to
+from hapsim.device.ports import leads_to
 from hapsim.errors import DeviceError
 from hapsim.loop.transport import PythonTransport, descriptor_transport
 

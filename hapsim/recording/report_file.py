@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from firmware_protocol.description import Description, to_registers
-from hapsim.device.known_devices import state_directory
+from hapsim.device.ports import state_directory
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.buffers import KEPT
 from hapsim.recording.trace import IN_REPORT, ZIP_WITHOUT_END, Trace, is_without_end

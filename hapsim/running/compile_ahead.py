@@ -93,7 +93,7 @@ def _portable_loop() -> list[tuple[Any, ...]]:
 
 def _serve() -> list[tuple[Any, ...]]:
     from hapsim.device.mock.firmware import MOCK
-    from hapsim.device.mock.serve import SERVICE, serve
+    from hapsim.device.mock.terminal import SERVICE, serve
 
     return [(serve, new_record(MOCK), new_record(SERVICE))]
 
@@ -147,7 +147,9 @@ UNITS: dict[str, CompileUnit] = {
     "guards": CompileUnit(12, _GUARDS),  # a run compiles only those that its scene sets up
     "mock": CompileUnit(45, (*_FIRMWARE, *_WIRE), _serve, in_second_process=True, calls_system=True),
     "loopback": CompileUnit(
-        39, (*_FIRMWARE, "device.mock.loopback:receive", "device.mock.loopback:send"), in_second_process=True
+        39,
+        (*_FIRMWARE, "device.mock.wire:receive_in_memory", "device.mock.wire:send_in_memory"),
+        in_second_process=True,
     ),
     "motion": CompileUnit(
         16,

@@ -99,7 +99,7 @@ def run_in_memory(scene: Scene, *, duration: float, excitation: Excitation | Per
 
     Raises what `run` raises, and UsageError where the scene does not run in virtual time."""
     from hapsim.device.mock.assemble import assemble_mock
-    from hapsim.device.mock.loopback import loopback_transport
+    from hapsim.device.mock.wire import loopback_transport
 
     name = "mock in memory"
     if scene.device.clock != "lockstep" or scene.device.port is not None:

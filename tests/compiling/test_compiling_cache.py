@@ -26,7 +26,7 @@ REPOSITORY = Path(code_cache.__file__).resolve().parents[1]
 ROOMS = [room.relative_to(REPOSITORY) for room in COMPILED_ROOMS]
 
 #: Entries and actions, by file: what has machine code of its own.
-RUN, SERVE, DECODER = "hapsim/loop/run.py", "hapsim/device/mock/serve.py", "firmware_protocol/decoder.py"
+RUN, SERVE, DECODER = "hapsim/loop/run.py", "hapsim/device/mock/terminal.py", "firmware_protocol/decoder.py"
 POINTS, LINEAR, NONLINEAR, STRING, MEMBRANE = (
     f"hapsim/cordis/modules/{name}.py" for name in ("points", "linear_links", "nonlinear_links", "string", "membrane")
 )
@@ -101,7 +101,7 @@ def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
         ("hapsim/cordis/modules/points.py", {POINTS}),
         ("hapsim/cordis/registry.py", set()),
         ("hapsim/loop/histogram.py", {RUN, SERVE, GRID}),
-        ("firmware_protocol/encoding.py", {RUN, SERVE, DECODER}),
+        ("firmware_protocol/frames.py", {RUN, SERVE, DECODER}),
         ("hapsim/device/mock/firmware.py", {SERVE}),
         ("hapsim/compiling/native.py", set(KEPT) - {DECODER, GRID}),
         ("firmware_protocol/compiled.py", set(KEPT)),
@@ -195,10 +195,10 @@ def test_what_is_looked_for_is_found(every_compiled: list[Any]) -> None:
     found = {(one.kind, one.file.name, one.name) for one in every_compiled}
     assert {
         ("entry", "run.py", "run_loop"),
-        ("entry", "serve.py", "serve"),
+        ("entry", "terminal.py", "serve"),
         ("native", "linear_links.py", "add_forces"),
         ("native", "crossfade.py", "cross_fade"),
-        ("piece", "encoding.py", "crc_of"),
+        ("piece", "frames.py", "crc_of"),
         ("piece", "structure.py", "moved"),
         ("overload", "structure.py", "_choose_update"),
         ("overload", "system.py", "_compiled_now_ns"),
@@ -206,7 +206,7 @@ def test_what_is_looked_for_is_found(every_compiled: list[Any]) -> None:
         ("lowering", "compiled.py", "emits.<locals>.decorate.<locals>.lower"),
     } <= found
     (run_loop,) = (one for one in every_compiled if one.name == "run_loop")
-    assert {PROTOCOL / "encoding.py", HAPSIM / "cordis" / "tick.py", HAPSIM / "loop" / "system.py"} <= run_loop.reached
+    assert {PROTOCOL / "frames.py", HAPSIM / "cordis" / "tick.py", HAPSIM / "loop" / "system.py"} <= run_loop.reached
 
 
 def test_no_compiled_function_of_the_packages_stands_outside_the_rooms(every_compiled: list[Any]) -> None:

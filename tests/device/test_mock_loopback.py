@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hapsim.device.mock.firmware import INPUT_BYTES
-from hapsim.device.mock.loopback import loopback_transport
+from hapsim.device.mock.wire import loopback_transport
 from hapsim.loop.endings import FAILED, TIMED_OUT
 
 New = Callable[..., Any]

@@ -20,8 +20,7 @@ from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import prepare
-from hapsim.device.mock.serve import new_service, serve
-from hapsim.device.mock.terminal import serving
+from hapsim.device.mock.terminal import new_service, serve, serving
 from hapsim.loop.transport import descriptor_transport
 
 DEVICE, HOST, LOCKSTEP = schema.PACED_BY_DEVICE, schema.PACED_BY_HOST, schema.LOCKSTEP

@@ -17,8 +17,7 @@ import pytest
 from serial.tools import list_ports
 
 from hapsim.device import serial_port
-from hapsim.device.known_devices import is_new
-from hapsim.device.port_name import free_name, give_name, take_name
+from hapsim.device.ports import free_name, give_name, is_new, take_name
 from hapsim.device.serial_port import open_serial_port, who_holds
 from hapsim.errors import DeviceError, UsageError
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import pytest
@@ -28,7 +29,10 @@ from firmware_protocol import schema
 from firmware_protocol.description import from_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device, frame_to_host
 from hapsim.bringup.faults import KINDS, Injector, Passed, parse_script
-from hapsim.bringup.faults.wire_faults import misread
+from hapsim.bringup.faults.fault import OnFrames, Piece
+from hapsim.bringup.faults.kinds import misread
+from hapsim.errors import UsageError
+from hapsim.scene.quantity import count
 
 STREAM = b"".join(position(number) for number in range(300))
 MANY = ("kind: drop, probability: 0.1", "kind: corrupt, probability: 0.2, bits: 3", "kind: reorder, probability: 0.1")
@@ -65,6 +69,30 @@ def test_another_seed_makes_other_faults_and_either_way_has_a_chance_of_its_own(
     positions = numbers_of(injector.take(STREAM, False, 0.0))
     left = frames_of(bytes_of(injector.take(forces, True, 0.0), to_device=True), to_device=True)
     assert positions != [frame.number for frame in left]
+
+
+def test_a_fault_that_is_one_class_is_read_from_scripts_and_listed() -> None:
+    class Stuck(OnFrames):
+        """Every count is the same."""
+
+        kind: Literal["stuck"] = "stuck"
+        at: Annotated[int, count("Where it sticks", 0, 100)] = 7
+
+        def change(self, piece: Piece) -> list[Piece]:
+            return [piece.rewritten(counts_of=lambda frame: [self.at for _ in frame.counts])]
+
+    try:
+        assert list(KINDS)[-1] == "stuck"
+        injector = injector_of("kind: stuck, at: 12, after_samples: 1, for_samples: 1")
+        seen = [frame.counts for frame in frames_of(bytes_of(positions_through(injector, 3)))]
+        assert seen == [(0,), (12,), (2000,)]
+        assert injector.counts == [("stuck", 1)]
+        with pytest.raises(UsageError, match=r"expected .* invert or stuck; did you mean 'stuck'"):
+            injector_of("kind: stuk")
+        with pytest.raises(UsageError, match="at: found 101, expected a whole number from 0 to 100"):
+            injector_of("kind: stuck, at: 101")
+    finally:
+        del KINDS["stuck"]
 
 
 def test_a_frame_is_dropped_in_its_direction_only() -> None:

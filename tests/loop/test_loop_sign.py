@@ -14,7 +14,7 @@ import pytest
 from firmware_protocol.compiled import new_record
 from hapsim.bringup.faults import Injector
 from hapsim.bringup.faults.in_memory import in_memory
-from hapsim.bringup.faults.script import parse_script
+from hapsim.bringup.faults.injector import parse_script
 from hapsim.compiling.native import address_of
 from hapsim.errors import GuardError
 from hapsim.loop.buffers import IO_BUFFER

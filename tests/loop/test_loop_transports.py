@@ -18,7 +18,7 @@ from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device, frame_to_host
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import INPUT_BYTES
-from hapsim.device.mock.loopback import loopback_transport
+from hapsim.device.mock.wire import loopback_transport
 from hapsim.loop.endings import FAILED, HUNG_UP, TIMED_OUT
 from hapsim.loop.portable import PortableTransport
 from hapsim.loop.ring import UNSENT

@@ -17,8 +17,8 @@ import hapsim
 from hapsim.cli.measure import measurement_document, show_measurement
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.loopback import loopback_transport
 from hapsim.device.mock.terminal import serving
+from hapsim.device.mock.wire import loopback_transport
 from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE
 from hapsim.measuring.measure_trace import Measurement, measure_trace

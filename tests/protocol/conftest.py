@@ -17,8 +17,7 @@ import pytest
 import firmware_protocol
 from firmware_protocol.compiled import entry
 from firmware_protocol.decoder import next_frame, next_frame_in
-from firmware_protocol.encoding import crc_of, stuff, unstuff
-from firmware_protocol.frames import write_frame
+from firmware_protocol.frames import crc_of, stuff, unstuff, write_frame
 
 PACKAGE = Path(firmware_protocol.__file__).parent
 TYPES = {

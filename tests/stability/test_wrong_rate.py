@@ -19,8 +19,8 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
-from hapsim.device.mock.loopback import loopback_transport
 from hapsim.device.mock.terminal import serving
+from hapsim.device.mock.wire import loopback_transport
 from hapsim.errors import GuardError
 from hapsim.loop.guards.rate import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, is_off_rate
 from hapsim.measuring.measure_trace import measure_trace

@@ -31,8 +31,8 @@ from hapsim.device.connection import Connection
 from hapsim.device.conversation import arm, describe
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import call_event, mock_at
-from hapsim.device.mock.loopback import loopback_transport
 from hapsim.device.mock.motion import BODY
+from hapsim.device.mock.wire import loopback_transport
 from hapsim.loop import endings
 from hapsim.loop.run import run_loop
 from hapsim.running.assemble import assemble_loop

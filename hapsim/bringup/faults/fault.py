@@ -139,6 +139,10 @@ def require_one(required: bool = False, **given: object) -> None:
         unexpected("one of them", found=f"neither {' nor '.join(keys)}")
 
 
+KINDS: dict[str, type[Fault]] = {}
+"""The class of each `kind`, in the order in which they are defined."""
+
+
 class Fault(Part):
     """A fault of a script: its keys, and what it does to the pieces that pass. A copy of it is at work in an injector.
 
@@ -151,10 +155,16 @@ class Fault(Part):
     """Whether the device is plugged in after it happened; None if it changes nothing in that."""
 
     kind: str
+    """By default its name in a script; an abstract fault has no default."""
 
     _window: Window
     _count: int = 0
     _chance: dict[bool, random.Random]
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: object) -> None:
+        if isinstance(kind := cls.model_fields["kind"].default, str):
+            KINDS[kind] = cls
 
     def model_post_init(self, _context: object) -> None:
         self._window = self.window()
@@ -222,7 +232,7 @@ class Lasting(Fault):
     for_samples: ForSamples = None
 
     @model_validator(mode="after")
-    def _one_clock(self) -> Lasting:
+    def _one_clock(self) -> Self:
         require_one(from_=self.begins_s, after_samples=self.after_samples)
         require_one(for_=self.lasts_s, for_samples=self.for_samples)
         return self
@@ -248,7 +258,7 @@ class Event(Fault):
     after_samples: AfterSamples = None
 
     @model_validator(mode="after")
-    def _one_clock(self) -> Event:
+    def _one_clock(self) -> Self:
         require_one(True, at=self.at_s, after_samples=self.after_samples)
         return self
 

@@ -1,23 +1,79 @@
-"""Bytes in, bytes out with the faults of a script in them, and when: without a port and without a clock.
+"""A script of faults, and what it does: bytes in, bytes out with its faults in them, and when.
 
-The same bytes at the same times make the same faults. A carrier brings the bytes and the time, in seconds from any
-beginning, and asks `next_s` when to call again although nothing comes.
+A script says in YAML which faults happen when; its errors have file, line and column, as those of scenes have. The
+injector applies it without a port and without a clock: the same bytes at the same times make the same faults. A carrier
+brings the bytes and the time, in seconds from any beginning, and asks `next_s` when to call again although nothing
+comes.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple, Union
+
+from pydantic import Field, ValidationError, create_model
 
 from firmware_protocol import schema
 from hapsim.bringup.capture import POSITIONS, Capture, Decoded
-from hapsim.bringup.faults.fault import Moment, Piece, tidy
-from hapsim.bringup.faults.script import Script
+from hapsim.bringup.faults.fault import KINDS, Fault, Moment, Piece, tidy
 from hapsim.bringup.faults.witness import Witness
+from hapsim.errors import UsageError
+from hapsim.scene.error_messages import Layout, findings_of
+from hapsim.scene.part import Part
+from hapsim.scene.quantity import count, version
+from hapsim.scene.yaml_file import YamlFile
+
+
+class Script(Part):
+    """What happens on the wire. The faults of a script act one after the other on every frame, in its order.
+
+    Attributes:
+        version: of the format, 1.
+        seed: of everything random: the same seed and the same bytes make the same faults.
+        faults: which, in the order of the file.
+    """
+
+    version: Annotated[int, version(1, "script")]
+    seed: Annotated[int, count("Seed of everything random", 0, 2**32 - 1)] = 0
+    faults: list[Fault] = Field(min_length=1)
+
+
+_FILE = YamlFile(UsageError, "a script of faults in YAML", "found nothing, expected a script: version and faults")
+_LAYOUT = Layout(
+    Script,
+    "faults",
+    "kind",
+    KINDS,
+    "a mapping such as {kind: drop, probability: 0.001}",
+    {(): "a mapping with version and faults", ("faults",): "a list of faults, at least one"},
+)
+
+
+def load_script(path: str | os.PathLike[str]) -> Script:
+    """Returns the script of a file. Raises UsageError with one line for each error in it."""
+    return parse_script(_FILE.text_of(path), os.fsdecode(path))
+
+
+def parse_script(text: str, name: str = "<script>") -> Script:
+    """Returns the script of a text in YAML that errors call `name`. Raises UsageError with one line for each error."""
+    document = _FILE.document_of(text, name)
+    script, issues = None, []
+    one: Any = Annotated[Union[tuple(KINDS.values())], Field(discriminator="kind")]  # noqa: UP007
+    model = create_model("Script", __base__=Script, faults=(list[one], Field(min_length=1)))
+    try:
+        script = model.model_validate(document.data)
+    except ValidationError as error:
+        issues = findings_of(error, document, _LAYOUT)
+    located = _FILE.located(issues, document)
+    if script is None or located:
+        raise _FILE.failure(name, located)
+    return script
+
 
 _PIECE = re.compile(rb"[^\0]{0,511}\0|[^\0]{512}")
 """Bytes up to a delimiter. 512 without one, far more than a frame has, pass as they are."""

@@ -18,7 +18,7 @@ from itertools import accumulate
 from pathlib import Path
 
 from hapsim.bringup.faults.injector import Injector, Passed
-from hapsim.device.port_name import free_name, give_name, take_name
+from hapsim.device.ports import free_name, give_name, take_name
 from hapsim.errors import DeviceError, UsageError
 
 _PIECE = 1 << 16

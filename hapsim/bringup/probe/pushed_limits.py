@@ -9,8 +9,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from hapsim.bringup.probe.checks import Leave, Probing
-from hapsim.bringup.probe.pushing import STEP, Pusher, TravelledError
-from hapsim.bringup.probe.response import Estimate, estimate
+from hapsim.bringup.probe.pushing import STEP, Estimate, Pusher, TravelledError, estimate
 
 _LIFE = 6  # samples that a force acts, with a time to live of one less
 _SILENCE = 10  # samples more without a FORCE

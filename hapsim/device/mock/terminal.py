@@ -1,7 +1,7 @@
-"""The mock on a pseudo-terminal: a port that any program opens like a serial device's.
+"""The mock on a pseudo-terminal, served in real time: a port that any program opens like a serial device's.
 
 The terminal is raw before any program can open it, and a descriptor of its far end stays open: otherwise the first
-bytes would be echoed, and every close of the host would read as a hang-up.
+bytes would be echoed, and every close of the host would read as a hang-up. What serves it is compiled and holds no GIL.
 """
 
 from __future__ import annotations
@@ -15,17 +15,81 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+import numpy as np
+
+from firmware_protocol import schema
+from firmware_protocol.compiled import new_record
+from hapsim.compiling import entry, inlined
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
-from hapsim.device.mock.firmware import prepare
-from hapsim.device.mock.serve import new_service, serve
+from hapsim.device.mock.firmware import INPUT_BYTES, call_event, call_take_bytes, prepare
 from hapsim.device.mock.wire import transmitter_transport, uart_transport
-from hapsim.device.port_name import free_name, linked
+from hapsim.device.ports import free_name, linked
 from hapsim.errors import DeviceError
+from hapsim.loop.clocks import next_point
 from hapsim.loop.realtime.scheduling import no_timer_slack, scheduled_fifo
-from hapsim.loop.system import require_linux
+from hapsim.loop.system import SCRATCH, now_ns, require_linux, sleep_until
+from hapsim.loop.transport import TRANSPORT, receive, send
 from hapsim.progress import Progress
 from hapsim.stopping import STOPS
+
+_IDLE_WAIT_NS = 20_000_000
+
+SERVICE = np.dtype(
+    [
+        ("transport", TRANSPORT),
+        ("stop", np.int64),
+        ("late_samples", np.int64),  # samples that this machine took a whole period too late
+        ("lost_answers", np.int64),  # bytes that the host did not fetch were thrown away this often
+        ("input", np.uint8, (INPUT_BYTES,)),
+        SCRATCH,
+    ],
+    align=True,
+)
+
+
+def new_service(transport: Any) -> Any:
+    """SERVICE, a record, over a transport."""
+    service = new_record(SERVICE)
+    service.transport = transport.record
+    return service
+
+
+@entry
+def serve(mock, service):
+    """Plays the device until `service.stop`. `mock`: MOCK, prepared; `service`: SERVICE."""
+    period = np.int64(mock.converters[0].period * 1e9)
+    due = np.int64(0)
+    ticking = False
+    while not service.stop:
+        wait = due - now_ns(service.scratch) if ticking else _IDLE_WAIT_NS
+        count = receive(
+            service.transport, service.input, 0, service.input.size, wait if wait < _IDLE_WAIT_NS else _IDLE_WAIT_NS
+        )
+        now = now_ns(service.scratch)
+        if count > 0:
+            call_take_bytes(mock.called.take_bytes, (mock.address, np.uint64(service.input.ctypes.data), count, now))
+        elif count < 0:
+            sleep_until(now + _IDLE_WAIT_NS, service.scratch)
+        before = ticking
+        ticking = mock.board.state == schema.ARMED and mock.board.pacing == schema.PACED_BY_DEVICE
+        if ticking and not before:
+            due = now + period
+        if ticking and now >= due:
+            call_event(mock.called.take_sample, (mock.address, now))
+            # A device's timer is never late, but this machine may be.
+            due, late = next_point(due, now, period)
+            service.late_samples += late
+        call_event(mock.called.look_at_watchdog, (mock.address, now))
+        _send_outbox(mock, service)
+
+
+@inlined
+def _send_outbox(mock, service):
+    """Whatever happens it is empty then. With nothing in it, what the transport had begun is ended."""
+    if send(service.transport, mock.outbox, 0, mock.board.out) != 0 and mock.board.out > 0:
+        service.lost_answers += 1
+    mock.board.out = 0
 
 
 def require_pseudo_terminal() -> None:

@@ -1,12 +1,14 @@
-"""The mock's end of its pseudo-terminal: a transmitter whose bytes take no time, or a UART.
+"""The mock's end of the wire: on its pseudo-terminal a transmitter whose bytes take no time, or a UART; or in memory.
 
-Neither waits for room, as no device's tick may. The transmitter ends a frame that was begun as soon as there is room,
-before anything else, and drops frames without room whole (PROTOCOL.md, section 8).
+Neither of the first two waits for room, as no device's tick may. The transmitter ends a frame that was begun as soon as
+there is room, before anything else, and drops frames without room whole (PROTOCOL.md, section 8).
 
 On the UART, in real time, a byte is there when its last bit would be. A frame of the mock is written at the time of its
 last byte; the host's bytes count from their own times on, and `receive_in_time` delivers none that is due after its
 deadline, the mock's tick. The system's wake-up latency, some 0.1 ms, comes on top. In virtual time (lockstep) bytes
 take no time here: the firmware counts it, in samples.
+
+In memory the mock answers within `send`, in virtual time and in the host's thread.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from firmware_protocol.compiled import new_record
 from firmware_protocol.frames import ROOM
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, record_at
-from hapsim.device.mock.firmware import INPUT_BYTES, mock_at
+from hapsim.device.mock.firmware import INPUT_BYTES, call_take_bytes, mock_at, prepare
 from hapsim.loop.endings import FAILED, TIMED_OUT
 from hapsim.loop.system import SCRATCH, now_ns, read_some, write_some
 from hapsim.loop.transport import Transport, receiver, sender
@@ -208,3 +210,32 @@ def uart_transport(number: int, mock: Any) -> Transport:
     context.number = number
     context.mock = address_of(mock)
     return Transport(receive_in_time, send_in_time, context)
+
+
+@receiver
+def receive_in_memory(context, buffer, room, timeout_ns):  # noqa: ARG001  nothing comes by waiting
+    mock, buffer = mock_at(context), _bytes_at(buffer, room)
+    waiting = mock.board.out
+    count = waiting if waiting < room else room
+    if count == 0:
+        return TIMED_OUT
+    for i in range(np.uint64(count)):
+        buffer[i] = mock.outbox[i]
+    for i in range(count, waiting):
+        mock.outbox[i - count] = mock.outbox[i]
+    mock.board.out = waiting - count
+    return count
+
+
+@sender
+def send_in_memory(context, buffer, stop):
+    if stop > INPUT_BYTES:
+        return FAILED
+    call_take_bytes(mock_at(context).called.take_bytes, (context, buffer, stop, 0))
+    return 0
+
+
+def loopback_transport(mock: Any) -> Transport:
+    """Returns a transport to `mock`, a MOCK."""
+    prepare(mock)
+    return Transport(receive_in_memory, send_in_memory, mock)
