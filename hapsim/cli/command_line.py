@@ -236,8 +236,8 @@ def run_command() -> int:
         status, failure = (ended, output_failure()) if isinstance(ended, int) else (0, ended)
         if failure is not None:
             status = _fail(f"hapsim: the output cannot be written: {failure.strerror}", UsageError.exit_status)
-    if "hapsim.loop.realtime.giving_way" in sys.modules:
-        sys.modules["hapsim.loop.realtime.giving_way"].leave_unfinished(status)
+    if "hapsim.loop.beside" in sys.modules:
+        sys.modules["hapsim.loop.beside"].leave_unfinished(status)
     return status
 
 

@@ -32,7 +32,7 @@ from hapsim.cli.output import complain, document, json_log, log_as_json, stderr,
 from hapsim.cli.run_report import lifetime_document, show_report
 from hapsim.device.ports import is_new
 from hapsim.errors import UsageError
-from hapsim.loop.realtime.giving_way import Beside
+from hapsim.loop.beside import Beside
 from hapsim.prediction import Prediction, predict, warnings_about
 from hapsim.prediction.force_bounds import refused_slew
 from hapsim.progress import Progress

@@ -90,7 +90,7 @@ def wake_up_latency(
 @contextlib.contextmanager
 def _punctual(realtime: bool) -> Iterator[list[PrivilegeResult]]:
     """While open, this thread wakes up as punctually as it may: at the least without the kernel's slack of 50 µs."""
-    from hapsim.loop.realtime.scheduling import no_timer_slack
+    from hapsim.loop.realtime import no_timer_slack
 
     no_timer_slack()
     if not realtime:

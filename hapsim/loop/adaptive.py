@@ -1,22 +1,245 @@
-"""The correction `adaptive`: the force follows the estimated mass (mass_estimate.py), by a factor e in SLEW_S at most.
+"""The correction `adaptive`: the mass of the temporary hybrid system, estimated while it runs, with its uncertainty;
+and the force, which follows the estimate by a factor e in SLEW_S at most.
 
 `prediction/correction/adaptive.py` computes the predictor's table beforehand: what to simulate for which mass, stable
 for all of them. A scene without this correction never compiles it.
+
+**The estimate.** A mass m that a held force f and a hand push is read as x + w, with w the noise and rounding of the
+sensor:
+
+    y[n] - 2 y[n-1] + y[n-2] = (phi[n] + hand) / m + noise,      phi[n] = T² (sum of w_i f[n-i]) - k0 T² y[n-1]
+
+Summed twice over L samples both sides stay exact; the motion grows with L², the noise does not. L is half the loop's
+period, at most MOST_SPAN samples. A hand pushes slowly, so both sides are then differenced twice over D samples. The
+results are the motion Y and the forces P. What the velocity explains is friction: it is fitted, and subtracted from
+both.
+
+Noise in Y leaves sum(PP) / sum(PY) unbiased; a hand's push that the scene answers leaves sum(PY) / sum(YY) unbiased.
+Fourth differences of the positions are noise, since no hand moves that fast; it is subtracted from sum(YY). The
+estimate is the geometric mean of the two ratios. Its uncertainty consists of their distance, of the scatter between
+blocks (as long as the sums look back), and of what neither forces nor noise explain.
+
+Only blocks count in which the forces move the mass clearly more than the noise. The estimate comes from the latest
+BLOCKS of them, or, if these disagree after a grip, from the latest FEWEST_BLOCKS. While neither is certain to KNOWN,
+the last known estimate stays, and `unwatched` counts for how long. After lost positions, and after late forces in a
+row, the force that acted is unknown: the sums start anew.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from firmware_protocol import schema
+from hapsim.compiling import helper
 from hapsim.compiling.native import array_at, native, record_at
 from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.mass_estimate import MASS_ESTIMATE, estimate_mass, note_sample, take_spans
-from hapsim.loop.predictor import ADD, PREDICT, PREDICTOR, look_ahead, observe, set_numbers, take_posted
+from hapsim.loop.predictor import ADD, IN_ALL, PREDICT, PREDICTOR, look_ahead, observe, set_numbers, take_posted
 
-SLEW_S, LEAST_SLEW = 0.05, 25  # s, samples: for a factor e of the mass
+MOST_SPAN, MOST_SLOW_SPAN = 24, 12  # samples, L and D
+BLOCKS, FEWEST_BLOCKS = 8, 3
+CLEARLY = 10.0  # least energy of the motion that the forces make of the heaviest mass, over that of the noise
+KNOWN = 0.1  # relative uncertainty below which the force follows
+MOST_WEIGHTS = 8
+_FOURTH = 70.0  # the energy of white noise in its fourth difference, over its own
+_UNKNOWN = 0.05  # variance of ln m where neither forces nor noise explain any motion: as much as dry friction needs
+_TINY = 1e-300
+_COLOURED = 4.0  # variance of sums of filtered noise, over that of white noise of the same energy
 
 _EACH = (schema.MAX_CHANNELS,)
+_ROW = schema.MAX_CHANNELS
+_MASK = 63  # of the rings' samples: more than two spans of either
+_POSITION, _FORCE, _FORCE_SUM, _AREA, _MOVED, _PUSHED, _SWEPT, _RINGS = range(8)
+_COUNT, _PP, _PV, _VV, _PY, _VY, _YY, _AA, _AU, _UU, _SUMS = range(11)
+
+MASS_ESTIMATE = np.dtype(
+    [
+        ("log_least", np.float64, _EACH),  # of the span, ln kg
+        ("log_most", np.float64, _EACH),
+        ("log_mass", np.float64, _EACH),  # ln kg: the last estimate that was known; the least mass before there is one
+        ("uncertainty", np.float64, _EACH),  # relative, standard; infinite before there is an estimate
+        ("unwatched", np.int64, _EACH),  # samples since the motion last showed it
+        ("explained", np.float64, _EACH),  # R²: the share of the latest motion that the forces explain
+        ("span", np.int64, _EACH),  # samples, L,
+        ("slow_span", np.int64, _EACH),  # and D
+        ("next_span", np.int64, _EACH),  # of a scene that follows
+        ("rounding", np.float64, _EACH),  # m², the mean square of the counts
+        ("sprung", np.float64, _EACH),  # k0 T², kg
+        ("first_lag", np.int64),  # f[n - first_lag] has the first of the weights
+        ("count", np.int64),
+        ("weights", np.float64, (MOST_WEIGHTS,)),  # s²
+        ("seen", np.int64),  # samples in a row whose force is known
+        ("was_late", np.int64),
+        ("force_sum", np.float64, _EACH),  # running sums over L samples
+        ("push", np.float64, _EACH),
+        ("area", np.float64, _EACH),
+        ("rings", np.float64, (*_EACH, _RINGS, _MASK + 1)),
+        ("sums", np.float64, (*_EACH, _SUMS)),  # of the block that is being filled
+        ("block", np.int64, _EACH),  # how many were filled
+        ("blocks", np.float64, (*_EACH, BLOCKS, _SUMS)),
+        ("total", np.float64, (_SUMS,)),  # of those that are fitted
+    ],
+    align=True,
+)
+
+
+@helper
+def note_sample(estimate, gap, late):
+    """Notes whether the force that acted until this sample is known. Call it before the channels."""
+    unknown = gap != 1 or (late and estimate.was_late)
+    estimate.seen = 0 if unknown else estimate.seen + 1
+    estimate.was_late = late
+
+
+@helper
+def estimate_mass(estimate, predictor, forces, c, position):
+    """Adds a sample of a channel. Returns ln of the mass in kg."""
+    seen = estimate.seen
+    estimate.unwatched[c] += 1
+    ring, sums = estimate.rings[c], estimate.sums[c]
+    ring[_POSITION, seen & _MASK] = position
+    begins = 2 + estimate.first_lag + estimate.count  # from here on the forces are known
+    if seen < begins:
+        return estimate.log_mass[c]
+    pushed = -estimate.sprung[c] * ring[_POSITION, (seen - 1) & _MASK]
+    for i in range(estimate.count):
+        row = (predictor.newest - (estimate.first_lag - 1 + i)) & predictor.mask
+        pushed += estimate.weights[i] * forces[row * 2 * _ROW + IN_ALL + c]
+    ring[_FORCE, seen & _MASK] = pushed
+    if not _sum_over_span(estimate, ring, c, seen - begins):
+        return estimate.log_mass[c]
+    D = estimate.slow_span[c]
+    P = _difference(ring, _PUSHED, seen, D)
+    V = _difference(ring, _SWEPT, seen, D)
+    Y = _difference(ring, _MOVED, seen, D)
+    # The same over one sample, and twice more: there the noise is.
+    U = _difference(ring, _FORCE, seen, 1)
+    A = _difference(ring, _POSITION, seen, 1) - 2.0 * _difference(ring, _POSITION, seen - 1, 1)
+    A += _difference(ring, _POSITION, seen - 2, 1)
+    sums[_COUNT] += 1.0
+    sums[_PP] += P * P
+    sums[_PV] += P * V
+    sums[_VV] += V * V
+    sums[_PY] += P * Y
+    sums[_VY] += V * Y
+    sums[_YY] += Y * Y
+    sums[_AA] += A * A
+    sums[_AU] += A * U
+    sums[_UU] += U * U
+    if sums[_COUNT] >= 2 * (estimate.span[c] + D):
+        _close_block(estimate, c)
+    return estimate.log_mass[c]
+
+
+@helper
+def _sum_over_span(estimate, ring, c, age):
+    """Sums over L samples, `age` after the first known force. Returns whether there is enough for D differences."""
+    n, L = estimate.seen, estimate.span[c]
+    now, then = n & _MASK, (n - L) & _MASK
+    if age == 0:
+        estimate.force_sum[c] = estimate.push[c] = estimate.area[c] = 0.0
+    estimate.force_sum[c] += ring[_FORCE, now]
+    estimate.area[c] += 0.5 * (ring[_POSITION, now] + ring[_POSITION, (n - 1) & _MASK])
+    if age >= L:
+        estimate.force_sum[c] -= ring[_FORCE, then]
+        estimate.push[c] -= ring[_FORCE_SUM, then]
+        estimate.area[c] -= 0.5 * (ring[_POSITION, then] + ring[_POSITION, (n - L - 1) & _MASK])
+    estimate.push[c] += estimate.force_sum[c]
+    ring[_FORCE_SUM, now] = estimate.force_sum[c]
+    ring[_AREA, now] = estimate.area[c]
+    ring[_MOVED, now] = _difference(ring, _POSITION, n, L)
+    ring[_PUSHED, now] = estimate.push[c]
+    ring[_SWEPT, now] = estimate.area[c] - ring[_AREA, then]
+    return age >= 2 * (L + estimate.slow_span[c])
+
+
+@helper
+def _difference(ring, kind, n, over):
+    return ring[kind, n & _MASK] - 2.0 * ring[kind, (n - over) & _MASK] + ring[kind, (n - 2 * over) & _MASK]
+
+
+@helper
+def _close_block(estimate, c):
+    """Keeps a block in which the forces move the mass clearly, and estimates anew."""
+    sums = estimate.sums[c]
+    explained = sums[_AU] * sums[_AU] / sums[_UU] if sums[_UU] > 0.0 else 0.0
+    noise = max((sums[_AA] - explained) / _FOURTH, estimate.rounding[c] * sums[_COUNT]) * _noise_gain(estimate, c)
+    if sums[_PP] * math.exp(-2.0 * estimate.log_most[c]) > CLEARLY * noise:
+        newest = estimate.block[c] % BLOCKS
+        for i in range(_SUMS):
+            estimate.blocks[c, newest, i] = sums[i]
+        estimate.block[c] += 1
+        if not _fit(estimate, c, min(estimate.block[c], BLOCKS)) and estimate.block[c] > FEWEST_BLOCKS:
+            _fit(estimate, c, FEWEST_BLOCKS)
+    for i in range(_SUMS):
+        sums[i] = 0.0
+
+
+@helper
+def _fit(estimate, c, count):
+    """Estimates from the latest `count` blocks. Returns whether the mass is known now."""
+    if count < FEWEST_BLOCKS:
+        return False
+    blocks, newest, total = estimate.blocks[c], estimate.block[c] + BLOCKS - 1, estimate.total
+    for k in range(_SUMS):
+        total[k] = 0.0
+        for i in range(count):
+            total[k] += blocks[(newest - i) % BLOCKS, k]
+    samples, VV = total[_COUNT], max(total[_VV], _TINY)
+    in_P, in_Y = total[_PV] / VV, total[_VY] / VV  # of the velocity
+    P, Y = total[_PP] - in_P * total[_PV], total[_YY] - in_Y * total[_VY]
+    product = total[_PY] - in_P * total[_VY]
+    estimate.explained[c] = 0.0
+    if not (P > 0.0 and product > 0.0):
+        return False
+    inverse = product / P
+    left = max(Y - inverse * product, 0.0)
+    estimate.explained[c] = 1.0 - left / Y
+    white = (total[_AA] - 2.0 * inverse * total[_AU] + inverse * inverse * total[_UU]) / _FOURTH
+    noise = min(max(white, estimate.rounding[c] * samples) * _noise_gain(estimate, c), left)
+    friction = in_Y - inverse * in_P  # -b0 T/m, of which the sums are right to the square
+    scatter = 0.0
+    for i in range(count):
+        one = blocks[(newest - i) % BLOCKS]
+        missed = one[_PY] - inverse * one[_PP] - friction * one[_PV]
+        missed -= in_P * (one[_VY] - inverse * one[_PV] - friction * one[_VV])
+        scatter += missed * missed * count / (count - 1.0)
+    scatter += _COLOURED * left / samples * P
+    # Where what is left beside the noise is a hand that the scene answers, 1/m is (Y - noise) / product.
+    apart = 0.5 * math.log((Y - noise) / (inverse * product))
+    variance = scatter / (product * product) + apart * apart + 0.25 * friction**4
+    uncertainty = math.sqrt(variance + _UNKNOWN * (left - noise) / Y)
+    log_mass = -math.log(inverse) - apart
+    least, most = estimate.log_least[c], estimate.log_most[c]
+    if not (uncertainty < KNOWN and least - 3.0 * uncertainty < log_mass < most + 3.0 * uncertainty):
+        return False
+    estimate.log_mass[c] = min(max(log_mass, least), most)
+    estimate.uncertainty[c] = uncertainty
+    estimate.unwatched[c] = 0
+    return True
+
+
+@helper
+def _noise_gain(estimate, c):
+    """Returns the energy of white noise of the position in Y over its own: of (1, -2, 1) over L, and again over D."""
+    L, D = estimate.span[c], estimate.slow_span[c]
+    return 70.0 if L == D else 28.0 if L == 2 * D else 36.0
+
+
+@helper
+def take_spans(estimate):
+    """Restarts the channels whose spans another scene changes."""
+    for c in range(_ROW):
+        if estimate.next_span[c] != estimate.span[c]:
+            estimate.span[c] = estimate.next_span[c]
+            estimate.slow_span[c] = min(estimate.span[c], MOST_SLOW_SPAN)
+            estimate.block[c] = estimate.seen = 0
+            for i in range(_SUMS):
+                estimate.sums[c, i] = 0.0
+
+
+SLEW_S, LEAST_SLEW = 0.05, 25  # s, samples: for a factor e of the mass
 
 ADAPTIVE = np.dtype(
     [
@@ -32,7 +255,6 @@ ADAPTIVE = np.dtype(
 
 _predictor_at, _io_at, _doubles_at = record_at(PREDICTOR), record_at(IO_BUFFER), array_at(np.float64)
 _adaptive_at = record_at(ADAPTIVE)
-_ROW = schema.MAX_CHANNELS
 
 ADDED = 3
 """The last of a channel's numbers: N/m, N·s/m and N, which are added to the scene's force."""

@@ -81,6 +81,12 @@ IO_BUFFER = np.dtype(
 
 
 @inlined
+def clip(force, limit):
+    """A force in N, clipped to -limit ... limit. What is no number comes out as none, or as the limit."""
+    return -limit if force < -limit else limit if force > limit else force
+
+
+@inlined
 def next_place(last):
     """Returns where the next bytes go. The caller then moves `last.at` behind them."""
     if last.at >= KEPT:

@@ -1,9 +1,19 @@
 """One exchange: positions in, the scene moved, the guarded force out. Shared by every loop.
 
 No system call is made here: the caller (run.py in the kernel, portable.py in Python) brings bytes and time.
+
+**No force is sent that answers a position older than a force may live.** A force acts for its time to live and one
+sample more; then the device makes it zero and takes no older one (PROTOCOL.md, section 6). In two cases the host has to
+send zero in place of a force:
+
+* Where the host paces, a device takes the next force as an answer in time, however long the host took. Zero leaves
+  while the device still takes an answer to that position, and asks for the next one.
+* A position arrives later than that, delayed in a buffer. It moves the scene, but is of the past.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -15,17 +25,15 @@ from hapsim.compiling.native import array_at
 from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
-from hapsim.loop.buffers import IO_BUFFER, next_place
+from hapsim.loop.buffers import IO_BUFFER, clip, next_place
 from hapsim.loop.crossfade import SCENE_SLOT, move_scene
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
 from hapsim.loop.guards.energy_guard import ENERGY_GUARD, call_judge_energy
-from hapsim.loop.guards.force_limit import clip, is_finite
 from hapsim.loop.guards.frozen_sensor import FROZEN_SENSOR, call_judge_sensor, lower
 from hapsim.loop.guards.leap import LEAP, is_leap
 from hapsim.loop.guards.rate import WATCH, is_off_rate
 from hapsim.loop.guards.sign import SIGN, call_judge, release
 from hapsim.loop.guards.slew import SLEW, call_shape, hold_zero
-from hapsim.loop.guards.stale import has_expired, is_outdated
 from hapsim.loop.guards.travel import BEYOND, TRAVEL, WITHIN, call_fade
 from hapsim.loop.guide import GUIDE, call_lead
 from hapsim.loop.histogram import HISTOGRAM, note
@@ -275,7 +283,9 @@ def _apply_sent_force_guards(loop, gap, late, withheld, now):
     compact()
     state, io, history = loop.state, loop.io, loop.history
     since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
-    expired = state.ticks > 0 and has_expired(state, loop.control, gap, now, since)
+    state.since_sent = gap + (state.since_sent if state.unanswered else 0)
+    is_over = state.since_sent > loop.control.time_to_live + 1 or now - since > loop.control.stale_ns
+    expired = state.ticks > 0 and is_over
     happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired), np.int64(withheld))
     slewed, exceeded, wrong, jumps = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
     if loop.slew.shape != 0:
@@ -307,12 +317,18 @@ def compose_frame(loop, disarm):
     if disarm:
         kind, number, argument = schema.DISARM, 0, 0
         _take_force_away(io)
-    elif control.clock == HOST_CLOCK and is_outdated(control, _held_since(state, control), loop.wait.begun_ns):
+    elif control.clock == HOST_CLOCK and _is_outdated(control, _held_since(state, control), loop.wait.begun_ns):
         state.withheld_forces += 1
         _take_force_away(io)
         _leave_zero(loop, io.channels)
         state.limited_ticks -= withhold_last(loop.ring)
     return write_frame(loop.framing, io.outbox, next_place(io.sent), kind, number, argument, io.force_counts)
+
+
+@inlined
+def _is_outdated(control, since, now):
+    """Whether a position of `since` (ns) is older at `now` than a force may live."""
+    return now - since > control.stale_ns
 
 
 @inlined
@@ -369,12 +385,12 @@ def _note_time(loop, now, gap):
         late = now - (state.due_ns + (gap - 1) * period)
         note(loop.histograms.lateness, late)
         state.due_ns += (late if late < 0 else late >> 4) + gap * period
-        if is_outdated(control, 0, late):
+        if _is_outdated(control, 0, late):
             return ring.WITHHELD
     elif loop.control.clock == HOST_CLOCK and state.ticks > 0:
         note(loop.histograms.exchange, now - state.tick_ns)
         if abs(now - state.newest_ns - period) > period // 8:
-            return ring.OFF_GRID | (ring.WITHHELD if is_outdated(control, state.tick_ns, now) else 0)
+            return ring.OFF_GRID | (ring.WITHHELD if _is_outdated(control, state.tick_ns, now) else 0)
     return 0
 
 
@@ -414,7 +430,7 @@ def _set_force(io, control, state, guided):
     sound, limited = True, False
     for c in range(np.uint64(io.channels)):
         wanted = io.asked[c] + excitation if c == np.uint64(control.pulse_channel) else io.asked[c]
-        sound = sound and is_finite(wanted)
+        sound = sound and math.isfinite(wanted)
         force = clip(wanted, io.force_limit[c])
         limited = limited or force != wanted
         counts = np.rint(force / io.force_scale[c])

@@ -20,8 +20,7 @@ from numba import types
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.guards.force_limit import clip
+from hapsim.loop.buffers import IO_BUFFER, clip
 
 # The first columns of the scene's part of a force, of all of it, and of the scene's part in time.
 OF_SCENE, IN_ALL, IN_TIME = 0, schema.MAX_CHANNELS, 2 * schema.MAX_CHANNELS

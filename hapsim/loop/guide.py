@@ -20,8 +20,7 @@ from numba import types
 
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, function_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.guards.force_limit import clip
+from hapsim.loop.buffers import IO_BUFFER, clip
 
 _SMOOTHED = 5.0  # times the spring's eigenfrequency: the low-pass of its damper, which would be loud on a noisy device
 _SUMMED = 3.0  # radians of the spring's eigenfrequency, in which the integrator adds as much as the spring has

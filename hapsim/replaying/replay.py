@@ -17,8 +17,8 @@ from hapsim.compiling.progress import Counted
 from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
 from hapsim.loop.exchange import HOST_CLOCK
-from hapsim.loop.replay import VALUES, replay_rows
 from hapsim.loop.ring import BEFORE, VELOCITY
+from hapsim.loop.run import VALUES, replay_rows
 from hapsim.recording.stream import StreamReader, open_record, reading
 from hapsim.running.assemble import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene

@@ -23,8 +23,8 @@ from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
 from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
+from hapsim.loop.beside import Beside
 from hapsim.loop.posted import Posts
-from hapsim.loop.realtime.giving_way import Beside
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable

@@ -107,7 +107,7 @@ def _posts() -> list[tuple[Any, ...]]:
 def _replay() -> list[tuple[Any, ...]]:
     from firmware_protocol.decoder import DECODER
     from hapsim.loop.exchange import LOOP
-    from hapsim.loop.replay import replay_rows
+    from hapsim.loop.run import replay_rows
 
     return [(replay_rows, new_record(LOOP), new_record(DECODER), np.zeros((0, 1), np.int64), True, True)]
 

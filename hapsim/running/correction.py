@@ -16,8 +16,16 @@ from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description
 from hapsim.compiling.native import address_of
 from hapsim.holds import HOLDS
-from hapsim.loop.adaptive import ADAPTIVE, ADDED, LEAST_SLEW, SLEW_S, add_difference, predict_adaptively
-from hapsim.loop.mass_estimate import MOST_SLOW_SPAN, MOST_SPAN
+from hapsim.loop.adaptive import (
+    ADAPTIVE,
+    ADDED,
+    LEAST_SLEW,
+    MOST_SLOW_SPAN,
+    MOST_SPAN,
+    SLEW_S,
+    add_difference,
+    predict_adaptively,
+)
 from hapsim.loop.posted import Posts
 from hapsim.loop.predictor import STATES, predict
 from hapsim.prediction.correction import Corrected, Rendering

@@ -31,8 +31,7 @@ from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop import endings
 from hapsim.loop.buffers import last_bytes
 from hapsim.loop.portable import PortableLoop
-from hapsim.loop.realtime import PrivilegeResult, realtime
-from hapsim.loop.realtime.scheduling import no_timer_slack
+from hapsim.loop.realtime import PrivilegeResult, no_timer_slack, realtime
 from hapsim.loop.run import run_loop
 from hapsim.loop.system import missing_calls
 from hapsim.prediction.linear import with_device
@@ -94,7 +93,7 @@ class Session(SessionView):
             _require_free(scene.device.port or "")
         self._in_python = options.portable or options.between is not None or bool(missing_calls())
         self.gives_way = scene.device.clock != "lockstep" and not self._in_python
-        """Whether work beside the loop gives way to it (hapsim.loop.realtime.giving_way)."""
+        """Whether work beside the loop gives way to it (hapsim.loop.beside)."""
         self._over, self._done = threading.Event(), threading.Event()  # the loop has ended; everything has
         self._ending: int | None = None
         self._failure: BaseException | None = None

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hapsim.errors import UsageError
-from hapsim.loop.realtime.giving_way import Beside
+from hapsim.loop.beside import Beside
 from hapsim.progress import Progress
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session

@@ -23,10 +23,9 @@ from firmware_protocol.compiled import ONE, new_record
 from hapsim.compiling import helper, reassociated
 from hapsim.compiling.memory_fence import fence
 from hapsim.compiling.native import address_of, array_at, native, record_at
-from hapsim.loop.denormals import flush_denormals, restore
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.sound import SOUND_RING, SoundRing
-from hapsim.loop.system import SCRATCH, now_ns
+from hapsim.loop.system import SCRATCH, flush_denormals, now_ns, restore
 
 CHUNK = 64  # frames that are computed at once
 _HALF = 32  # taps on either side, at the lower rate

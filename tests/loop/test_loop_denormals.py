@@ -10,7 +10,7 @@ import pytest
 import hapsim
 from hapsim.compiling import entry
 from hapsim.cordis.program import numbers_of, positions_of
-from hapsim.loop.denormals import flush_denormals, restore
+from hapsim.loop.system import flush_denormals, restore
 from hapsim.running import Session
 from hapsim.scene import Scene
 

@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from hapsim.loop.realtime.giving_way import Beside
+from hapsim.loop.beside import Beside
 
 
 def test_what_comes_of_it_comes_back() -> None:
@@ -58,7 +58,7 @@ def test_a_program_that_ends_does_not_wait_for_it(seconds: float, status: int) -
     """It ends with its own status, what it printed printed, and no complaint."""
     text = f"""
 import time
-from hapsim.loop.realtime.giving_way import Beside, leave_unfinished
+from hapsim.loop.beside import Beside, leave_unfinished
 Beside(lambda: time.sleep({seconds}))
 print("done")
 leave_unfinished(3)

@@ -15,10 +15,17 @@ from pathlib import Path
 
 import pytest
 
-from hapsim.loop.realtime import PrivilegeResult, memory, no_timer_slack, privilege, scheduling
-from hapsim.loop.realtime.memory import collector_frozen, memory_locked
-from hapsim.loop.realtime.privilege import login_limit
-from hapsim.loop.realtime.scheduling import PRIORITY, idle_states_off, scheduled_fifo
+from hapsim.loop import realtime
+from hapsim.loop.realtime import (
+    PRIORITY,
+    PrivilegeResult,
+    collector_frozen,
+    idle_states_off,
+    login_limit,
+    memory_locked,
+    no_timer_slack,
+    scheduled_fifo,
+)
 
 Refuse = Callable[[str, int], None]
 
@@ -96,14 +103,14 @@ STATUS = "Name:\tVmLck: 1 kB\nVmSize:\t  350000 kB\nVmLck:\t  125000 kB\n"
 def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
     """What is called in a C library that grants everything, and in a process that spans 358.4 MB."""
     (tmp_path / "status").write_text(STATUS, encoding="utf-8")
-    monkeypatch.setattr(memory, "_STATUS", tmp_path / "status")
+    monkeypatch.setattr(realtime, "_STATUS", tmp_path / "status")
     made: list[tuple[object, ...]] = []
 
     def call(*words: object) -> int:
         made.append(words)
         return 0
 
-    monkeypatch.setattr(privilege, "call_c", call)
+    monkeypatch.setattr(realtime, "call_c", call)
     return made
 
 
@@ -121,7 +128,7 @@ def test_more_than_the_control_group_has_is_not_locked(
     calls: list[tuple[object, ...]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The kernel would kill the process without a word."""
-    monkeypatch.setattr(memory, "memory_limit", lambda: 25e6)
+    monkeypatch.setattr(realtime, "memory_limit", lambda: 25e6)
     with memory_locked(1) as grant:
         assert not grant.granted
     assert calls == []
@@ -148,7 +155,7 @@ def test_the_smallest_limit_of_a_control_group_and_those_above_counts(
     ).items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(f"{text}\n", encoding="utf-8")
-    assert memory.memory_limit(tmp_path, "7") == expected
+    assert realtime.memory_limit(tmp_path, "7") == expected
 
 
 @pytest.mark.usefixtures("calls")
@@ -157,7 +164,7 @@ def test_a_refusal_says_how_much_was_wanted_and_what_it_takes(
     number: int, root: bool, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (65_536, 65_536))
-    refuse("hapsim.loop.realtime.privilege.call_c", number)
+    refuse("hapsim.loop.realtime.call_c", number)
     with memory_locked(1) as grant:
         pass
     for words in ("358 MB", "0.0655 MB", os.strerror(number)):
@@ -168,7 +175,7 @@ def test_a_refusal_says_how_much_was_wanted_and_what_it_takes(
 @pytest.mark.usefixtures("calls")
 def test_without_a_limit_no_limit_is_blamed(refuse: Refuse, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    refuse("hapsim.loop.realtime.privilege.call_c", errno.ENOMEM)
+    refuse("hapsim.loop.realtime.call_c", errno.ENOMEM)
     with memory_locked(1) as grant:
         assert "free some memory" in grant.detail
         assert "limits.d" not in grant.detail
@@ -176,7 +183,7 @@ def test_without_a_limit_no_limit_is_blamed(refuse: Refuse, monkeypatch: pytest.
 
 def test_a_call_of_the_c_library_that_fails_raises_its_error() -> None:
     with pytest.raises(OSError, match="prctl") as caught:
-        privilege.call_c("prctl", 0x7FFFFFFF)
+        realtime.call_c("prctl", 0x7FFFFFFF)
     assert caught.value.errno == errno.EINVAL
 
 
@@ -188,7 +195,7 @@ def device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A file in the device's place, which anybody may write."""
     path = tmp_path / "cpu_dma_latency"
     path.touch()
-    monkeypatch.setattr(scheduling, "_DEVICE", str(path))
+    monkeypatch.setattr(realtime, "_DEVICE", str(path))
     return path
 
 
@@ -311,7 +318,7 @@ PR_GET_TIMERSLACK = 30
 
 def slack_ns() -> int:
     """Of the thread that calls this, as the kernel has it."""
-    return privilege.call_c("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
+    return realtime.call_c("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
 
 
 def test_the_thread_that_asks_has_no_slack_and_the_others_keep_theirs() -> None:
@@ -340,14 +347,14 @@ def test_the_least_slack_is_requested_and_reported(monkeypatch: pytest.MonkeyPat
         asked.append(value or 50_000)
         return 0
 
-    monkeypatch.setattr(privilege, "call_c", prctl)
+    monkeypatch.setattr(realtime, "call_c", prctl)
     grant = no_timer_slack()
     assert (grant.granted, said in grant.detail) == (most == 1, True)
 
 
 def test_whatever_the_error_is_it_is_denied_with_a_sentence(refuse: Refuse) -> None:
     for number in errno.errorcode:
-        refuse("hapsim.loop.realtime.privilege.call_c", number)
+        refuse("hapsim.loop.realtime.call_c", number)
         grant = no_timer_slack()
         assert not grant.granted
         assert os.strerror(number) in grant.detail or number in (errno.ESRCH, errno.ENOSYS)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hapsim.loop.realtime import scheduling as processor
-from hapsim.loop.realtime.scheduling import pinned
+from hapsim.loop import realtime as processor
+from hapsim.loop.realtime import pinned
 
 LOOP, MAIN, OTHER = 11, 22, 33
 

@@ -14,18 +14,16 @@ from collections.abc import Callable, Iterator
 import pytest
 
 import hapsim.loop.realtime as room
-from hapsim.loop.realtime import PrivilegeResult, no_timer_slack, realtime
-from hapsim.loop.realtime.memory import collector_frozen as frozen
-from hapsim.loop.realtime.memory import memory_locked as locked
-from hapsim.loop.realtime.privilege import Measure, measure
-from hapsim.loop.realtime.scheduling import idle_states_off as awake
-from hapsim.loop.realtime.scheduling import pinned
-from hapsim.loop.realtime.scheduling import scheduled_fifo as fifo
+from hapsim.loop.realtime import Measure, PrivilegeResult, measure, no_timer_slack, pinned, realtime
+from hapsim.loop.realtime import collector_frozen as frozen
+from hapsim.loop.realtime import idle_states_off as awake
+from hapsim.loop.realtime import memory_locked as locked
+from hapsim.loop.realtime import scheduled_fifo as fifo
 
 Refuse = Callable[[str, int], None]
 # What each measure that can be refused is refused by.
 CALLS = {
-    "memory locked": (locked, "hapsim.loop.realtime.privilege.call_c"),
+    "memory locked": (locked, "hapsim.loop.realtime.call_c"),
     "power saving off": (awake, "os.open"),
     "one processor": (pinned, "os.sched_setaffinity"),
     "SCHED_FIFO": (fifo, "os.sched_setscheduler"),
@@ -62,7 +60,7 @@ def test_an_impossible_answer_is_a_denial(
 
 
 def test_a_c_library_without_the_call_is_a_denial(thread_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hapsim.loop.realtime.privilege.ctypes.CDLL", lambda *_, **__: object())
+    monkeypatch.setattr("hapsim.loop.realtime.ctypes.CDLL", lambda *_, **__: object())
     with locked(thread_id) as grant:
         assert "does not have the call" in grant.detail
     assert not no_timer_slack().granted
@@ -70,7 +68,7 @@ def test_a_c_library_without_the_call_is_a_denial(thread_id: int, monkeypatch: p
 
 def test_where_advice_cannot_be_had_the_denial_is_told_without(thread_id: int, refuse: Refuse) -> None:
     refuse("resource.getrlimit", errno.EPERM)
-    refuse("hapsim.loop.realtime.privilege.call_c", errno.ENOMEM)
+    refuse("hapsim.loop.realtime.call_c", errno.ENOMEM)
     with locked(thread_id) as grant:
         assert grant.detail == f"it was refused ({os.strerror(errno.ENOMEM)})"
 

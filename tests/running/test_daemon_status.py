@@ -194,9 +194,7 @@ def test_a_directory_that_others_may_enter_is_none_for_it(folder: Path) -> None:
 def test_the_command_finds_it(
     folder: Path, hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        "hapsim.loop.realtime.giving_way.leave_unfinished", lambda _: None
-    )  # both sides are this process
+    monkeypatch.setattr("hapsim.loop.beside.leave_unfinished", lambda _: None)  # both sides are this process
     assert "no running hapsim was found" in hapsim("status", "--json").sentence
     with telling(path_for("/dev/ttyACM0"), lambda: '{"ticks": 5, "force_n": [0.5, null]}'):
         left = socket.socket(socket.AF_UNIX)

@@ -34,8 +34,7 @@ from numba import types
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import function_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.guards.force_limit import clip
+from hapsim.loop.buffers import IO_BUFFER, clip
 
 LATE = 4  # forces, on a wire on which every one is late, of which the device may hold one
 NO_LIMIT = 1 << 40  # counts: farther than 32 bits go

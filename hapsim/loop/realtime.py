@@ -1,0 +1,392 @@
+"""What `hapsim run --realtime` requests of the system; each measure is reported as granted or denied.
+
+The call is made and its error read: nothing is guessed from the kernel's name or from limits. A denial costs a
+sentence, never the run. To add a measure: write it here, name it in `_MEASURES`. `no_timer_slack` is not among them: it
+needs no privilege and serves every run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import gc
+import math
+import os
+import re
+import struct
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+ONLY_LINUX = "only Linux has it"
+
+
+@dataclass(frozen=True)
+class PrivilegeResult:
+    """The system's answer to one measure."""
+
+    privilege: str
+    """Its usual name: ``SCHED_FIFO``."""
+    granted: bool
+    detail: str
+    """Granted: what exactly (``priority 80``). Denied: why, and what to do about it, without a full stop."""
+
+
+Measure = Callable[[int], AbstractContextManager[PrivilegeResult]]
+"""Requests something for the process and its thread with this native id, and gives it back on leaving."""
+
+Request = Callable[[int], Iterator[str]]
+"""A generator that requests, yields what exactly was granted, and then undoes it; or raises OSError at first."""
+
+
+def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = False) -> Callable[[Request], Measure]:
+    """Makes a measure called `name` of a request. `advise` returns the sentence about an error of the call.
+    `everywhere`: not only on Linux.
+
+    The measure raises no error of the system, neither in requesting nor in undoing.
+    """
+
+    def _make(request: Request) -> Measure:
+        @contextlib.contextmanager
+        def _held(thread_id: int) -> Iterator[PrivilegeResult]:
+            asked = request(thread_id)
+            try:
+                if sys.platform == "linux" or everywhere:
+                    answer = PrivilegeResult(name, True, next(asked))
+                else:
+                    answer = PrivilegeResult(name, False, ONLY_LINUX)
+            except OSError as error:
+                answer = denied(name, error, advise)
+            except Exception as error:  # an answer that no system should give is no reason to end a run
+                why = f"the system's answer could not be used ({type(error).__name__}: {error})"
+                answer = PrivilegeResult(name, False, why)
+            try:
+                yield answer
+            finally:
+                # The body's own failure matters more than what could not be given back.
+                with contextlib.suppress(Exception):
+                    if answer.granted:
+                        next(asked, None)
+
+        return _held
+
+    return _make
+
+
+def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> PrivilegeResult:
+    """Returns the denial of `name`. `advise` has to know only the errors that are the measure's own."""
+    if error.errno == errno.ESRCH:
+        return PrivilegeResult(name, False, "the loop's thread is not there: it has ended already")
+    if error.errno == errno.ENOSYS:
+        return PrivilegeResult(name, False, "this kernel or C library does not have the call; another one may")
+    try:
+        return PrivilegeResult(name, False, advise(error))
+    except Exception:  # advice asks the system, too
+        return PrivilegeResult(name, False, f"it was refused ({error.strerror or error})")
+
+
+def call_c(name: str, *arguments: int) -> int:
+    """Calls a function of the C library that Python's standard library does not offer. Raises OSError with its errno
+    where it returns -1, with ENOSYS where there is no such function."""
+    function = getattr(ctypes.CDLL(None, use_errno=True), name, None)
+    if function is None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS), name)
+    # prctl takes any number of arguments and reads each of them as an unsigned long.
+    result = int(function(*map(ctypes.c_ulong, arguments)))
+    if result == -1:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), name)
+    return result
+
+
+def is_root() -> bool:
+    """Whether the user is root. Decides what is advised, never what is tried."""
+    return os.geteuid() == 0
+
+
+def what_grants(capability: str, item: str, value: str) -> str:
+    """Returns what grants a capability, or enough of the limit `item`, to follow "it takes"."""
+    if is_root():
+        return f"{capability} (in a container: --cap-add={capability.removeprefix('CAP_')})"
+    return f"{login_limit(item, value)}, or {capability}, or root"
+
+
+def login_limit(item: str, value: str) -> str:
+    """Returns what raises this user's limit on `item`, as in limits.conf(5), to follow "it takes"."""
+    import pwd
+
+    try:
+        user = pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:  # a user of a container need not be in its list
+        user = "*"
+    return f"the line '{user} - {item} {value}' in /etc/security/limits.d/hapsim.conf and a new login"
+
+
+# Memory that never makes the loop wait: no garbage collection, and no page fault.
+#
+# A collection takes tens of milliseconds, in which no other Python runs. A page that is not in memory may wait for a
+# disk. What is mapped is locked (MCL_CURRENT), not what will be (MCL_FUTURE): the loop allocates nothing, while each
+# further thread would lock its whole stack and heap, 74 MB, and beyond the limit an allocation would fail during a run.
+
+_MCL_CURRENT = 1
+_STATUS = Path("/proc/self/status")
+
+
+def _collector_advice(error: OSError) -> str:
+    return f"the garbage collector failed ({error.strerror})"
+
+
+@measure("garbage collector frozen", _collector_advice, everywhere=True)
+def collector_frozen(_thread_id: int) -> Iterator[str]:
+    """Collects once, then sets what is left aside and switches collecting off. References still free what they hold."""
+    was_enabled, was_frozen = gc.isenabled(), gc.get_freeze_count() > 0
+    gc.collect()
+    if not was_frozen:  # gc.unfreeze would also thaw what was frozen before
+        gc.freeze()
+    gc.disable()
+    yield f"{gc.get_freeze_count()} objects set aside, no collection"
+    if not was_frozen:
+        gc.unfreeze()
+    if was_enabled:
+        gc.enable()
+
+
+class _GroupLimitError(OSError):
+    """More is mapped than the control group may have."""
+
+
+def memory_limit(root: Path = Path("/"), process: str = "self") -> float:
+    """Returns how many bytes of memory the control groups of a process allow, infinity without a limit."""
+    limits = [math.inf]
+    for _, controllers, group in re.findall("^(.*?):(.*?):(.*)$", _text(root / f"proc/{process}/cgroup"), re.MULTILINE):
+        version_2 = not controllers
+        if version_2 or "memory" in controllers.split(","):
+            top = root / ("sys/fs/cgroup" if version_2 else "sys/fs/cgroup/memory")
+            own = top / group.strip("/")
+            for place in (own, *own.parents):
+                if place.is_relative_to(top):  # a container sees its own group at the top
+                    text = _text(place / ("memory.max" if version_2 else "memory.limit_in_bytes")).strip()
+                    limits += [float(text)] if text.isdecimal() else []
+    return min(limits)
+
+
+def _mapped_bytes() -> int:
+    """Returns what locking reads in, bytes: all that is mapped and not closed to every access."""
+    lines = (line.split(maxsplit=2) for line in _text(Path("/proc/self/maps")).splitlines())
+    ranges = [span.split("-") for span, access, *_ in lines if not access.startswith("---")]
+    return sum(int(end, 16) - int(start, 16) for start, end in ranges)
+
+
+def _text(file: Path) -> str:
+    """The text of a file of the system; "" where there is none."""
+    try:
+        return file.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def _lock_advice(error: OSError) -> str:
+    import resource
+
+    if isinstance(error, _GroupLimitError):
+        return f"{error.strerror} MB, and the kernel would end the run: raise its limit (MemoryMax=, docker --memory)"
+    refused = f"locking {_megabytes('VmSize')} was refused ({error.strerror})"
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if error.errno not in (errno.ENOMEM, errno.EPERM):
+        return refused
+    if limit == resource.RLIM_INFINITY:
+        return f"{refused} though no limit is set: free some memory, or let the container call mlockall"
+    takes = what_grants("CAP_IPC_LOCK", "memlock", "unlimited")
+    return f"{refused}: the limit is {limit / 1e6:.3g} MB; it takes {takes}"
+
+
+@measure("memory locked", _lock_advice)
+def memory_locked(_thread_id: int) -> Iterator[str]:
+    """Locks and reads in what the process has mapped. Undoing unlocks what was locked before, too (munlockall(2))."""
+    limit, needed = memory_limit(), _mapped_bytes()
+    if limit < needed:  # the kernel would kill the process
+        raise _GroupLimitError(
+            errno.ENOMEM, f"its control group has {limit / 1e6:.0f} MB, locking takes {needed / 1e6:.0f}"
+        )
+    call_c("mlockall", _MCL_CURRENT)
+    yield _megabytes("VmLck")
+    call_c("munlockall")
+
+
+def _megabytes(field: str) -> str:
+    """Returns a line of the process's status in MB of 10^6 bytes; "all memory" where it cannot be read."""
+    found = re.search(rf"^{field}:\s+(\d+) kB$", _text(_STATUS), re.MULTILINE)
+    return f"{int(found[1]) * 1024 / 1e6:.0f} MB" if found else "all memory"
+
+
+# When the loop's thread runs: before all others, on a CPU of its own that does not idle, woken on time.
+#
+# Where SCHED_FIFO is denied, another thread on the same CPU makes the loop wait for its whole time slice, some
+# milliseconds; where it is granted, the loop makes the other one wait. So the process's other threads leave the loop's
+# CPU, if there is another. SCHED_FIFO is safe because the loop sleeps in the kernel and never spins.
+
+PRIORITY = 80
+"""Above 50, the priority of the kernel's interrupt threads: a loop that blocks does not delay them, and those of a disk
+do not delay the loop. Below 99, that of the kernel's own watchdogs and migrations."""
+
+_DEVICE = "/dev/cpu_dma_latency"
+_ISOLATED = Path("/sys/devices/system/cpu/isolated")
+_THREADS = Path("/proc/self/task")
+_SLACK, _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = "timer slack", 29, 30
+_LEAST_SLACK_NS = 1  # 0 would mean the default
+
+
+def _fifo_advice(error: OSError) -> str:
+    refused = f"priority {PRIORITY} was refused ({error.strerror})"
+    if not isinstance(error, PermissionError):
+        return refused
+    group = " and real-time runtime in the control group (cpu.rt_runtime_us)" if is_root() else ""
+    return f"{refused}: it takes {what_grants('CAP_SYS_NICE', 'rtprio', str(PRIORITY))}{group}"
+
+
+@measure("SCHED_FIFO", _fifo_advice)
+def scheduled_fifo(thread_id: int) -> Iterator[str]:
+    """SCHED_FIFO for the thread, at PRIORITY or at the highest that is granted below it; never lower than it was."""
+    policy, parameters = os.sched_getscheduler(thread_id), os.sched_getparam(thread_id)
+    fifo = os.SCHED_FIFO | policy & os.SCHED_RESET_ON_FORK  # dropping this flag takes a privilege of its own
+    priority = max(PRIORITY, parameters.sched_priority)
+    while True:
+        try:
+            os.sched_setscheduler(thread_id, fifo, os.sched_param(priority))
+            break
+        except PermissionError:
+            if priority == 1:
+                raise
+            priority -= 1
+    more = f", the highest that was granted: {PRIORITY} takes {login_limit('rtprio', str(PRIORITY))}"
+    yield f"priority {priority}{more if priority < PRIORITY else ''}"
+    os.sched_setscheduler(thread_id, policy, parameters)
+
+
+def _pin_advice(error: OSError) -> str:
+    return (
+        f"no single CPU could be chosen ({error.strerror}): `taskset -c 1 hapsim run …` chooses one from outside, and "
+        "a control group (cpuset.cpus) or a container may forbid it"
+    )
+
+
+@measure("one processor", _pin_advice)
+def pinned(thread_id: int) -> Iterator[str]:
+    """Pins the thread to one CPU: one that is isolated from the scheduler, or the last that is allowed. The process's
+    other threads leave it where they may run elsewhere."""
+    allowed = os.sched_getaffinity(thread_id)
+    cpu, detail = _pin(thread_id, allowed)
+    moved = _clear(cpu)
+    if moved:
+        detail += f"; {len(moved)} other thread{'s' if len(moved) > 1 else ''} moved off it"
+    yield detail
+    for thread, cpus in (moved | {thread_id: allowed}).items():
+        with contextlib.suppress(OSError):  # it has ended
+            os.sched_setaffinity(thread, cpus)
+
+
+def _pin(thread_id: int, allowed: set[int]) -> tuple[int, str]:
+    """Pins the thread; returns its CPU, and the same in words."""
+    # An isolated one is as a rule not among the allowed: that is what keeps all others off it.
+    for cpu in sorted(_isolated(), key=lambda cpu: (cpu in allowed, cpu), reverse=True):
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(thread_id, {cpu})
+            return cpu, f"CPU {cpu}, isolated from the scheduler"
+    cpu = max(allowed)  # CPU 0 serves most interrupts
+    os.sched_setaffinity(thread_id, {cpu})
+    return cpu, f"CPU {cpu}" if len(allowed) > 1 else f"CPU {cpu}, the only one allowed: there was nothing to choose"
+
+
+def _isolated() -> set[int]:
+    """Returns the CPUs that the kernel keeps its scheduler off, as in ``2-3,6``; none where it does not say."""
+    try:
+        ranges = [part.split("-") for part in _ISOLATED.read_text(encoding="utf-8").strip().split(",") if part]
+        return {cpu for ends in ranges for cpu in range(int(ends[0]), int(ends[-1]) + 1)}
+    except (OSError, ValueError):
+        return set()
+
+
+def _clear(cpu: int) -> dict[int, set[int]]:
+    """Moves the process's threads off `cpu`, if they may run elsewhere. Returns where they were allowed before."""
+    moved = {}
+    with contextlib.suppress(OSError):
+        for thread in map(int, os.listdir(_THREADS)):
+            with contextlib.suppress(OSError):  # it has ended, or has nowhere else to go
+                before = os.sched_getaffinity(thread)
+                if cpu in before:
+                    os.sched_setaffinity(thread, before - {cpu})
+                    moved[thread] = before
+    return moved
+
+
+def _idle_advice(error: OSError) -> str:
+    if error.errno == errno.ENOENT:
+        return f"there is no {_DEVICE}; a container needs --device={_DEVICE}, a kernel CONFIG_CPU_IDLE"
+    if not isinstance(error, PermissionError):
+        return f"{_DEVICE} failed ({error.strerror})"
+    if is_root():
+        return f"{_DEVICE} was refused to root ({error.strerror}): a container needs --device={_DEVICE}"
+    return (
+        f"{_DEVICE} may not be written ({error.strerror}): it takes a udev rule that gives it to a group of yours "
+        '(KERNEL=="cpu_dma_latency", GROUP="…", MODE="0660" in /etc/udev/rules.d/hapsim.rules), or root'
+    )
+
+
+@measure("power saving off", _idle_advice)
+def idle_states_off(_thread_id: int) -> Iterator[str]:
+    """Requests a wake-up latency of 0 µs, which the kernel keeps for as long as the file is open."""
+    descriptor = os.open(_DEVICE, os.O_WRONLY)
+    try:
+        os.write(descriptor, struct.pack("=i", 0))
+        yield "0 µs of wake-up latency asked of every processor"
+    finally:
+        os.close(descriptor)
+
+
+def no_timer_slack() -> PrivilegeResult:
+    """Takes the timer slack from the calling thread, for the rest of its life: its sleeps end on time, where ordinary
+    threads wake up to 50 µs late to save power. It needs no privilege; a thread under SCHED_FIFO has no slack anyway.
+    Raises nothing if it is denied."""
+    if sys.platform != "linux":
+        return PrivilegeResult(_SLACK, False, ONLY_LINUX)
+    try:
+        call_c("prctl", _PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0)
+        slack_ns = call_c("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
+    except OSError as error:
+        return denied(
+            _SLACK, error, lambda error: f"prctl was refused ({error.strerror}): a container or sandbox forbids it"
+        )
+    if slack_ns > _LEAST_SLACK_NS:
+        kept = f"{_LEAST_SLACK_NS} ns was asked for and {slack_ns} ns is kept: another kernel may do it"
+        return PrivilegeResult(_SLACK, False, kept)
+    return PrivilegeResult(_SLACK, True, f"{slack_ns} ns")
+
+
+# Garbage is collected before memory is locked; the thread gets its priority once the rest is in place.
+_MEASURES: tuple[Measure, ...] = (collector_frozen, memory_locked, idle_states_off, pinned, scheduled_fifo)
+
+_HELD = threading.Lock()  # two that undid their measures in another order than they began would restore neither
+
+
+@contextlib.contextmanager
+def realtime(thread_id: int) -> Iterator[list[PrivilegeResult]]:
+    """While open, every measure that the system grants is in force: for this process, and for its thread with the
+    native id `thread_id` (the loop's). Yields a PrivilegeResult for each measure.
+
+    Enter it when everything is allocated and compiled: it takes some tenths of a second, in which memory is read in. On
+    leaving, the measures are undone in reverse order, whatever the body raised. Raises nothing for what is denied. Of
+    two loops in one process the second is denied it.
+    """
+    if not _HELD.acquire(blocking=False):
+        why = "another loop of this process has it, and gives it back for all when it ends"
+        yield [PrivilegeResult("real time", False, why)]
+        return
+    try:
+        with contextlib.ExitStack() as held:
+            yield [held.enter_context(measure(thread_id)) for measure in _MEASURES]
+    finally:
+        _HELD.release()
