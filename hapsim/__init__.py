@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from hapsim.measuring.identify_device import DeviceIdentification as DeviceIdentification
     from hapsim.measuring.identify_device import identify_device as identify_device
     from hapsim.measuring.measure import measure as measure
+    from hapsim.measuring.measure_hands import HandsMeasurement as HandsMeasurement
     from hapsim.measuring.measure_hands import measure_hands as measure_hands
     from hapsim.measuring.measure_impedance import MeasuredImpedance as MeasuredImpedance
     from hapsim.measuring.measure_impedance import measure_impedance as measure_impedance
     from hapsim.measuring.measure_trace import Measurement as Measurement
     from hapsim.measuring.measure_trace import identify as identify  # the former name of measure_trace
     from hapsim.measuring.measure_trace import measure_trace as measure_trace
-    from hapsim.measuring.rings import HandsMeasurement as HandsMeasurement
     from hapsim.prediction import Prediction as Prediction
     from hapsim.prediction import predict as predict
     from hapsim.recording.trace import Trace as Trace
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 _HOME = {
     "DeviceIdentification": "hapsim.measuring.identify_device",
     "Diagnosis": "hapsim.measuring.diagnosis",
-    "HandsMeasurement": "hapsim.measuring.rings",
+    "HandsMeasurement": "hapsim.measuring.measure_hands",
     "MeasuredImpedance": "hapsim.measuring.measure_impedance",
     "Measurement": "hapsim.measuring.measure_trace",
     "Prediction": "hapsim.prediction",

@@ -1,9 +1,11 @@
-"""What was recorded: position and force over time, channel by channel."""
+"""Pictures over time: of a record, of a replay beside it, of the ring-down of a measured hand within the envelope that
+was predicted for it, and of what the fit of a device leaves.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +14,14 @@ from numpy.typing import NDArray
 from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, UNSENT, WITHHELD
+from hapsim.number_format import number, rounded
 from hapsim.recording.trace import Trace
+from hapsim.theory.arrays import Floats
+
+if TYPE_CHECKING:
+    from hapsim.measuring.identify_device import DeviceIdentification
+    from hapsim.prediction import Felt
+    from hapsim.replaying.replay import Comparison
 
 _MOST_MARKS = 2000
 _MARKS = (
@@ -79,3 +88,193 @@ def draw_zero_if_near(axes: Axes) -> None:
     low, high = axes.get_ylim()
     if low <= 0.0 <= high:
         axes.axhline(0.0, **style.ZERO_LINE)
+
+
+def replay_columns(found: Comparison) -> dict[str, NDArray[Any]]:
+    """Returns what is drawn, row by row, by the names that a data file uses."""
+    columns: dict[str, NDArray[Any]] = {"time_s": found.time_s}
+    for c in range(found.position.shape[1]):
+        columns[f"position_m[{c}]"] = found.position[:, c]
+        columns[f"recorded_force_N[{c}]"] = found.recorded[:, c]
+        columns[f"replayed_force_N[{c}]"] = found.replayed[:, c]
+    return columns
+
+
+def draw_replay(found: Comparison, title: str, path: Path) -> None:
+    """Draws it to a file (.svg, .png or .pdf)."""
+    with figure_to(path, 8.0, 5.2) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        for c in range(found.position.shape[1]):
+            of = f" of channel {c}" if found.position.shape[1] > 1 else ""
+            upper.plot(found.time_s, 1e3 * found.position[:, c], linewidth=1.0, color=f"C{c}")
+            lower.plot(
+                found.time_s, found.recorded[:, c], linewidth=2.2, alpha=0.4, color=f"C{c}", label=f"recorded{of}"
+            )
+            lower.plot(found.time_s, found.replayed[:, c], linewidth=0.9, color=f"C{c}", label=f"replayed{of}")
+        upper.set_ylabel("position (mm)")
+        lower.set_ylabel("force (N)")
+        lower.set_xlabel("time since arming (s)")
+        for axes in (upper, lower):
+            axes.margins(x=0.01)
+            draw_zero_if_near(axes)
+        upper.set_title(title, fontsize=9)
+        legend_below(figure, 4)
+
+
+_PUSH = 1e-6  # N beyond what the scene asks: a push, not the rounding of the force
+_SHORTEST = 16  # samples of a free motion
+_DECAYS = 6.0  # time constants that are worth drawing
+
+
+def ring_down(trace: Trace, felt: Felt, *, led: bool = False) -> dict[str, Floats]:
+    """Returns the first free motion in a trace beside the predicted one, (N,) columns by the names that a data file
+    uses. The predicted motion has its size, phase and rest fitted to the measured one, the envelope its size about that
+    rest. All are NaN if no spring and damper is equivalent."""
+    first, last = _first_free_motion(trace, felt.channel, led)
+    poles = felt.configuration.dominant_poles(felt.stiffness, felt.damping)
+    decay = -float(np.log(np.max(np.abs(poles))))
+    if decay > 0.0:  # not NaN
+        last = min(last, first + max(_SHORTEST, int(_DECAYS / decay)))
+    y = trace.position[first:last, felt.channel]
+    n = np.arange(y.size)
+    motion = envelope = rest = np.full(y.size, np.nan)
+    if np.isfinite(poles).all():
+        modes = poles[:, None] ** n
+        basis = np.column_stack([modes[0].real, modes[0].imag if poles[0].imag else modes[1].real])
+        *size, middle = np.linalg.lstsq(np.column_stack([basis, np.ones(n.size)]), y, rcond=None)[0]
+        rest = np.full(y.size, middle)
+        motion = basis @ size
+        envelope = np.hypot(*size) * np.abs(modes[0]) if poles[0].imag else np.abs(motion)
+        motion = motion + rest
+    return {
+        "time_s": n / trace.rate,
+        "position_m": y,
+        "predicted_position_m": motion,
+        "predicted_envelope_m": envelope,
+        "rest_position_m": rest,
+    }
+
+
+def _first_free_motion(trace: Trace, channel: int, led: bool) -> tuple[int, int]:
+    """Returns the rows up to the first push, or if it comes at once, those up to the next one. A hand that was `led`
+    to a place is held there by a constant force, which is no push."""
+    beside = (trace.force - trace.asked_force)[:, channel]
+    pushed = np.abs(beside - np.median(beside) if led else beside) > _PUSH
+    edges = np.flatnonzero(np.diff(~pushed, prepend=False, append=False)).reshape(-1, 2)
+    free = [(int(first), int(last)) for first, last in edges if first or last > _SHORTEST]
+    return free[0] if free else (pushed.size, pushed.size)
+
+
+def draw_ring_down(columns: dict[str, Floats], felt: Felt, measured: tuple[float, float], path: Path) -> None:
+    """Draws it to a file: .svg, .png or .pdf. `measured`: k in N/m and b in N·s/m."""
+    from hapsim.chart.hand import described
+
+    names = ("time_s", "position_m", "predicted_envelope_m", "rest_position_m")
+    time, position, envelope, rest = (columns[name] for name in names)
+    with figure_to(path, 8.0, 4.6) as figure:
+        axes = figure.add_subplot()
+        if np.isfinite(envelope).all():
+            label = f"predicted envelope: k = {felt.k:.5g} N/m, b = {felt.b:.4g} N·s/m"
+            axes.plot(time, 1e3 * (rest + envelope), label=label, **style.ENVELOPE)
+            axes.plot(time, 1e3 * (rest - envelope), **style.ENVELOPE)
+        label = f"measured: k = {measured[0]:.5g} N/m, b = {measured[1]:.4g} N·s/m"
+        axes.plot(time, 1e3 * position, "o-" if time.size < 200 else "-", label=label, **style.MOTION)
+        middle = 1e3 * rest[0] if rest.size and np.isfinite(rest[0]) else 0.0
+        axes.axhline(middle, **style.ZERO_LINE)
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel(f"position of the hand (mm), at rest at {number(middle, 4)} mm")
+        simulated = f"{felt.name}: K = {felt.stiffness:.5g} N/m, B = {felt.damping:.4g} N·s/m"
+        axes.set_title(f"{simulated}; {described(felt.configuration)}", fontsize=9)
+        axes.margins(x=0.01)
+        legend_below(figure, 2)
+
+
+_MOST_POINTS = 20000  # of a picture; its data have all
+
+
+def residual_columns(found: DeviceIdentification) -> dict[str, Floats]:
+    """Returns the rows that the fit used: run, time, position, position residual; and in the rows in the middle of a
+    window (NaN elsewhere) the velocity and the force that the model lacks there."""
+    motions, lacking = found.motions, found.force_residual
+    starts = np.cumsum([0, *(motion.position.size for motion in motions)])
+    rows = int(starts[-1])
+    run = np.repeat(np.arange(len(motions)), np.diff(starts))
+    left, velocity, force = (np.full(rows, np.nan) for _ in range(3))
+    for swing, error in zip(found.swings, found.residuals, strict=True):
+        first = starts[swing.motion] + swing.first
+        left[first : first + swing.rows] = error * found.count_m
+    window = starts[lacking.motion] + lacking.row
+    velocity[window], force[window] = lacking.velocity, lacking.force
+    columns = {
+        "run": run.astype(float),
+        "time_s": (np.arange(rows) - starts[run]) / found.rate_hz,
+        "position_m": np.concatenate([motion.position for motion in motions]) * found.count_m,
+        "position_residual_m": left,
+        "velocity_m_s": velocity,
+        "force_residual_N": force,
+    }
+    used = np.isfinite(left)
+    return {name: column[used] for name, column in columns.items()}
+
+
+def draw_device_residual(found: DeviceIdentification, path: Path) -> None:
+    """Draws it to a file: .svg, .png or .pdf."""
+    lacking = found.force_residual
+    with figure_to(path, 9.0, 6.4) as figure:
+        panels = figure.subplot_mosaic([["time", "time"], ["velocity", "position"]])
+        _draw_over_time(panels["time"], found)
+        size = float(np.max(np.abs(lacking.force), initial=0.0))
+        unit, name = (1.0, "N") if size > 0.5 else (1e3, "mN") if size > 5e-4 else (1e6, "µN")
+        _draw_forces(panels["velocity"], lacking.velocity, lacking.force * unit, lacking.noise * unit)
+        _draw_forces(panels["position"], 1e3 * lacking.position, lacking.force * unit, lacking.noise * unit)
+        panels["velocity"].set_xlabel("velocity (m/s)")
+        panels["position"].set_xlabel("position from where it was found (mm)")
+        panels["velocity"].set_ylabel(f"force beside the model ({name})")
+        panels["position"].sharey(panels["velocity"])
+        legend_below(figure, 3)
+        figure.suptitle(_title(found), fontsize=9)
+
+
+def _draw_over_time(axes: Axes, found: DeviceIdentification) -> None:
+    """Draws the position residuals, each run behind the one before."""
+    columns = residual_columns(found)
+    begins = np.cumsum([0.0, *(motion.position.size / found.rate_hz for motion in found.motions)])
+    time = columns["time_s"] + begins[columns["run"].astype(int)]
+    some = slice(None, None, max(1, time.size // _MOST_POINTS))
+    unit, name = (1e6, "µm") if found.residual_m > 2e-8 else (1e9, "nm")
+    axes.plot(time[some], unit * columns["position_residual_m"][some], markersize=1.5, **style.RESIDUAL)
+    axes.axhline(0.0, **style.ZERO_LINE)
+    axes.set_xlim(0.0, float(begins[-1]))
+    top = axes.get_ylim()[1]
+    for begin, drive in zip(begins, found.drives, strict=False):
+        axes.axvline(float(begin), linestyle=":", **style.ZERO_LINE)
+        words = f" K = {drive.stiffness:.3g} N/m, B = {drive.damping:.2g} N·s/m"
+        axes.annotate(words, (float(begin), top), ha="left", va="bottom", fontsize=8)
+    axes.set_xlabel("time (s), the runs one after the other")
+    axes.set_ylabel(f"position beside the model ({name})")
+
+
+def _draw_forces(axes: Axes, along: Floats, force: Floats, noise: float) -> None:
+    """Draws the force that the model lacks in each window, and its mean over the velocity or the position."""
+    from hapsim.measuring.device_diagnosis import BINS, binned
+
+    axes.plot(along, force, markersize=2.5, label="a window each", **style.RESIDUAL)
+    axes.axhspan(-2.0 * noise, 2.0 * noise, color="0.9", zorder=0, label="95 % of noise and rounding")
+    if force.size >= 4 * BINS:
+        _, middles, means = binned(along, force)
+        axes.plot(middles, means, label="mean over a twelfth of them", **style.MEAN)
+    axes.axhline(0.0, **style.ZERO_LINE)
+
+
+def _title(found: DeviceIdentification) -> str:
+    named = (
+        ("mass", found.mass, "kg"),
+        ("friction", found.friction, "N·s/m"),
+        ("stiffness", found.stiffness, "N/m"),
+        ("delay", found.delay, "samples"),
+        ("dry friction", found.coulomb, "N"),
+    )
+    words = [
+        f"{name} {rounded(one.value, one.uncertainty)} ± {one.uncertainty:.1g} {unit}" for name, one, unit in named
+    ]
+    return f"{', '.join(words[:3])},\n{', '.join(words[3:])}"

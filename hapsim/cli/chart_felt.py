@@ -55,7 +55,7 @@ def felt(
 
 def _tolerance(hand: HandOptions, over: str, others: list[Any], output: ChartOutput) -> None:
     """Draws how far off k and b of a scene's hand are where the device is not the declared one."""
-    from hapsim.chart.tolerance import SHARES, draw_tolerance, tolerance_chart
+    from hapsim.chart.felt import SHARES, draw_tolerance, tolerance_chart
 
     given = {name: value for name, value in asdict(hand).items() if value is not None}
     if hand.scene is None or others != [None, None] or given.keys() - {"scene", "channel"}:

@@ -22,8 +22,8 @@ from hapsim.stopping import INTERRUPTED, ignore_stops
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hapsim.doctor.advice import Machine
     from hapsim.doctor.examine import Examination, Step
-    from hapsim.doctor.machine import Machine
     from hapsim.loop.histogram import Histogram
 
 

@@ -90,7 +90,7 @@ def identify(
     if port:
         is_new(port)  # from now on not
     if picture.wanted:
-        from hapsim.chart.device_residual import draw_device_residual, residual_columns
+        from hapsim.chart.trace import draw_device_residual, residual_columns
 
         picture.write(lambda: residual_columns(found), lambda path: draw_device_residual(found, path))
     _show(device.scene, scene, found, write, json)

@@ -165,7 +165,7 @@ def _end_failed(
 
 
 def _draw(felt: Any, measurement: Measurement, picture: PictureOptions) -> None:
-    from hapsim.chart.ring_down import draw_ring_down, ring_down
+    from hapsim.chart.trace import draw_ring_down, ring_down
 
     drawn = ring_down(measurement.trace, felt, led=measurement.at_m is not None)
     picture.write(lambda: drawn, lambda path: draw_ring_down(drawn, felt, (measurement.k, measurement.b), path))

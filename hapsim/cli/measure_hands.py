@@ -18,7 +18,7 @@ from hapsim.number_format import number, percent, plural, relative_difference, r
 from hapsim.prediction import predict
 
 if TYPE_CHECKING:
-    from hapsim.measuring.rings import HandsMeasurement
+    from hapsim.measuring.measure_hands import HandsMeasurement
     from hapsim.prediction import FeltTogether
 
 

@@ -78,9 +78,9 @@ def _serve(record: Path, link: Path | None, json: bool, is_alone: bool) -> None:
 
 
 def _draw(found: Comparison, pictures: PictureOptions, title: str) -> None:
-    from hapsim.chart.replay import columns_of, draw_replay
+    from hapsim.chart.trace import draw_replay, replay_columns
 
-    pictures.write(lambda: columns_of(found), lambda path: draw_replay(found, title, path))
+    pictures.write(lambda: replay_columns(found), lambda path: draw_replay(found, title, path))
 
 
 def _say(record: Record, scene: str | None, found: Comparison) -> None:

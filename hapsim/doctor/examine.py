@@ -11,10 +11,31 @@ from typing import TYPE_CHECKING
 
 from hapsim.device.conversation import describe
 from hapsim.device.open_connection import TransportKind, open_connection
-from hapsim.doctor.advice import Advice, Situation, advice_on
-from hapsim.doctor.exchanges import MOCK, Exchanges, Run, Trial, Verdict, best_rate, exchanges, trials, verdict_on
-from hapsim.doctor.machine import Load, Machine, SystemFiles, cpu_times, load_between, machine_of
-from hapsim.doctor.wakeups import Tell, require_measurable, wake_up_latency
+from hapsim.doctor.advice import (
+    Advice,
+    Load,
+    Machine,
+    Situation,
+    SystemFiles,
+    advice_on,
+    cpu_times,
+    load_between,
+    machine_of,
+)
+from hapsim.doctor.exchanges import (
+    MOCK,
+    Exchanges,
+    Run,
+    Tell,
+    Trial,
+    Verdict,
+    best_rate,
+    exchanges,
+    require_measurable,
+    trials,
+    verdict_on,
+    wake_up_latency,
+)
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.system import require_linux

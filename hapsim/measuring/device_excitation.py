@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapsim.measuring.converters import Converters
-from hapsim.measuring.device_model import sampled_motion
+from hapsim.measuring.device_motion import sampled_motion
 from hapsim.running.options import Excitation
 from hapsim.scene import Ground, Initial, Mock, Scene, ViscoElastic
 

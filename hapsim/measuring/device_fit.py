@@ -20,8 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from hapsim.measuring.converters import Converters, Floats
-from hapsim.measuring.device_model import sampled_motion
-from hapsim.measuring.device_motion import Motion, Swing
+from hapsim.measuring.device_motion import Motion, Swing, sampled_motion
 from hapsim.measuring.trace_quality import ROUNDING
 
 Shape = tuple[float, ...]

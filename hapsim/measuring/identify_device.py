@@ -15,10 +15,18 @@ from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.endings import IN_WORDS, OUT_OF_TRAVEL, STOPPED
 from hapsim.measuring.converters import Converters
-from hapsim.measuring.device_diagnosis import Pushed, inverted, why_not, why_too_far
+from hapsim.measuring.device_diagnosis import (
+    LOUD,
+    ForceResidual,
+    Pushed,
+    force_residual,
+    inverted,
+    misfit_of,
+    why_not,
+    why_too_far,
+)
 from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, peak_per_newton, scene_of
 from hapsim.measuring.device_fit import DeviceFit, Shape, fit_device, hands_on
-from hapsim.measuring.device_misfit import LOUD, ForceResidual, force_residual, misfit_of
 from hapsim.measuring.device_motion import Motion, Swing, motion_of, pieces_of, swings_of
 from hapsim.measuring.limits import (
     SHARE_OF_LIMIT,

@@ -14,9 +14,18 @@ from hapsim.device.open_connection import TransportKind
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.measuring.converters import Converters, Floats
-from hapsim.measuring.impedance import LEAST_PERIODS, Impedance, impedance_of, settling
+from hapsim.measuring.impedance import (
+    LEAST_PERIODS,
+    Impedance,
+    Lines,
+    Periods,
+    impedance_of,
+    lines_for,
+    multisine,
+    periods_of,
+    settling,
+)
 from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, in_units_of_scene, require_above_zero
-from hapsim.measuring.multisine import Lines, Periods, lines_for, multisine, periods_of
 from hapsim.measuring.trace_quality import SeenRate, seen_rate, silence
 from hapsim.progress import Progress
 from hapsim.recording.trace import Trace

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.compiled import new_record
-from hapsim.doctor.machine import SystemFiles
+from hapsim.doctor.advice import SystemFiles
 from hapsim.loop.histogram import HISTOGRAM, Histogram, histogram_of
 
 

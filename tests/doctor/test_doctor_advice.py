@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from hapsim.doctor.advice import Advice, Situation, advice_on
-from hapsim.doctor.machine import Load, Machine, SystemFiles
+from hapsim.doctor.advice import Advice, Load, Machine, Situation, SystemFiles, advice_on
 from hapsim.loop.realtime import PrivilegeResult
 
 Case = Callable[..., Situation]

@@ -19,10 +19,9 @@ from hapsim.cli.doctor import examination_document, now, show_examination
 from hapsim.cli.histogram import histogram_lines, histogram_rows
 from hapsim.cli.live import live_words
 from hapsim.cli.output import document
-from hapsim.doctor.advice import Advice
+from hapsim.doctor.advice import Advice, Load, Machine
 from hapsim.doctor.examine import Examination, Step
 from hapsim.doctor.exchanges import MOCK, Exchanges, verdict_on
-from hapsim.doctor.machine import Load, Machine
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.realtime import PrivilegeResult
 from hapsim.number_format import short_duration

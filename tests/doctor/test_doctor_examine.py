@@ -11,8 +11,8 @@ from rich.console import Console
 
 from hapsim.cli.doctor import examination_document, show_examination
 from hapsim.doctor import examine as examination_module
+from hapsim.doctor.advice import SystemFiles
 from hapsim.doctor.examine import Examination, Step, examine
-from hapsim.doctor.machine import SystemFiles
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.realtime import PrivilegeResult

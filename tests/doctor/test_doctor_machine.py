@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hapsim.doctor.machine import CpuTimes, Machine, SystemFiles, cpu_times, load_between, machine_of
+from hapsim.doctor.advice import CpuTimes, Machine, SystemFiles, cpu_times, load_between, machine_of
 
 NOTHING = Machine("", None, None, "", False, (), "", "", None, "")
 A_MACHINE = {

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from firmware_protocol.compiled import new_record
-from hapsim.doctor.wakeups import wake_up_latency
+from hapsim.doctor.exchanges import wake_up_latency
 from hapsim.errors import UsageError
 from hapsim.loop.clocks import GRID, sleep_on_grid
 from hapsim.loop.histogram import histogram_of

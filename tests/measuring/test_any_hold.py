@@ -12,7 +12,7 @@ from unshipped_holds import UNSHIPPED
 import hapsim
 from hapsim.holds import HOLDS
 from hapsim.measuring.converters import Converters
-from hapsim.measuring.device_model import sampled_motion
+from hapsim.measuring.device_motion import sampled_motion
 from hapsim.prediction.impedance import predict_impedance
 from hapsim.scene import Scene, parse_scene
 

@@ -17,7 +17,7 @@ import hapsim
 from hapsim.errors import DeviceError, GuardError, HapsimError, UsageError
 from hapsim.loop.endings import TIMED_OUT
 from hapsim.measuring import identify_device as room
-from hapsim.measuring.device_misfit import binned
+from hapsim.measuring.device_diagnosis import binned
 
 # A few in the ordinary suite; HAPSIM_POINTS=50 takes fifty, for longer.
 MANY = "HAPSIM_POINTS" in os.environ

@@ -20,9 +20,8 @@ from hapsim.holds import HOLDS
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.measuring import impedance
 from hapsim.measuring.converters import Converters
-from hapsim.measuring.impedance import impedance_of
+from hapsim.measuring.impedance import Periods, impedance_of, lines_for, multisine, periods_of
 from hapsim.measuring.measure_impedance import MeasuredImpedance, StoppedError, measure_impedance, walls_in_place
-from hapsim.measuring.multisine import Periods, lines_for, multisine, periods_of
 from hapsim.prediction import predict
 from hapsim.prediction.impedance import mean_width, predict_impedance, z_width_of
 from hapsim.recording.trace import Trace

@@ -13,8 +13,7 @@ import yaml
 
 from hapsim import load_scene, predict
 from hapsim.errors import UsageError
-from hapsim.measuring.measure_hands import measure_hands_by
-from hapsim.measuring.rings import HandsMeasurement
+from hapsim.measuring.measure_hands import HandsMeasurement, measure_hands_by
 from hapsim.prediction import FeltTogether
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene

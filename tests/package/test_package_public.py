@@ -35,7 +35,7 @@ INSIDE = {
     ("tools/bench/steadiness/in_memory.py", "hapsim.loop"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.running.options"): TIMES_THE_EXCHANGE,
-    ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.wakeups"): "times the loop's sleep as it schedules itself",
+    ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.exchanges"): "times the loop's sleep as it schedules itself",
     (
         "tools/bench/estimated_mass.py",
         "hapsim.device.mock.firmware",

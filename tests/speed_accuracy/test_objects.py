@@ -14,9 +14,8 @@ from hapsim.errors import DeviceError
 from hapsim.measuring.measure import measure
 from hapsim.prediction.correction import rendered
 from hapsim.speed_accuracy import contact
-from hapsim.speed_accuracy.comparison import OBJECTS, SHARP
+from hapsim.speed_accuracy.comparison import OBJECTS, SHARP, Running
 from hapsim.speed_accuracy.contact import Contact, contact_felt, contact_of, stay_of
-from hapsim.speed_accuracy.cost import Running
 from hapsim.speed_accuracy.one_spring import (
     DAMPING,
     DELAY_S,

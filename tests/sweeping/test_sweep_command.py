@@ -157,7 +157,7 @@ def test_an_unreachable_scheduler_is_named(
     hapsim: Callable[..., Any], scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed", reason="dask.distributed is not installed: hapsim[dask]")
-    monkeypatch.setattr("hapsim.sweeping.executors._REACHED_S", 0.5)
+    monkeypatch.setattr("hapsim.sweeping.sweep._REACHED_S", 0.5)
     words = ("touch.stiffness=lin:100:200:8", "--check", "--scheduler", "tcp://127.0.0.1:9", "--out", tmp_path / "a.nc")
     answer = hapsim("sweep", scene, *words)
     assert answer.status == 2

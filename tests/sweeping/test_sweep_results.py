@@ -15,8 +15,8 @@ from hapsim.errors import UsageError
 from hapsim.scene import Scene
 from hapsim.sweeping import sweep as room
 from hapsim.sweeping.parts import Parts
+from hapsim.sweeping.points import Varied
 from hapsim.sweeping.sweep import write
-from hapsim.sweeping.vary import Varied
 
 AXES = {"touch.stiffness": [300.0, 2000.0, 5000.0], "device.delay": [0.0, 0.37, 1.0]}
 DURATION = 0.5
@@ -202,17 +202,15 @@ def test_attributes_say_what_was_swept(scene: Path) -> None:
 def test_workers_wait_for_one_another_at_a_lock_that_follows_no_link(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from hapsim.sweeping import executors
-
     monkeypatch.setenv("HAPSIM_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(executors, "work", lambda *_: None)
-    executors.ready(None, None)  # type: ignore[arg-type]
+    monkeypatch.setattr(room, "work", lambda *_: None)
+    room.ready(None, None)  # type: ignore[arg-type]
     assert (tmp_path / "cache" / "sweep.lock").stat().st_mode & 0o777 == 0o600
     victim, lock = tmp_path / "victim", tmp_path / "cache" / "sweep.lock"
     victim.write_text("mine")
     lock.unlink()
     lock.symlink_to(victim)
-    executors.ready(None, None)  # type: ignore[arg-type]
+    room.ready(None, None)  # type: ignore[arg-type]
     assert victim.read_text() == "mine"
 
 

@@ -40,9 +40,8 @@ import hapsim
 from hapsim.chart.figure import figure_to
 from hapsim.errors import HapsimError
 from hapsim.scene import Device, DevicePoint, Mass, Membrane, Scene, String, ViscoElastic
-from hapsim.speed_accuracy.cost import Running
-from hapsim.speed_accuracy.strings import hand_link
-from hapsim.speed_accuracy.timing import Timed
+from hapsim.speed_accuracy.comparison import Running
+from hapsim.speed_accuracy.strings import Timed, hand_link
 from speed.peers.c_stencil import CStencil
 from speed.peers.faust_mi import FaustMi
 from speed.peers.faust_model import Drive

@@ -29,10 +29,9 @@ import hapsim
 from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene, numbers_of
 from hapsim.scene import Device, Scene
-from hapsim.speed_accuracy.cost import Running
+from hapsim.speed_accuracy.comparison import Running
 from hapsim.speed_accuracy.ringing_string import scene_of
-from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, hand_motion, held_mass
-from hapsim.speed_accuracy.timing import Timed
+from hapsim.speed_accuracy.strings import StringOfMasses, Timed, hand_link, hand_motion, held_mass
 from speed.peers.c_stencil import CStencil
 from speed.reference.build import build_c
 from speed.reference.memory import pointer, rows

@@ -56,7 +56,7 @@ def has_cyclictest() -> bool:
 
 def sleep_here(rate_hz: int, seconds: float, priority: int, cpu: int) -> dict[str, Any]:
     """The compiled loop's sleep, in this process."""
-    from hapsim.doctor.wakeups import wake_up_latency
+    from hapsim.doctor.exchanges import wake_up_latency
 
     wake_up_latency(1000.0, 0.01)  # compiles
     everywhere = os.sched_getaffinity(0)

@@ -8,8 +8,7 @@ from ctypes import POINTER, Structure, byref, c_double, c_int64
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.speed_accuracy.strings import hand_motion
-from hapsim.speed_accuracy.timing import cost_of
+from hapsim.speed_accuracy.strings import cost_of, hand_motion
 from speed.reference.build import build_c
 from speed.reference.memory import pointer
 

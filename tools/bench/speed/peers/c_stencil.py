@@ -8,8 +8,15 @@ from ctypes import CDLL, POINTER, Structure, byref, c_double, c_int64
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.speed_accuracy.strings import StringOfMasses, frequencies_of, hand_link, hand_motion, held_mass, project
-from hapsim.speed_accuracy.timing import cost_of
+from hapsim.speed_accuracy.strings import (
+    StringOfMasses,
+    cost_of,
+    frequencies_of,
+    hand_link,
+    hand_motion,
+    held_mass,
+    project,
+)
 from speed.reference.build import build_c, why_no_compiler
 from speed.reference.memory import pointer, rows
 

@@ -9,8 +9,7 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.speed_accuracy.strings import StringOfMasses, frequencies_of, hand_motion, project
-from hapsim.speed_accuracy.timing import cost_of
+from hapsim.speed_accuracy.strings import StringOfMasses, cost_of, frequencies_of, hand_motion, project
 from speed.peers.faust_build import BuiltByFaust, build_faust, why_no_faust
 from speed.peers.faust_model import Drive, program_of
 from speed.reference.build import BuildError

@@ -14,8 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.speed_accuracy.strings import StringOfMasses, frequencies_of, project
-from hapsim.speed_accuracy.timing import cost_of
+from hapsim.speed_accuracy.strings import StringOfMasses, cost_of, frequencies_of, project
 
 _OFF = (
     *("constraint", "equality", "frictionloss", "limit", "contact", "warmstart", "filterparent", "midphase"),

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.speed_accuracy.strings import StringOfMasses, frequencies_of, project
-from hapsim.speed_accuracy.timing import cost_of
+from hapsim.speed_accuracy.strings import StringOfMasses, cost_of, frequencies_of, project
 
 METHODS = ("DOP853", "LSODA")
 _TOLERANCE = 1e-9  # of a displacement as it is, and of the largest one at the begin
