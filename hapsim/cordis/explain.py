@@ -11,8 +11,7 @@ import numpy as np
 
 from hapsim.cordis.dispatch import Part
 from hapsim.cordis.offline import act_alone, start, ticks
-from hapsim.cordis.program import Program, compile_scene, numbers_of
-from hapsim.cordis.registry import PART_TYPES
+from hapsim.cordis.program import PART_TYPES, Program, compile_scene, numbers_of
 from hapsim.scene import Scene
 
 _ROUNDS = 7

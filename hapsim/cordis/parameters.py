@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from hapsim.compiling import entry, helper
-from hapsim.compiling.memory_fence import fence
+from hapsim.compiling import entry, fence, helper
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.cordis.dispatch import Column
 from hapsim.cordis.stored_energy import (

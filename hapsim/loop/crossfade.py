@@ -21,8 +21,7 @@ from numba import types
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import compact
-from hapsim.compiling import helper, inlined
-from hapsim.compiling.memory_fence import fence
+from hapsim.compiling import fence, helper, inlined
 from hapsim.compiling.native import array_at, function_at, native, record_at
 from hapsim.cordis.stored_energy import left_of, share_that_lasts, spend, stored_at, tank_at
 from hapsim.cordis.tick import follow_parameters, program_at, set_hands, stored_energy, take_over, tick

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hapsim.compiling import inlined
-from hapsim.compiling.memory_fence import fence
+from hapsim.compiling import fence, inlined
 from hapsim.compiling.native import address_of, array_at
 
 MOST = 64  # words of a change

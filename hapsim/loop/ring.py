@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.compiled import compact
-from hapsim.compiling import inlined
-from hapsim.compiling.memory_fence import fence
+from hapsim.compiling import fence, inlined
 from hapsim.compiling.native import array_at
 
 # Flags of a row.

@@ -19,8 +19,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from hapsim.compiling import inlined
-from hapsim.compiling.memory_fence import fence
+from hapsim.compiling import fence, inlined
 from hapsim.compiling.native import array_at, function_at, native, record_at
 from hapsim.scene.sound import MOST_PICK_UPS
 

@@ -1,7 +1,7 @@
 """The scene file: YAML -> `Scene`, errors with file:line:column, and a JSON schema for editors.
 
 `load_scene` goes through three steps: `yaml_document` reads values and their places, pydantic checks each part,
-`cross_checks` checks the parts against each other. `error_messages` words what pydantic finds. Nothing is imported
+`cross_checks` checks the parts against each other. `yaml_file` words what pydantic finds. Nothing is imported
 before it is asked for, so that importing this package costs nothing. Public is what `__all__` names.
 """
 
@@ -10,14 +10,17 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .choices import WITH_CUTOFF, DamperScheme, Hold, Sampling, SchemeName
-    from .device import Clock, Device
+    from .device import Clock, Device, Hand, Initial, Mock, MockDevice
     from .load import load_scene, parse_scene, scene_schema
-    from .mock import Hand, Initial, Mock, MockDevice
     from .modules import *  # noqa: F403
+    from .modules.links import *  # noqa: F403
+    from .modules.points import *  # noqa: F403
+    from .modules.structures import *  # noqa: F403
     from .quantity import Known, Span
     from .scene import VERSION, Scene
 
-_HOMES = ("choices", "quantity", "device", "mock", "modules", "scene", "load")  # the light ones first
+_MODULES = ("modules.points", "modules.structures", "modules.links", "modules")
+_HOMES = ("choices", "quantity", "device", *_MODULES, "scene", "load")  # the light ones first
 
 __all__ = [
     "VERSION",
@@ -39,7 +42,7 @@ __all__ = [
     "parse_scene",
     "scene_schema",
 ]
-"""Beside all of `modules`."""
+"""Beside `__all__` of `modules`, and every class of its MODULE_TYPES."""
 
 
 def __getattr__(name: str) -> object:
@@ -51,4 +54,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, *import_module(".modules", __name__).__all__])
+    modules = import_module(".modules", __name__)
+    return sorted([*__all__, *modules.__all__, *(kind.__name__ for kind in modules.MODULE_TYPES.values())])

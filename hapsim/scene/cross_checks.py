@@ -10,8 +10,9 @@ from hapsim.scales import SCALES
 from hapsim.units import MOTIONS
 
 from .issue import Issue, Path, quote
-from .modules import Detent, DevicePoint, Ground, Link, ModuleContext, ViscoElastic
-from .part import Part
+from .modules.links import Detent, Link, ViscoElastic
+from .modules.points import DevicePoint, Ground
+from .part import ModuleContext, Part
 from .quantity import ANGLE, Span
 from .sound import sound_issues
 

@@ -13,13 +13,13 @@ from hapsim.errors import SceneError
 from hapsim.units import MOTIONS, Units
 
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, misplaced_angles
-from .error_messages import findings_of
 from .issue import Issue, Path
-from .modules import MODULE_TYPES, Module, ModuleContext
+from .modules import MODULE_TYPES
+from .part import Module, ModuleContext
 from .scene import VERSION, Scene
 from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
 from .yaml_document import Document
-from .yaml_file import MOST_BYTES, YamlFile
+from .yaml_file import MOST_BYTES, Layout, YamlFile, findings_of
 
 _FILE = YamlFile(
     SceneError,
@@ -27,7 +27,18 @@ _FILE = YamlFile(
     "found nothing, expected a scene; `hapsim new` writes a first one",
     shipped_scenes,
 )
-
+_LAYOUT = Layout(
+    Scene,
+    "modules",
+    "type",
+    MODULE_TYPES,
+    "a mapping such as {type: mass, mass: 0.01}",
+    {
+        (): "a mapping with version, rate, device and modules",
+        ("modules",): "a mapping from names to modules",
+        ("sound",): "a mapping from names to pick-ups",
+    },
+)
 
 SceneSource = Scene | str | os.PathLike[str]
 """A scene, or the path of its file."""
@@ -111,7 +122,7 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
         return scene, list(misplaced_angles(data, modules))
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
-        issues = findings_of(error, document)
+        issues = findings_of(error, document, _LAYOUT)
         if type(data.get("version")) is int and data["version"] != VERSION:
             # Another format: what else seems wrong may be right in it.
             return None, [issue for issue in issues if issue.path == ("version",)]

@@ -1,9 +1,14 @@
-"""What the parts of a scene are made of: models and tables that cannot be changed."""
+"""What the parts of a scene are made of: models and tables that cannot be changed; and what every module is, and may
+ask of those around it."""
 
-from collections.abc import Iterator, Mapping
-from typing import TypeVar
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
+from pydantic_core import core_schema
+
+from .issue import Issue
 
 T = TypeVar("T")
 
@@ -36,3 +41,82 @@ class Table(Mapping[str, T]):
 
     def __repr__(self) -> str:
         return repr(self._entries)
+
+
+#: A check of a module with those around it: yields issues, whose paths begin within the module.
+Check = Callable[[Any, str, "ModuleContext"], Iterator[Issue]]
+
+
+def check_of(*fields: str) -> Callable[[Check], Check]:
+    """Marks a method of a module as a `Check` that looks at these fields: where one is faulty it is skipped."""
+
+    def mark(method: Check) -> Check:
+        method.fields = fields  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
+class Module(Part):
+    """A module of the simulated scene. Each subclass adds ``type: Literal["its name"] = "its name"``."""
+
+    #: The module is a point that a link can hold by one end.
+    is_point: ClassVar[bool] = True
+    #: The module can move; a link between two that cannot would do nothing.
+    can_move: ClassVar[bool] = True
+    #: The fields that may change while the scene runs.
+    live: ClassVar[tuple[str, ...]] = ()
+    #: Further ones that may change then; they are no numbers that could ramp one by one: the scene crossfades, or a
+    #: table ramps to another.
+    crossfaded: ClassVar[tuple[str, ...]] = ()
+    #: The fields that say how it begins, and nothing of how it goes on.
+    initial: ClassVar[tuple[str, ...]] = ()
+
+    type: str
+
+    def issues(self, name: str, around: "ModuleContext") -> Iterator[Issue]:
+        """Yields the faults that this module, called ``name``, has together with the others."""
+        for kind in reversed(type(self).__mro__):
+            for check in vars(kind).values():
+                if hasattr(check, "fields") and around.knows(name, *check.fields):
+                    for issue in check(self, name, around):
+                        yield replace(issue, path=("modules", name, *issue.path))
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        # In Python a class names its type by itself; in the file `type` has to be there.
+        described = handler.resolve_ref_schema(handler(schema))
+        described["required"] = ["type", *described.get("required", [])]
+        described["properties"]["type"].pop("default", None)
+        return described
+
+
+@dataclass(frozen=True)
+class ModuleContext:
+    """The modules of a scene, of which some may be faulty.
+
+    Attributes:
+        modules: by name; a faulty one has its sound fields only, one of unknown type is missing.
+        kinds: the class of every module by name; None where the type is unknown.
+        faulty: the faulty fields of each faulty module.
+    """
+
+    modules: Mapping[str, Module]
+    kinds: Mapping[str, type[Module] | None]
+    faulty: Mapping[str, frozenset[str]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, modules: Mapping[str, Module]) -> "ModuleContext":
+        """Returns the context of sound modules."""
+        return cls(modules, {name: type(module) for name, module in modules.items()})
+
+    def knows(self, name: str, *fields: str) -> bool:
+        """Returns whether these fields of a module are sound."""
+        return name in self.modules and self.faulty.get(name, frozenset()).isdisjoint(fields)
+
+    def holder(self, end: str) -> str:
+        """Returns the module that the end of a link names: itself, or the structure of which it names a point."""
+        name, dot, _ = end.partition(".")
+        return name if dot else end

@@ -10,31 +10,19 @@ from hapsim.units import Units
 
 from .choices import SCHEME, WITH_SENSOR, SchemeName
 from .cross_checks import cross_check_issues
-from .device import Device
+from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
-from .mock import Mock, MockDevice, resolve
-from .modules import (
-    MODULE_TYPES,
-    DevicePoint,
-    Ground,
-    Link,
-    Mass,
-    MaterialPoint,
-    Module,
-    ModuleContext,
-    Structure,
-    TypedModule,
-    ViscoElastic,
-)
-from .part import Part, Table
+from .modules import MODULE_TYPES, TypedModule
+from .modules.links import Link, ViscoElastic
+from .modules.points import DevicePoint, Ground, Mass, MaterialPoint
+from .modules.structures import Structure
+from .part import Module, ModuleContext, Part, Table
 from .quantity import NAME, count, quantity
 from .quantity import version as format_version
 from .sound import PickUp
+from .yaml_file import ACROSS
 
 VERSION = 1
-
-#: The pydantic error type under which faults between the parts of a scene report.
-ACROSS = "across"
 
 M = TypeVar("M", bound=Module)
 

@@ -6,9 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field
 
 from .issue import Issue, quote
-from .modules import ModuleContext
-from .modules.link import wrong_end
-from .part import Part
+from .modules.links import wrong_end
+from .part import ModuleContext, Part
 from .quantity import quantity, text
 
 MOST_PICK_UPS = 16

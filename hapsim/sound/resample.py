@@ -20,8 +20,7 @@ from numba import types
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import ONE, new_record
-from hapsim.compiling import helper, reassociated
-from hapsim.compiling.memory_fence import fence
+from hapsim.compiling import fence, helper, reassociated
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.sound import SOUND_RING, SoundRing

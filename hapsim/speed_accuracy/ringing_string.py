@@ -18,7 +18,7 @@ from scipy.fft import dst
 from hapsim.cordis.offline import start, ticks_watched
 from hapsim.cordis.program import compile_scene, numbers_of
 from hapsim.cordis.schemes import SCHEMES
-from hapsim.cordis.schemes.exact_modes import ExactModes
+from hapsim.cordis.schemes.exact import ExactModes
 from hapsim.scene import Device, DevicePoint, Scene, String, ViscoElastic
 from hapsim.speed_accuracy.results import Found
 from hapsim.speed_accuracy.strings import STEADY, StringOfMasses, Vector, frequencies_of, hand_link, held_mass

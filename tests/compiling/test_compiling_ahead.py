@@ -18,8 +18,7 @@ import pytest
 from firmware_protocol import code_cache
 from hapsim.cli import prepare as preparing
 from hapsim.compiling.progress import Counted, on_compilation
-from hapsim.cordis.program import compile_scene
-from hapsim.cordis.registry import PART_TYPES
+from hapsim.cordis.program import PART_TYPES, compile_scene
 from hapsim.prediction.linear import linear_scene
 from hapsim.running import compile_ahead as ahead
 from hapsim.running import run

@@ -99,7 +99,7 @@ def test_an_edit_outside_the_rooms_keeps_all_machine_code(copy: Path) -> None:
         ("hapsim/cordis/modules/string.py", {STRING}),
         ("hapsim/cordis/modules/structure.py", {STRING, MEMBRANE}),
         ("hapsim/cordis/modules/points.py", {POINTS}),
-        ("hapsim/cordis/registry.py", set()),
+        ("hapsim/cordis/program.py", set()),
         ("hapsim/loop/histogram.py", {RUN, SERVE, GRID}),
         ("firmware_protocol/frames.py", {RUN, SERVE, DECODER}),
         ("hapsim/device/mock/firmware.py", {SERVE}),

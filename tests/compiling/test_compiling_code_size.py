@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_protocol.compiled import ONE, compact, out_of_line
-from hapsim.compiling import entry, helper, inlined
-from hapsim.compiling.memory_fence import fence
+from hapsim.compiling import entry, fence, helper, inlined
 
 
 def add_up(numbers):

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hapsim.cordis.offline import follow_parameters, start, tick
-from hapsim.cordis.program import Program, compile_scene, numbers_of, parameter_values, positions_of
-from hapsim.cordis.registry import PART_TYPES
+from hapsim.cordis.program import PART_TYPES, Program, compile_scene, numbers_of, parameter_values, positions_of
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.scene import Scene, parse_scene
 

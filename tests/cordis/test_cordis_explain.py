@@ -6,7 +6,7 @@ import json
 import math
 
 from hapsim.cordis.explain import explain
-from hapsim.cordis.registry import PART_TYPES
+from hapsim.cordis.program import PART_TYPES
 from hapsim.scene import Scene
 
 MODULES = {

@@ -21,8 +21,7 @@ from hapsim.cordis import program as programs
 from hapsim.cordis.build_context import PartType
 from hapsim.cordis.dispatch import Part, action
 from hapsim.cordis.offline import start, tick
-from hapsim.cordis.program import Program, compile_scene
-from hapsim.cordis.registry import PART_TYPES
+from hapsim.cordis.program import PART_TYPES, Program, compile_scene
 from hapsim.scene import Scene
 
 LISTS = ("initialize", "retarget", "add_forces", "integrate")

@@ -13,8 +13,7 @@ from hapsim.cordis import program as programs
 from hapsim.cordis.build_context import PartType, all_of
 from hapsim.cordis.dispatch import Part, action
 from hapsim.cordis.offline import start, tick
-from hapsim.cordis.program import compile_scene
-from hapsim.cordis.registry import PART_TYPES
+from hapsim.cordis.program import PART_TYPES, compile_scene
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.laws import Law, line
 from hapsim.prediction import predict

@@ -14,8 +14,7 @@ import pytest
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, numbers_of, positions_of
 from hapsim.cordis.schemes import exact, force_expansion
-from hapsim.cordis.schemes.exact import ExactDense
-from hapsim.cordis.schemes.exact_modes import ExactModes
+from hapsim.cordis.schemes.exact import ExactDense, ExactModes
 from hapsim.cordis.schemes.force_expansion import StringForces, WeightedLinks
 from hapsim.cordis.schemes.midpoint import Midpoint
 from hapsim.errors import UsageError

@@ -104,9 +104,12 @@ def is_public(room: str, name: str) -> bool:
 
 
 def public_names(room: str) -> set[str]:
-    """What the room names in `__all__`; of scenes also what the room of its modules does."""
-    names = set(importlib.import_module(room).__all__)
-    return names | public_names("hapsim.scene.modules") if room == "hapsim.scene" else names
+    """What the room names in `__all__`; of scenes also what the room of its modules does, and every type of module."""
+    module = importlib.import_module(room)
+    names = set(module.__all__)
+    if room != "hapsim.scene":
+        return names
+    return names | public_names("hapsim.scene.modules") | {kind.__name__ for kind in module.MODULE_TYPES.values()}
 
 
 def why_inside(where: str, room: str, name: str) -> tuple[str, str] | None:

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from hapsim.cordis.registry import PART_TYPES
+from hapsim.cordis.program import PART_TYPES
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.device.mock import sampler
 from hapsim.holds import HOLDS

@@ -23,10 +23,9 @@ from hapsim.bringup.capture import POSITIONS, Capture, Decoded
 from hapsim.bringup.faults.fault import KINDS, Fault, Moment, Piece, tidy
 from hapsim.bringup.faults.witness import Witness
 from hapsim.errors import UsageError
-from hapsim.scene.error_messages import Layout, findings_of
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import count, version
-from hapsim.scene.yaml_file import YamlFile
+from hapsim.scene.yaml_file import Layout, YamlFile, findings_of
 
 
 class Script(Part):

@@ -167,5 +167,3 @@ FILTERED = _damped("filtered", "one remembered velocity each", add_filtered_forc
 SENSED = _damped("sensed", "velocities come from the device", add_sensed_forces, lambda _, rate: 1.0 / rate)
 SPRING = link_type(Spring, Springs, add_spring_forces, "springs")
 DAMPER = link_type(Damper, _dampers, add_forces, "dampers")
-
-TYPES = (VISCOELASTIC, CENTRED, FILTERED, SENSED, SPRING, DAMPER)

@@ -127,5 +127,3 @@ SINE = link_type(
     "the nearest rest each",
     where=lambda detent: detent.shape == "sine",
 )
-
-TYPES = (FRICTION, PLECTRUM, SINE)

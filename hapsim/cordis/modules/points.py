@@ -118,5 +118,3 @@ CELL = PartType(
     name="cells",
     compiled_as="pulled to rest in one pass, without a name being looked up; they move with the masses",
 )
-
-TYPES = (GROUND, MASS, CELL)

@@ -228,5 +228,3 @@ STRING = _string_type(integrate, "strings", "a stencil over contiguous memory", 
 STIFF_STRING = _string_type(
     integrate_stiff, "stiff strings", "a stencil of five over contiguous memory", where=lambda string: string.bending
 )
-
-TYPES = (STRING, STIFF_STRING)

@@ -235,5 +235,3 @@ TABLES = _table_type(lambda link: link.table(), add_table_forces, "contacts, cur
 VELOCITY_TABLES = _table_type(
     _over_velocity, add_velocity_forces, "forces over velocity", lambda rate: 1.0 / rate, "growth: "
 )
-
-TYPES = (TABLES, VELOCITY_TABLES)

@@ -2,8 +2,16 @@
 
     M x'' + B x' + K x = f[n]      for n T <= t < (n + 1) T
 
-Where one change of coordinates makes K and B diagonal at once, each of them a motion by itself, in O(n) for each point
-that something from outside holds (`exact_modes.py`); otherwise as one dense matrix: with w = T v, z = (x, w),
+Where one change of coordinates makes K and B diagonal at once, each motion goes by itself (`ExactModes`), in O(n) for
+each point that something from outside holds. With x = S q, where S^T M S = 1 and S^T K S, S^T B S are diagonal
+(proportional damping is one case), each mode is an oscillator q'' + b q' + k q = g of unit mass. With p = T q' its step
+is
+
+    q[n+1] = e11 q + e12 p + d1 g,      p[n+1] = e21 q + e22 p + d2 g,     g = S^T f
+
+A sample puts only those points where they are that something from outside pulls; the others are hidden.
+
+Otherwise all goes as one dense matrix (`ExactDense`): with w = T v, z = (x, w),
 
     z[n+1] = E z[n] + D f[n],      E = exp(A), D the integral of exp(A t) over one sample period.
 """
@@ -16,11 +24,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.compiling import reassociated
+from hapsim.compiling import fma, reassociated
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, Scheme, Taken
 from hapsim.cordis.dispatch import Column, Part, action
-from hapsim.cordis.schemes.exact_modes import modes_of, modes_part
 from hapsim.cordis.schemes.linear_subsystem import (
     LinearSubsystem,
     Ties,
@@ -35,6 +42,9 @@ from hapsim.scene import Scene
 
 MOST_MODES = 4000  # whose shapes take some 15 s to be worked out
 MOST_POINTS = 1000  # whose matrix is 32 MB, and some milliseconds a tick
+DIAGONAL = 1e-9  # what is left beside the diagonal, as a part of the whole, where the modes are taken for modes
+
+Reals = NDArray[np.float64]
 
 
 class ExactDense(NamedTuple):
@@ -119,6 +129,213 @@ def _dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
     matrix, state, after = (context.column(values) for values in (matrix, state, np.zeros(2 * n)))
     numbers = ExactDense(inner.point, inner.point[inner.loaded], matrix, state, after, inner.ties)
     return Part(numbers, integrate=integrate, resume=resume)
+
+
+class Modes(NamedTuple):
+    """`shape` (n, n): x = shape q, a column a mode; (n,) k T² and b T."""
+
+    shape: Reals
+    stiffness: Reals
+    damping: Reals
+
+
+class ExactModes(NamedTuple):
+    """n modes of n points, P of which something from outside pulls.
+
+    Attributes:
+        point, hidden: (P,) those by number; (n - P,) the others.
+        shape, hidden_shape: (P, n), (n - P, n) how far mode j moves each.
+        mass: (n,) kg, of the former and then of the latter.
+        constant, push: (n,) T² g of what stays; of everything.
+        gain: (6, n) e11, e12, e21, e22, d1, d2.
+        position, step, after: (n,) q, p, and q of the next sample.
+        period_squared: (1,) T² in s².
+    """
+
+    point: NDArray[np.uint32]
+    shape: Column
+    hidden: NDArray[np.uint32]
+    hidden_shape: Column
+    mass: Column
+    constant: Column
+    gain: Column
+    position: Column
+    step: Column
+    push: Column
+    after: Column
+    period_squared: Column
+    ties: Ties
+
+
+@action
+def integrate_modes(modes, state):
+    """Moves every mode by one sample, and puts the points where they are that something pulls."""
+    modes, state = value_of(modes), value_of(state)
+    add_tie_forces(modes.ties, state)
+    for j in range(np.uint64(modes.push.size)):
+        modes.push[j] = modes.constant[j]
+    for h in range(np.uint64(modes.point.size)):
+        p = modes.point[h]
+        _push(modes.push, modes.shape[h], modes.period_squared[0] * state.force[p])
+        state.force[p] = modes.push.dtype.type(0)
+    _advance(modes.gain, modes.position, modes.step, modes.push, modes.after)
+    for h in range(np.uint64(modes.point.size)):
+        p = modes.point[h]
+        x = _sum(modes.shape[h], modes.position)
+        state.previous[p] = x
+        state.position[p] = x - _sum(modes.shape[h], modes.step)
+
+
+@action
+def place_modes(modes, state):
+    """Puts the hidden points where they are."""
+    modes, state = value_of(modes), value_of(state)
+    for h in range(np.uint64(modes.hidden.size)):
+        x = _sum(modes.hidden_shape[h], modes.position)
+        state.position[modes.hidden[h]] = x
+        state.previous[modes.hidden[h]] = x - _sum(modes.hidden_shape[h], modes.step)
+
+
+@action
+def resume_modes(modes, state):
+    """Goes on from where the points are, and were: q = S^T M x."""
+    modes, state = value_of(modes), value_of(state)
+    for j in range(np.uint64(modes.position.size)):
+        modes.position[j] = modes.step[j] = modes.mass.dtype.type(0)
+    looked_at = np.uint64(modes.point.size)
+    for h in range(np.uint64(modes.mass.size)):
+        p = modes.point[h] if h < looked_at else modes.hidden[h - looked_at]
+        shape = modes.shape[h] if h < looked_at else modes.hidden_shape[h - looked_at]
+        x = state.position[p]
+        _push(modes.position, shape, modes.mass[h] * x)
+        _push(modes.step, shape, modes.mass[h] * (x - state.previous[p]))
+
+
+@fma
+def _push(push, shape, force):
+    for j in range(np.uint64(push.size)):
+        push[j] += shape[j] * force
+
+
+@fma
+def _advance(gain, position, step, push, after):
+    """One loop for each array that is written: more at once the compiler does not take for apart from each other, and
+    then it moves no two modes at a time."""
+    modes = np.uint64(position.size)
+    e11, e12, d1 = gain[0], gain[1], gain[4]
+    for j in range(modes):
+        after[j] = e11[j] * position[j] + e12[j] * step[j] + d1[j] * push[j]
+    e21, e22, d2 = gain[2], gain[3], gain[5]
+    for j in range(modes):
+        step[j] = e21[j] * position[j] + e22[j] * step[j] + d2[j] * push[j]
+    for j in range(modes):
+        position[j] = after[j]
+
+
+@reassociated
+def _sum(shape, motion):
+    total = shape.dtype.type(0)
+    for j in range(np.uint64(shape.size)):
+        total += shape[j] * motion[j]
+    return total
+
+
+def modes_of(inner: LinearSubsystem, context: BuildContext) -> Modes | None:
+    """The modes of the subsystem; None where damping couples them."""
+    root = 1.0 / (np.sqrt(inner.mass) * context.rate)
+    stiffness = root[:, None] * inner.stiffness_matrix().toarray() * root
+    damping = root[:, None] * inner.damping_matrix().toarray() * root * context.rate
+    require_finite(stiffness, damping)
+    scaled = [matrix / (float(np.abs(matrix).max(initial=0.0)) or 1.0) for matrix in (stiffness, damping)]
+    for share in (0.0, 0.5, 0.3819660112501051):  # where K alone leaves open which, B says so together with it
+        vectors = np.linalg.eigh(scaled[0] + share * scaled[1])[1]
+        if all(_is_diagonal(vectors.T @ matrix @ vectors) for matrix in scaled):
+            return _refined(inner, vectors * root[:, None] * context.rate, context)
+    return None
+
+
+def _is_diagonal(matrix: Reals) -> bool:
+    return bool(np.abs(matrix - np.diag(np.diag(matrix))).max(initial=0.0) <= DIAGONAL)
+
+
+def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Modes:
+    """Each mode's k and b as the sum over all links of what it stretches them: a slow mode's are then as accurate as a
+    fast one's, which those that eigenvalues come with are not."""
+    squares = (inner.stretches() @ shape) ** 2
+    stiffness = inner.links.stiffness @ squares / (context.rate * context.rate)
+    damping = inner.links.damping @ squares / context.rate
+    return Modes(shape, np.maximum(stiffness, 0.0), np.maximum(damping, 0.0))
+
+
+def modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> Part:
+    """The part of the program that moves these modes."""
+    momentum, column = modes.shape.T * inner.mass, context.column
+    hidden = np.setdiff1d(np.arange(inner.point.size, dtype=np.uint32), inner.loaded)
+    push, after = np.zeros((2, modes.stiffness.size), context.real)
+    square = context.rate * context.rate
+    numbers = ExactModes(
+        point=inner.point[inner.loaded],
+        shape=column(np.ascontiguousarray(modes.shape[inner.loaded])),
+        hidden=inner.point[hidden],
+        hidden_shape=column(np.ascontiguousarray(modes.shape[hidden])),
+        mass=column(np.concatenate([inner.mass[inner.loaded], inner.mass[hidden]])),
+        constant=column(modes.shape.T @ inner.force / square),
+        gain=column(_gains(modes.stiffness, modes.damping)),
+        position=column(momentum @ inner.position),
+        step=column(momentum @ inner.velocity / context.rate),
+        push=push,
+        after=after,
+        period_squared=column([1.0 / square]),
+        ties=inner.ties,
+    )
+    return Part(numbers, integrate=integrate_modes, place=place_modes, resume=resume_modes)
+
+
+def _gains(k: Reals, b: Reals) -> Reals:
+    """(6, n): of the oscillators q'' + b q' + k q = g over a time of one."""
+    decay, square = 0.5 * b, k - 0.25 * b * b
+    omega = np.sqrt(np.abs(square))
+    swings = square > 0.0
+    faster = np.where(swings, 0.0, omega)
+    # An over-damped motion's slower rate is k over the faster, and not the difference of two large numbers.
+    slow = np.where(swings, -decay, -k / np.maximum(decay + faster, 1e-300))
+    slow = np.where(decay + faster > 0.0, slow, 0.0)
+    fast = -decay - faster
+    grown = np.exp(np.where(swings, -decay, slow))
+    fell = np.exp(np.where(swings, -decay, fast))
+    cosine = np.where(swings, grown * np.cos(omega), 0.5 * (grown + fell))
+    # sinh(w)/w exp(-decay) = exp(slow) (1 - exp(-2 w))/(2 w)
+    spread = np.where(omega > 0.0, -np.expm1(-2.0 * omega) / np.where(omega > 0.0, 2.0 * omega, 1.0), 1.0)
+    sine = np.where(swings, grown * np.sinc(omega / np.pi), grown * spread)
+    stays, moves_on = cosine + decay * sine, sine
+    return np.array([stays, moves_on, -k * sine, cosine - decay * sine, _lag(k, b, stays), sine])
+
+
+def _lag(k: Reals, b: Reals, stays: Reals) -> Reals:
+    """q after a time of one from rest, under g = 1: (1 - e11)/k, and where that is 0/0 its series in time."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        closed = (1.0 - stays) / k
+    # q = sum a_m t^m with a_2 = 1/2, (m+2)(m+1) a_(m+2) = -b (m+1) a_(m+1) - k a_m
+    older, newer = np.zeros_like(k), np.full_like(k, 0.5)
+    total = newer.copy()
+    small = (k < 1.0) & (b < 4.0)
+    kk, bb = np.where(small, k, 0.0), np.where(small, b, 0.0)
+    for m in range(1, 60):
+        older, newer = newer, (-bb * (m + 1) * newer - kk * older) / ((m + 2) * (m + 1))
+        total += newer
+    braked = ~small & (k < 1e-3 * b * b)  # a damper alone: (b - 1 + exp(-b))/b², and what k does to it
+    slow = _slow_lag(np.where(braked, k, 0.0), np.where(braked, b, 1.0))
+    return np.where(small, total, np.where(braked, slow, closed))
+
+
+def _slow_lag(k: Reals, b: Reals) -> Reals:
+    """The same where the damper is far beyond the critical: two rates r < R, q = (h(r) - h(R))/(R - r), with
+    h(r) = (1 - exp(-r))/r."""
+    rates = np.sqrt(b * b - 4.0 * k)
+    fast = 0.5 * (b + rates)
+    slow = k / fast
+    one = np.where(slow > 0.0, -np.expm1(-slow) / np.where(slow > 0.0, slow, 1.0), 1.0)
+    return (one + np.expm1(-fast) / fast) / rates
 
 
 def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:

@@ -1,67 +1,40 @@
-"""The modules that a scene can hold. A new one is a class here and a line in `AnyModule`."""
+"""The modules that a scene can hold: every class of `points`, `structures` and `links` that says its `type`. A new one
+is a class there."""
 
-from typing import Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, Union
 
 from pydantic import Field
 
-from .linear_links import Damper, Spring, ViscoElastic
-from .link import Link
-from .membrane import Membrane
-from .module import Module, ModuleContext
-from .nonlinear_links import Buffer, Click, Detent, Friction, Nonlinear, Plectrum
-from .points import Cell, DevicePoint, Ground, Held, Mass, MaterialPoint
-from .string import Pluck, String
-from .structure import Elements, Structure
-
-AnyModule = (
-    DevicePoint
-    | Ground
-    | Mass
-    | Cell
-    | String
-    | Membrane
-    | ViscoElastic
-    | Spring
-    | Damper
-    | Buffer
-    | Nonlinear
-    | Friction
-    | Plectrum
-    | Detent
-    | Click
-)
-
-#: A module as the file has it: its ``type`` says which.
-TypedModule = Annotated[AnyModule, Field(discriminator="type")]
-
-#: The class of each ``type``, in the order in which people meet them.
-MODULE_TYPES: dict[str, type[Module]] = {module.model_fields["type"].default: module for module in get_args(AnyModule)}
+from ..part import Module, ModuleContext
+from . import links, points, structures
+from .links import Link
+from .points import Held, MaterialPoint
+from .structures import Elements, Pluck, Structure
 
 __all__ = [
     "MODULE_TYPES",
-    "AnyModule",
-    "Buffer",
-    "Cell",
-    "Click",
-    "Damper",
-    "Detent",
-    "DevicePoint",
     "Elements",
-    "Friction",
-    "Ground",
     "Held",
     "Link",
-    "Mass",
     "MaterialPoint",
-    "Membrane",
     "Module",
     "ModuleContext",
-    "Nonlinear",
-    "Plectrum",
     "Pluck",
-    "Spring",
-    "String",
     "Structure",
     "TypedModule",
-    "ViscoElastic",
 ]
+"""Beside the classes in MODULE_TYPES."""
+
+MODULE_TYPES: dict[str, type[Module]] = {
+    kind.model_fields["type"].default: kind
+    for file in (points, structures, links)
+    for kind in vars(file).values()
+    if isinstance(kind, type) and issubclass(kind, Module) and not kind.model_fields["type"].is_required()
+}
+"""The class of each ``type``, in the order in which people meet them: that of these files and of their text."""
+
+if TYPE_CHECKING:
+    TypedModule = Module
+else:
+    TypedModule = Annotated[Union[tuple(MODULE_TYPES.values())], Field(discriminator="type")]  # noqa: UP007
+    """A module as the file has it: its ``type`` says which."""

@@ -11,8 +11,8 @@ from pydantic import Field
 from hapsim.laws import Law
 
 from ..issue import Issue, quote
+from ..part import Module, ModuleContext, check_of
 from ..quantity import MOST_CHANNELS, count, quantity
-from .module import Module, ModuleContext, check_of
 
 
 class DevicePoint(Module):

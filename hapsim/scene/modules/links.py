@@ -1,4 +1,5 @@
-"""The nonlinear links: CORDIS's BUT (buffer) and LNL (nonlinear), dry friction, plectrum, detent and click."""
+"""The links, elements between two points: CORDIS's REF (visco-elastic link), RES (spring), FRO (damper), BUT (buffer)
+and LNL (nonlinear), dry friction, plectrum, detent and click."""
 
 import math
 from collections.abc import Iterator
@@ -9,11 +10,143 @@ from pydantic import Field
 
 from hapsim.laws import GrippingLaw, Law, SineLaw, curve_law, line, roomy
 
-from ..choices import DETENT_SHAPE, WITH_SHARPNESS, DetentShape
-from ..issue import Issue, one_of
-from ..quantity import Curve, curve, quantity
-from .link import Link
-from .module import ModuleContext, check_of
+from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DamperScheme, DetentShape
+from ..issue import Issue, did_you_mean, one_of, quote
+from ..part import Module, ModuleContext, check_of
+from ..quantity import Curve, curve, names, quantity
+from .points import DevicePoint
+from .structures import Structure
+
+ENDS = names(
+    "The two modules that it joins, by name",
+    "the names of two modules, such as [hand, wall]",
+    entry="the name of a module",
+    count=2,
+)
+
+
+class Link(Module):
+    """An element between two points, which are named and may stand anywhere in the file."""
+
+    is_point: ClassVar[bool] = False
+    can_move: ClassVar[bool] = False
+    #: Its law, whatever its values are, is its `table`.
+    has_table: ClassVar[bool] = False
+    between: Annotated[tuple[str, str], ENDS]
+
+    def law(self) -> Law:
+        """Returns what it does over the distance of its ends, as the theory takes it."""
+        raise NotImplementedError
+
+    def table(self) -> Law | None:
+        """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
+        return self.law() if self.has_table else None
+
+    @check_of("between")
+    def _ends_fit(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+        wrong_ends = {index: wrong_end(name, end, around) for index, end in enumerate(self.between)}
+        yield from (Issue(("between", index), sentence) for index, sentence in wrong_ends.items() if sentence)
+        if any(wrong_ends.values()):
+            return
+        first, second = self.between
+        kinds = [around.kinds.get(end) for end in self.between]
+        if first == second:
+            yield Issue(("between",), f"found {quote(first)} at both ends, expected two different points")
+        elif all(kind is not None and not kind.can_move for kind in kinds):
+            ends = f"{quote(first)} and {quote(second)}"
+            yield Issue(("between",), f"found {ends}, of which neither can move; expected one end that can")
+
+
+def wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
+    """What is wrong with the point that `name`, a link or a pick-up, holds by this end; in words."""
+    if end == name:
+        return f"found {quote(end)}, the link itself; expected a point to hold"
+    holder = around.holder(end)
+    if holder not in around.kinds:
+        points = [other for other, kind in around.kinds.items() if kind is None or kind.is_point]
+        hint = did_you_mean(end, points)
+        return f"found {quote(end)}, expected the name of a module of this scene{hint}"
+    kind = around.kinds[holder]
+    if kind is None:
+        return None
+    if issubclass(kind, Structure):
+        return _wrong_place(end, holder, around) if around.knows(holder, *kind.counts) else None
+    if holder != end:
+        what = kind.model_fields["type"].default
+        return f"found {quote(end)}, but {quote(holder)} is a single {what}; leave out the dot and what follows"
+    if not kind.is_point:
+        return f"found {quote(end)}, which is a link; expected a point"
+    return None
+
+
+def _wrong_place(end: str, holder: str, around: ModuleContext) -> str | None:
+    structure = around.modules[holder]
+    assert isinstance(structure, Structure)
+    if holder != end and structure.has_place(end[len(holder) + 1 :]):
+        return None
+    expected = f"expected one of its masses, {structure.place_words()}, such as {holder}{'.0' * len(structure.counts)}"
+    return f"found {quote(end)}, but {quote(holder)} is a {structure.type}; {expected}"
+
+
+CUTOFF = quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0)
+
+
+class ViscoElastic(Link):
+    """A spring and a damper in parallel between two points, at rest where the two coincide."""
+
+    live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
+
+    type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
+    stiffness: Annotated[float, quantity("Stiffness of the spring", "N/m", least=0)]
+    damping: Annotated[float, quantity("Viscosity of the damper", "N·s/m", least=0)] = 0.0
+    damper: DamperScheme = Field(default="backward", description=DAMPER)
+    cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
+
+    def law(self) -> Law:
+        return line(self.stiffness, self.damping, in_a_matrix=self.damper == "backward")
+
+    @check_of("damper", "cutoff")
+    def _cutoff_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
+        if self.damper in WITH_CUTOFF and self.cutoff is None:
+            sentence = f"found {self.damper} without a cutoff, expected cutoff: a number > 0 (Hz) too"
+            yield Issue(("damper",), sentence)
+        elif self.damper not in WITH_CUTOFF and self.cutoff is not None:
+            having = one_of(WITH_CUTOFF)
+            sentence = f"found a cutoff, which the {self.damper} damper does not have; expected damper: {having}"
+            yield Issue(("cutoff",), sentence)
+
+    @check_of("between", "damper")
+    def _is_sensed(self, _name: str, around: ModuleContext) -> Iterator[Issue]:
+        ends = [around.kinds.get(end) for end in self.between]
+        if self.damper in WITH_SENSOR and None not in ends and DevicePoint not in ends:
+            names = " and ".join(map(quote, self.between))
+            expected = "expected a point of type device at one end"
+            yield Issue(("damper",), f"found {self.damper} between {names}, which no device senses; {expected}")
+
+
+class Spring(Link):
+    """A spring between two points, at rest where the two coincide."""
+
+    live: ClassVar[tuple[str, ...]] = ("stiffness",)
+
+    type: Literal["spring"] = Field(default="spring", description="A spring")
+    stiffness: Annotated[float, quantity("Stiffness", "N/m", least=0)]
+
+    def law(self) -> Law:
+        return line(self.stiffness, 0.0, in_a_matrix=True)
+
+
+class Damper(Link):
+    """A viscous damper between two points: it holds nothing where it is, and slows what moves."""
+
+    live: ClassVar[tuple[str, ...]] = ("damping",)
+
+    type: Literal["damper"] = Field(default="damper", description="A viscous damper")
+    damping: Annotated[float, quantity("Viscosity", "N·s/m", least=0)]
+
+    def law(self) -> Law:
+        return line(0.0, self.damping, in_a_matrix=True)
+
 
 OVER_DISTANCE = curve(
     "Tension with which it pulls its ends together, over the first end minus the second", "m", "N", "none"
