@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
@@ -49,15 +49,13 @@ def check(
     scene: SceneFile,
     json: Json = False,
     at: At = None,
-    explain: Annotated[
-        bool, flag("--explain", "Print every mode, margin and bound; compile the scene too, and time its parts.")
-    ] = False,
-    hand_mass: Annotated[
-        str | None, option("LOW:HIGH", "Judge hands that add so much mass, kg, and stiffness: 0.1:2.", "--hand-mass")
-    ] = None,
-    hand_stiffness: Annotated[
-        str | None, option("LOW:HIGH", "The stiffness that these hands add, N/m: 0:500.", "--hand-stiffness")
-    ] = None,
+    explain: bool = flag("--explain", "Print every mode, margin and bound; compile the scene too, and time its parts."),
+    hand_mass: str | None = option(
+        "LOW:HIGH", "Judge hands that add so much mass, kg, and stiffness: 0.1:2.", "--hand-mass"
+    ),
+    hand_stiffness: str | None = option(
+        "LOW:HIGH", "The stiffness that these hands add, N/m: 0:500.", "--hand-stiffness"
+    ),
 ) -> None:
     """Predict without running: stability, what the hand feels, gain margins, the wire."""
     loaded, hands = load(scene), hand_ranges(hand_mass, hand_stiffness)

@@ -128,8 +128,8 @@ class Commands(_Commands):
         ),
         "doctor": ("doctor:doctor", "Examine how steady this machine is for a haptic loop."),
         "probe": ("probe:probe", "Test a device's firmware against the protocol, check by check."),
-        "replay": ("replay:replay", "Run a record again, through its scene or another, without a device."),
-        "export": ("export:export", "Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."),
+        "replay": ("records:replay", "Run a record again, through its scene or another, without a device."),
+        "export": ("records:export", "Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."),
         "sweep": ("sweep:sweep", "Predict and measure a scene at thousands of points; the results are one dataset."),
         "frames": ("frames:frames", "Decode the frames of a capture, a report file or a serial port."),
         "faults": ("faults:faults", "Inject faults: relay between host and device and apply a script."),
@@ -137,9 +137,9 @@ class Commands(_Commands):
         "compile": ("prepare:compile_", "Compile ahead of the first run. No device is touched."),
         "ports": ("device:ports", "List the serial ports."),
         "sound": ("device:sound", "List the sound cards that `run --sound` can play on."),
-        "new": ("shipped:new", "Write a first scene to begin with."),
-        "scenes": ("shipped:scenes", "List the scenes that ship with hapsim."),
-        "files": ("shipped:files", "Print where the header, the firmware, the pages and the scenes are."),
+        "new": ("prepare:new", "Write a first scene to begin with."),
+        "scenes": ("prepare:scenes", "List the scenes that ship with hapsim."),
+        "files": ("prepare:files", "Print where the header, the firmware, the pages and the scenes are."),
         "schema": ("prepare:schema", "Print the JSON schema of scenes, for editors."),
     }
 
@@ -148,22 +148,22 @@ class ChartCommands(_Commands):
     """The commands `hapsim chart …`."""
 
     table: ClassVar[dict[str, tuple[str, str]]] = {
-        "plane": ("chart_plane:plane", "Draw the K,B plane: curves of equal k and b that the hand feels."),
-        "force": ("chart_force:force", "Draw force over displacement: what the hand feels at each place."),
+        "plane": ("chart_hand:plane", "Draw the K,B plane: curves of equal k and b that the hand feels."),
+        "force": ("chart_hand:force", "Draw force over displacement: what the hand feels at each place."),
         "transparency": (
-            "chart_transparency:transparency",
+            "chart_hand:transparency",
             "Draw the rendered impedance beside the desired one, over frequency.",
         ),
         "table1": (
-            "chart_table1:table1",
+            "chart_runs:table1",
             "Couple the hand's mass with real and simulated springs, predicted and measured.",
         ),
         "speed-accuracy": (
-            "chart_speed_accuracy:speed_accuracy",
+            "chart_runs:speed_accuracy",
             "Draw the cost of a simulated second against the error: objects, schemes, rates.",
         ),
-        "felt": ("chart_felt:felt", "Draw which desired stiffness and damping the hand feels, with each correction."),
-        "trace": ("chart_trace:trace", "Draw a recorded trace: position and force over time."),
+        "felt": ("chart_hand:felt", "Draw which desired stiffness and damping the hand feels, with each correction."),
+        "trace": ("chart_runs:trace", "Draw a recorded trace: position and force over time."),
     }
 
 

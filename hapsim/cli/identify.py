@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option, push_option, require_file, seconds
@@ -41,15 +39,11 @@ Written = Mapping[str, str | Known]
 
 def identify(
     device: DeviceOptions,
-    channel: Annotated[int | None, typer.Option(help="Channel to push [default: the first]")] = None,
-    push: Annotated[float | None, push_option("--force")] = None,
-    travel: Annotated[
-        float | None, option("M", "Stop if the device moves farther, m [default: 0.005 m, 0.2 rad]")
-    ] = None,
-    duration: Annotated[float | None, seconds("Seconds recorded for the fit [default: 6]")] = None,
-    write: Annotated[
-        bool, flag("--write", "Write the values into the scene's `device` [default: only print them]")
-    ] = False,
+    channel: int | None = option(None, "Channel to push [default: the first]"),
+    push: float | None = push_option("--force"),
+    travel: float | None = option("M", "Stop if the device moves farther, m [default: 0.005 m, 0.2 rad]"),
+    duration: float | None = seconds("Seconds recorded for the fit [default: 6]"),
+    write: bool = flag("--write", "Write the values into the scene's `device` [default: only print them]"),
     *,
     picture: PictureOptions,
     json: Json = False,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 from rich.markup import escape
@@ -13,8 +13,16 @@ from rich.markup import escape
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import show_assumptions, show_wire
 from hapsim.cli.live import live_line
-from hapsim.cli.measure_remarks import attempts, dry_friction, limits, other_device, smaller_push
-from hapsim.cli.measure_weight import measured_weight, weight_sentence, with_hand
+from hapsim.cli.measure_remarks import (
+    attempts,
+    dry_friction,
+    limits,
+    measured_weight,
+    other_device,
+    smaller_push,
+    weight_sentence,
+    with_hand,
+)
 from hapsim.cli.options import (
     DeviceOptions,
     ExcitationOptions,
@@ -28,8 +36,7 @@ from hapsim.cli.options import (
     say_written,
 )
 from hapsim.cli.output import Table, complain, document, failure_document, speak_of, stderr, stdout, table
-from hapsim.cli.run import print_warnings, require_stable, with_mock
-from hapsim.cli.run_report import show_report, show_run
+from hapsim.cli.run import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure import measure as measure_scene
@@ -52,7 +59,7 @@ def measure(
     record: RecordOptions,
     *,
     unstable: Unstable = False,
-    explain: Annotated[bool, flag("--explain", "Print the report of the run too.")] = False,
+    explain: bool = flag("--explain", "Print the report of the run too."),
     json: Json = False,
 ) -> None:
     """Measure what the hand feels, and compare it with the prediction.
@@ -66,12 +73,12 @@ def measure(
         given = {"--at": excitation.at is not None, "--mass": excitation.mass, "--hands": excitation.hands}
         if which := next((option for option, is_given in given.items() if is_given), ""):
             raise UsageError(f"{which} does not go with --impedance, which measures where the hand is")
-        from hapsim.cli.measure_impedance import measure_impedance
+        from hapsim.cli.measure_matrices import measure_impedance
 
         measure_impedance(device, excitation, picture, record, unstable, json)
         return
     if excitation.hands:
-        from hapsim.cli.measure_hands import measure_hands
+        from hapsim.cli.measure_matrices import measure_hands
 
         measure_hands(device, excitation, picture, record, unstable, json)
         return

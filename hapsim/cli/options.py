@@ -11,9 +11,10 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from copy import copy
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, cast, get_type_hints
+from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -21,20 +22,28 @@ from hapsim.cli.output import say, speak_in, spoken
 from hapsim.errors import UsageError
 
 _STANDARD_INPUT = "-"
+_TYPER = "typer"
 
 
-def option(metavar: str, text: str, *names: str) -> Any:
-    """Returns the declaration of an option that takes a value."""
-    return typer.Option(*names, metavar=metavar, help=text)
+def option(metavar: str | None, text: str, *names: str, default: Any = None, **of_typer: Any) -> Any:
+    """Returns the declaration of an option that takes a value, in place of its default: of a field of a dataclass, or
+    of an argument of a command. It also stands in an Annotated that several commands share; the default then stands
+    beside it. `default`: ... where it has to be given. `of_typer`: further arguments of typer's Option."""
+    return field(default=default, metadata={_TYPER: typer.Option(*names, metavar=metavar, help=text, **of_typer)})
 
 
 def flag(name: str, text: str) -> Any:
-    """Returns the declaration of an option without a value."""
-    return typer.Option(name, help=text)
+    """Returns the declaration of an option without a value, likewise."""
+    return option(None, text, name, default=False)
+
+
+def argument(metavar: str | None, text: str, *, default: Any = None) -> Any:
+    """Returns the declaration of a word of the command, likewise."""
+    return field(default=default, metadata={_TYPER: typer.Argument(metavar=metavar, help=text)})
 
 
 SceneFile = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A scene in YAML, the name of a shipped scene, or - for standard input.")
+    str, argument("SCENE", "A scene in YAML, the name of a shipped scene, or - for standard input.", default=...)
 ]
 Json = Annotated[bool, flag("--json", "Print one JSON document on standard output, nothing else there.")]
 Port = Annotated[str | None, option("P", "The device's serial port, in place of the scene's.")]
@@ -47,7 +56,7 @@ Unstable = Annotated[
     bool, flag("--unstable", "Run even a scene that is predicted unstable: the device will oscillate.")
 ]
 Watch = Annotated[bool, flag("--watch", "Follow the scene's file: apply it when it is saved.")]
-Baud = Annotated[int, typer.Option(min=1, max=100_000_000, metavar="B", help="Baud rate of the device's port, bit/s.")]
+Baud = Annotated[int, option("B", "Baud rate of the device's port, bit/s.", min=1, max=100_000_000)]
 
 
 At = Annotated[
@@ -84,7 +93,7 @@ def require_positive(option: str, value: float | None, unit: str = "") -> float 
 
 def seconds(text: str) -> Any:
     """Returns the declaration of `--duration`, a finite number of seconds above 0."""
-    return typer.Option(metavar="S", callback=lambda value: require_positive("--duration", value, "seconds"), help=text)
+    return option("S", text, callback=lambda value: require_positive("--duration", value, "seconds"))
 
 
 def push_option(*names: str) -> Any:
@@ -131,7 +140,7 @@ class DeviceOptions:
     scene: SceneFile
     port: Port = None
     mock: MockFlag = False
-    transport: Annotated[str | None, option("KIND", "Where the mock runs: loopback (in memory) or terminal.")] = None
+    transport: str | None = option("KIND", "Where the mock runs: loopback (in memory) or terminal.")
 
     def load(self) -> Any:
         """Returns the scene, with the port that the options name. Raises SceneError."""
@@ -146,28 +155,20 @@ class DeviceOptions:
 class ExcitationOptions:
     """How `hapsim measure` excites a hand."""
 
-    channel: Annotated[
-        int | None, typer.Option(help="Channel to measure [default: the first; with --impedance all]")
-    ] = None
+    channel: int | None = option(None, "Channel to measure [default: the first; with --impedance all]")
     at: At = None
-    duration: Annotated[
-        float | None, seconds("Duration in seconds [default: about 2; with --impedance 8 for each channel]")
-    ] = None
-    push: Annotated[float | None, push_option()] = None
-    hands: Annotated[bool, flag("--hands", "Measure what all hands feel that are linked with that one.")] = False
-    mass: Annotated[bool, flag("--mass", "Also say how heavy what the hand shakes feels to it.")] = False
-    hand_stiffness: Annotated[
-        float | None,
-        option("KH", "With --mass: stiffness of the hand that holds the device, N/m [default: mock.hand.stiffness]"),
-    ] = None
-    impedance: Annotated[
-        bool, flag("--impedance", "Measure the driving-point impedance over frequency instead of k and b.")
-    ] = False
-    travel: Annotated[
-        float | None,
-        option("M", "With --impedance: largest travel of the hand in m, approximate [default: 0.001 m, 0.05 rad]"),
-    ] = None
-    z_width: Annotated[bool, flag("--z-width", "With --impedance: also with the stiffest passive wall.")] = False
+    duration: float | None = seconds("Duration in seconds [default: about 2; with --impedance 8 for each channel]")
+    push: float | None = push_option()
+    hands: bool = flag("--hands", "Measure what all hands feel that are linked with that one.")
+    mass: bool = flag("--mass", "Also say how heavy what the hand shakes feels to it.")
+    hand_stiffness: float | None = option(
+        "KH", "With --mass: stiffness of the hand that holds the device, N/m [default: mock.hand.stiffness]"
+    )
+    impedance: bool = flag("--impedance", "Measure the driving-point impedance over frequency instead of k and b.")
+    travel: float | None = option(
+        "M", "With --impedance: largest travel of the hand in m, approximate [default: 0.001 m, 0.05 rad]"
+    )
+    z_width: bool = flag("--z-width", "With --impedance: also with the stiffest passive wall.")
 
     def for_runs(self, transport: Any, unstable: bool) -> dict[str, Any]:
         """Returns what every measurement takes: keywords. `transport`: the TransportKind."""
@@ -184,8 +185,8 @@ class ExcitationOptions:
 class RecordOptions:
     """The file that a trace is written to."""
 
-    record: Annotated[Path | None, option("FILE", "Write the trace: .trace, .npz or .csv.")] = None
-    overwrite: Annotated[bool, flag("--overwrite", "Replace a file that exists.")] = False
+    record: Path | None = option("FILE", "Write the trace: .trace, .npz or .csv.")
+    overwrite: bool = flag("--overwrite", "Replace a file that exists.")
 
     def require_writable(self) -> None:
         """Raises UsageError where the file cannot be written, or exists and is not to be replaced."""
@@ -206,8 +207,8 @@ class RecordOptions:
 class PictureOptions:
     """Where a picture and its numbers go."""
 
-    picture: Annotated[Path | None, option("FILE", "Draw it: .svg, .png or .pdf.")] = None
-    data: Annotated[Path | None, option("FILE.csv", "Write the numbers of the picture.")] = None
+    picture: Path | None = option("FILE", "Draw it: .svg, .png or .pdf.")
+    data: Path | None = option("FILE.csv", "Write the numbers of the picture.")
 
     @property
     def wanted(self) -> bool:
@@ -304,27 +305,40 @@ def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
     has one line for each paragraph, which typer then breaks where the terminal ends."""
     groups: dict[str, type] = {}
     declared = []
-    for parameter in inspect.signature(command, eval_str=True).parameters.values():
-        if not is_dataclass(parameter.annotation):
-            declared.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
-            continue
-        group = groups[parameter.name] = cast(type, parameter.annotation)
-        for name, annotation in get_type_hints(group, include_extras=True).items():
-            default = getattr(group, name, inspect.Parameter.empty)
-            declared.append(
-                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-            )
+    for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
+        if is_dataclass(parameter.annotation):
+            group = groups[name] = cast(type, parameter.annotation)
+            annotations = get_type_hints(group, include_extras=True)
+            declared += [_as_typer_takes(one.name, annotations[one.name], one) for one in fields(group)]
+        else:
+            declared.append(_as_typer_takes(name, parameter.annotation, parameter.default))
 
     def call(**given: Any) -> None:
         for name, group in groups.items():
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         command(**given)
 
-    for parameter in declared:
-        for option in getattr(parameter.annotation, "__metadata__", ()):
-            option.help = (option.help or "").replace(" [default:", r" \[default:")  # or rich takes it for a style
     paragraphs = inspect.cleandoc(command.__doc__ or "").split("\n\n")
     call.__doc__ = "\n\n".join(" ".join(paragraph.splitlines()) for paragraph in paragraphs)
     call.__signature__ = inspect.Signature(declared)  # type: ignore[attr-defined]
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in declared}
     return call
+
+
+def _as_typer_takes(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    """Returns a parameter with what `option` declared in its annotation, and its default. `default`: that, or the
+    declaration."""
+    if isinstance(default, Field):
+        if default.metadata:
+            annotation = Annotated[annotation, default]
+        default = default.default
+    if get_origin(annotation) is Annotated:
+        kind, declaration = get_args(annotation)
+        if isinstance(declaration, Field):
+            declaration = copy(declaration.metadata[_TYPER])
+        declaration.help = (declaration.help or "").replace(
+            " [default:", r" \[default:"
+        )  # or rich takes it for a style
+        annotation = Annotated[kind, declaration]
+    default = inspect.Parameter.empty if default in (..., MISSING) else default
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

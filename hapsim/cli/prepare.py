@@ -1,41 +1,114 @@
-"""`hapsim schema`, `compile` and `service`: what comes before a run."""
+"""`hapsim new`, `scenes`, `files`, `schema`, `compile` and `service`: what ships, and what comes before a run."""
 
 from __future__ import annotations
 
 import json as json_text
-from typing import Annotated
+import os
+import shlex
+from pathlib import Path
 
 import typer
 
-from hapsim.cli.live import live_line, unkept, warn_if_elsewhere
-from hapsim.cli.live_options import LiveOptions
-from hapsim.cli.options import Json, Port, SceneFile, Watch, flag, load, require_file
+import firmware_protocol
+import hapsim
+from hapsim.cli.live import LiveOptions, live_line, unkept, warn_if_elsewhere
+from hapsim.cli.options import Json, Port, SceneFile, Watch, argument, flag, load, option, require_file
 from hapsim.cli.output import complain, document, say, stderr, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
-from hapsim.prediction import predict
-from hapsim.running.compile_ahead import prepare
-from hapsim.running.requirements import why_not_armed
-from hapsim.running.service import closed_to_service, unit_for, unit_name
-from hapsim.scene import scene_schema
+from hapsim.scene.issue import as_argument
+from hapsim.scene.shipped import (
+    SCENES,
+    shipped_board,
+    shipped_boards,
+    shipped_scene,
+    shipped_scene_path,
+    shipped_scenes,
+)
+from hapsim.whole_file import whole_file
+
+
+def new(
+    path: Path = argument(None, "Where to write it.", default=Path("scene.yaml")),
+    from_: str | None = option("NAME", "Copy this scene; `hapsim scenes` lists them [default: first_touch]", "--from"),
+    board: str | None = option("NAME", "Copy the first scene of this device, such as hapkit.", "--board"),
+) -> None:
+    """Write a first scene to begin with."""
+
+    if from_ is not None and board is not None:
+        raise UsageError("--from and --board: each names a scene to copy, expected one of them")
+    if board is not None and board not in shipped_boards():
+        raise UsageError(f"--board: found {board!r}, expected one of {', '.join(shipped_boards())}")
+    if from_ is not None and shipped_scene_path(from_) is None:
+        raise UsageError(f"--from: found {from_!r}, expected one of {', '.join(shipped_scenes())}")
+    if os.path.lexists(path):
+        raise UsageError(f"{path}: the file exists and is not replaced; name another")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"{path}: there is no directory {path.resolve().parent}")
+    with whole_file(path) as file:
+        text = shipped_scene(from_ or "first_touch") if board is None else shipped_board(board)
+        file.write_text(text, encoding="utf-8")
+    say(f"Wrote {path}. Next:")
+    for command in ("check", "measure"):
+        print(
+            f"  hapsim {command} {shlex.quote(as_argument(str(path)))}"
+        )  # on one line, however long: it is to be copied
+
+
+def scenes(json: Json = False) -> None:
+    """List the scenes that ship with hapsim."""
+
+    known = shipped_scenes()
+    if json:
+        print(document({name: {"path": str(SCENES / f"{name}.yaml"), "title": title} for name, title in known.items()}))
+        return
+    for name, title in known.items():
+        say(f"{name:24}{title}", indent=" " * 24)
+    say("`hapsim check NAME` and the other commands find them by name; `hapsim new --from NAME` copies one.")
+
+
+def files(json: Json = False) -> None:
+    """Print where the scenes, the protocol's header, the firmware and the pages are."""
+
+    product, protocol = Path(hapsim.__file__).parent, Path(firmware_protocol.__file__).parent
+    places = {
+        "scenes": SCENES,
+        "header": protocol / "hapsim_protocol.h",
+        "firmware": protocol / "firmware",
+        "protocol": protocol / "PROTOCOL.md",
+        "porting": protocol / "PORTING.md",
+        "using": product / "USING.md",
+        "manual": product / "hapsim.1",
+        "scene keys": SCENES / "README.md",
+        "modules": product / "cordis" / "MODULES.md",
+        "stability": product / "STABILITY.md",
+        "theory": product / "theory" / "README.md",
+        "architecture": product / "README.md",
+    }
+    if json:
+        print(document({name.replace(" ", "_"): str(path) for name, path in places.items()}))
+        return
+    for name, path in places.items():
+        print(f"{name:12} {path}")  # on one line, however long: it is to be copied
 
 
 def schema() -> None:
     """Print the JSON schema of scenes, for editors that complete and check YAML."""
+    from hapsim.scene import scene_schema
+
     print(json_text.dumps(scene_schema(), indent=2))
 
 
 def compile_(
-    scenes: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[SCENE]…", help="Compile what these scenes need [default: what any scene needs]"),
-    ] = None,
+    scenes: list[str] | None = argument("[SCENE]…", "Compile what these scenes need [default: what any scene needs]"),
     json: Json = False,
 ) -> None:
     """Compile ahead of the first run. No device is touched.
 
     The code is kept in ~/.cache/hapsim, or where --cache DIR or HAPSIM_CACHE in the environment says.
     """
+    from hapsim.running.compile_ahead import prepare
+
     loaded = [load(path) for path in scenes or ()]
     with live_line(stderr(), warns_of_unkept=False) as tell:
         prepared = prepare(loaded, tell)
@@ -57,14 +130,18 @@ def compile_(
 def service(
     scene: SceneFile,
     port: Port = None,
-    user: Annotated[bool, flag("--user", "For your own service manager, which grants less.")] = False,
+    user: bool = flag("--user", "For your own service manager, which grants less."),
     watch: Watch = False,
-    sound: Annotated[bool, flag("--sound", "Play the scene's sound, on a card of ALSA.")] = False,
+    sound: bool = flag("--sound", "Play the scene's sound, on a card of ALSA."),
     *,
     live: LiveOptions,
     json: Json = False,
 ) -> None:
     """Print a systemd unit that runs SCENE, waits for its device and reports its status to the service manager."""
+    from hapsim.prediction import predict
+    from hapsim.running.requirements import why_not_armed
+    from hapsim.running.service import closed_to_service, unit_for, unit_name
+
     require_file(scene, "SCENE")
     loaded = load(scene, port)
     on = loaded.device.port

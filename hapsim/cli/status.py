@@ -5,12 +5,11 @@ from __future__ import annotations
 import json as standard_json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
 from rich.console import Console
 
-from hapsim.cli.options import Json
+from hapsim.cli.options import Json, argument
 from hapsim.cli.output import fitted, stdout
 from hapsim.errors import UsageError
 from hapsim.number_format import number
@@ -19,12 +18,7 @@ from hapsim.units import MOTIONS, Units
 
 
 def status(
-    where: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[PORT|PATH]", help="Port or socket of a running hapsim [default: the only one that runs]"
-        ),
-    ] = None,
+    where: str | None = argument("[PORT|PATH]", "Port or socket of a running hapsim [default: the only one that runs]"),
     json: Json = False,
 ) -> None:
     """Show the status of a running hapsim, which was started with --status."""

@@ -6,12 +6,10 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.live import live_words
-from hapsim.cli.options import Json, PictureOptions, SceneFile, flag, load, option, seconds
+from hapsim.cli.options import Json, PictureOptions, SceneFile, argument, flag, load, option, seconds
 from hapsim.cli.output import document, say, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent, plural
@@ -30,17 +28,13 @@ _DEVIATION = 2  # digits
 class PointOptions:
     """The points of a sweep."""
 
-    parameters: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[PATH=VALUES …]",
-            help="touch.stiffness=log:200:5000:50, device.delay=0,0.5,1 or rate=lin:500:2000:4",
-        ),
-    ] = None
-    samples: Annotated[int | None, option("N", "Take N samples of ranges such as lin:0:2 or log:200:5000.")] = None
-    method: Annotated[str, option("KIND", "How samples are taken: lhs (Latin hypercube), random or sobol.")] = "lhs"
-    points: Annotated[Path | None, option("FILE.csv", "Take the points from a table with a row of names.")] = None
-    seed: Annotated[int, option("N", "Seed of the samples.")] = 0
+    parameters: list[str] | None = argument(
+        "[PATH=VALUES …]", "touch.stiffness=log:200:5000:50, device.delay=0,0.5,1 or rate=lin:500:2000:4"
+    )
+    samples: int | None = option("N", "Take N samples of ranges such as lin:0:2 or log:200:5000.")
+    method: str = option("KIND", "How samples are taken: lhs (Latin hypercube), random or sobol.", default="lhs")
+    points: Path | None = option("FILE.csv", "Take the points from a table with a row of names.")
+    seed: int = option("N", "Seed of the samples.", default=0)
 
     def read(self) -> Points:
         """Returns the points. Raises UsageError."""
@@ -57,9 +51,9 @@ class PointOptions:
 class QuantityOptions:
     """What is worked out at each point."""
 
-    check: Annotated[bool, flag("--check", "Only predict.")] = False
-    measure: Annotated[bool, flag("--measure", "Only measure, on the mock in virtual time.")] = False
-    impedance: Annotated[bool, flag("--impedance", "Predict and measure impedances over frequency instead.")] = False
+    check: bool = flag("--check", "Only predict.")
+    measure: bool = flag("--measure", "Only measure, on the mock in virtual time.")
+    impedance: bool = flag("--impedance", "Predict and measure impedances over frequency instead.")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -75,20 +69,16 @@ def sweep(
     scene: SceneFile,
     points: PointOptions,
     *,
-    out: Annotated[Path, option("FILE.nc", "Write the results: .nc (netCDF) or .zarr.")],
+    out: Path = option("FILE.nc", "Write the results: .nc (netCDF) or .zarr.", default=...),
     quantities: QuantityOptions,
-    channel: Annotated[int | None, typer.Option(help="Channel of the hand [default: the first]")] = None,
-    duration: Annotated[float | None, seconds("Duration of each measurement in seconds [default: about 2]")] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Processes [default: all processors, if it takes long]")
-    ] = None,
-    scheduler: Annotated[
-        str | None, option("ADDRESS", "Let the workers of a dask.distributed scheduler do it, such as tcp://host:8786.")
-    ] = None,
-    draw: Annotated[
-        str | None, option("VARIABLE", "What --picture shows [default: how far measured k is off, or predicted k]")
-    ] = None,
-    over: Annotated[str | None, option("X,Y", "Over which parameters [default: the first two]")] = None,
+    channel: int | None = option(None, "Channel of the hand [default: the first]"),
+    duration: float | None = seconds("Duration of each measurement in seconds [default: about 2]"),
+    jobs: int | None = option("N", "Processes [default: all processors, if it takes long]", min=1),
+    scheduler: str | None = option(
+        "ADDRESS", "Let the workers of a dask.distributed scheduler do it, such as tcp://host:8786."
+    ),
+    draw: str | None = option("VARIABLE", "What --picture shows [default: how far measured k is off, or predicted k]"),
+    over: str | None = option("X,Y", "Over which parameters [default: the first two]"),
     pictures: PictureOptions,
     json: Json = False,
 ) -> None:

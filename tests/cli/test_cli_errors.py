@@ -265,7 +265,7 @@ def test_a_record_whose_export_is_stopped_leaves_no_file(
     def interrupt(*_: object, **__: object) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr("hapsim.cli.export.write", interrupt)
+    monkeypatch.setattr("hapsim.replaying.export.export", interrupt)
     answer = hapsim("export", record, out)
     assert (answer.status, answer.sentence) == (130, f"hapsim: stopped while exporting {record}\n")
     assert not out.exists()

@@ -139,7 +139,7 @@ def test_a_full_disk_is_one_sentence_for_files_and_output(hapsim: Hapsim, monkey
     def fail(_: object) -> None:
         raise full
 
-    monkeypatch.setattr("hapsim.cli.shipped.document", fail)
+    monkeypatch.setattr("hapsim.cli.prepare.document", fail)
     monkeypatch.setattr(sys, "stdout", Full())
     answer = hapsim("scenes", "--json")
     assert (answer.status, answer.err) == (2, "hapsim: the output cannot be written: No space left on device\n")

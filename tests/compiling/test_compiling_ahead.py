@@ -16,7 +16,6 @@ from typing import Any, get_args
 import pytest
 
 from firmware_protocol import code_cache
-from hapsim.cli import prepare as preparing
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.cordis.program import PART_TYPES, compile_scene
 from hapsim.prediction.linear import linear_scene
@@ -219,7 +218,7 @@ def test_afterwards_no_run_compiles_anything(clock: str, transport: Any, portabl
 
 def test_its_result(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     for prepared in (Prepared(12, 3.5, Path("/var/kept")), Prepared(12, 3.5, None, "/var/kept: the disk is full")):
-        monkeypatch.setattr(preparing, "prepare", lambda *_, prepared=prepared: prepared)
+        monkeypatch.setattr("hapsim.running.compile_ahead.prepare", lambda *_, prepared=prepared: prepared)
         answer, problem = hapsim("compile", "--json"), prepared.problem
         assert answer.document["directory"] == (None if problem else "/var/kept")
         assert (answer.document["functions"], answer.document["seconds"]) == (12, 3.5)
@@ -235,7 +234,7 @@ def test_the_directory_is_chosen_before_anything_is_loaded(
     hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str
 ) -> None:
     monkeypatch.setenv("HAPSIM_CACHE", "/another")
-    monkeypatch.setattr(preparing, "prepare", lambda *_: Prepared(12, 3.5, Path("/home/kept")))
+    monkeypatch.setattr("hapsim.running.compile_ahead.prepare", lambda *_: Prepared(12, 3.5, Path("/home/kept")))
     answer = hapsim(*words.format(tmp_path).split())
     assert os.environ["HAPSIM_CACHE"] == str(tmp_path)
     assert answer.status == 2
@@ -263,5 +262,5 @@ def test_a_run_warns_of_a_directory_that_it_cannot_use(
 def test_a_wrong_scene_is_reported_before_anything_is_compiled(
     hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(preparing, "prepare", lambda *_: pytest.fail("compiled"))
+    monkeypatch.setattr("hapsim.running.compile_ahead.prepare", lambda *_: pytest.fail("compiled"))
     assert "no_such.yaml" in hapsim("compile", FIRST_TOUCH, "no_such.yaml").sentence

@@ -15,8 +15,7 @@ import pytest
 from rich.console import Console
 
 from hapsim.chart.steadiness import columns, draw_steadiness, steadiness
-from hapsim.cli.doctor import examination_document, now, show_examination
-from hapsim.cli.histogram import histogram_lines, histogram_rows
+from hapsim.cli.doctor import examination_document, histogram_lines, histogram_rows, now, show_examination
 from hapsim.cli.live import live_words
 from hapsim.cli.output import document
 from hapsim.doctor.advice import Advice, Load, Machine

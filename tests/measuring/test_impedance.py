@@ -14,7 +14,7 @@ from records import trace_of
 from rich.console import Console
 from scenes import one_spring
 
-from hapsim.cli.measure_impedance import measured_width, show_impedance
+from hapsim.cli.measure_matrices import measured_width, show_impedance
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop.ring import LATE_FORCE, UNSENT

@@ -1,35 +1,31 @@
-"""`hapsim replay`."""
+"""`hapsim replay` and `export`: records, run again and written for other programs."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.device import Link, serve
-from hapsim.cli.export import unfinished
-from hapsim.cli.options import Json, PictureOptions, RecordOptions, flag, load, option, say_written
-from hapsim.cli.output import complain, document, say, speak_in, warn
+from hapsim.cli.live import at_work
+from hapsim.cli.options import Json, PictureOptions, RecordOptions, argument, flag, load, option, say_written
+from hapsim.cli.output import complain, document, say, speak_in, stderr, warn
 from hapsim.errors import RecordError, UsageError
 from hapsim.number_format import number, plural
 
 if TYPE_CHECKING:
+    from hapsim.replaying.export import Columns
     from hapsim.replaying.replay import Comparison, Record
 
 
 def replay(
-    record: Annotated[Path, typer.Argument(metavar="RECORD", help="A .trace of `hapsim run --record`.")],
-    scene: Annotated[
-        str | None,
-        typer.Argument(metavar="[SCENE]", help="Another scene for the same hand [default: the recorded one]"),
-    ] = None,
+    record: Path = argument("RECORD", "A .trace of `hapsim run --record`.", default=...),
+    scene: str | None = argument("[SCENE]", "Another scene for the same hand [default: the recorded one]"),
     *,
-    sound_file: Annotated[Path | None, option("FILE.wav", "Write what the scene's pick-ups hear.")] = None,
-    overwrite: Annotated[bool, flag("--overwrite", "Replace a file that exists.")] = False,
-    device: Annotated[
-        bool, flag("--device", "Serve the record as a device on a pseudo-terminal until Ctrl-C, and print its path.")
-    ] = False,
+    sound_file: Path | None = option("FILE.wav", "Write what the scene's pick-ups hear."),
+    overwrite: bool = flag("--overwrite", "Replace a file that exists."),
+    device: bool = flag(
+        "--device", "Serve the record as a device on a pseudo-terminal until Ctrl-C, and print its path."
+    ),
     link: Link = None,
     pictures: PictureOptions,
     json: Json = False,
@@ -112,3 +108,57 @@ def _document(found: Comparison, is_complete: bool) -> dict[str, Any]:
         "force_rms_replayed": found.rms_replayed,
         "force_rms_apart": found.rms_apart,
     }
+
+
+def export(
+    record: Path = argument("RECORD", "A .trace, or the .part that a crash left.", default=...),
+    out: Path = argument("OUT", "The file: .h5, .mcap, .csv, .npz or .wav.", default=...),
+    *,
+    column: str | None = option("NAME", "Of a .wav: position.0, force.0, another column and channel, or a pick-up."),
+    overwrite: bool = flag("--overwrite", "Replace a file that exists."),
+    json: Json = False,
+) -> None:
+    """Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."""
+    from hapsim.replaying.export import Columns, require_exportable
+    from hapsim.replaying.export import export as write
+
+    require_exportable(out, column)
+    RecordOptions(overwrite=overwrite).require_free(out)
+    with at_work(stderr(), f"exporting {record}") as show:
+        columns = Columns(record)
+        full_scale, unit = write(columns, out, column, lambda share: show(f"exporting {record}: {100.0 * share:.0f} %"))
+    missing = _missing(columns)
+    if json:
+        about = {
+            "record": str(record),
+            "file": str(out),
+            "rows": columns.count,
+            "channels": columns.channels,
+            "columns": {column.name: columns.units_text(column) for column in columns.all},
+            "changes": len(columns.changes),
+            "markers": len(columns.markers),
+            "full_scale": full_scale or None,
+            "full_scale_unit": unit or None,
+            "missing": missing,
+        }
+        print(document(about))
+        return
+    for sentence in missing:
+        warn(f"{record}: {sentence}", "incomplete")
+    scale = f"; full scale is {number(full_scale)} {unit}".rstrip() if full_scale else ""
+    say(f"{out}: {plural(columns.count, 'row')} of {plural(columns.channels, 'channel')}{scale}")
+
+
+def _missing(columns: Columns) -> list[str]:
+    """Returns what the record lacks, as sentences."""
+    dropped = int(columns.report["dropped_rows"])
+    slow = f"{plural(dropped, 'row')} missing: the reader of the loop was too slow"
+    older = "an older hapsim recorded it: without its scene, changes and prediction"
+    is_so = (not columns.reader.is_finished, dropped > 0, columns.scene is None)
+    sentences = unfinished(columns.count), slow, older
+    return [sentence for sentence, applies in zip(sentences, is_so, strict=True) if applies]
+
+
+def unfinished(rows: int) -> str:
+    """Returns what is said of a record without its end."""
+    return f"the run goes on, or the record is cut off or damaged: it has {plural(rows, 'row')}"

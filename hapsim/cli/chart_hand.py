@@ -1,0 +1,397 @@
+"""`hapsim chart plane`, `felt`, `force` and `transparency`: what a hand feels, of a scene or described by options."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+from hapsim.cli.check_regions import regions_document, show_hand
+from hapsim.cli.options import (
+    Json,
+    PictureOptions,
+    SceneFile,
+    argument,
+    flag,
+    load,
+    numbers,
+    option,
+    require_positive,
+    scene_name,
+)
+from hapsim.cli.output import document, say, speak_of, stdout, table
+from hapsim.errors import UsageError
+from hapsim.number_format import between, number, percent
+from hapsim.scene import choices
+from hapsim.scene.issue import one_of
+
+if TYPE_CHECKING:
+    from hapsim.chart.hand import Hand
+    from hapsim.chart.impedance import Transparency
+    from hapsim.scene import Scene
+
+
+Channel = Annotated[int | None, option(None, "Channel of the hand [default: the first]")]
+Mass = Annotated[float | None, option("M", "Mass of hand and handle, kg.")]
+
+
+def _kind(choice: Any) -> Any:
+    return option("KIND", f"One of {', '.join(get_args(choice))}.")
+
+
+@dataclass
+class HandOptions:
+    """The hand that a chart is drawn for: of a scene, or described by options, which take precedence."""
+
+    scene: str | None = argument("[SCENE]", "A scene in YAML [default: a hand described by the options]")
+    channel: Channel = None
+    rate: float | None = option("HZ", "Sample rate, Hz.")
+    friction: float | None = option("B0", "Friction of the device, N·s/m.")
+    stiffness: float | None = option("K0", "Spring of the device, N/m.")
+    delay: float | None = option("N", "Delay, sample periods.")
+    hold: str | None = _kind(choices.Hold)
+    sampling: str | None = _kind(choices.Sampling)
+    damper: str | None = _kind(choices.DamperScheme)
+    cutoff: float | None = option("HZ", f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper, Hz.")
+
+    def hands(
+        self,
+        mass: float | None,
+        simulated: tuple[float | None, float | None] = (None, None),
+        *,
+        as_written: bool = False,
+    ) -> tuple[Hand, list[Hand]]:
+        """Returns the hand, with the K and B `simulated` for it, and the other hands of the scene.
+
+        `mass`: kg; None: the scene's. `as_written`: without the scene's correction.
+        """
+        from hapsim.chart.hand import hand_of_options
+
+        given = {name: value for name, value in asdict(self).items() if value is not None} | (
+            {} if mass is None else {"mass": mass}
+        )
+        scene, channel = given.pop("scene", None), given.pop("channel", None)
+        if scene is not None:
+            hand, others = hands_of(load(scene), channel, given, as_written=as_written)
+            return hand.with_simulated(*simulated), others
+        if channel is not None:
+            raise UsageError("--channel: without a SCENE there is one hand only")
+        return hand_of_options(given).with_simulated(*simulated), []
+
+    def normalised(self, masses: list[float]) -> tuple[HandOptions, list[float]]:
+        """Returns the options and masses in the paper's units: mass and rate are 1 where nothing gives them."""
+        if len(masses) > 1:
+            raise UsageError("--normalised: the unit of the axes holds for one mass only, found several; leave it out")
+        if self.scene is not None:
+            return self, masses
+        return replace(self, rate=1.0 if self.rate is None else self.rate), masses or [1.0]
+
+
+@dataclass
+class SimulatedOptions:
+    """The spring and damper that are simulated, where not those of the scene."""
+
+    simulated_stiffness: float | None = option("K", "Simulated K, N/m [default: the scene's]")
+    simulated_damping: float | None = option("B", "Simulated B, N·s/m [default: the scene's]")
+
+    @property
+    def pair(self) -> tuple[float | None, float | None]:
+        """(K in N/m, B in N·s/m)."""
+        return self.simulated_stiffness, self.simulated_damping
+
+
+@dataclass
+class ChartOutput(PictureOptions):
+    """Where a chart goes: a picture, its numbers, a JSON document."""
+
+    picture: Path | None = option(
+        "FILE", "Picture: .svg, .png or .pdf [default: the command's name with .svg, unless --data or --json is given]"
+    )
+    json: Json = False
+
+    def choose(self, otherwise: str) -> None:
+        """Chooses the picture's default name. Raises UsageError where a file cannot be written."""
+        if not self.wanted and not self.json:
+            self.picture = Path(otherwise)
+        self.require_writable()
+
+    def close(self, summary: dict[str, Any]) -> None:
+        """Prints the document, or which files were written."""
+        if self.json:
+            files = {name: path and str(path) for name, path in (("picture", self.picture), ("data", self.data))}
+            print(document(summary | files))
+        else:
+            self.say_written()
+
+
+def hands_of(
+    loaded: Scene, channel: int | None, given: dict[str, Any], *, as_written: bool = False
+) -> tuple[Hand, list[Hand]]:
+    """Returns the hand on `channel` of a scene (None: the first), changed by options, and the scene's other hands."""
+    from hapsim.chart.hand import hands_of_scene
+
+    if as_written:
+        loaded = loaded.model_copy(update={"device": loaded.device.model_copy(update={"correction": "none"})})
+    hands = hands_of_scene(loaded, given)
+    chosen = next((hand for hand in hands if channel in (None, hand.channel)), None)
+    if chosen is None:
+        known = ", ".join(str(hand.channel) for hand in hands)
+        raise UsageError(
+            f"--channel {channel}: no hand there whose links all end on grounds; such hands are on: {known}"
+        )
+    speak_of(chosen.channel or 0)
+    return chosen, [hand for hand in hands if hand is not chosen]
+
+
+def print_hands(drawn: list[Hand], others: list[Hand]) -> None:
+    """Prints what is simulated and felt of the hands drawn, and how to draw the others."""
+    for hand in drawn:
+        if hand.is_simulated:
+            stdout().print(_felt_sentence(hand))
+    for other in others:
+        say(f"{other.name} has a plane of its own: --channel {other.channel}")
+
+
+def _felt_sentence(hand: Hand) -> str:
+    """Returns what is simulated and felt, and for which K and B the loop is stable."""
+    known = hand.summary()
+    felt = "no spring and damper is equivalent"
+    if known["dominant"]:
+        felt = (
+            f"K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is felt as "
+            f"k = {number(known['k'])} N/m, b = {number(known['b'])} N·s/m"
+        )
+    ends = []
+    for name, which, unit, other in (("stiffness", "K", "N/m", "B"), ("damping", "B", "N·s/m", "K")):
+        low, high = known[f"stable_{name}"]
+        if high > 0.0:
+            low = low if low > 1e-12 * high else 0.0  # a negative K or B is of no use
+            ends.append(f"for {which} from {between(low, high)} {unit} at this {other}")
+    stable = f"stable {' and '.join(ends)}" if ends else "not stable with this K or B"
+    return f"{'' if known['stable'] else 'UNSTABLE: '}{hand.name} of {known['mass']:g} kg: {felt}; {stable}."
+
+
+def plane(
+    hand: HandOptions,
+    simulated: SimulatedOptions,
+    *,
+    mass: list[str] | None = option(
+        "M", "Mass of hand and handle, kg; a list (0.1,0.2,0.4) draws one family of curves per mass."
+    ),
+    normalised: bool = flag("--normalised", "The paper's units, K T²/m and B T/m; --mass and --rate default to 1."),
+    total_damping: bool = flag("--total-damping", "Put B + b0 on the axis, as in the paper's Figure 9."),
+    to_stiffness: float | None = option("K", "End of the K axis, in its unit [default: automatic]"),
+    to_damping: float | None = option("B", "End of the B axis, in its unit [default: automatic]"),
+    output: ChartOutput,
+) -> None:
+    """Draw the K,B plane: curves of equal k and b that the hand feels.
+
+    These are Figures 7, 8 and 9 of the paper. Options of the hand take precedence over the scene's values.
+    """
+    from hapsim.chart.hand import described
+    from hapsim.chart.plane import draw_plane
+    from hapsim.chart.plane import plane as plane_of
+    from hapsim.chart.plane_curves import scale_of, view_of
+
+    output.choose("plane.svg")
+    masses = numbers("--mass", mass)
+    if normalised:
+        hand, masses = hand.normalised(masses)
+    chosen, others = hand.hands(masses[0] if masses else None, simulated.pair)
+    masses = masses or list(chosen.masses)
+    # One hand with each of several masses, or all the hands that share the plane of the chosen one.
+    alike = [other for other in others if other.configuration == chosen.configuration]
+    drawn = [chosen.with_mass(mass) for mass in masses] if len(masses) > 1 else [chosen, *alike]
+    scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
+    K_to, B_to = (
+        require_positive("--to-stiffness", to_stiffness),
+        require_positive("--to-damping", to_damping),
+    )
+    view = view_of(
+        drawn,
+        from_total=total_damping,
+        K_to=K_to and K_to * scale.stiffness,
+        B_to=B_to and B_to * scale.damping - scale.offset,
+    )
+    chart = plane_of(drawn, view, scale)
+    title = described(drawn[0].configuration, mass=len(masses) < 2, normalised=normalised)
+    output.write(chart.columns, lambda path: draw_plane(chart, title, path))
+    if not output.json:
+        print_hands(drawn, [other for other in others if other not in drawn])
+    output.close({"scene": hand.scene, "hands": [one.summary() for one in drawn]})
+
+
+def felt(
+    hand: HandOptions,
+    *,
+    mass: Mass = None,
+    normalised: bool = flag("--normalised", "The paper's units; --mass and --rate default to 1."),
+    over: str | None = option("PATH", "How far off the scene's k and b are over device.mass, .friction or .delay."),
+    output: ChartOutput,
+) -> None:
+    """Draw which desired stiffness and damping the hand feels, with each correction.
+
+    Options of the hand take precedence over the scene's values (configs/README.md has an example).
+    """
+    if over is not None:
+        _tolerance(hand, over, [mass, normalised or None], output)
+        return
+    from hapsim.chart.felt import WITHIN, draw_felt, felt_chart
+    from hapsim.chart.hand import described
+
+    output.choose("felt.svg")
+    masses = [] if mass is None else [mass]
+    if normalised:
+        hand, masses = hand.normalised(masses)
+    chosen, _ = hand.hands(masses[0] if masses else None, as_written=True)
+    chart = felt_chart(chosen)
+    title = described(chosen.configuration, normalised=normalised)
+    output.write(chart.columns, lambda path: draw_felt(chart, title, path))
+    if not output.json:
+        headings = ("<correction", *(percent(within, 3) for within in WITHIN))
+        rows = [(name, *(percent(felt.share(within), 3) for within in WITHIN)) for name, felt in chart.felt.items()]
+        stdout().print(table("Share of the plane felt within", headings, rows))
+        say(
+            f"Limit of any controller: {percent(chart.limit, 3)}, the motions below half the rate; samples do not "
+            "distinguish faster ones. Where no (K, B) is felt as desired, hapsim simulates the nearest, which counts "
+            "here as not felt."
+        )
+    output.close({"scene": hand.scene, **chart.summary()} if output.json else {})
+
+
+def _tolerance(hand: HandOptions, over: str, others: list[Any], output: ChartOutput) -> None:
+    """Draws how far off k and b of a scene's hand are where the device is not the declared one."""
+    from hapsim.chart.felt import SHARES, draw_tolerance, tolerance_chart
+
+    given = {name: value for name, value in asdict(hand).items() if value is not None}
+    if hand.scene is None or others != [None, None] or given.keys() - {"scene", "channel"}:
+        raise UsageError("--over: it is drawn for the hand of a SCENE as that is: name one, leave out what changes it")
+    output.choose("tolerance.svg")
+    chosen, _ = hand.hands(None, as_written=True)
+    chart = tolerance_chart(load(hand.scene), chosen.name, over)
+    output.write(chart.columns, lambda path: draw_tolerance(chart, f"{chosen.name} of {hand.scene}", path))
+    ends = {name: chart.ends(name) for name in chart.within}
+    if not output.json:
+        headings = (f"<{over}, correction", *(f"within {percent(share, 2)}" for share in SHARES))
+        rows = [(name, *map(_span, of_one)) for name, of_one in ends.items()]
+        stdout().print(table("The device may be, for k and b to be felt as desired", headings, rows))
+    output.close({"scene": hand.scene, "hand": chosen.name, "over": over, "shares": SHARES, "within": ends})
+
+
+def _span(ends: tuple[float, float] | None) -> str:
+    if ends is None:
+        return "–"
+    low, high = ends
+    return f"{number(low, 4)} to {number(high, 4) if math.isfinite(high) else 'any'}"
+
+
+_SPEED = {"linear": 0.05, "rotary": 2.0}
+
+
+def force(
+    scene: SceneFile,
+    *,
+    channel: Channel = None,
+    speed: float | None = option(
+        "V", "Speed of the hand for the loop of friction and damping [default: 0.05 m/s or 2 rad/s]."
+    ),
+    output: ChartOutput,
+) -> None:
+    """Draw force over displacement: what the hand feels at each place.
+
+    The colour is the difference between felt and asked for. Unstable regions are hatched.
+    """
+    from hapsim.chart.force import columns_of, draw_force, force_chart
+
+    output.choose("force.svg")
+    require_positive("--speed", speed, "m/s")
+    loaded = load(scene)
+    hands = {point.channel: name for name, point in loaded.device_points.items()}
+    name = hands.get(min(hands) if channel is None else channel)
+    if name is None:
+        known = ", ".join(map(str, hands))
+        raise UsageError(f"--channel {channel}: the scene has nothing there; its device points are on: {known}")
+    speak_of(loaded.device_points[name].channel)
+    if speed is None:
+        speed = _SPEED[loaded.device.motions(loaded.channels)[loaded.device_points[name].channel]]
+    chart = force_chart(loaded, name, speed)
+    output.write(lambda: columns_of(chart), lambda path: draw_force(chart, path))
+    if not output.json:
+        show_hand(stdout(), name, chart.regions)
+    output.close({"scene": scene, "name": name, "speed_m_s": speed, "regions": regions_document(chart.regions)})
+
+
+def transparency(
+    hand: HandOptions,
+    simulated: SimulatedOptions,
+    *,
+    mass: Mass = None,
+    output: ChartOutput,
+) -> None:
+    """Draw the rendered impedance beside the desired one, over frequency.
+
+    This is Figure 2 of the paper; beside it are k and b, the spring and damper of the same force. Options of the hand
+    take precedence over the scene's values, unless it moves masses or another hand.
+    """
+    from hapsim.chart.hand import described
+    from hapsim.chart.impedance import draw_transparency
+    from hapsim.chart.impedance import transparency as transparency_of
+
+    output.choose("transparency.svg")
+    if (found := _of_scene(hand, simulated, mass)) is not None:
+        chart, title, summary = found
+    else:
+        chosen, _ = hand.hands(mass, simulated.pair)
+        if not chosen.is_simulated:
+            raise UsageError("--simulated-stiffness is missing: without a SCENE, it says what is simulated")
+        chart, summary = transparency_of(chosen), chosen.summary()
+        pair = f"K = {chosen.stiffness:.6g} N/m, B = {chosen.damping:.6g} N·s/m"
+        title = f"{pair}; {described(chosen.configuration)}"
+        if not output.json:
+            print_hands([chosen], [])
+    output.write(chart.columns, lambda path: draw_transparency(chart, title, path))
+    bands = chart.gives_energy()
+    if not output.json:
+        words = ", ".join(_band(low, high, chart.frequency[0], chart.frequency[-1]) for low, high in bands)
+        stdout().print(
+            f"The scene gives the hand energy {words}." if bands else "At no frequency does the scene give energy."
+        )
+    output.close({"scene": hand.scene, "hand": summary, "gives_energy_hz": bands})
+
+
+def _of_scene(
+    hand: HandOptions, simulated: SimulatedOptions, mass: float | None
+) -> tuple[Transparency, str, dict[str, Any]] | None:
+    """Returns the chart of a hand that moves more than itself, or that a predictor answers, its title and what scripts
+    read; None for another. UsageError where an option describes another hand."""
+    if hand.scene is None:
+        return None
+    from hapsim.chart.impedance import transparency_in
+    from hapsim.prediction import predict
+
+    scene = load(hand.scene)
+    prediction = predict(scene, with_margins=False)
+    points = [(name, point.channel) for name, point in scene.device_points.items()]
+    name, channel = next((one for one in points if hand.channel in (None, one[1])), (None, 0))
+    lone = next((one for one in prediction.felt if one.name == name), None)
+    if name is None or (lone is not None and lone.predictor is None):
+        return None
+    given = {"mass": mass, **asdict(hand), **asdict(simulated)}
+    if others := [one for one, value in given.items() if value is not None and one not in ("scene", "channel")]:
+        why = prediction.coupled.get(name, "is answered by a predictor")
+        raise UsageError(f"--{others[0].replace('_', '-')}: {name} {why}; it is drawn as it is, leave that out")
+    speak_of(channel)
+    shared = next((one for one in prediction.together if name in one.names), None)
+    motion = lone or (shared and shared.own_motion)
+    chart = transparency_in(prediction, name, motion.frequency_hz if motion else math.nan)
+    summary = {"name": name, "channel": channel, "k": motion and motion.k, "b": motion and motion.b}
+    title = f"{name} of {scene_name(hand.scene)}, {scene.rate:g} Hz"
+    return chart, title, summary | {"frequency_hz": chart.eigenfrequency}
+
+
+def _band(low: float, high: float, first: float, last: float) -> str:
+    """Returns a band in words; where it ends with the picture, the end is no property of the wall."""
+    if low <= first:
+        return "at every frequency drawn" if high >= last else f"below {high:.4g} Hz"
+    return f"above {low:.4g} Hz" if high >= last else f"from {low:.4g} to {high:.4g} Hz"
