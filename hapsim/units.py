@@ -1,17 +1,19 @@
-"""The units of a motion. What hapsim says is written in those of a line (m, N, kg); here it becomes that of a rotation.
+"""The units of a motion, and quantities written in them.
 
-A rotary channel has the same mathematics: rad in place of m, N·m in place of N, kg·m² in place of kg. So every
-sentence, heading and label is written once, and the scene's `Units` translate it where it reaches a user.
+A rotary channel has the same mathematics as a linear one: rad in place of m, N·m in place of N, kg·m² in place of kg.
+So code names a unit by that of a line ("N/m"), and a scene's `Units` write it as that of its channels.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from hapsim.errors import HapsimError
+from hapsim.number_format import number
 
 Motion = Literal["linear", "rotary"]
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
@@ -30,7 +32,12 @@ _ROTARY = {
     "metres": "radians",
     "m": "rad",
     "N": "N·m",
+    "mN": "mN·m",
+    "µN": "µN·m",
 }
+_DEGREES = {"m": "°", "mm": "°", "µm": "°", "m/s": "°/s", "mm/s": "°/s", "m/s²": "°/s²"}
+_SMALLER = {"mm": 1e3, "µm": 1e6, "mm/s": 1e3, "mN": 1e3, "µN": 1e6}
+_MARKED = re.compile("‹([^›]+)›")
 # A bare m or N is a unit only behind a number, in brackets, behind "in" or the two spaces of a heading.
 _BARE = r"(?:(?<=[0-9)–] )|(?<=[(\[])|(?<=\bin )|(?<=\], )|(?<=, )(?=N\])|(?<=  ))[mN](?=$|[\s,;:.)\]])"
 _UNIT = re.compile(
@@ -49,15 +56,12 @@ class InUnits(str):
 
 
 class Units:
-    """The units of one or several motions.
+    """The units of one or several motions. Where some channels turn and others do not: "5 N or N·m"."""
 
-    Called with a text in the units of a line, it returns the text in its own; where some channels turn and others do
-    not, each unit in both: "5 N or N·m".
-    """
-
-    def __init__(self, motions: Iterable[Motion], names: Iterable[str] = ()) -> None:
-        """`names`: of modules and files, which stay as the user wrote them though they look like units."""
+    def __init__(self, motions: Iterable[Motion], names: Iterable[str] = (), in_degrees: bool = False) -> None:
+        """`in_degrees`: angles are written in degrees, where every channel turns."""
         self._motions = frozenset(motions)
+        self.in_degrees = in_degrees and self._motions == {"rotary"}
         self._names = frozenset(one for one in names if _LIKE_A_UNIT.search(one))
         # Behind a number even m is a unit. A longer name is looked for first.
         every = "|".join(map(re.escape, sorted(self._names, key=len, reverse=True)))
@@ -67,12 +71,60 @@ class Units:
         """The same, which leaves these names too as they are."""
         return Units(self._motions, self._names.union(names))
 
+    @classmethod
+    def said_by(cls, motion: object, in_degrees: bool = False) -> Units:
+        """Returns the units of the motions that a scene or a document names: a word, or a list with one per channel."""
+        return cls([one for one in MOTIONS if one in str(motion)] or ["linear"], in_degrees=in_degrees)
+
+    @property
+    def si(self) -> Units:
+        """The same with angles in rad, for files and programs."""
+        return Units(self._motions)
+
     @property
     def is_rotary(self) -> bool:
         """Whether something turns."""
         return "rotary" in self._motions
 
-    def __call__(self, text: str) -> str:
+    def name(self, unit: str) -> str:
+        """Returns the unit that stands for `unit` of a line: N·m/rad for N/m. Words may follow it: "m per count"."""
+        of_a_line, *words = unit.split(" ", 1)
+        turning = (self.in_degrees and _DEGREES.get(of_a_line)) or _ROTARY.get(of_a_line, of_a_line)
+        if not self.is_rotary or turning == of_a_line:
+            return unit
+        return " ".join([f"{of_a_line} or {turning}" if "linear" in self._motions else turning, *words])
+
+    def scaled(self, value: Any, unit: str) -> Any:
+        """Returns a number or an array in SI units as it is in `name(unit)`."""
+        if self.in_degrees and unit.partition(" ")[0] in _DEGREES:
+            return value * (180.0 / math.pi)
+        return value * _SMALLER[unit] if unit in _SMALLER else value
+
+    def __call__(self, value: Any, unit: str | None = None, form: str | int = 6) -> str:
+        """Returns a quantity with its unit.
+
+        Args:
+            value: in SI units, such as m where `unit` is mm; or the text of numbers in `name(unit)`.
+            unit: that of a line, such as N/m.
+            form: the number's format, such as ".3g", or how many digits `number` has.
+        """
+        if unit is None:
+            return self._old(value)
+        name = self.name(unit)
+        return f"{self.number(value, unit, form)}{'' if name.startswith('°') else ' '}{name}"
+
+    def number(self, value: Any, unit: str, form: str | int = 6) -> str:
+        """Returns the same without the unit."""
+        if isinstance(value, str):
+            return value
+        shown = self.scaled(value, unit)
+        return number(shown, form) if isinstance(form, int) else f"{shown:{form}}"
+
+    def filled(self, text: str) -> str:
+        """Returns a text of ours, in which units stand as ‹N/m›, with these units."""
+        return _MARKED.sub(lambda found: self.name(found[1]), text)
+
+    def _old(self, text: str) -> str:
         if isinstance(text, InUnits):
             return text
         if not self.is_rotary:

@@ -49,7 +49,8 @@ def show_regions(out: Console, scene: Scene, prediction: Prediction) -> None:
     for name, swing in prediction.judge.swings.items():
         if swing is not None:
             unnoticed = ": less than a count" if swing.is_unnoticed else ""
-            out.print(f"Where it is unstable, {escape(name)} swings by {swing.sentence}{unnoticed}")
+            ways = swing.sentence(prediction.scene.units)
+            out.print(f"Where it is unstable, {escape(name)} swings by {ways}{unnoticed}")
     for name, link in scene.links.items():
         if isinstance(link, Detent) and scene.device.travel is None and prediction.regions.keys() & set(link.between):
             out.print(f"{escape(name)} repeats every {number(1e3 * link.pitch, 4)} mm; --at X shows others.")

@@ -15,10 +15,10 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.laws import RELEASED, Law, Linear
-from hapsim.number_format import number
 from hapsim.prediction.linear import LinearScene, linear_scene
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Floats
+from hapsim.units import Units
 
 _ALIKE = 1e-9  # of the largest: two stiffnesses, or two edges of a scene, that are the same
 _AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place to swing about
@@ -91,6 +91,7 @@ class Characteristic:
         low, high: m, the device's travel; without one infinite, or two periods of what repeats.
         force_limit: N.
         count: m, of a position as the mock sends it.
+        units: of its channel.
         free: m, so far from its edge is a place in a piece without an end that holds nothing.
     """
 
@@ -101,6 +102,7 @@ class Characteristic:
     force_limit: float
     count: float
     free: float
+    units: Units
 
     @property
     def is_regional(self) -> bool:
@@ -134,7 +136,7 @@ class Characteristic:
             try:
                 found += link.edges(self.low, self.high)
             except ValueError as too_many:
-                where = f"between {number(self.low)} and {number(self.high)} m"
+                where = f"between {self.units.number(self.low, 'm')} and {self.units(self.high, 'm')}"
                 expected = "expected a larger pitch, a shorter device.travel, or a position nearer to 0"
                 raise UsageError(f"modules.{name}: found {too_many} {where}; {expected}") from None
         alike = _ALIKE * max(map(abs, found), default=0.0)
@@ -298,7 +300,7 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bo
         low, high = min(ends), max(ends)
     own, free = device.stiffnesses(scene.channels)[channel], device.scales(scene.channels)[channel].free
     count = scene.mock_device.quantum[channel]
-    return Characteristic(links, own, low, high, device.force_limit, count, free)
+    return Characteristic(links, own, low, high, device.force_limit, count, free, scene.units_of(channel))
 
 
 def starts_at(scene: Scene, channel: int) -> float | None:
@@ -354,8 +356,9 @@ def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
     if at is None:
         return one.held(pieces) or one.at(min(max(0.0, one.low), one.high), pieces)
     if not one.low <= at <= one.high:
-        reach = f"{number(one.low)} to {number(one.high)} m"
-        raise UsageError(f"at: found {number(at)} m, which {name} does not reach; expected a position from {reach}")
+        found = f"found {one.units(at, 'm')}, which {name} does not reach"
+        reach = f"{one.units.number(one.low, 'm')} to {one.units(one.high, 'm')}"
+        raise UsageError(f"at: {found}; expected a position from {reach}")
     piece = one.at(at, pieces)
     low, high = piece.within  # on an edge a slope would be the mean of two
     return piece._replace(place=min(max(at, low), high))

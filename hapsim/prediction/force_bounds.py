@@ -70,9 +70,10 @@ def below_a_count(scene: Scene, force_scale: Iterable[float]) -> str:
     scales = [scale for scale in force_scale if slew * scene.period / scale * ONE_PERIOD < 1.0 and scale <= limit]
     if not scales:
         return ""
+    unit = scene.units.name("N/s")
     return (
-        f"device.slew_limit: found {slew:g} N/s, which is less than a count of the device's force in a sample; "
-        f"expected at least {rounded_up(max(scales) * scene.rate / ONE_PERIOD)} N/s"
+        f"device.slew_limit: found {slew:g} {unit}, which is less than a count of the device's force in a sample; "
+        f"expected at least {rounded_up(max(scales) * scene.rate / ONE_PERIOD)} {unit}"
     )
 
 
@@ -92,10 +93,12 @@ def slow_slew(scene: Scene, prediction: Prediction) -> str:
     steepest = 2.0 * math.pi * fastest * limit
     if not steepest > slew:
         return ""
+    unit = scene.units.name("N/s")
     return (
-        f"device.slew_limit: found {slew:g} N/s, with which the force takes {duration(limit / slew)} from zero to "
-        f"the force limit of {limit:g} N; a quarter of the period of the fastest swing of a hand ({fastest:.4g} Hz) is "
-        f"{duration(0.25 / fastest)}, and one that reaches the limit asks for {math.ceil(steepest)} N/s. What is "
+        f"device.slew_limit: found {slew:g} {unit}, with which the force takes {duration(limit / slew)} from zero to "
+        f"the force limit of {scene.units(limit, 'N', 'g')}; a quarter of the period of the fastest swing of a hand "
+        f"({fastest:.4g} Hz) is {duration(0.25 / fastest)}, and one that reaches the limit asks for "
+        f"{math.ceil(steepest)} {unit}. What is "
         "predicted is without a slew limit: with this one the force may come so late that it shakes the hand. Use a "
         "slew_limit well above that, a lower force_limit, or less stiffness."
     )
@@ -105,12 +108,13 @@ def hidden_sign(scene: Scene, prediction: Prediction) -> str:
     """Why a motor that is wired the wrong way may not be found while `scene` runs: sentences; "" where it mostly is."""
     spans, scales = scene.device.mass_spans(scene.channels), scene.device.scales(scene.channels)
     pulls = [(scene.device.force_limit / most, one.sign_pull) for (_, most), one in zip(spans, scales, strict=True)]
-    pull, enough = min(pulls, key=lambda one: one[0] / one[1])
+    (pull, enough), units = min(pulls, key=lambda one: one[0] / one[1]), scene.units
     fastest = fastest_swing_hz(scene, prediction)
     if scene.rate < SIGN_RATE_HZ:
         why = f"it samples at less than {SIGN_RATE_HZ:g} Hz"
     elif pull < enough:
-        why = f"its force limit accelerates the mass by {pull:.2g} m/s², less than {enough:g} m/s²"
+        least = units(enough, "m/s²", "g")
+        why = f"its force limit accelerates the mass by {units(pull, 'm/s²', '.2g')}, less than {least}"
     elif 0.0 < fastest < _SIGN_HZ:
         why = f"it swings at {fastest:.2g} Hz, below {_SIGN_HZ:g} Hz, as a hand does"
     else:
@@ -144,11 +148,14 @@ def refused_travel(scene: Scene) -> str:
         if not device.force_limit <= stable * margin:
             where = f" on channel {channel}" if scene.channels > 1 else ""
             hints = "".join(f". {hint.removesuffix('.')}" for hint in unlikely(scene))
+            units = scene.units_of(channel)
+            least = rounded_up(units.scaled(device.force_limit / stable, "m"))
             return (
-                f"device.travel_margin: the force of up to {device.force_limit:g} N fades over {margin:g} m{where}, "
-                f"which is a stiffness of {device.force_limit / margin:.4g} N/m and shakes the hand: with no damper "
-                f"but the hand's {damping:g} N·s/m and the device's friction this loop renders up to "
-                f"{stable:.4g} N/m; expected at least {rounded_up(device.force_limit / stable)} m, or a lower "
+                f"device.travel_margin: the force of up to {units(device.force_limit, 'N', 'g')} fades over "
+                f"{units(margin, 'm', 'g')}{where}, which is a stiffness of "
+                f"{units(device.force_limit / margin, 'N/m', '.4g')} and shakes the hand: with no damper but the "
+                f"hand's {units(damping, 'N·s/m', 'g')} and the device's friction this loop renders up to "
+                f"{units(stable, 'N/m', '.4g')}; expected at least {units(least, 'm')}, or a lower "
                 f"device.force_limit{hints}"
             )
     return ""

@@ -18,6 +18,7 @@ from hapsim.scene import Mock, Scene
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import Expectation, Known, Span
 from hapsim.theory.hand.configuration import stiffest_stable
+from hapsim.units import Units
 
 
 class Range(NamedTuple):
@@ -96,12 +97,12 @@ class _Value(NamedTuple):
     def is_off(self) -> bool:
         return self.value != 0.0 and not self.range.least <= abs(self.value) <= self.range.most
 
-    @property
-    def sentence(self) -> str:
+    def sentence(self, units: Units) -> str:
         least, most, why, slips = self.range
+        unit = units.name(self.unit)
         low = abs(self.value) < least
         bound = f"less than {short(least)}" if low else f"more than {short(most)}"
-        found = f"{self.path}: found {number(self.value)} {self.unit}, {bound} {self.unit}: {why}."
+        found = f"{self.path}: found {number(self.value)} {unit}, {bound} {unit}: {why}."
         for meant, factor in slips:
             right = self.value * factor if factor else 1.0 / self.value
             if least <= abs(right) <= most and (factor == 0.0 or (factor > 1.0) is low):
@@ -123,14 +124,11 @@ def unlikely(scene: Scene) -> list[str]:
         alike.setdefault((place.partition(".")[0], key), {}).setdefault(one.path, one)
     also = " The same holds for {}."
     sentences = [
-        first.sentence + (also.format(plural(len(others), "other module")) if others else "")
+        first.sentence(scene.units.si) + (also.format(plural(len(others), "other module")) if others else "")
         for first, *others in (list(same.values()) for same in alike.values())
     ]
     is_explained = any(one.unit in ("kg", "m", "N/m", "N") for one in off)
-    units = (
-        scene.units if len({*scene.device.motions(scene.channels)}) == 1 else str
-    )  # of both: who prints them says so
-    return [units(one) for one in (*sentences, *(() if is_explained else _jumps(scene)))]
+    return [*sentences, *(() if is_explained else _jumps(scene))]
 
 
 def _weights(scene: Scene, far_m: float) -> Iterator[str]:
@@ -196,7 +194,7 @@ def _numbers(value: Any) -> list[float]:
 def _of_device(scene: Scene) -> Iterator[_Value]:
     """What the keys of device and mock say beside each other."""
     device, mock, limit = scene.device, scene.mock or Mock(), scene.device.force_limit
-    named = f"the force limit of {number(limit)} N"
+    named = f"the force limit of {scene.units(limit, 'N')}"
     most = max(_LATE_SAMPLES, _LATE_S * scene.rate)
     slips = (("seconds", scene.rate), ("µs", 1e-6 * scene.rate))
     late = Range(_DELAYED, most, f"it counts sample periods, here of {duration(scene.period)}", slips)
@@ -204,22 +202,23 @@ def _of_device(scene: Scene) -> Iterator[_Value]:
         yield _Value(f"{part}.delay", delay, "samples", late)
     scales = device.scales(scene.channels)
     least = min((one.brief for one in scales), default=0.0)
-    brief = Range(least * limit, math.inf, f"{named} gives that within {least * 1e3:g} mm", (_MORE,))
+    brief = Range(least * limit, math.inf, f"{named} gives that within {scene.units(least, 'mm', 'g')}", (_MORE,))
     yield _Value("device.energy_limit", device.energy_limit or 0.0, "J", brief)
     start = Range(scene.period, math.inf, "nothing ramps within a sample period", (_MORE,))
     yield _Value("device.soft_start", device.soft_start or 0.0, "s", start)
     for one, scale in zip(device.stiffnesses(scene.channels), scales, strict=True):
-        why = f"{named} stretches it by less than {scale.rigid * 1e3:g} mm"
+        why = f"{named} stretches it by less than {scene.units(scale.rigid, 'mm', 'g')}"
         yield _Value("device.stiffness", one, "N/m", Range(0.0, limit / scale.rigid, why, (_LESS,)))
     yield _Value("mock.coulomb", mock.coulomb, "N", Range(0.0, limit, f"{named} does not overcome it", _FORCES))
     for name, point in scene.device_points.items():
+        units = scene.units_of(point.channel)
         of_channel = (device.masses, device.frictions, device.stiffnesses)
         mass, friction, own = (values(scene.channels)[point.channel] for values in of_channel)
         held = (getattr(link, "stiffness", 0.0) for link in scene.links.values() if name in link.between)
         critical = 2.0 * math.sqrt(max(own, *held, 0.0) * mass)
-        why = f"a free hand of {number(mass)} kg stops in {short_duration(mass / (friction or math.inf))} then"
+        why = f"a free hand of {units(mass, 'kg')} stops in {short_duration(mass / (friction or math.inf))} then"
         if friction > _CREEPS * critical > 0.0:
-            why = f"critical damping is {number(critical, 3)} N·s/m, so the hand creeps"
+            why = f"critical damping is {units(critical, 'N·s/m', 3)}, so the hand creeps"
         most = min(mass / _STOPS_S, _FRICTION, _CREEPS * critical or math.inf)
         yield _Value("device.friction", friction, "N·s/m", Range(mass / _COASTS_S, most, why, _DAMPINGS))
 
@@ -233,7 +232,7 @@ def _of_links(scene: Scene) -> Iterator[_Value]:
     moved = frozenset(masses)
     masses |= {name: spans[point.channel][0] for name, point in scene.device_points.items()}
     ranges = _ranges(scene)
-    strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {number(limit)} N")
+    strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {scene.units(limit, 'N')}")
     for name, link in scene.links.items():
         ends = [end.partition(".")[0] for end in link.between]
         hand = next((end for end in ends if end in scene.device_points), "")
@@ -246,17 +245,19 @@ def _of_links(scene: Scene) -> Iterator[_Value]:
             )
     for name, structure in scene.structures.items():
         many = len(structure.point_names())
-        heavy = Range(0.0, _HEAVY_KG / many, f"{many} of them weigh {number(many * structure.mass)} kg", _MASSES)
+        heavy = Range(
+            0.0, _HEAVY_KG / many, f"{many} of them weigh {scene.units(many * structure.mass, 'kg')}", _MASSES
+        )
         yield _Value(f"modules.{name}.mass", structure.mass, "kg", heavy)
 
 
 def _of_spring(scene: Scene, name: str, mass: float, hand: str, moves: bool = True) -> Iterator[_Value]:
     """What a module's stiffness and damping do with this mass, in kg. `hand`: the device point that it holds, or "";
     `moves`: whether it holds something that the scene moves."""
-    module, rate = scene.modules[name], scene.step_rate if moves else scene.rate
+    module, rate, units = scene.modules[name], scene.step_rate if moves else scene.rate, scene.units
     stiffness, damping = getattr(module, "stiffness", 0.0), getattr(module, "damping", 0.0)
     most = [mass * rate**2 * (8.0 if scene.scheme == "rk4" else 4.0), 2.0 * mass * rate]  # what no scheme renders
-    hardest, least, why = most[0], [0.0, 0.0], f"at {frequency(rate)} it is unstable on {number(mass)} kg with any"
+    hardest, least, why = most[0], [0.0, 0.0], f"at {frequency(rate)} it is unstable on {units(mass, 'kg')} with any"
     if hand:
         kind = getattr(module, "damper", "backward"), getattr(module, "cutoff", None)
         loop = configuration_of(scene, scene.device_points[hand].channel, *kind)
@@ -270,8 +271,8 @@ def _of_spring(scene: Scene, name: str, mass: float, hand: str, moves: bool = Tr
     elif scene.scheme in ("exact", "midpoint"):
         most = [math.inf, math.inf]
     takes = frequency(rate * math.sqrt(max(stiffness / hardest, 1.0)))
-    hard, soft = f"{why} damping, and takes some {takes}", f"a cm of it is {number(0.01 * stiffness, 2)} N"
-    strong, weak = f"{why} stiffness", f"at 0.1 m/s it is {number(0.1 * damping, 2)} N"
+    hard, soft = f"{why} damping, and takes some {takes}", f"a cm of it is {units(0.01 * stiffness, 'N', 2)}"
+    strong, weak = f"{why} stiffness", f"at {units(0.1, 'm/s')} it is {units(0.1 * damping, 'N', 2)}"
     k = Range(least[0], most[0], soft if stiffness < least[0] else hard, _STIFFNESSES)
     b = Range(least[1], most[1], weak if damping < least[1] else strong, _DAMPINGS)
     yield _Value(f"modules.{name}.stiffness", stiffness, "N/m", k)
@@ -290,7 +291,7 @@ def _jumps(scene: Scene) -> Iterator[str]:
         if device.port is None and origin is not None:
             start, x = "mock.initial.position", scene.mock_device.initial_position[point.channel] - origin
         forces = {name: one.sign * float(one.law.tension(one.distance(x))) for name, one in alone.links.items()}
-        total = abs(sum(forces.values()))
+        total, units = abs(sum(forces.values())), scene.units_of(point.channel)
         if total > _JUMPS * limit:
             name = max(forces, key=lambda one: abs(forces[one]))
             ground = next(end for end in scene.links[name].between if end != hand)
@@ -301,9 +302,10 @@ def _jumps(scene: Scene) -> Iterator[str]:
                 f"modules.{name}.distance": distance,
             }
             path, place = max(places.items(), key=lambda one: abs(one[1]))
-            hint = f"{path} is {number(place)} m. If you meant mm, write {number(1e-3 * place)}."
+            hint = f"{path} is {scene.units(place, 'm')}. If you meant mm, write {number(1e-3 * place)}."
             if abs(place) < _FAR_M or scene.units.is_rotary:
                 if not total > _PRESSES * limit:
                     continue
                 hint = f"look at the stiffness of {name}, and where its ends are."
-            yield f"at arming the scene pushes {hand} with {short(total)} N, its limit is {number(limit)} N: {hint}"
+            pushes = f"at arming the scene pushes {hand} with {units(short(total), 'N')}"
+            yield f"{pushes}, its limit is {units(limit, 'N')}: {hint}"

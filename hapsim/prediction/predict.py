@@ -46,8 +46,7 @@ class Prediction:
         self, scene: Scene, at: float | None = None, *, with_margins: bool = True, wherever: bool = False
     ) -> None:
         """`at`, `with_margins`: as of `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
-        with scene.units.in_errors():
-            _require_within_numbers(scene)
+        _require_within_numbers(scene)
         self.scene, self._at, self._with_margins, self._wherever = scene, at, with_margins, wherever
         self._rendering = rendered(scene)
         self._tolerances: dict[object, Tolerance | None] = {}
@@ -271,7 +270,7 @@ class Prediction:
     def assumptions(self) -> tuple[str, ...]:
         """Sentences: what was taken for what the theory does not have."""
         instead = [self.judge.solved[2]] if self.judge.solved[2] else []
-        return tuple(map(self.scene.units, (*self._linear.assumptions, *instead, *_near_pose(self.scene))))
+        return (*self._linear.assumptions, *instead, *_near_pose(self.scene))
 
     @property
     def rendering(self) -> Rendering | None:
@@ -432,9 +431,11 @@ def _near_pose(scene: Scene) -> list[str]:
     """Returns where the device's mass and friction hold, in a sentence; none where that is everywhere."""
     if scene.device.mass_at is None:
         return []
-    pose = ", ".join(f"{one:g}" for one in per_channel(scene.device.mass_at, scene.channels))
+    places = per_channel(scene.device.mass_at, scene.channels)
+    pose = ", ".join(scene.units.number(one, "m", "g") for one in places)
     return [
-        f"k and b hold near {pose} m (device.mass_at): elsewhere the device has another mass and friction, and a force "
+        f"k and b hold near {scene.units(pose, 'm')} (device.mass_at): elsewhere the device has another mass and "
+        "friction, and a force "
         "on one channel moves another too"
     ]
 
@@ -444,11 +445,12 @@ def _require_within_numbers(scene: Scene) -> None:
     if not 1e-9 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
     device, channels = scene.device, scene.channels
-    for (mass, _), friction, stiffness in zip(
-        device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True
-    ):
+    each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
+    for channel, ((mass, _), friction, stiffness) in enumerate(each):
         if friction > _MOST * mass * scene.rate or stiffness > _MOST * mass * scene.rate**2:
+            units = scene.units_of(channel)
             raise UsageError(
-                f"device: found {friction:g} N·s/m of friction and a spring of {stiffness:g} N/m on {mass:g} kg, which "
-                "is beyond what is worked out: expected a larger mass, or less of them"
+                f"device: found {units(friction, 'N·s/m', 'g')} of friction and a spring of "
+                f"{units(stiffness, 'N/m', 'g')} on {units(mass, 'kg', 'g')}, which is beyond what is worked out: "
+                "expected a larger mass, or less of them"
             )

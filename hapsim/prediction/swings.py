@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.laws import Law
-from hapsim.number_format import number
 from hapsim.one_thread import one_thread
 from hapsim.prediction.linear import instead_of
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network import LARGE, SURELY, loop, state_size, transition
 from hapsim.theory.rows import stretches_of
+from hapsim.units import Units
 
 _PLACES = 256  # at most, of all unstable rests; of more no swing is unnoticed
 _KICKS = (-10.0, -1.0, -0.1, 0.1, 1.0, 10.0)  # of a region's width
@@ -49,13 +49,12 @@ class Swing(NamedTuple):
     is_unnoticed: bool
     """Whether nothing moves by a count, and next to no force."""
 
-    @property
-    def sentence(self) -> str:
+    def sentence(self, units: Units) -> str:
         """How far and how hard, in words that follow "swings by"."""
-        scale, unit = (1e3, "mm") if self.most >= 1e-3 else (1e6, "µm")
-        ways = dict.fromkeys(number(scale * way, 3) for way in (self.least, self.most))
-        force = f" and up to {number(self.force, 2)} N" if self.force else ""
-        return f"{' to '.join(ways)} {unit}{force} from end to end"
+        unit = "mm" if self.most >= 1e-3 else "µm"
+        ways = " to ".join(dict.fromkeys(units.number(way, unit, 3) for way in (self.least, self.most)))
+        force = f" and up to {units(self.force, 'N', 2)}" if self.force else ""
+        return f"{units(ways, unit)}{force} from end to end"
 
 
 def has_pieces(law: Law) -> bool:
@@ -214,8 +213,7 @@ class Shaking(NamedTuple):
     swing: Swing | None = None
     """How large it gets, where that was found."""
 
-    @property
-    def sentence(self) -> str:
+    def sentence(self, units: Units) -> str:
         """Without a full stop."""
         by = "beyond all numbers" if self.growth > 1e300 else f"{self.growth:.3g}-fold"
         if self.growth < 2.0:
@@ -223,7 +221,7 @@ class Shaking(NamedTuple):
         whose = f"the motion of {self.module}" if self.module else "a motion"
         when = f" while {self.state}" if self.state else ""
         if self.swing is not None:
-            when += f", to a swing of {self.swing.sentence}"
+            when += f", to a swing of {self.swing.sentence(units)}"
         remedy = "reduce the stiffness there, change its damping, add mass or raise the rate"
         return f"{whose} grows {by} a sample{when}; {remedy}"
 

@@ -42,7 +42,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         swing = prediction.judge.swings[name]
         warnings.append(
             f"{name} swings by itself where a piece of its links is too stiff for the loop: by "
-            f"{swing.sentence if swing else ''}, less than a count. Smoother tables do not."
+            f"{swing.sentence(scene.units) if swing else ''}, less than a count. Smoother tables do not."
         )
     if prediction.states.unjudged:
         warnings.append(
@@ -54,16 +54,18 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         x = max(hand.edges(), key=lambda x: abs(float(hand.force(x))), default=0.0)
         if abs(float(hand.force(x))) > limit:
             warnings.append(
-                f"{name} at {number(x)} m: the scene asks for {number(abs(float(hand.force(x))))} N, of which the hand "
-                f"feels {limit:g} N, the force limit."
+                f"{name} at {hand.units(x, 'm')}: the scene asks for {hand.units(abs(float(hand.force(x))), 'N')}, of "
+                f"which the hand feels {hand.units(limit, 'N', 'g')}, the force limit."
             )
     slow = slow_slew(scene, prediction)
     warnings += [slow] if slow else []
     for one in (one for one in prediction.desired if one.remedies is not None):
         off = f", off by {one.error:.1%}" if math.isfinite(one.error) else ""
+        units = scene.units_of(scene.device_points[one.name].channel)
         warnings.append(
-            f"correction {scene.device.correction} does not reach k = {one.k:.6g} N/m, b = {one.b:.6g} N·s/m at "
-            f"{one.name}: what comes nearest is simulated{off}. `hapsim check` shows what would reach it."
+            f"correction {scene.device.correction} does not reach k = {units(one.k, 'N/m', '.6g')}, "
+            f"b = {units(one.b, 'N·s/m', '.6g')} at {one.name}: what comes nearest is simulated{off}. `hapsim check` "
+            "shows what would reach it."
         )
     budget = prediction.wire_time
     is_explained = any(one.startswith(("rate: ", "device.baud: ")) for one in warnings)
@@ -79,7 +81,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
             f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay}. "
             "A USB device's own port does not mind."
         )
-    return [*map(scene.units, warnings)]
+    return warnings
 
 
 def most_force(scene: Scene) -> str:
@@ -92,7 +94,9 @@ def most_force(scene: Scene) -> str:
     hands = scene.device_points
     strongest = max(sum(of_link(link) for link in scene.links.values() if name in link.between) for name in hands)
     limit = scene.mock_device.force_limit
-    return f"the force limit of {limit:g} N" if strongest >= limit else f"the {number(strongest)} N of its links"
+    if strongest >= limit:
+        return f"the force limit of {scene.units(limit, 'N', 'g')}"
+    return f"the {scene.units(strongest, 'N')} of its links"
 
 
 _MOST = 4.0  # of (K T² + 2 B T)/M
@@ -122,7 +126,7 @@ def own_limits(scene: Scene) -> Iterator[str]:
         own, alone = owner == name, found[name] > _MOST
         stiffness, damping = (float(values[own].max()) for values in (network.stiffness, network.damping))
         damps = 2.0 * damping * rate > stiffness
-        value, unit = (damping, "N·s/m") if damps else (stiffness, "N/m")
+        value, unit = (damping, scene.units.name("N·s/m")) if damps else (stiffness, scene.units.name("N/m"))
         most = f"more than the {rounded_down(value * _MOST / found[name], 5)} {unit} that its masses carry"
         why = most if alone else "with what it is joined to, more than its masses carry"
         yield f"{name}: {number(value)} {unit} is {why} in steps of {frequency(rate)}; {remedy}."

@@ -68,7 +68,7 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
         shaken = None  # numbers out of range: the guard of the force says which, in the first sample
     if shaken is not None:
         late = f" at its wire's delay ({wire_delay(scene)})" if wire_delay(scene) else ""
-        raise UsageError(f"not armed: the scene is predicted unstable{late}: {shaken.sentence}")
+        raise UsageError(f"not armed: the scene is predicted unstable{late}: {shaken.sentence(scene.units)}")
 
 
 def _require_sound(scene: Scene, options: RunOptions) -> None:
@@ -99,7 +99,7 @@ def require_not_less_stable(before: Scene, scene: Scene) -> None:
         return
     now = surely_shaken_by(before)
     if now is None or shaken.growth > now.growth:
-        raise UsageError(f"the scene is predicted unstable: {shaken.sentence}")
+        raise UsageError(f"the scene is predicted unstable: {shaken.sentence(scene.units)}")
 
 
 def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
@@ -107,7 +107,7 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
     if not is_surely_unstable(prediction):
         return ""
     shaking = prediction.judge.shaking
-    grows = "" if shaking is None else f": {shaking.sentence}"
+    grows = "" if shaking is None else f": {shaking.sentence(scene.units)}"
     why = " ".join([".", *unlikely(scene)]) if unlikely(scene) else f"{grows}.{_stable_alternatives(prediction)}"
     late = f"; {prediction.wire_delay}" if prediction.wire_delay else ""
     return (

@@ -169,6 +169,11 @@ def misplaced_angles(data: Mapping[str, object], around: ModuleContext) -> Itera
             yield Issue(path, f"found {quote(angle)}, an angle, where the motion is linear; {expected}")
 
 
+def has_angles(data: Mapping[str, object]) -> bool:
+    """Returns whether a scene's data has an angle in degrees."""
+    return any(True for _ in _angles(data, (), set()))
+
+
 def _angles(value: object, path: Path, seen: set[int]) -> Iterator[tuple[Path, str]]:
     """The texts in a value that are angles, each with its path. What anchors bring to several places is seen once."""
     if isinstance(value, str) and ANGLE.match(value):

@@ -3,14 +3,13 @@
 import json
 import os
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import cache
 from typing import Any, BinaryIO
 
 from pydantic import TypeAdapter, ValidationError
 
 from hapsim.errors import SceneError
-from hapsim.units import MOTIONS, Units
+from hapsim.units import Units
 
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, misplaced_angles
 from .issue import Issue, Path
@@ -78,8 +77,7 @@ def parse_scene(text: str, name: str = "<scene>") -> Scene:
     scene, issues = _validate(document)
     faults = _FILE.located(issues, document)
     if scene is None or faults:
-        units = _units(document.data)
-        raise _FILE.failure(name, [replace(fault, sentence=_in_units(units, fault.sentence)) for fault in faults])
+        raise _FILE.failure(name, faults)
     return scene
 
 
@@ -95,17 +93,8 @@ def scene_from_document(data: dict[str, Any]) -> Scene:
 
 def _units(data: object) -> Units:
     """The units in which a file's device moves, so far as it says so."""
-    device, modules = ((data.get(key) if isinstance(data, dict) else None) for key in ("device", "modules"))
-    motions = [one for one in MOTIONS if isinstance(device, dict) and one in str(device.get("motion"))]
-    return Units(motions, map(str, modules) if isinstance(modules, dict) else ())
-
-
-def _in_units(units: Units, sentence: str) -> str:
-    """The sentence in these units, with the other way in which an angle may be written."""
-    words = (
-        units(sentence).replace("(rad)", "(rad; or such as 15 deg)").replace("(rad/s)", "(rad/s; or such as 10 deg/s)")
-    )
-    return words.partition("; write plain decimals")[0] if "or such as" in words else words
+    device = data.get("device") if isinstance(data, dict) else None
+    return Units.said_by(device.get("motion") if isinstance(device, dict) else None)
 
 
 def read_scene(stream: BinaryIO, name: str) -> Scene:
@@ -118,22 +107,23 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
     try:
         data: Any = document.data
         scene = Scene.model_validate(data)
-        modules = ModuleContext(scene.modules, {name: type(one) for name, one in scene.modules.items()})
+        modules = ModuleContext.of(scene.modules)
         return scene, list(misplaced_angles(data, modules))
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
-        issues = findings_of(error, document, _LAYOUT)
+        units = _units(data)
+        issues = findings_of(error, document, _LAYOUT, units)
         if type(data.get("version")) is int and data["version"] != VERSION:
             # Another format: what else seems wrong may be right in it.
             return None, [issue for issue in issues if issue.path == ("version",)]
         # The checks across parts reach as far as the sound parts of the scene allow.
-        modules = _sound_modules(data.get("modules"))
+        modules = _sound_modules(data.get("modules"), units)
         across = cross_check_issues(modules, _sound_fields(data, issues), data)
         angles = (one for one in misplaced_angles(data, modules) if one.path not in {issue.path for issue in issues})
         return None, [*issues, *across, *angles]
 
 
-def _sound_modules(modules: object) -> ModuleContext:
+def _sound_modules(modules: object, units: Units) -> ModuleContext:
     """What is known of the modules while some of them are faulty."""
     if not isinstance(modules, dict):
         return ModuleContext({}, {"": None})
@@ -141,7 +131,7 @@ def _sound_modules(modules: object) -> ModuleContext:
     kinds = {name: MODULE_TYPES.get(kind) if isinstance(kind, str) else None for name, kind in types.items()}
     both = {name: _sound_part(kind, modules[name]) for name, kind in kinds.items() if kind is not None}
     faulty = {name: wrong for name, (_, wrong) in both.items() if wrong}
-    return ModuleContext({name: module for name, (module, _) in both.items()}, kinds, faulty)
+    return ModuleContext({name: module for name, (module, _) in both.items()}, kinds, faulty, units)
 
 
 def _sound_part(kind: type[Module], data: Any) -> tuple[Module, frozenset[str]]:

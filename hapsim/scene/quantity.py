@@ -15,7 +15,7 @@ from typing import Any, NoReturn, TypeGuard
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, model_serializer
 from pydantic_core import PydanticCustomError, core_schema
 
-from hapsim.units import MOTIONS, Units
+from hapsim.units import LINEAR, MOTIONS, Units
 
 Schema = core_schema.CoreSchema
 
@@ -24,8 +24,8 @@ UNEXPECTED = "unexpected"
 
 #: An angle in degrees, or degrees a second: how a scene may write a length or a velocity of what turns.
 _DECIMAL = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
-ANGLE = re.compile(rf"({_DECIMAL}) ?(deg(?:/s)?)\Z")
-_IN_DEGREES = {"m": "deg", "m per count": "deg", "m rms": "deg", "m/s": "deg/s"}
+ANGLE = re.compile(rf"({_DECIMAL}) ?(?:deg|°)(/s)?\Z")
+_IN_DEGREES = {"m": "", "m per count": "", "m rms": "", "m/s": "/s"}
 
 MOST_CHANNELS = 16
 MOST_POINTS = 1000  # of a curve
@@ -81,14 +81,15 @@ def unexpected(expected: str, at: tuple[int | str, ...] = (), found: str = "") -
     """Reports that a value, or the entry ``at`` within it, is not what was ``expected``.
 
     Args:
-        expected: the words that follow "expected".
+        expected: the words that follow "expected"; a unit stands in them as that of a line, such as ‹N/m›.
         at: leads to the entry.
         found: the words that follow "found"; by default the value as the file spells it.
 
     Raises:
         PydanticCustomError: always; inside a pydantic validation it becomes one of the collected faults.
     """
-    raise PydanticCustomError(UNEXPECTED, "expected {expected}", {"expected": expected, "at": at, "found": found})
+    context = {"expected": LINEAR.filled(expected), "of_motion": expected, "at": at, "found": found}
+    raise PydanticCustomError(UNEXPECTED, "expected {expected}", context)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +98,9 @@ class Expectation:
 
     Attributes:
         description: what the value is, for the schema.
-        expected: the words that follow "expected" in an error.
+        expected: the words that follow "expected" in an error; a unit stands in them as that of a line, such as ‹N/m›.
         schema: pydantic's schema of the value.
-        unit: its unit as people read it, such as ``N·s/m``.
+        unit: its unit, as that of a line: ``N·s/m``; of points ``points [m, N]``.
         left_out: the default in words; where this is given, None is accepted in Python too.
     """
 
@@ -116,7 +117,9 @@ class Expectation:
         return described
 
     def __get_pydantic_json_schema__(self, schema: Schema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        unit = Units(MOTIONS)(f", in {self.unit}") if self.unit else ""
+        points = re.fullmatch(r"points \[(.+), (.+)\]", self.unit)
+        of_both = Units(MOTIONS).filled("points [‹{}›, ‹{}›]".format(*points.groups()) if points else f"‹{self.unit}›")
+        unit = f", in {of_both}" if self.unit else ""
         default = f"; default: {self.left_out}" if self.left_out else ""
         return handler(schema) | {"description": f"{self.description}{unit}{default}"}
 
@@ -146,7 +149,7 @@ def quantity(
     bounds = f" > {above:g}" if above is not None else ""
     if least is not None:
         bounds = f" >= {least:g}" if most is None else f" from {least:g} to {most:g}"
-    number_words = f"a number{bounds} ({unit})"
+    number_words = f"a number{bounds} (‹{unit}›)"
     entry_words = ", or ".join(filter(None, (number_words, word, _MAPPINGS if spans else "")))
     words = f"{entry_words}, or a list with one per channel" if per_channel else entry_words
     number = _number(number_words, unit, gt=above, ge=least, le=most)
@@ -163,9 +166,9 @@ def quantity(
 
 def interval(description: str, unit: str, left_out: str) -> Expectation:
     """A lower and an upper limit in SI units, or such a pair for each channel."""
-    pair_words = f"[the least, the most] ({unit})"
+    pair_words = f"[the least, the most] (‹{unit}›)"
     words = f"{pair_words}, or a list of such pairs, one per channel"
-    limits = _list_of([_number(f"a number ({unit})", unit)], 2, 2, pair_words)
+    limits = _list_of([_number(f"a number (‹{unit}›)", unit)], 2, 2, pair_words)
     pair = core_schema.no_info_after_validator_function(_ascending, limits)
     kinds = {_LIST: pair, _LISTS: _list_of([pair], 1, MOST_CHANNELS, words)}
     return Expectation(description, words, _choice(kinds, words), unit, left_out)
@@ -179,14 +182,14 @@ def curve(
     def ascending(points: Curve) -> Curve:
         for index, ((before, _), (x, _)) in enumerate(pairwise(points), 1):
             if not before < x:
-                unexpected(f"a number > {before:.15g} ({along}): the points stand in ascending order", (index, 0))
+                unexpected(f"a number > {before:.15g} (‹{along}›): the points stand in ascending order", (index, 0))
         return points
 
     unit = f"points [{along}, {up}]"
-    words = f"a list of {fewest} to {MOST_POINTS} {unit}"
+    words = f"a list of {fewest} to {MOST_POINTS} points [‹{along}›, ‹{up}›]"
     y_words = "a number" if above is None else f"a number > {above:g}"
-    axes = [_number(f"a number ({along})", along), _number(f"{y_words} ({up})", up, gt=above)]
-    points = _list_of([_list_of(axes, 2, 2, f"a point [{along}, {up}], two numbers")], fewest, MOST_POINTS, words)
+    axes = [_number(f"a number (‹{along}›)", along), _number(f"{y_words} (‹{up}›)", up, gt=above)]
+    points = _list_of([_list_of(axes, 2, 2, f"a point [‹{along}›, ‹{up}›], two numbers")], fewest, MOST_POINTS, words)
     schema = core_schema.no_info_after_validator_function(ascending, points)
     return Expectation(description, words, schema, unit, left_out)
 
@@ -242,7 +245,7 @@ def per_channel(value: PerChannel, channels: int) -> tuple[float, ...]:
 
 def _words(expected: str) -> Any:
     """Arguments that give errors of a schema our words."""
-    context = {"expected": expected, "at": (), "found": ""}
+    context = {"expected": LINEAR.filled(expected), "of_motion": expected, "at": (), "found": ""}
     message = "expected {expected}"
     return {"custom_error_type": UNEXPECTED, "custom_error_message": message, "custom_error_context": context}
 
@@ -274,14 +277,14 @@ def _as_mapping(value: object) -> object:
 
 
 def _number(expected: str, unit: str, **bounds: Any) -> Schema:
-    degrees = _IN_DEGREES.get(unit)
-    if degrees is not None:
-        angle = {"type": ["number", "string"], "pattern": f"^{_DECIMAL} ?{degrees}$"}
+    per = _IN_DEGREES.get(unit)
+    if per is not None:
+        angle = {"type": ["number", "string"], "pattern": f"^{_DECIMAL} ?(deg|°){per}$"}
         bounds["metadata"] = {"pydantic_js_updates": angle}
 
     def as_float(value: object) -> object:
-        angle = ANGLE.match(value) if degrees is not None and isinstance(value, str) else None
-        return math.radians(float(angle[1])) if angle and angle[4] == degrees else _as_float(value)
+        angle = ANGLE.match(value) if per is not None and isinstance(value, str) else None
+        return math.radians(float(angle[1])) if angle and (angle[4] or "") == per else _as_float(value)
 
     number = core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds)
     return _saying(core_schema.no_info_before_validator_function(as_float, number), expected)

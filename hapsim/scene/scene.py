@@ -3,13 +3,21 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, Field, PlainSerializer, PrivateAttr, SerializationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    ModelWrapValidatorHandler,
+    PlainSerializer,
+    PrivateAttr,
+    SerializationInfo,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from hapsim.units import Units
 
 from .choices import SCHEME, WITH_SENSOR, SchemeName
-from .cross_checks import cross_check_issues
+from .cross_checks import cross_check_issues, has_angles
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
@@ -85,10 +93,21 @@ class Scene(Part):
     sound: PickUpsByName = Field(default_factory=dict, validate_default=True)
 
     _path: str | None = PrivateAttr(None)
+    _in_degrees: bool = PrivateAttr(False)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _with_its_angles(cls, data: Any, validated: ModelWrapValidatorHandler["Scene"]) -> "Scene":
+        """Who writes an angle in degrees is answered in degrees."""
+        scene = validated(data)
+        if scene.device.motion != "linear" and isinstance(data, Mapping) and has_angles(data):
+            scene._in_degrees = True
+        return scene
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        issues = cross_check_issues(ModuleContext.of(self.modules), self._per_channel(), dict(self))
+        around = ModuleContext.of(self.modules, Units.said_by(self.device.motion))
+        issues = cross_check_issues(around, self._per_channel(), dict(self))
         lines = [f"{'.'.join(map(str, issue.path))}: {issue.sentence}" for issue in issues]
         if lines:
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
@@ -119,7 +138,7 @@ class Scene(Part):
 
     @property
     def units(self) -> Units:
-        """The units of its channels."""
+        """The units of its channels; angles are in degrees where the file has any in degrees."""
         return Units(self.device.motions(self.channels), self.modules)
 
     def units_of(self, channel: int) -> Units:

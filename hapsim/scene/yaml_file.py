@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from hapsim.errors import UsageError
+from hapsim.units import LINEAR, Units
 
 from .issue import Issue, LocatedIssue, Path, Place, as_argument, did_you_mean, nearest, one_of, quote
 from .quantity import KINDS, NAME_PATTERN, UNEXPECTED, Expectation
@@ -184,13 +185,13 @@ class Layout:
         return _fields_of(part)
 
 
-def findings_of(error: ValidationError, document: Document, layout: Layout) -> list[Issue]:
+def findings_of(error: ValidationError, document: Document, layout: Layout, units: Units = LINEAR) -> list[Issue]:
     """Returns the faults within single parts; those between parts are left to `cross_check_issues`.
 
     A missing key is not mentioned where an unknown key beside it looks like that key misspelt.
     """
     raws = [raw for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
-    findings = [_Finding(raw, document, layout) for raw in raws]
+    findings = [_Finding(raw, document, layout, units) for raw in raws]
     misspelt = {found.meant() for found in findings if found.kind == "extra_forbidden"}
     heard = [found for found in findings if found.kind != "missing" or (*found.place, found.key) not in misspelt]
     return [found.issue() for found in heard]
@@ -205,8 +206,8 @@ class _Finding:
         path: the way through the file, which does not have pydantic's marks for the kind of a value.
     """
 
-    def __init__(self, raw: Any, document: Document, layout: Layout) -> None:
-        self._document, self._layout = document, layout
+    def __init__(self, raw: Any, document: Document, layout: Layout, units: Units) -> None:
+        self._document, self._layout, self._units = document, layout, units
         self.kind: str = raw["type"]
         self.context: dict[str, Any] = raw.get("ctx", {})
         location: Path = tuple(step for step in raw["loc"] if step not in KINDS)
@@ -254,11 +255,13 @@ class _Finding:
     def _wrong_value(self) -> Issue:
         path, document = self.path + tuple(self.context.get("at", ())), self._document
         mapping = "a text" if self.kind == "string_type" else self._layout.mapping_words(path)
-        expected = self.context["expected"] if self.kind == UNEXPECTED else mapping
+        expected = self._in_units(self.context["of_motion"]) if self.kind == UNEXPECTED else mapping
         value = document.value(path)
         if isinstance(value, float) and not math.isfinite(value):
             expected = expected.replace("a number", "a finite number", 1)
         hint = document.number_hint(path) if "number" in expected else ""
+        if "or such as" in expected and "plain decimals" in hint:
+            hint = ""
         hint = space_hint(value) if "mapping" in expected and not hint else hint
         return Issue(path, f"found {self.context.get('found') or document.found(path)}, expected {expected}{hint}")
 
@@ -267,10 +270,17 @@ class _Finding:
         hint = did_you_mean(value, words) if isinstance(value, str) else ""
         return Issue(path, f"found {self._document.found(path)}, expected {one_of(words)}{hint}")
 
+    def _in_units(self, expected: str) -> str:
+        """What is expected, in the units of the device, with the other way in which an angle may be written."""
+        angles = {"(‹m›)": "(rad; or such as 15 deg)", "(‹m/s›)": "(rad/s; or such as 10 deg/s)"}
+        for of_a_line, of_an_angle in angles.items() if self._units.name("m") == "rad" else ():
+            expected = expected.replace(of_a_line, of_an_angle)
+        return self._units.filled(expected)
+
     def _wanted(self) -> str:
         """What a missing key is to hold."""
         field = self._layout.fields(self.place)[self.key]
-        expectations = [item.expected for item in field.metadata if isinstance(item, Expectation)]
+        expectations = [self._in_units(item.expected) for item in field.metadata if isinstance(item, Expectation)]
         words = _words_of(field)
         return (*expectations, one_of(words) if words else self._layout.mapping_words(self.path))[0]
 

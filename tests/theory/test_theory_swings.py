@@ -17,6 +17,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
 from hapsim.running.run import run, run_in_memory
 from hapsim.scene import Scene, parse_scene
+from hapsim.units import LINEAR
 from tests.contact_scenes import Motion
 
 SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "4")))
@@ -84,7 +85,7 @@ def test_it_is_as_large_as_on_the_mock(seed: int, figures: Any) -> None:
     assert seen == pytest.approx(swing.most, rel=0.1)
     shaking = surely_shaken_by(scene_of(points))
     assert shaking is not None
-    assert f"to a swing of {swing.sentence}" in shaking.sentence
+    assert f"to a swing of {swing.sentence(LINEAR)}" in shaking.sentence(LINEAR)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -269,7 +269,10 @@ class _Correction:
         open_ports = [port for port in ports if self.spans[port.channel][0] < self.spans[port.channel][1]]
         if not open_ports:
             return []
-        middle = ", ".join(f"{port.name} of {elements[port.name].made_for:.3g} kg" for port in open_ports)
+        middle = ", ".join(
+            f"{port.name} of {self.scene.units_of(port.channel)(elements[port.name].made_for, 'kg', '.3g')}"
+            for port in open_ports
+        )
         placed = f"the modes are placed for {middle}, the middle of the span"
         if self.kind.predicts:
             follows = (

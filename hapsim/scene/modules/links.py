@@ -228,9 +228,9 @@ class Friction(Link):
         return self.force if self.static is None else self.static
 
     @check_of("force", "static")
-    def _breaks_away_above(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
+    def _breaks_away_above(self, _name: str, around: ModuleContext) -> Iterator[Issue]:
         if self.break_away < self.force:
-            expected = f"expected a number >= {self.force:g} (N)"
+            expected = f"expected a number >= {self.force:g} ({around.units.name('N')})"
             yield Issue(("static",), f"found {self.static:g}, less than the force while it slides; {expected}")
 
     def law(self) -> Law:
