@@ -18,13 +18,26 @@ SHORT_CRC_WORDS = 3  # up to here a payload leaves a frame within 135 bits, wher
 DESCRIBE, ARM, FORCE, DISARM = 0x1, 0x2, 0x3, 0x4
 # Device to host.
 DESCRIPTION, POSITION, POSITION_HELD, STATUS = 0x9, 0xA, 0xB, 0xC
+TYPES = {
+    DESCRIBE: "DESCRIBE",
+    ARM: "ARM",
+    FORCE: "FORCE",
+    DISARM: "DISARM",
+    DESCRIPTION: "DESCRIPTION",
+    POSITION: "POSITION",
+    POSITION_HELD: "POSITION_HELD",
+    STATUS: "STATUS",
+}
+POSITIONS = (POSITION, POSITION_HELD)
 
 # The pacing of an armed device's samples: the low seven bits of ARM's argument.
 PACED_BY_DEVICE, PACED_BY_HOST, LOCKSTEP = 0, 1, 2
+PACINGS = {PACED_BY_DEVICE: "device", PACED_BY_HOST: "host", LOCKSTEP: "lockstep"}
 WITH_VELOCITY = 0x80  # beside the pacing: the device sends velocities too
 
 # States and faults, in a status frame.
 IDLE, ARMED, LATCHED = 0, 1, 2
+STATES = {IDLE: "idle", ARMED: "armed", LATCHED: "latched"}
 NO_FAULT, HOST_QUIET, POSITION_OUT_OF_RANGE, WRONG_SCHEMA, WRONG_PACING, WRONG_WATCHDOG = range(6)
 HARDWARE, WRONG_SENSING = 6, 7
 FAULTS = {

@@ -29,12 +29,10 @@ FORMATS = (
     | {f"armed_{channels}": armed_format(channels) for channels in (1, 3, 4, 16)}
     | {f"velocity_{channels}": armed_format(channels, velocity=True) for channels in (1, 2, 16)}
 )
-TO_DEVICE: dict[str, int] = {name: getattr(schema, name.upper()) for name in ("describe", "arm", "force", "disarm")}
-TO_HOST: dict[str, int] = {
-    name: getattr(schema, name.upper()) for name in ("description", "position", "position_held", "status")
-}
-TYPES = TO_DEVICE | TO_HOST
-NAMES = {code: name for name, code in TYPES.items()}
+NAMES = {code: name.lower() for code, name in schema.TYPES.items()}
+TYPES = {name: code for code, name in NAMES.items()}
+TO_DEVICE = {name: code for name, code in TYPES.items() if code <= schema.DISARM}
+TO_HOST = {name: code for name, code in TYPES.items() if code > schema.DISARM}
 COUNTERS = ("accepted", "crc_errors", "length_errors", "form_errors", "garbage_bytes")
 
 _WORDS = (0, -1, 2**31 - 1, -(2**31), 1, 256, 0x01010101, -0x01010102, 0x00FF00FF, 1_000_000, -1_000_000, 0x12345678)

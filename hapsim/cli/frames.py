@@ -14,16 +14,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from firmware_protocol import schema
+from firmware_protocol.capture import REASONS, Capture, Decoded, Refused
 from firmware_protocol.frames import SETUP, Format
-from hapsim.bringup.capture import REASONS, Capture, Decoded, Refused
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Baud, Json, flag, option, seconds
 from hapsim.cli.output import complain, failure_document, say, speak_in, stderr
 from hapsim.cli.streams import output_ended
+from hapsim.device.connection import Connection
 from hapsim.device.ports import leads_to
 from hapsim.device.serial_port import open_portable_port
 from hapsim.errors import DeviceError, UsageError
@@ -171,7 +171,7 @@ def _pieces_of(
         kind = stat.S_IFCHR
     if stat.S_ISCHR(kind):
         with contextlib.closing(open_portable_port(source, baud)) as connection:
-            yield _of_port(source, connection.transport, duration, stopped)
+            yield _of_port(source, connection, duration, stopped)
     elif stat.S_ISDIR(kind):
         raise UsageError(f"{source}: found a directory, expected a capture (raw bytes) or a serial port")
     else:
@@ -217,28 +217,21 @@ def _of_stream(name: str, stream: Any, stopped: Callable[[], bool]) -> Iterator[
         raise UsageError(f"{name}: found no bytes: the capture is empty")
 
 
-def _of_port(path: str, transport: Any, duration: float | None, stopped: Callable[[], bool]) -> Iterator[Piece]:
-    buffer, begun = np.zeros(_PIECE, np.uint8), time.monotonic()
+def _of_port(path: str, connection: Connection, duration: float | None, stopped: Callable[[], bool]) -> Iterator[Piece]:
+    begun = time.monotonic()
     while not stopped() and (duration is None or time.monotonic() - begun < duration):
-        count = transport.receive(buffer, round(_LOOK_S * 1e9))
-        if count < 0:
-            raise DeviceError(f"{path}: the port is gone")
-        if count:
-            yield buffer[:count].tobytes(), time.monotonic() - begun
+        try:
+            data = connection.receive_bytes(_LOOK_S)
+        except DeviceError as error:
+            raise DeviceError(f"{path}: the port is gone") from error
+        if data:
+            yield data, time.monotonic() - begun
 
 
-def _named(*names: str, prefix: str = "") -> dict[int, str]:
-    """Returns constants of the schema with their names."""
-    return {getattr(schema, prefix + name): name for name in names}
-
-
-_TYPES = _named("DESCRIBE", "ARM", "FORCE", "DISARM", "DESCRIPTION", "POSITION", "POSITION_HELD", "STATUS")
-_REGISTERS = _named("VERSION", "SCHEMA", "CHANNELS", "PACINGS", "RATE", "MAX_WATCHDOG", "FAULT", prefix="REG_")
-_REGISTERS |= _named("ACCEPTED", "REJECTED", "HELD", "EXPIRED", "LIMITED", "ROTARY", "BRIDGE", prefix="REG_")
-_REGISTERS |= {schema.REG_RATE + 1: "RATE, high word"}
+_NAMED = "version schema channels pacings rate max_watchdog fault accepted rejected held expired limited rotary bridge"
+_REGISTERS: dict[int, str] = {getattr(schema, f"REG_{name.upper()}"): name for name in _NAMED.split(" ")}
+_REGISTERS[schema.REG_RATE + 1] = "rate, high word"
 _OF_CHANNEL = ("position_scale", "force_scale", "force_limit", "velocity_scale")
-_PACINGS = {schema.PACED_BY_DEVICE: "device", schema.PACED_BY_HOST: "host", schema.LOCKSTEP: "lockstep"}
-_STATES = _named("IDLE", "ARMED", "LATCHED")
 
 
 def _format_name(wire: Format) -> str:
@@ -254,7 +247,7 @@ def _register_name(number: int) -> str:
     if schema.REG_CHANNEL <= number < schema.REGISTERS:
         channel, within = divmod(number - schema.REG_CHANNEL, schema.CHANNEL_WORDS)
         return f"{_OF_CHANNEL[within // 2]} of channel {channel}" + (", high word" if within % 2 else "")
-    return _REGISTERS.get(number, "").lower()
+    return _REGISTERS.get(number, "")
 
 
 def entry_of(capture: Capture, found: Decoded | Refused, time_s: float | None, with_hex: bool) -> dict[str, Any]:
@@ -265,7 +258,7 @@ def entry_of(capture: Capture, found: Decoded | Refused, time_s: float | None, w
     entry = place | {
         "from": "host" if found.from_host else "device",
         "format": _format_name(found.wire),
-        "type": _TYPES[found.frame.type],
+        "type": schema.TYPES[found.frame.type],
         "number": found.frame.number,
         "argument": found.frame.argument if found.from_host else None,
         "counts": list(found.frame.counts),
@@ -278,7 +271,7 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
     """Returns the fields to which this type of frame gives a meaning; SI where the capture describes the scales, else
     null."""
     counts, argument = found.frame.counts, found.frame.argument
-    match _TYPES[found.frame.type]:
+    match schema.TYPES[found.frame.type]:
         case "DESCRIBE":
             return {"register": _register_name(found.frame.number)}
         case "DESCRIPTION":
@@ -287,7 +280,7 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
             word, pacing = counts[0] & 0xFFFFFFFF, argument & (schema.WITH_VELOCITY - 1)
             return {
                 "watchdog_samples": found.frame.number,
-                "pacing": _PACINGS.get(pacing, str(pacing)),
+                "pacing": schema.PACINGS.get(pacing, str(pacing)),
                 "velocities": bool(argument & schema.WITH_VELOCITY),
                 "schema": f"{word:08x}",
                 "schema_is_ours": word == schema.SCHEMA_HASH,
@@ -295,7 +288,7 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
         case "STATUS":
             state, fault = counts[0] & 0xFF, counts[0] >> 8 & 0xFF
             text = schema.FAULTS.get(fault, "unknown")
-            return {"state": _STATES.get(state, str(state)).lower(), "fault": fault, "fault_text": text}
+            return {"state": schema.STATES.get(state, str(state)), "fault": fault, "fault_text": text}
         case "FORCE":
             force = _scaled(capture, schema.REG_FORCE_SCALE, counts)
             return {"time_to_live_samples": argument, "force_N": force}

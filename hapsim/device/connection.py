@@ -1,4 +1,4 @@
-"""A connection to a device: a transport, the frames that arrive over it, and how to close it.
+"""A connection to a device, and the run's conversation with it: describe, arm, disarm, and why a device stopped.
 
 The conversation before and after the loop and the loop itself share one inbox, so no byte is lost between them. Here
 plain Python reads it, by the functions that the loop is compiled from.
@@ -6,17 +6,25 @@ plain Python reads it, by the functions that the loop is compiled from.
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol import client, schema
+from firmware_protocol.client import Client, Received, disarm_in_every_format
 from firmware_protocol.compiled import new_record
 from firmware_protocol.decoder import next_frame, use_format
+from firmware_protocol.description import Description, from_registers, registers_of_a_description
 from firmware_protocol.frames import SETUP, Format, framing_of
-from hapsim.loop.buffers import INBOX, fetch_in_python
+from hapsim.errors import DescriptionError, DeviceError
+from hapsim.loop.buffers import AT_ONCE, INBOX, fetch_in_python
+from hapsim.loop.endings import FAILED, HUNG_UP
 from hapsim.loop.transport import PythonTransport
+from hapsim.stopping import is_urgent
 
 _REMEMBERED = 128  # frames of the conversation, for a report
 
@@ -28,8 +36,8 @@ def _new_inbox() -> Any:
 
 
 @dataclass
-class Connection:
-    """An open connection. `name` is the port's for the user."""
+class Connection(Client):
+    """An open connection, which reads one format at a time. `name` is the port's for the user."""
 
     transport: PythonTransport
     name: str
@@ -47,7 +55,9 @@ class Connection:
     """MOCK, where the device is the one in this process."""
     inbox: Any = field(default_factory=_new_inbox)
     """INBOX"""
+    _format: Format = SETUP
     _written: deque[bytes] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    _buffer: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(AT_ONCE, np.uint8))
 
     @property
     def decoder(self) -> Any:
@@ -56,29 +66,184 @@ class Connection:
 
     def use_format(self, wire: Format) -> None:
         """Expects frames of this format from the next byte on."""
+        self._format = wire
         use_format(self.decoder, wire)
 
-    def write(self, frame: bytes) -> bool:
-        """Sends a frame, outside of the loop. Returns False where the port does not take it."""
+    def send(self, frame: bytes) -> None:
+        """Sends a frame, outside of the loop. Raises DeviceError where the port does not take it."""
         self._written.append(frame)
-        return self.transport.send(frame) == 0
+        if self.transport.send(frame) != 0:
+            raise DeviceError(f"{self.name}: the port does not take what is written to it: is the device still there?")
 
     def take_written(self) -> bytes:
-        """Returns what `write` sent since the last call, at most 128 frames."""
+        """Returns what `send` sent since the last call, at most 128 frames."""
         written = b"".join(self._written)
         self._written.clear()
         return written
 
-    def next_frame(self, timeout_s: float) -> tuple[bool, int]:
-        """Waits for a frame, outside of the loop. Returns (True, 0) with one in the decoder, else (False, 0 or HUNG_UP
-        or FAILED of hapsim.loop.endings)."""
-        inbox = self.inbox
-        give_up = time.monotonic() + timeout_s
+    def receive(self, timeout_s: float) -> list[Received]:
+        """Returns the next frame of the expected format, and decodes nothing behind it: that may be the loop's."""
+        inbox, decoder = self.inbox, self.decoder
+        give_up = self.clock.monotonic() + timeout_s
         while True:
-            inbox.start, found = next_frame(inbox.decoder, inbox.bytes, int(inbox.start), int(inbox.stop))
+            inbox.start, found = next_frame(decoder, inbox.bytes, int(inbox.start), int(inbox.stop))
+            now = self.clock.monotonic()
             if found:
-                return True, 0
-            left = max(give_up - time.monotonic(), 0.0)
-            count = fetch_in_python(inbox, self.transport, round(left * 1e9))
-            if count <= 0:
-                return False, count
+                counts = tuple(decoder.counts[: decoder.framing.words].tolist())
+                return [Received(int(decoder.type), int(decoder.number), counts, self._format, now)]
+            if self._some(fetch_in_python(inbox, self.transport, round(max(give_up - now, 0.0) * 1e9))) == 0:
+                return []
+
+    def receive_bytes(self, timeout_s: float) -> bytes:
+        """Returns what comes next, raw, past the inbox; b"" after this time. Raises DeviceError if the port is gone."""
+        count = self._some(self.transport.receive(self._buffer, round(timeout_s * 1e9)))
+        return self._buffer[:count].tobytes()
+
+    def _some(self, count: int) -> int:
+        """Returns the count of received bytes; raises DeviceError for a code of hapsim.loop.endings."""
+        if count == HUNG_UP:
+            raise DeviceError(f"{self.name}: the device is gone (the port hung up)")
+        if count == FAILED:
+            raise DeviceError(f"{self.name}: the port cannot be read any more: the system refuses it")
+        return count
+
+
+def describe(connection: Connection) -> Description:
+    """Returns the device's description of itself. DeviceError where nothing answers, or not in version 1."""
+    registers = np.zeros(schema.REGISTERS, np.int64)
+    # A device that stays quiet may still be armed, by a host that died.
+    registers[schema.REG_VERSION] = read_register(
+        connection, schema.REG_VERSION, client.FIRST_TRIES, disarm_in_every_format()
+    )
+    for number in (schema.REG_SCHEMA, schema.REG_CHANNELS):
+        registers[number] = read_register(connection, number)
+    _require_same_language(connection, registers)
+    round_trips = []
+    for number in registers_of_a_description(int(registers[schema.REG_CHANNELS])):
+        asked = connection.clock.monotonic()
+        registers[number] = read_register(connection, number)
+        round_trips.append(connection.clock.monotonic() - asked)
+    connection.round_trip_s = min(round_trips)
+    return from_registers(registers)
+
+
+def read_register(connection: Connection, number: int, tries: int = client.TRIES, after_quiet: bytes = b"") -> int:
+    """Returns a register of a device that is not armed, as an unsigned 32-bit value. Raises DeviceError where nothing
+    answers; `tries`, `after_quiet`: of `Client.ask`."""
+    word = connection.register(number, tries, after_quiet)
+    if word is not None:
+        return word
+    waited = f"within {tries * client.ANSWER_S:.2g} s{_refused(connection)}"
+    if number == schema.REG_VERSION:
+        at_baud = f" at {connection.baud} baud" if connection.baud else ""
+        raise DeviceError(
+            f"{connection.name}: no answer {waited}. Is this the device's port, is the device "
+            f"powered, does its firmware speak hapsim's protocol{at_baud}, and is no other program using it?"
+        )
+    raise DeviceError(
+        f"{connection.name}: the device reported its version (register {schema.REG_VERSION}), but not register "
+        f"{number} {waited}: its firmware has to answer every DESCRIBE (PROTOCOL.md, section 5)"
+    )
+
+
+def _require_same_language(connection: Connection, registers: Any) -> None:
+    version, schema_hash, channels = (
+        int(registers[i]) for i in (schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS)
+    )
+    error = ""
+    if version != schema.VERSION:
+        side = "a newer hapsim" if version > schema.VERSION else "a newer firmware"
+        error = (
+            f"the device speaks version {version} of the protocol, this hapsim speaks version {schema.VERSION}: "
+            f"it takes {side}"
+        )
+    elif schema_hash != schema.SCHEMA_HASH:
+        error = (
+            f"the device's schema is {schema_hash:08x}, this hapsim's is {schema.SCHEMA_HASH:08x}: "
+            "build the firmware from the protocol description of this hapsim"
+        )
+    elif not 1 <= channels <= schema.MAX_CHANNELS:
+        error = f"the device says it has {channels} channels, where 1 to {schema.MAX_CHANNELS} can be"
+    if error:
+        raise DescriptionError(f"{connection.name}: {error}")
+
+
+def arm(
+    connection: Connection, description: Description, pacing: int, watchdog_samples: int, velocity: bool = False
+) -> Format:
+    """Arms the device. Returns the format in which it then sends positions, with `velocity` also velocities.
+
+    DeviceError where it refuses, or answers everything but this. The counts of rejected frames begin anew.
+    """
+    answer, received = connection.arm(description, pacing, watchdog_samples, velocity=velocity, fits=_answers_arming)
+    if answer is None:
+        raise DeviceError(f"{connection.name}: {_never_armed(received)}{_refused(connection)}")
+    if answer.state != schema.ARMED:
+        raise DeviceError(f"{connection.name}: the device does not arm: {fault_text(answer.fault)}")
+    connection.use_format(connection.armed)
+    for counter in ("crc_errors", "length_errors", "form_errors", "garbage_bytes"):
+        connection.decoder[counter] = 0
+    return connection.armed
+
+
+def _answers_arming(status: Received) -> bool:
+    """Whether a STATUS says armed or why not; else it is a late answer to something before, perhaps an old fault."""
+    old = (schema.NO_FAULT, schema.HOST_QUIET, schema.POSITION_OUT_OF_RANGE)
+    return status.number == 0 and (status.state == schema.ARMED or status.fault not in old)
+
+
+def _never_armed(received: list[Received]) -> str:
+    said = "it did not answer ARM"
+    if received and received[-1].kind == schema.STATUS:
+        said = f"it answered ARM with state {received[-1].state} and fault {received[-1].fault}"
+    return (
+        f"the device described itself, but {said} within {client.TRIES * client.ANSWER_S:.2g} s: its firmware has to "
+        "answer with a STATUS that says armed (state 1) or why not (PROTOCOL.md, sections 4 and 7)"
+    )
+
+
+def _refused(connection: Connection) -> str:
+    """The rejected frames, in words that follow a sentence; "" where there were none."""
+    decoder = connection.decoder
+    frames = int(decoder.crc_errors + decoder.length_errors + decoder.form_errors)
+    rejected = f"{frames} frames were rejected, and {int(decoder.garbage_bytes)} bytes belonged to none"
+    return f" ({rejected}: another baud rate, or a disturbed cable?)" if frames or decoder.garbage_bytes else ""
+
+
+def disarm(connection: Connection, wire: Format) -> bool:
+    """Makes the device release: zero force, at once. Returns whether a STATUS idle or latched confirmed it.
+
+    A dead port is no error here. It listens first: the loop has already sent DISARM. A device that has released (a
+    fault, its watchdog) listens to the set-up format, else to its own. After a second stop signal nothing is awaited.
+    """
+    connection.use_format(SETUP)
+    connection.armed = wire
+    released = (schema.IDLE, schema.LATCHED)
+
+    def patience_s() -> float:
+        return 0.0 if is_urgent() else client.RELEASE_S
+
+    try:
+        status, _ = connection.wait_for(lambda one: one.kind == schema.STATUS and one.state in released, patience_s())
+        return (status or connection.release(4, released, patience_s)) is not None
+    except DeviceError:
+        return False
+
+
+def frames_rejected_by(connection: Connection) -> int | None:
+    """Returns the number of the host's frames that an unarmed device rejected since it was armed; None without an
+    answer."""
+    try:
+        return connection.register(schema.REG_REJECTED, tries=2)
+    except DeviceError:
+        return None
+
+
+def has_restarted(connection: Connection) -> bool:
+    """Returns whether an unarmed device that took forces before has powered up since: then it counts none."""
+    return read_register(connection, schema.REG_ACCEPTED) == 0
+
+
+def fault_text(fault: int) -> str:
+    """Returns a device's fault in words."""
+    return schema.FAULTS.get(fault, f"fault {fault}, which version {schema.VERSION} of the protocol does not name")

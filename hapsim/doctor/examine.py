@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hapsim.device.conversation import describe
+from hapsim.device.connection import describe
 from hapsim.device.open_connection import TransportKind, open_connection
 from hapsim.doctor.advice import (
     Advice,

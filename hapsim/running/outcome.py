@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.device.conversation import fault_text
+from hapsim.device.connection import fault_text
 from hapsim.errors import DeviceError, GuardError, RecordError, RunError
 from hapsim.loop import endings
 from hapsim.loop.exchange import HOST_CLOCK

@@ -11,8 +11,7 @@ from firmware_protocol import schema
 from firmware_protocol.description import from_registers
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted
-from hapsim.device.connection import Connection
-from hapsim.device.conversation import arm
+from hapsim.device.connection import Connection, arm
 from hapsim.errors import UsageError
 from hapsim.loop import endings
 from hapsim.loop.run import run_loop

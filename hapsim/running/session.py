@@ -24,8 +24,7 @@ from typing import Any, Concatenate, ParamSpec, Self
 
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
-from hapsim.device.connection import Connection
-from hapsim.device.conversation import arm, describe, disarm, frames_rejected_by, has_restarted
+from hapsim.device.connection import Connection, arm, describe, disarm, frames_rejected_by, has_restarted
 from hapsim.device.open_connection import open_connection, place_of_device, require_possible_here
 from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop import endings

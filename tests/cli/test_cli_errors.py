@@ -10,14 +10,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from firmware_protocol.frames import armed_format
 from hapsim import errors
-from hapsim.device import conversation
+from hapsim.device.connection import Connection, disarm
 from hapsim.stopping import STOPS, stopping_on_signals
 
 Hapsim = Callable[..., Any]
@@ -347,18 +346,19 @@ def test_after_a_second_signal_the_force_is_released_without_waiting_for_the_ans
 ) -> None:
     sent: list[bytes] = []
     waited: list[float] = []
-    monkeypatch.setattr(conversation, "_send", lambda _, frame: sent.append(frame))
-    monkeypatch.setattr(conversation, "_answer", lambda *asked: waited.append(asked[3]))
-    connection: Any = SimpleNamespace(use_format=lambda _: None)
+    monkeypatch.setattr(Connection, "send", lambda _, frame: sent.append(frame))
+    monkeypatch.setattr(Connection, "wait_for", lambda *asked: (waited.append(asked[2]), []))
+    transport: Any = None
+    connection = Connection(transport, "nowhere", close=lambda: None)
     stops: list[int] = []
     with stopping_on_signals(lambda: stops.append(1)):
         signal.raise_signal(signal.SIGINT)
-        conversation.disarm(connection, armed_format(1, False))
+        disarm(connection, armed_format(1, False))
         assert min(waited) > 0.0
         waited.clear()
         sent.clear()
         signal.raise_signal(signal.SIGTERM)
-        assert not conversation.disarm(connection, armed_format(1, False))
+        assert not disarm(connection, armed_format(1, False))
     assert (len(stops), set(waited)) == (2, {0.0})
     assert len(set(sent)) == 2
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from firmware_protocol import schema
+from firmware_protocol.capture import KEPT, Capture, Decoded, Refused
 from firmware_protocol.frames import armed_format, frame_to_device, frame_to_host
 from firmware_protocol.vectors import FORMATS, NAMES, TO_DEVICE
-from hapsim.bringup.capture import KEPT, Capture, Decoded, Refused
 
 VECTORS: dict[str, Any] = json.loads(
     (Path(__file__).resolve().parents[2] / "firmware_protocol" / "vectors.json").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ import pytest
 
 import firmware_protocol
 import hapsim
-from hapsim.device.conversation import describe
+from hapsim.device.connection import describe
 from hapsim.device.serial_port import open_serial_port
 from hapsim.errors import DeviceError
 from hapsim.running import Excitation

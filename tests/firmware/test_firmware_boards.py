@@ -18,8 +18,9 @@ from typing import Any
 import pytest
 
 from firmware_protocol import schema
-from hapsim.bringup.probe.wire import Heard, Wire
-from hapsim.device.conversation import arm, describe, disarm, read_register
+from firmware_protocol.client import Received
+from hapsim.bringup.probe.wire import Wire
+from hapsim.device.connection import arm, describe, disarm, read_register
 from hapsim.device.serial_port import open_serial_port
 from hapsim.errors import DeviceError
 
@@ -64,7 +65,7 @@ def connected(board: Any) -> Iterator[Any]:
         yield connection
 
 
-def is_description(heard: Heard) -> bool:
+def is_description(heard: Received) -> bool:
     return heard.kind == schema.DESCRIPTION
 
 

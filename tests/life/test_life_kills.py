@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from firmware_protocol import schema
-from hapsim.device.conversation import arm, describe, disarm, read_register
+from hapsim.device.connection import arm, describe, disarm, read_register
 from hapsim.device.serial_port import open_serial_port
 from hapsim.errors import DeviceError
 from hapsim.recording.report_file import read_report

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from loop_rig import frame, scene_of, scripted
 
-from firmware_protocol import schema
+from firmware_protocol import client, schema
 from firmware_protocol.frames import SETUP, frame_to_host
-from hapsim.device import conversation
+from hapsim.device.connection import describe, read_register
 from hapsim.device.serial_port import open_serial_port
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.running import run
@@ -24,8 +24,8 @@ REFUSALS = [schema.WRONG_SCHEMA, schema.WRONG_PACING, schema.WRONG_SENSING, sche
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conversation, "_ANSWER_S", 0.02)
-    monkeypatch.setattr(conversation, "_TRIES", 2)
+    monkeypatch.setattr(client, "ANSWER_S", 0.02)
+    monkeypatch.setattr(client, "FIRST_TRIES", 2)
 
 
 def refusal(kind: type[Exception], scene: Scene | None = None, **differences: Any) -> str:
@@ -43,8 +43,8 @@ def test_a_description_arrives_as_the_device_says_it() -> None:
     with scripted(name="a device", force_limit=(3.5,)) as (scene, device):
         connection = open_serial_port(scene.device.port, scene.device.baud)
         try:
-            assert conversation.describe(connection) == device.description
-            assert conversation.read_register(connection, schema.REG_SCHEMA) == schema.SCHEMA_HASH
+            assert describe(connection) == device.description
+            assert read_register(connection, schema.REG_SCHEMA) == schema.SCHEMA_HASH
         finally:
             connection.close()
 

@@ -11,9 +11,8 @@ import pytest
 import yaml
 from loop_rig import arrive, assembled, frame, scene_of, scripted
 
-from firmware_protocol import schema
+from firmware_protocol import client, schema
 from firmware_protocol.frames import armed_format, frame_to_host
-from hapsim.device import conversation
 from hapsim.errors import DeviceError, GuardError
 from hapsim.loop import endings
 from hapsim.loop.endings import DEVICE_STOPPED
@@ -33,8 +32,8 @@ def status(state: int, fault: int) -> bytes:
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conversation, "_ANSWER_S", 0.02)
-    monkeypatch.setattr(conversation, "_FAREWELL_S", 0.02)
+    monkeypatch.setattr(client, "ANSWER_S", 0.02)
+    monkeypatch.setattr(client, "RELEASE_S", 0.02)
 
 
 # What is known of the force.

@@ -15,9 +15,9 @@ import pytest
 from loop_rig import frame, scene_of, scripted, served
 
 from firmware_protocol import schema
+from firmware_protocol.capture import Capture, Decoded
 from firmware_protocol.compiled import new_record
 from firmware_protocol.decoder import Frame
-from hapsim.bringup.capture import Capture, Decoded
 from hapsim.errors import DeviceError, RunError
 from hapsim.loop.buffers import AT_ONCE, KEPT, LAST_BYTES, last_bytes, next_place
 from hapsim.recording import report_file

@@ -12,7 +12,7 @@ import yaml
 from loop_rig import frame, scene_of, scripted, served
 
 from firmware_protocol import schema
-from hapsim.device.conversation import arm, describe, disarm
+from hapsim.device.connection import arm, describe, disarm
 from hapsim.device.open_connection import open_connection
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.endings import DONE

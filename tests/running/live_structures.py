@@ -19,7 +19,7 @@ from firmware_protocol.description import Description
 from hapsim.cordis.offline import follow_parameters, start, take_over, tick
 from hapsim.cordis.program import Program, compile_scene, parameter_values
 from hapsim.cordis.succession import take_over_from
-from hapsim.device.conversation import arm, describe, disarm
+from hapsim.device.connection import arm, describe, disarm
 from hapsim.device.open_connection import open_connection
 from hapsim.loop import endings
 from hapsim.loop.run import run_loop

@@ -27,8 +27,7 @@ import numpy as np
 from numba import types
 
 from hapsim.compiling.native import address_of, native, record_at
-from hapsim.device.connection import Connection
-from hapsim.device.conversation import arm, describe
+from hapsim.device.connection import Connection, arm, describe
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import call_event, mock_at
 from hapsim.device.mock.motion import BODY

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.device.conversation import read_register
+from hapsim.device.connection import read_register
 from hapsim.device.serial_port import open_portable_port
 from hapsim.errors import DeviceError
 

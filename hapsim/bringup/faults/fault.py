@@ -11,9 +11,9 @@ from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 from pydantic import Field, model_validator
 
 from firmware_protocol import schema
+from firmware_protocol.capture import Decoded
 from firmware_protocol.decoder import Frame
 from firmware_protocol.frames import frame_to_device, frame_to_host
-from hapsim.bringup.capture import Decoded
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import count, quantity, unexpected
 

@@ -19,7 +19,7 @@ from typing import Annotated, Any, NamedTuple, Union
 from pydantic import Field, ValidationError, create_model
 
 from firmware_protocol import schema
-from hapsim.bringup.capture import POSITIONS, Capture, Decoded
+from firmware_protocol.capture import Capture, Decoded
 from hapsim.bringup.faults.fault import KINDS, Fault, Moment, Piece, tidy
 from hapsim.bringup.faults.witness import Witness
 from hapsim.errors import UsageError
@@ -239,7 +239,7 @@ class Injector:
         frame = piece.frame
         if piece.is_from_device(schema.STATUS):
             self._number = -1
-        elif frame is not None and frame.type in POSITIONS:
+        elif frame is not None and frame.type in schema.POSITIONS:
             gap = (frame.number - self._number) % schema.SAMPLE_MODULUS
             if gap < schema.SAMPLE_MODULUS // 2:  # else it is one of the past
                 self.samples += gap

@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
 from firmware_protocol import schema
+from firmware_protocol.capture import Registers
 from firmware_protocol.frames import SETUP, Format, frame_to_device
-from hapsim.bringup.capture import POSITIONS, Registers
 from hapsim.bringup.faults.fault import (
     Direction,
     Event,
@@ -354,7 +354,7 @@ class Rate(Lasting):
             self._seen, self._due = None, 0.0  # armed anew, or over: it counts from 0
         if piece.to_device and frame.type == schema.FORCE and self._seen is not None:
             return [piece.rewritten(number=self._true[frame.number])]
-        if not piece.is_from_device(*POSITIONS):
+        if not piece.is_from_device(*schema.POSITIONS):
             return [piece]
         is_open = self._window.is_open(now)
         if self._seen is None:
@@ -395,8 +395,8 @@ class Leap(Event):
         if frame is None or piece.to_device:
             return [piece]
         self._described.note(frame)
-        by = self._counts()
-        if frame.type not in POSITIONS or leaping >= len(frame.counts) or by is None or not self._window.is_open(now):
+        by = self._counts() if frame.type in schema.POSITIONS else None
+        if by is None or leaping >= len(frame.counts) or not self._window.is_open(now):
             return [piece]
         self._count += 1
         return [piece.rewritten(counts_of=lambda frame: [n + by * (c == leaping) for c, n in enumerate(frame.counts)])]
@@ -422,7 +422,7 @@ class _Stale(Lasting):
         if piece.is_from_device(schema.STATUS):
             self._held = None
         frame, found = piece.frame, piece.found
-        if frame is None or found is None or not piece.is_from_device(*POSITIONS):
+        if frame is None or found is None or not piece.is_from_device(*schema.POSITIONS):
             return [piece]
         words, own = list(frame.counts), slice(self.channel, None, found.wire.channels)
         if self.channel >= found.wire.channels:
@@ -475,7 +475,7 @@ class Invert(Event):
     )
 
     def hits(self, piece: Piece) -> bool:
-        inverted = (schema.FORCE,) if self.direction == "to_device" else POSITIONS
+        inverted = (schema.FORCE,) if self.direction == "to_device" else schema.POSITIONS
         return piece.goes(self.direction) and piece.frame is not None and piece.frame.type in inverted
 
     def change(self, piece: Piece) -> list[Piece]:

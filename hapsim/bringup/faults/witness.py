@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
+from firmware_protocol.capture import Registers
 from firmware_protocol.decoder import Frame
-from hapsim.bringup.capture import POSITIONS, Registers
 from hapsim.bringup.faults.fault import Piece
 
 _LOCKSTEP_S = 10.0  # PROTOCOL.md, section 7
@@ -94,7 +94,7 @@ class Witness:
             if not self._armed:
                 self._confirmed = True
                 self._end("device", time_s)
-        elif frame.type in POSITIONS:
+        elif frame.type in schema.POSITIONS:
             self._number = frame.number
 
     def see(self, piece: Piece, time_s: float, samples: int) -> None:

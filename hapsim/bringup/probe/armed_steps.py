@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP
 from hapsim.bringup.probe.checks import Probing
-from hapsim.bringup.probe.wire import Session, arm_frame, in_words
+from hapsim.bringup.probe.wire import Session, in_words
 
 _TOLERANCE = 0.01  # of the rate; the force of a damper is off by as much
 _WINDOWS = 24
@@ -122,7 +122,7 @@ def _judge_ignored(probing: Probing, session: Session) -> None:
     for armed in (True, False):
         wire.send(wire.frame(schema.DESCRIBE, schema.REG_SCHEMA, armed=armed))
     wire.send(wire.frame(schema.ARM, 1, schema.PACED_BY_DEVICE, [schema.SCHEMA_HASH], armed=True))
-    wire.send(arm_frame(wire, schema.PACED_BY_DEVICE, 1))
+    wire.send(wire.arm_frame(schema.PACED_BY_DEVICE, 1))
     went_on = session.run(20, session.zero)
     came = [in_words(one) for one in (*session.others[others:], session.ended) if one]
     pieces = len(wire.damaged) - damaged
@@ -134,7 +134,7 @@ def _judge_ignored(probing: Probing, session: Session) -> None:
 def _judge_disarm(probing: Probing, session: Session) -> None:
     wire = probing.wire
     answer = session.disarm()
-    after = wire.hear_for(max(0.05, probing.periods(5)))
+    after = wire.receive_for(max(0.05, probing.periods(5)))
     kept = answer is not None and answer.wire == SETUP and not after
     found = in_words(answer) + (f"; after it {in_words(after[0])}" if after else "")
     if not probing.judge("disarm_armed", kept, found):

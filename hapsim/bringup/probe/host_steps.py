@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_protocol import schema
+from firmware_protocol.client import Received
 from firmware_protocol.frames import SETUP
 from hapsim.bringup.probe.checks import Probing
-from hapsim.bringup.probe.wire import LONG_LIFE, Heard, Sample, Session, in_words
+from hapsim.bringup.probe.wire import LONG_LIFE, Sample, Session, in_words
 
 _WATCHDOG = 40  # samples
 _TOO_LATE = 3  # samples after it
@@ -35,7 +36,7 @@ def probe_watchdog(probing: Probing) -> None:
     _judge_rearming(probing, watchdog)
 
 
-def _has_latched(status: Heard) -> bool:
+def _has_latched(status: Received) -> bool:
     return (status.state, status.fault) == (schema.LATCHED, schema.HOST_QUIET)
 
 
@@ -57,7 +58,7 @@ def _judge_ignores(probing: Probing, n: int) -> None:
     """`n`: the last sample."""
     wire = probing.wire
     before = wire.received
-    wire.hear_for(max(0.05, probing.periods(5)))
+    wire.receive_for(max(0.05, probing.periods(5)))
     spoke = wire.received - before
     accepted = wire.register(schema.REG_ACCEPTED)
     for armed in (True, False):
@@ -197,7 +198,7 @@ def _write_unread(session: Session, seconds: float, rate_hz: float, pause_s: flo
 
 
 def _take_waiting(session: Session) -> None:
-    while new := session.wire.hear(0.0):
+    while new := session.wire.receive(0.0):
         session.take(new)
 
 
@@ -258,7 +259,7 @@ def probe_host_paced(probing: Probing) -> None:
         return
     session.run(0, None)
     quiet_s = min(max(0.02, probing.periods(5)), 0.5 * probing.periods(probing.longest_watchdog))
-    session.take(probing.wire.hear_for(quiet_s))
+    session.take(probing.wire.receive_for(quiet_s))
     numbers = [sample.n for sample in session.samples]
     found = f"positions {', '.join(map(str, numbers[:5]))} before the first FORCE" if numbers else "no position 0"
     if probing.judge("no_own_tick", numbers == [0], found):
@@ -301,7 +302,7 @@ def _judge_host_watchdog(probing: Probing) -> None:
         probing.judge("host_watchdog", False, "the device did not arm again", "ARM after DISARM")
         return
     while session.ended is None and wire.clock.monotonic() - begun < longest_s:
-        session.take(wire.hear(0.05))
+        session.take(wire.receive(0.05))
     found = f"watchdog {watchdog} ({1e3 * nominal_s:.3g} ms): "
     if session.ended is None:
         probing.judge("host_watchdog", False, f"{found}no STATUS within {longest_s:.3g} s")

@@ -219,7 +219,7 @@ def _step(pusher: Pusher, force: float, wait_s: float, time_to_live: int) -> boo
     session.next_positions()
     came = len(session.samples) == count + 1
     if came:
-        session.take(session.wire.hear_for(wait_s))
+        session.take(session.wire.receive_for(wait_s))
     return came
 
 

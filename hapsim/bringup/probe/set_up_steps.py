@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
+from firmware_protocol.client import ANSWER_S, FIRST_TRIES, Received, disarm_in_every_format
 from firmware_protocol.description import from_registers, registers_of_a_description
 from firmware_protocol.frames import SETUP, frame_to_device
-from hapsim.bringup.capture import POSITIONS
 from hapsim.bringup.probe.checks import Probing
-from hapsim.bringup.probe.wire import ANSWER_S, Heard, Wire, arm_frame, in_words
-from hapsim.device.conversation import disarm_in_every_format
+from hapsim.bringup.probe.wire import Wire, in_words
 
-_TRIES = 12  # together three seconds: a board that the opening of its port resets needs them
 _QUIET_S = 0.2
 _NOISE = bytes(1 + (7 * i) % 255 for i in range(300))
 _UNKNOWN_TYPES = (0x0, *range(0x5, 0x10))
@@ -47,15 +45,12 @@ def probe_conversation(probing: Probing) -> bool:
 def _answers(probing: Probing) -> bool:
     wire = probing.wire
     begun, frame = wire.clock.monotonic(), wire.frame(schema.DESCRIBE, schema.REG_VERSION)
-    for attempt in range(_TRIES):
-        if attempt == 2:
-            wire.send(disarm_in_every_format())  # a host that died may have left it armed
-        wire.send(frame)
-        answer, _ = wire.wait_for(lambda one: one.kind == schema.DESCRIPTION, ANSWER_S)
-        if answer is not None:
-            after = f"{in_words(answer)}, {1e3 * (answer.at_s - begun):.3g} ms after the port opened"
-            beside = f"; before it {len(wire.damaged)} pieces that are no frame" if wire.damaged else ""
-            return probing.judge("answers", True, after + beside)
+    release = disarm_in_every_format()  # a host that died may have left it armed
+    answer, _ = wire.ask(frame, schema.DESCRIPTION, tries=FIRST_TRIES, after_quiet=release)
+    if answer is not None:
+        after = f"{in_words(answer)}, {1e3 * (answer.at_s - begun):.3g} ms after the port opened"
+        beside = f"; before it {len(wire.damaged)} pieces that are no frame" if wire.damaged else ""
+        return probing.judge("answers", True, after + beside)
     found, look_at = "not one byte", ""
     if frame[:-1] in wire.damaged:
         found = "what is written comes back, and nothing else"
@@ -79,17 +74,17 @@ def _describes(probing: Probing, numbers: tuple[int, ...]) -> bool:
 def _is_silent(probing: Probing) -> None:
     wire = probing.wire
     before, pieces = wire.received, len(wire.damaged)
-    heard = wire.hear_for(_QUIET_S)
+    heard = wire.receive_for(_QUIET_S)
     count, noise = wire.received - before, b" ".join(wire.damaged[pieces:])
     sample = f", the first: {in_words(heard[0])}" if heard else f", such as {noise[:24]!r}" if noise else ""
     probing.judge("silence", count == 0, f"{count} bytes in {_QUIET_S:g} s{sample}")
 
 
-def _is_version(one: Heard) -> bool:
+def _is_version(one: Received) -> bool:
     return one.kind == schema.DESCRIPTION and one.number == schema.REG_VERSION
 
 
-def _only_the_second(wire: Wire, first: bytes) -> tuple[bool, Heard | None]:
+def _only_the_second(wire: Wire, first: bytes) -> tuple[bool, Received | None]:
     """Sends a frame that must not be answered and a question behind it. Returns (whether the question was answered, the
     first other answer, if any). Answers come in the order of the questions."""
     question = wire.frame(schema.DESCRIBE, schema.REG_VERSION)
@@ -254,18 +249,18 @@ def probe_refusals(probing: Probing) -> None:
     """Always goes on: what armed by mistake was released."""
     device, wire = probing.device, probing.wire
     good = schema.PACED_BY_DEVICE if device.paces(schema.PACED_BY_DEVICE) else schema.PACED_BY_HOST
-    other_schema = {"a schema hash with one bit flipped": arm_frame(wire, good, 1, word=schema.SCHEMA_HASH ^ 1)}
+    other_schema = {"a schema hash with one bit flipped": wire.arm_frame(good, 1, word=schema.SCHEMA_HASH ^ 1)}
     _refused(probing, "wrong_schema", other_schema, schema.WRONG_SCHEMA)
     pacings = [one for one in (*_PACINGS, 3, 0x7F) if one > schema.LOCKSTEP or not device.paces(one)]
-    frames = {f"pacing {one} ({_PACINGS.get(one, 'unknown')})": arm_frame(wire, one, 1) for one in pacings}
+    frames = {f"pacing {one} ({_PACINGS.get(one, 'unknown')})": wire.arm_frame(one, 1) for one in pacings}
     _refused(probing, "wrong_pacing", frames, schema.WRONG_PACING)
     watchdogs = (0, device.max_watchdog_samples + 1, 4095)
-    frames = {f"watchdog {one}": arm_frame(wire, good, one) for one in watchdogs}
+    frames = {f"watchdog {one}": wire.arm_frame(good, one) for one in watchdogs}
     _refused(probing, "wrong_watchdog", frames, schema.WRONG_WATCHDOG)
     if device.senses_velocity:
         probing.not_seen("wrong_sensing", "the device senses velocity on every channel: nothing to refuse")
     else:
-        frames = {"velocities asked for": arm_frame(wire, good, 1, velocity=True)}
+        frames = {"velocities asked for": wire.arm_frame(good, 1, velocity=True)}
         _refused(probing, "wrong_sensing", frames, schema.WRONG_SENSING)
     _disarms(probing)
 
@@ -281,14 +276,14 @@ def _refused(probing: Probing, name: str, frames: dict[str, bytes], fault: int) 
     return probing.judge(name, True, ", ".join(frames))
 
 
-def _stays(probing: Probing, what: str, fault: int, answer: Heard | None) -> bool:
+def _stays(probing: Probing, what: str, fault: int, answer: Received | None) -> bool:
     wire = probing.wire
     if answer is not None and answer.state == schema.ARMED:
         wire.release()
         look_at = "ARM is to be refused before anything is changed"
         return probing.judge("stays_idle", False, f"{what}: armed all the same", look_at)
     read, heard = wire.ask(wire.frame(schema.DESCRIBE, schema.REG_FAULT), schema.DESCRIPTION, schema.REG_FAULT)
-    position = next((one for one in heard if one.kind in POSITIONS), None)  # it armed, whatever it said
+    position = next((one for one in heard if one.kind in schema.POSITIONS), None)  # it armed, whatever it said
     if position is None and read is not None and read.word == fault:
         found = "answers DESCRIBE after each refusal, sends no position; register 7 has the fault"
         return probing.judge("stays_idle", True, found)

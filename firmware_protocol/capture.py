@@ -9,14 +9,11 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes
-from hapsim.units import Motion
-
-POSITIONS = (schema.POSITION, schema.POSITION_HELD)
 
 KEPT = 256
 """Bytes that are kept of a stretch without a delimiter: its last; more than any frame has."""
@@ -67,7 +64,7 @@ class Registers(dict[int, int]):
             self[frame.number] = frame.counts[0] & 0xFFFFFFFF
 
     @property
-    def motions(self) -> tuple[Motion, ...]:
+    def motions(self) -> tuple[Literal["linear", "rotary"], ...]:
         """Motion of each channel; linear where the device declared none."""
         bits = self.get(schema.REG_ROTARY, 0)
         return tuple("rotary" if bits >> c & 1 else "linear" for c in range(self.get(schema.REG_CHANNELS, 1) & 31))
