@@ -18,11 +18,11 @@ from hapsim.chart import style
 from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
+from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.number_format import short
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.correction.element import element_for
-from hapsim.progress import Progress
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.scene.choices import CorrectionName
 from hapsim.theory import Configuration

@@ -23,8 +23,8 @@ from hapsim.device.mock.terminal import serving
 from hapsim.device.ports import free_name
 from hapsim.device.serial_port import raw_port
 from hapsim.errors import DeviceError, RunError, UsageError
+from hapsim.loop.counts import Progress
 from hapsim.loop.system import require_linux
-from hapsim.progress import Progress
 from hapsim.scene.shipped import shipped_script, shipped_scripts
 from hapsim.stopping import stopping_on_signals
 

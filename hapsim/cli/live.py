@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hapsim.live.access import Address
     from hapsim.live.hub import Hub
     from hapsim.live.server import View
-    from hapsim.progress import Progress
+    from hapsim.loop.counts import Progress
     from hapsim.scene import Scene
 
 

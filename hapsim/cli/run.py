@@ -42,11 +42,11 @@ from hapsim.cli.output import (
 from hapsim.device.ports import is_new
 from hapsim.errors import UsageError
 from hapsim.loop.beside import Beside
+from hapsim.loop.counts import Progress
 from hapsim.measuring.trace_quality import kept_rate
 from hapsim.number_format import percent, plural
 from hapsim.prediction import Prediction, predict, warnings_about
 from hapsim.prediction.force_bounds import refused_slew
-from hapsim.progress import Progress
 from hapsim.running.reconnecting import RunObserver, keep_running, together
 from hapsim.running.requirements import why_not_armed
 from hapsim.running.service import Notifier

@@ -12,6 +12,7 @@ from rich.console import Console
 from hapsim.cli.options import Json, argument
 from hapsim.cli.output import fitted, stdout
 from hapsim.errors import UsageError
+from hapsim.loop.counts import words_at
 from hapsim.number_format import number
 from hapsim.running.status import answers, ask, sockets
 from hapsim.units import MOTIONS, Units
@@ -71,13 +72,7 @@ _LABELS = {
     "force_n": "force  N",
     "position_m": "position  m",
     "age_samples": "age of the force  samples",
-    "deadline_misses": "deadline misses",
-    "limited_ticks": "ticks at the force limit",
-    "frozen": "sensor",
-    "estimated_mass_kg": "estimated mass  kg",
-    "estimated_mass_uncertainty_kg": "its uncertainty  kg",
-    "mass_explained": "motion explained",
-    "mass_age_s": "mass last seen before  s",
+    **words_at("status"),
 }
 _WIDEST = 25
 

@@ -18,9 +18,9 @@ from hapsim.compiling.progress import on_compilation
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop.clocks import GRID, sleep_on_grid
+from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram, histogram_of
 from hapsim.number_format import frequency, share_in_percent
-from hapsim.progress import Progress
 from hapsim.scene import Clock, Scene
 
 if TYPE_CHECKING:

@@ -220,7 +220,7 @@ class Counters(_Answer):
 
     type: Literal["counters"] = "counters"
     progress: dict[str, Any]
-    """The fields of hapsim.progress.Progress."""
+    """The fields of hapsim.running.Progress."""
     exchange: Bins
     lateness: Bins
     age: Bins

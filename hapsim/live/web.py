@@ -32,6 +32,7 @@ from hapsim.live.messages import (
 )
 from hapsim.live.server import response, serve_at
 from hapsim.live.viewer import GOING_AWAY, TRY_LATER, Viewer
+from hapsim.loop.counts import words_at
 from hapsim.loop.histogram import Histogram
 from hapsim.running.parameters import Parameter
 from hapsim.running.session import Session
@@ -110,6 +111,8 @@ class WebView:
             return response(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong: open the URL that hapsim printed")
         if is_live and "Upgrade" in headers:
             return None
+        if path == "/counters.json":  # the page says of a counter what the live line does
+            return response(HTTPStatus.OK, text_of(dict(words_at("live"))), "application/json")
         file = self._files.get(path)
         if file is None:
             return response(HTTPStatus.NOT_FOUND, f"{path[:80]}: there is nothing here")

@@ -26,6 +26,7 @@ from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
 from hapsim.loop.buffers import IO_BUFFER, clip, next_place
+from hapsim.loop.counts import words_at
 from hapsim.loop.crossfade import SCENE_SLOT, move_scene
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
 from hapsim.loop.guards.energy_guard import ENERGY_GUARD, call_judge_energy
@@ -77,15 +78,8 @@ STATE = np.dtype(
     [
         ("sample", np.int64),  # number of the newest position, counted from arming
         ("gap", np.int64),  # samples from the one before to it
-        ("ticks", np.int64),
-        ("deadline_misses", np.int64),
-        ("lost_frames", np.int64),
-        ("stale_positions", np.int64),
-        ("old_positions", np.int64),  # of these, those that came again or after a newer one
-        ("limited_ticks", np.int64),
-        ("slewed_ticks", np.int64),
-        ("faded_ticks", np.int64),
-        ("withheld_forces", np.int64),
+        *((name, np.int64) for name, place in words_at("at").items() if place == "state"),  # `counts.py` says which
+        ("old_positions", np.int64),  # of the stale ones, those that came again or after a newer one
         # Samples from the position that the acting force answers to the force's change, at most: the device reports of
         # a late force only that it was late. No force acts beyond its time to live and one more; two more say that.
         ("age", np.int64),

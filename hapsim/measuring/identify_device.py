@@ -13,6 +13,7 @@ import numpy as np
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
+from hapsim.loop.counts import Progress
 from hapsim.loop.endings import IN_WORDS, OUT_OF_TRAVEL, STOPPED
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_diagnosis import (
@@ -37,7 +38,6 @@ from hapsim.measuring.limits import (
 )
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, silence, silence_words
 from hapsim.one_thread import one_thread
-from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running.options import PeriodicExcitation
 from hapsim.running.run import run_to_end as run

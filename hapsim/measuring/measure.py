@@ -9,12 +9,12 @@ from functools import partial
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, GuardError, UsageError
+from hapsim.loop.counts import Progress
 from hapsim.measuring.limits import SHARE_OF_LIMIT, in_units_of_scene, require_above_zero, require_device_point
 from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
 from hapsim.measuring.place import Place, place_of
 from hapsim.measuring.trace_quality import silence
 from hapsim.number_format import number
-from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
 from hapsim.running.run import run_to_end

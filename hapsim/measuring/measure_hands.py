@@ -20,13 +20,13 @@ import numpy as np
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import UsageError
+from hapsim.loop.counts import Progress
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
 from hapsim.measuring.limits import in_units_of_scene, require_above_zero, require_device_point
 from hapsim.measuring.measure import pushes
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
-from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
 from hapsim.scene import Scene

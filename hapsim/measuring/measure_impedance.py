@@ -12,6 +12,7 @@ import numpy as np
 
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import HapsimError, UsageError
+from hapsim.loop.counts import Progress
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.measuring.converters import Converters, Floats
 from hapsim.measuring.impedance import (
@@ -27,7 +28,6 @@ from hapsim.measuring.impedance import (
 )
 from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, in_units_of_scene, require_above_zero
 from hapsim.measuring.trace_quality import SeenRate, seen_rate, silence
-from hapsim.progress import Progress
 from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation
 from hapsim.running.run import run_to_end

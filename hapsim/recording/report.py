@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
+from hapsim.loop.counts import Counts
 from hapsim.loop.histogram import Histogram, Spread
-from hapsim.progress import Counts
 from hapsim.units import Motion
 
 NO_RECORD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)

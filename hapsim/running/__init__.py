@@ -3,7 +3,7 @@
 Public is what `__all__` names.
 """
 
-from hapsim.progress import Progress
+from hapsim.loop.counts import Progress
 from hapsim.recording.recorder import Samples, Stream
 from hapsim.recording.trace import Report, Statistics, Trace
 from hapsim.running.options import Excitation, PeriodicExcitation

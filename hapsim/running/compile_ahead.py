@@ -27,8 +27,8 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling.kept import compile_for, directory_of_kept_code, is_kept, why_not_kept
 from hapsim.compiling.native import PlainNative
 from hapsim.compiling.progress import Counted, on_compilation
+from hapsim.loop.counts import Progress
 from hapsim.loop.system import missing_calls
-from hapsim.progress import Progress
 
 if TYPE_CHECKING:
     from hapsim.device.open_connection import Place

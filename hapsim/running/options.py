@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.progress import Progress
+from hapsim.loop.counts import Progress
 
 if TYPE_CHECKING:  # measuring has an Excitation without a device or a loop
     from hapsim.device.open_connection import Between, TransportKind

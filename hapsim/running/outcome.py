@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from firmware_protocol import schema
 from hapsim.device.connection import fault_text
 from hapsim.errors import DeviceError, GuardError, RecordError, RunError
 from hapsim.loop import endings
+from hapsim.loop.counts import Progress, words_at
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.guards.energy_guard import GIVEN, LATE, SHAKING, SWINGING
 from hapsim.loop.guards.slew import NO_LIMIT
@@ -18,7 +20,6 @@ from hapsim.loop.histogram import histogram_of
 from hapsim.number_format import duration, plural, rounded_down, rounded_up
 from hapsim.prediction import unlikely
 from hapsim.prediction.timing import host_silence
-from hapsim.progress import Progress
 from hapsim.recording.background_file import BackgroundFile
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.trace import Report, Statistics, Trace, columns_of
@@ -73,18 +74,17 @@ def progress_of(loop: LoopMemory) -> Progress:
 def counters_of(loop: LoopMemory) -> dict[str, Any]:
     """Returns what a loop counted and estimated, by the names of `Counts`, without what is said of a position that
     stands still."""
-    state, decoder, record = loop.state, loop.inbox.decoder, loop.record
-    of_state = ("ticks", "deadline_misses", "lost_frames", "stale_positions", "limited_ticks", "slewed_ticks")
-    counts = {name: int(getattr(state, name)) for name in (*of_state, "faded_ticks", "withheld_forces")}
+    decoder, record, wire = loop.inbox.decoder, loop.record, loop.wire
+    counts = {
+        name: int(attrgetter(f"state.{name}" if at == "state" else at)(record)) for name, at in words_at("at").items()
+    }
+    pending = int(decoder.seen)  # bytes since the last delimiter: garbage where there are more than a frame has
+    is_frame = pending <= schema.frame_bytes(wire.channels, to_device=False, velocity=wire.velocity)
     counts |= {
         "parameter_changes": loop.changes,
         "crc_errors": int(decoder.crc_errors + decoder.length_errors + decoder.form_errors),
-        "garbage_bytes": int(decoder.garbage_bytes) + _unfinished_bytes(loop),
+        "garbage_bytes": int(decoder.garbage_bytes) + (0 if is_frame else pending),
         "slowed_ticks": -(-int(record.tank.slowed_ticks) // int(record.slot.substeps)),
-        "sensor_tests": int(record.frozen_sensor.tests),
-        "frozen_ticks": int(record.frozen_sensor.frozen_ticks),
-        "sign_tests": int(record.sign.tests),
-        "dropped_rows": int(record.ring.dropped),
     }
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
     sound = {} if loop.sound_output is None else loop.sound_output.counts()
@@ -119,12 +119,6 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
 def _says_released(loop: LoopMemory) -> bool:
     """Whether the device's last STATUS says that its force is zero: a device releases it before it says so."""
     return int(loop.state.device_state) in (schema.IDLE, schema.LATCHED)
-
-
-def _unfinished_bytes(loop: LoopMemory) -> int:
-    """Bytes since the last delimiter, where there are more than a frame has."""
-    pending, wire = int(loop.inbox.decoder.seen), loop.wire
-    return pending if pending > schema.frame_bytes(wire.channels, to_device=False, velocity=wire.velocity) else 0
 
 
 # In words

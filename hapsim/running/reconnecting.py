@@ -19,8 +19,8 @@ import numpy as np
 from hapsim.device.open_connection import place_of_device
 from hapsim.errors import DescriptionError, DeviceError, HapsimError, RunError, UsageError
 from hapsim.loop import endings
+from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram
-from hapsim.progress import Progress
 from hapsim.recording.trace import Report, Statistics
 from hapsim.running.session import Session, follow, start
 from hapsim.scene import Scene

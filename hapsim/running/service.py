@@ -21,7 +21,7 @@ from string import Template
 from typing import NamedTuple
 
 from hapsim.errors import HapsimError, UsageError
-from hapsim.progress import Progress
+from hapsim.loop.counts import Progress
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session
 

@@ -29,12 +29,12 @@ from hapsim.device.open_connection import open_connection, place_of_device, requ
 from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop import endings
 from hapsim.loop.buffers import last_bytes
+from hapsim.loop.counts import Progress
 from hapsim.loop.portable import PortableLoop
 from hapsim.loop.realtime import PrivilegeResult, no_timer_slack, realtime
 from hapsim.loop.run import run_loop
 from hapsim.loop.system import missing_calls
 from hapsim.prediction.linear import with_device
-from hapsim.progress import Progress
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
 from hapsim.recording.trace import Trace, columns_of

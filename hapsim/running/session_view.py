@@ -19,7 +19,7 @@ from firmware_protocol.description import Description
 from hapsim.cordis.program import Program, positions_of
 from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
-from hapsim.progress import Progress
+from hapsim.loop.counts import Progress
 from hapsim.recording.recorder import Recorder, RecordFile, Samples, Scales, Stream
 from hapsim.recording.stream import Head
 from hapsim.recording.trace import Report, Statistics, require_writable_as_trace

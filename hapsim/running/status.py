@@ -22,7 +22,7 @@ from typing import Any, Literal
 
 from hapsim.errors import UsageError
 from hapsim.loop.beside import Beside
-from hapsim.progress import Progress
+from hapsim.loop.counts import Progress
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session
 from hapsim.units import Motion
@@ -207,13 +207,7 @@ class RunState:
             "force_n": progress.force if runs else None,
             "position_m": progress.position if runs else None,
             "age_samples": progress.age_samples if runs else None,
-            "deadline_misses": progress.deadline_misses,
-            "limited_ticks": progress.limited_ticks,
-            "frozen": progress.frozen,
-            "estimated_mass_kg": progress.estimated_mass_kg,
-            "estimated_mass_uncertainty_kg": progress.estimated_mass_uncertainty_kg,
-            "mass_explained": progress.mass_explained,
-            "mass_age_s": progress.mass_age_s,
+            **progress.status(),
         }
 
     def _started(self, session: Session) -> None:

@@ -26,7 +26,7 @@ from hapsim.cli.command_line import ChartCommands, Commands
 from hapsim.cli.output import table
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import DeviceError
-from hapsim.progress import Progress
+from hapsim.loop.counts import Progress
 from hapsim.scene import load_scene
 
 Hapsim = Callable[..., Any]

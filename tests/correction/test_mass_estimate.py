@@ -16,8 +16,8 @@ from rich.console import Console
 from hapsim import run
 from hapsim.cli.live import live_line
 from hapsim.cli.run import show_report
+from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
-from hapsim.progress import Progress
 from hapsim.recording.report import Report
 from hapsim.running import PeriodicExcitation
 from hapsim.scene import Device, DevicePoint, Ground, Mock, Scene, Span, ViscoElastic

@@ -14,9 +14,9 @@ from hapsim.doctor import examine as examination_module
 from hapsim.doctor.advice import SystemFiles
 from hapsim.doctor.examine import Examination, Step, examine
 from hapsim.errors import DeviceError, UsageError
+from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.realtime import PrivilegeResult
-from hapsim.progress import Progress
 from hapsim.scene import Scene, load_scene, parse_scene
 
 GRANT = PrivilegeResult("SCHED_FIFO", True, "priority 80")

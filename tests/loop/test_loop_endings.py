@@ -20,9 +20,9 @@ from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.compiling import entry
 from hapsim.errors import DeviceError
+from hapsim.loop.counts import Progress
 from hapsim.loop.endings import DONE, RING_FULL, RUNNING, STOPPED, ending_before_exchange
 from hapsim.loop.ring import UNSENT
-from hapsim.progress import Progress
 from hapsim.recording.trace import load_trace
 from hapsim.running import run
 from hapsim.running import session as session_module

@@ -19,8 +19,8 @@ from hapsim.cli.live import live_line
 from hapsim.cordis.offline import follow_parameters, start
 from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
 from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
+from hapsim.loop.counts import Progress
 from hapsim.loop.guards.energy_guard import SWINGS
-from hapsim.progress import Progress
 from hapsim.running.session import Session
 from hapsim.scene import Scene, parse_scene
 

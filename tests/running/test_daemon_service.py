@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from hapsim.errors import UsageError
-from hapsim.progress import Progress
+from hapsim.loop.counts import Progress
 from hapsim.running.service import Notifier, closed_to_service, unit_for
 
 SCENE = """

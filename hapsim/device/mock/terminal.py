@@ -27,10 +27,10 @@ from hapsim.device.mock.wire import transmitter_transport, uart_transport
 from hapsim.device.ports import free_name, linked
 from hapsim.errors import DeviceError
 from hapsim.loop.clocks import next_point
+from hapsim.loop.counts import Progress
 from hapsim.loop.realtime import no_timer_slack, scheduled_fifo
 from hapsim.loop.system import SCRATCH, now_ns, require_linux, sleep_until
 from hapsim.loop.transport import TRANSPORT, receive, send
-from hapsim.progress import Progress
 from hapsim.stopping import STOPS
 
 _IDLE_WAIT_NS = 20_000_000

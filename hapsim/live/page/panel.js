@@ -33,6 +33,8 @@ let isRecording = false;
 let watched = ""; // the module on the scope
 /** @type {any} */
 let counters = null;
+/** @type {Record<string, string>} */
+let words = {}; // by counter: what follows its count
 
 connection.addEventListener("open", begin);
 connection.addEventListener("closed", () => status("not connected: the run has ended, or hapsim cannot be reached", true));
@@ -42,6 +44,7 @@ connection.addEventListener("counters", (event) => count(/** @type {CustomEvent}
 connection.addEventListener("event", (event) => hear(/** @type {CustomEvent} */ (event).detail));
 
 async function begin() {
+  words = await (await fetch("counters.json")).json();
   await describe();
   samples.clear();
   await subscribe(60);
@@ -124,6 +127,9 @@ function count(message) {
   drawHistogram(part("exchange"), "Exchange of position and force", message.exchange);
   drawHistogram(part("lateness"), "Lateness", message.lateness);
 }
+
+/** What was counted beside late samples. @param {Record<string, number>} counts */
+const noted = (counts) => Object.entries(words).map(([name, text]) => (counts[name] ? `, ${counts[name]} ${text}` : "")).join("");
 
 function showScope() {
   part("freeze").setAttribute("aria-pressed", String(scope.isFrozen));
@@ -334,7 +340,7 @@ function frame() {
     if (model.has_mock) drawHandle();
     if (counters && connection.socket?.readyState === WebSocket.OPEN) {
       const { phase, elapsed_s, rate_hz, deadline_misses, ticks: all } = counters;
-      status(`${phase} ${elapsed_s.toFixed(0)} s at ${rate_hz.toFixed(1)} Hz, ${deadline_misses} of ${all} samples late`);
+      status(`${phase} ${elapsed_s.toFixed(0)} s at ${rate_hz.toFixed(1)} Hz, ${deadline_misses} of ${all} samples late${noted(counters)}`);
     }
   }
   requestAnimationFrame(frame);
