@@ -273,7 +273,7 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], str, str]]
         return
 
     def unit(of_lines: str) -> str:
-        return hub.scene.units(f"0 {of_lines}").removeprefix("0 ")
+        return hub.scene.units.si.name(of_lines)
 
     yield f"{ROOT}position", [*map(float, state.position)], unit("m"), "Position of each channel"
     yield f"{ROOT}velocity", [*map(float, state.velocity)], unit("m/s"), "Velocity of each channel"

@@ -23,6 +23,7 @@ from hapsim.measuring.device_excitation import Bounds
 from hapsim.measuring.device_fit import DeviceFit
 from hapsim.measuring.device_motion import Motion
 from hapsim.measuring.trace_quality import ROUNDING
+from hapsim.units import Units
 
 BINS = 12
 LOUD = 2.0  # times the noise at rest and the rounding
@@ -149,7 +150,7 @@ def _rms(values: Floats) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float) -> str:
+def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float, units: Units) -> str:
     """In a sentence, where the model does not fit; "" where only noise and rounding remain. `noise_counts`: of a
     position of the device at rest, rms."""
     expected = math.hypot(noise_counts, ROUNDING)
@@ -157,12 +158,13 @@ def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float) -> st
         return ""
     return (
         f"the model does not fit: it leaves {fit.residual_counts:.3g} counts rms of the positions, where rounding and "
-        f"noise explain {expected:.2g}. The force that it lacks, {_rms(lacking.force):.2g} N rms beside pushes of "
-        f"{lacking.typical_force:.2g} N rms, {_where(lacking)}."
+        f"noise explain {expected:.2g}. The force that it lacks, {units(_rms(lacking.force), 'N', '.2g')} rms beside "
+        "pushes of "
+        f"{units(lacking.typical_force, 'N', '.2g')} rms, {_where(lacking, units)}."
     )
 
 
-def _where(lacking: ForceResidual) -> str:
+def _where(lacking: ForceResidual, units: Units) -> str:
     at_position, position = _explained(lacking, lacking.position, 1.0)
     at_velocity, velocity = _explained(lacking, lacking.velocity, 1.0)
     # On either side of a reversal the same law lacks a force with the other sign.
@@ -171,9 +173,9 @@ def _where(lacking: ForceResidual) -> str:
     if not best > _LEAST_SHARE:
         return "goes with neither position nor velocity nor reversals: a hand that moves by itself, or another force"
     if best == at_position:
-        return f"goes with the position ({best:.0%} of it), and is largest at {1e3 * position:+.2g} mm"
+        return f"goes with the position ({best:.0%} of it), and is largest at {units(position, 'mm', '+.2g')}"
     if best == at_velocity:
-        return f"goes with the velocity ({best:.0%} of it), and is largest at {1e3 * velocity:+.2g} mm/s"
+        return f"goes with the velocity ({best:.0%} of it), and is largest at {units(velocity, 'mm/s', '+.2g')}"
     where = "near the reversals" if abs(moment - 0.5) > 0.25 else "in the middle between two reversals"
     return f"is largest {where} ({best:.0%} of it)"
 
@@ -221,6 +223,7 @@ class Pushed(NamedTuple):
     noise_m: float
     """rms, at rest."""
     count_m: float
+    units: Units
 
     @property
     def floor(self) -> float:
@@ -239,35 +242,40 @@ def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | No
     unsure = math.inf if fit is None else abs(fit.mass.uncertainty / fit.mass.value)
     if unsure < _UNSURE:
         return None
-    force, moved, allowed = pushed.force, pushed.peak_m, pushed.bounds.travel
+    force, moved, allowed, units = pushed.force, pushed.peak_m, pushed.bounds.travel, pushed.units
     if moved < _ENOUGH * allowed:
         return UsageError(
-            f"pushed with {force:.3g} N the device moved by {1e6 * moved:.3g} µm, which is too little to identify "
+            f"pushed with {units(force, 'N', '.3g')} the device moved by {units(moved, 'µm', '.3g')}, which is too "
+            "little to identify "
             "anything: it is held, stuck by dry friction, much heavier than declared, or its motor does not push. Let "
             "it move freely, or allow more with --push"
         )
     if unsure > 1.0 and moved > _MANY * pushed.floor:
         return UsageError(
-            f"pushed with {force:.3g} N the device moved by {1e3 * moved:.3g} mm, but in jerks, or only now and then: "
+            f"pushed with {units(force, 'N', '.3g')} the device moved by {units(moved, 'mm', '.3g')}, but in jerks, or "
+            "only now and then: "
             "dry friction holds it, or the record is too short. Allow more with --push and --travel"
         )
     least, most = (factor * allowed for factor in _MORE_TRAVEL)
     travel = min(max(2.0 * unsure / _UNSURE * allowed, least), most)
     what, size = ("noise", pushed.noise_m) if pushed.noise_m > pushed.count_m else ("counts", pushed.count_m)
     return UsageError(
-        f"the position's {what} of {1e6 * size:.3g} µm hide how the device answers within {1e3 * allowed:g} mm to "
-        f"either side: nothing was identified. Allow more with --travel, {travel:.2g} (m) for a start"
+        f"the position's {what} of {units(size, 'µm', '.3g')} hide how the device answers within "
+        f"{units(allowed, 'mm', 'g')} to "
+        f"either side: nothing was identified. Allow more with --travel, {travel:.2g} ({units.si.name('m')}) for a "
+        "start"
     )
 
 
 def why_too_far(fit: DeviceFit | None, pushed: Pushed) -> RunError:
     """Why a device moved farther than it may."""
-    found = why_not(fit, pushed)
+    found, units = why_not(fit, pushed), pushed.units
     if isinstance(found, RunError):
         return found
     return GuardError(
-        f"the device moved {1e3 * pushed.peak_m:.3g} mm from where it was found, farther than the "
-        f"{1e3 * pushed.bounds.travel:g} mm that it may, pushed with {pushed.force:.3g} N: nothing more was tried. "
+        f"the device moved {units(pushed.peak_m, 'mm', '.3g')} from where it was found, farther than the "
+        f"{units(pushed.bounds.travel, 'mm', 'g')} that it may, pushed with {units(pushed.force, 'N', '.3g')}: nothing "
+        "more was tried. "
         "It may have broken away from dry friction, it may be much lighter than declared, it may ring on a spring of "
         "its own, or a hand or another force moved it; --travel allows more"
     )

@@ -32,7 +32,6 @@ from hapsim.measuring.device_motion import Motion, Swing, motion_of, pieces_of, 
 from hapsim.measuring.limits import (
     SHARE_OF_LIMIT,
     force_limit,
-    in_units_of_scene,
     require_above_zero,
     require_device_point,
 )
@@ -106,15 +105,17 @@ def bounds_of(scene: Scene, channel: int, force: float | None = None, travel: fl
     """What the device may be given; defaults: a quarter of the scene's force limit, and 5 mm or 0.2 rad to either side.
     UsageError where more than the limit is asked for."""
     limit = force_limit(scene)
-    if force is not None and not 0.0 < force <= limit:
-        raise UsageError(f"force: found {force:g} N, expected above 0 N, and at most the force_limit, {limit:g} N")
-    require_above_zero("metres", travel=travel)
     require_device_point(scene, channel)
+    units = scene.units_of(channel)
+    if force is not None and not 0.0 < force <= limit:
+        found, most = units(force, "N", "g"), units(limit, "N", "g")
+        expected = f"expected above 0 {units.name('N')}, and at most the force_limit, {most}"
+        raise UsageError(f"force: found {found}, {expected}")
+    require_above_zero(units.name("metres"), travel=travel)
     travel = scene.device.scales(scene.channels)[channel].travel if travel is None else travel
     return Bounds(SHARE_OF_LIMIT * limit if force is None else force, travel)
 
 
-@in_units_of_scene
 def identify_device(
     scene: SceneSource,
     *,
@@ -179,9 +180,11 @@ class _Pusher:
         if self._stopped or counts.size < _LISTEN_TICKS // 2:
             raise UsageError("stopped before the device was pushed: nothing was identified")
         if moved > self._bounds.travel:
+            units = self._scene.units_of(self._channel)
             raise GuardError(
-                f"without any force the device moved by {1e3 * moved:.3g} mm, farther than the "
-                f"{1e3 * self._bounds.travel:g} mm that it may: it was not pushed. Let it rest, or hold it, and try "
+                f"without any force the device moved by {units(moved, 'mm', '.3g')}, farther than the "
+                f"{units(self._bounds.travel, 'mm', 'g')} that it may: it was not pushed. Let it rest, or hold it, and "
+                "try "
                 "again (a mock moves by itself where the scene has mock.initial)"
             )
         self._home_counts = float(np.median(counts))
@@ -227,7 +230,7 @@ class _Pusher:
                 return force
             acted += 4 * ticks / rate
             if force >= most:
-                raise UsageError(silence_words(acted, force))
+                raise UsageError(silence_words(acted, force, self._scene.units_of(self._channel)))
             force = min(_A_LITTLE_HARDER * force, most)
 
     def record(self, rough: DeviceFit, duration: float) -> None:
@@ -289,7 +292,7 @@ class _Pusher:
             peak_m=self._peak(farthest[1]),
             rate_hz=rate,
             count_m=count_m,
-            misfit=misfit_of(fit, lacking, self._noise_counts),
+            misfit=misfit_of(fit, lacking, self._noise_counts, self._scene.units_of(self._channel)),
             stopped=self._stopped,
             seen_rate=seen_rate(max(traces, key=lambda trace: trace.sample.size)),
             motions=tuple(motions),
@@ -334,7 +337,8 @@ class _Pusher:
 
     def _seen(self, drive: Drive, trace: Trace, bounds: Bounds) -> Pushed:
         noise_m = self._noise_counts * self._count_m
-        return Pushed(drive.force, self._peak(trace), bounds, noise_m, self._count_m)
+        units = self._scene.units_of(self._channel)
+        return Pushed(drive.force, self._peak(trace), bounds, noise_m, self._count_m, units)
 
     def _pushed(self, drive: Drive, duration: float, bounds: Bounds) -> Trace:
         """A run under this drive. GuardError where the device moved farther than it may."""

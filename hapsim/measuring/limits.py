@@ -3,30 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import wraps
-from typing import Any, TypeVar, cast
 
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
-from hapsim.scene.load import SceneSource, as_scene
-
-_OfScene = TypeVar("_OfScene", bound=Callable[..., Any])
 
 SHARE_OF_LIMIT = 0.25
 """Of the force limit: the largest push where none is given."""
-
-
-def in_units_of_scene(function: _OfScene) -> _OfScene:
-    """Has the errors of a function of a scene in the units of that scene."""
-
-    @wraps(function)
-    def call(scene: SceneSource, **keywords: Any) -> Any:
-        scene = as_scene(scene)
-        with scene.units.in_errors():
-            return function(scene, **keywords)
-
-    return cast("_OfScene", call)
 
 
 def require_above_zero(unit: str, **values: float | None) -> None:

@@ -10,11 +10,10 @@ from functools import partial
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.loop.counts import Progress
-from hapsim.measuring.limits import SHARE_OF_LIMIT, in_units_of_scene, require_above_zero, require_device_point
+from hapsim.measuring.limits import SHARE_OF_LIMIT, require_above_zero, require_device_point
 from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
 from hapsim.measuring.place import Place, place_of
 from hapsim.measuring.trace_quality import silence
-from hapsim.number_format import number
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
 from hapsim.running.run import run_to_end
@@ -34,7 +33,6 @@ _PLENTY = 1e5  # counts: where the hand may swing by more, they are not why noth
 _LARGER = 1.5  # times a push: less than that is no use
 
 
-@in_units_of_scene
 def measure(
     scene: SceneSource,
     *,
@@ -81,7 +79,7 @@ def measure_by(
     """Does what `measure` does, with `run(scene, duration=…, excitation=…)` for each of its runs."""
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
-    require_above_zero("newton", push=push)
+    require_above_zero(scene.units_of(channel).name("newton"), push=push)
     if duration is None:
         duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
     place = place_of(scene, channel, at)
@@ -101,8 +99,8 @@ def _recorded(
     except (DeviceError, GuardError) as error:
         recorded = 0 if error.trace is None else error.trace.sample.size
         if excitation.guide is not None and 0 < recorded < guided:
-            where = number(excitation.guide.target)
-            error.args = (f"while the hand was led to {where} m, by a force besides the scene's: {error}",)
+            where = scene.units_of(excitation.channel)(excitation.guide.target, "m")
+            error.args = (f"while the hand was led to {where}, by a force besides the scene's: {error}",)
         if isinstance(error, GuardError) or recorded < guided + _LEAST_ROWS:
             raise
         trace, failure = error.trace, error

@@ -23,20 +23,19 @@ from hapsim.errors import UsageError
 from hapsim.loop.counts import Progress
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
-from hapsim.measuring.limits import in_units_of_scene, require_above_zero, require_device_point
+from hapsim.measuring.limits import require_above_zero, require_device_point
 from hapsim.measuring.measure import pushes
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
-from hapsim.scene.load import SceneSource
+from hapsim.scene.load import SceneSource, as_scene
 
 _SECONDS, _RINGS = 4.0, 4
 _RUN_UP = 8  # samples after a push, until the force is over
 
 
-@in_units_of_scene
 def measure_hands(
     scene: SceneSource,
     *,
@@ -55,7 +54,7 @@ def measure_hands(
     """
     run = partial(run_to_end, transport=transport, on_progress=on_progress, unstable=unstable)
     run = partial(run, stop_on_signals=stop_on_signals)
-    return measure_hands_by(run, scene, channels, duration, push)  # type: ignore[arg-type]
+    return measure_hands_by(run, as_scene(scene), channels, duration, push)
 
 
 def measure_hands_by(
@@ -63,7 +62,7 @@ def measure_hands_by(
 ) -> HandsMeasurement:
     """Does what `measure_hands` does, with `run(scene, duration=…, excitation=…)` for each hand."""
     require_above_zero("seconds", duration=duration)
-    require_above_zero("newton", push=push)
+    require_above_zero(scene.units.name("newton"), push=push)
     traces, segments = [], list[Floats]()
     for channel in channels:
         require_device_point(scene, channel)

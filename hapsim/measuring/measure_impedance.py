@@ -26,7 +26,7 @@ from hapsim.measuring.impedance import (
     periods_of,
     settling,
 )
-from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, in_units_of_scene, require_above_zero
+from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, require_above_zero
 from hapsim.measuring.trace_quality import SeenRate, seen_rate, silence
 from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation
@@ -34,6 +34,7 @@ from hapsim.running.run import run_to_end
 from hapsim.scene import Ground, Scene, ViscoElastic
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import INTERRUPTED
+from hapsim.units import Units
 
 _PERIODS, _MORE = 14, 4  # times as many if the earlier motion has hardly died away
 _UNCERTAIN = 0.01  # of the device's impedance, in the median: then more periods are worth their time
@@ -90,7 +91,6 @@ class _Run(NamedTuple):
     """m, from one end to the other."""
 
 
-@in_units_of_scene
 def measure_impedance(
     scene: SceneSource,
     *,
@@ -128,8 +128,8 @@ def measure_impedance_by(
     """Does what `measure_impedance` does, with `run(scene, duration=…, excitation=…)` for each of its runs."""
     lines = lines_for(scene.rate)
     periods = _whole_periods(duration, lines)
-    require_above_zero("metres", travel=travel)
-    require_above_zero("newton", push=push)
+    require_above_zero(scene.units.name("metres"), travel=travel)
+    require_above_zero(scene.units.name("newton"), push=push)
     rig = _Rig(run, scene, lines, travel, push)
     done = _excite_each(rig, periods, may_repeat=duration is None)
     found = impedance_of([one.periods for one in done], lines.frequency, scene.rate, scene.device.delay, rig.converters)
@@ -165,22 +165,22 @@ class _Rig:
         usual = [one.excited if travel is None else travel for one in scene.device.scales(scene.channels)]
         rooms = [0.5 * (most - least) for least, most in scene.device.travels(scene.channels)]
         self._travel = np.minimum(usual, min(rooms))
-        self._run, self._scene = run, scene
+        self._run, self.scene = run, scene
 
     def excite(self, channel: int, forces: Floats, count: int) -> _Run:
         """Runs `count` periods of these forces (N, of one period) on a channel."""
         pushes = PeriodicExcitation(channel, forces)
-        trace = self._run(self._scene, duration=count * self.lines.period_s, excitation=pushes)
+        trace = self._run(self.scene, duration=count * self.lines.period_s, excitation=pushes)
         if not np.all(np.isfinite(trace.asked_force)):
             raise UsageError("the scene's force was not finite throughout: there is nothing to be measured")
-        periods = periods_of(trace, self.lines, self.converters, senses=bool(self._scene.sensed_links))
+        periods = periods_of(trace, self.lines, self.converters, senses=bool(self.scene.sensed_links))
         stopped = trace.report.ending == IN_WORDS[STOPPED]
         return _Run(trace, periods.on(list(self.channels)), stopped, float(np.max(np.abs(forces))))
 
     def soft_forces(self, channel: int, share: float = _SOFT) -> Floats:
         """By what the device's mass alone would do, as what holds it is not known yet: a share of what it may have."""
         lines, most = self.lines, self._most
-        inertia = self._scene.device.masses(self._scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
+        inertia = self.scene.device.masses(self.scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
         amplitude = np.minimum(lines.each(most), lines.each(0.5 * self._travel[channel]) * inertia)
         return multisine(lines, share * amplitude, share * most)
 
@@ -227,7 +227,7 @@ def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
             raise UsageError(said)
         if one.stopped and not (is_last and one.periods.pairs >= LEAST_PERIODS):
             raise StoppedError([*done, one], enough_s)
-        travel = _travel(one.trace, rig.lines, channel, one.peak_force)
+        travel = _travel(one.trace, rig.lines, channel, one.peak_force, rig.scene.units_of(channel))
         if may_repeat and not one.stopped and settling(one.periods, place)[1] > _UNCERTAIN:
             longer = rig.excite(channel, forces, _MORE * periods)
             if longer.stopped and not is_last:
@@ -251,13 +251,14 @@ def _whole_periods(duration: float | None, lines: Lines) -> int:
     return periods
 
 
-def _travel(trace: Trace, lines: Lines, channel: int, peak: float) -> float:
+def _travel(trace: Trace, lines: Lines, channel: int, peak: float, units: Units) -> float:
     """m, from one end to the other in the last period. UsageError where that is next to nothing."""
     counts = trace.position_counts[-lines.samples :, channel].astype(float)
     moved, count = float(np.ptp(counts)) if counts.size else 0.0, float(trace.position_scale[channel])
     if moved < _FEW_COUNTS:
         raise UsageError(
-            f"channel {channel}: an excitation of {peak:.3g} N at most moved it by {moved:g} counts of {count:g} m, "
+            f"channel {channel}: an excitation of {units(peak, 'N', '.3g')} at most moved it by {moved:g} counts of "
+            f"{units(count, 'm', 'g')}, "
             f"expected {_FEW_COUNTS:g} counts or more: the rounding hides its motion. Allow more force (force_limit; a "
             "quarter of it is used), or more travel, or use a finer position sensor"
         )

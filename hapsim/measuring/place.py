@@ -17,11 +17,12 @@ from hapsim.errors import UsageError
 from hapsim.measuring.converters import Floats
 from hapsim.measuring.limits import force_limit
 from hapsim.measuring.measure_trace import Attempt, Measurement, asks_by_one_law
-from hapsim.number_format import number, percent
+from hapsim.number_format import percent
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, piece_at, starts_at
 from hapsim.recording.trace import Trace
 from hapsim.running.options import Guide
 from hapsim.scene import Scene
+from hapsim.units import Units
 
 _GUIDE_SLOW, _GUIDE_FAST = 60.0, 0.1  # rad/s, and rad in a sample without delay: how fast the guide's spring swings
 _WAY_S, _SETTLING_S, _MEAN_S = 2.0, (1.0, 6.0), 0.25
@@ -56,6 +57,7 @@ class Place:
     hand: Characteristic | None
     """None where the hand moves masses or another hand: of its region nothing is known."""
     piece: Piece | None
+    units: Units
 
     @property
     def room(self) -> float:
@@ -127,7 +129,8 @@ class Place:
         x = float(np.median(way[-_LAST:]))
         if abs(x - self.at) > _ARRIVED * min(self.room, 1.0) + _RESOLVED * count_m:
             raise UsageError(
-                f"the hand was led to {number(self.at)} m, but was at {number(x, 4)} m in the end: dry friction or a "
+                f"the hand was led to {self.units(self.at, 'm')}, but was at {self.units(x, 'm', 4)} in the end: dry "
+                "friction or a "
                 "hand may hold it, a snap on the way may be too steep for what leads it, the force limit too low, or "
                 "the mass far from the declared one. Let it move freely, or choose another --at"
             )
@@ -165,7 +168,7 @@ class Place:
         swing = self.swing_in(trace)
         if self.low <= least and most <= self.high and swing <= self.piece.reach:
             if (bend := self.bend(swing)) * swing > _BENT_NOISES * noise_m or bend > 2.0 * _BENT:
-                return f"over {number(swing, 2)} m its slope changes, and k by about {percent(bend)}"
+                return f"over {self.units(swing, 'm', 2)} its slope changes, and k by about {percent(bend)}"
             if self.is_curved or predicts or asks_by_one_law(trace, self.channel):
                 return ""
         pieces = self.hand.pieces()
@@ -182,24 +185,27 @@ class Place:
     def words(self) -> str:
         """The region in words."""
         if not math.isfinite(self.low) and not math.isfinite(self.high):
-            return f"{number(self.at)} m"
-        reach = f"from {number(self.low)} to {number(self.high)} m"
+            return self.units(self.at, "m")
+        low, high = self.units(self.low, "m"), self.units(self.high, "m")
+        reach = f"from {self.units.number(self.low, 'm')} to {high}"
         if not math.isfinite(self.low):
-            reach = f"below {number(self.high)} m"
+            reach = f"below {high}"
         elif not math.isfinite(self.high):
-            reach = f"above {number(self.low)} m"
-        return f"{number(self.at)} m, in the region {reach}"
+            reach = f"above {low}"
+        return f"{self.units(self.at, 'm')}, in the region {reach}"
 
     def too_small(self, count_m: float, attempts: Sequence[Attempt] = (), found: Measurement | None = None) -> str:
         """Why no push that stays in the region says anything: sentences without a full stop."""
         noise, tried = "", ""
         if found is not None and found.residual_m > count_m:
-            noise = f" and noise of {number(found.residual_m, 2)} m rms"
+            noise = f" and noise of {self.units(found.residual_m, 'm', 2)} rms"
         if attempts and attempts[-1].left:
-            tried = f"; {attempts[-1].left} even with a push of {number(attempts[-1].push_n, 3)} N"
+            tried = f"; {attempts[-1].left} even with a push of {self.units(attempts[-1].push_n, 'N', 3)}"
         return (
-            f"at {self.words()}, {self.name} can swing {number(self.room, 3)} m to the nearest edge, against counts of "
-            f"{number(count_m, 3)} m{noise}{tried}: no push that stays in this region moves it enough to identify what "
+            f"at {self.words()}, {self.name} can swing {self.units(self.room, 'm', 3)} to the nearest edge, against "
+            "counts of "
+            f"{self.units(count_m, 'm', 3)}{noise}{tried}: no push that stays in this region moves it enough to "
+            "identify what "
             "it feels. Choose the middle of a wider region with --at, or a device with finer and quieter positions"
         )
 
@@ -214,17 +220,17 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
     hand = characteristic_of(scene, name, at or 0.0)
     if at is None and (hand is None or not hand.is_regional):
         return None
-    device = scene.device
+    device, units = scene.device, scene.units_of(channel)
     mass, stiffness, damping = (
         one(scene.channels)[channel] for one in (device.masses, device.stiffnesses, device.frictions)
     )
     if hand is None:
         low, high = device.travels(scene.channels)[channel]
-        place = Place(name, channel, at or 0.0, low, high, mass, stiffness, damping, None, None)
+        place = Place(name, channel, at or 0.0, low, high, mass, stiffness, damping, None, None, units)
         if not low <= place.at <= high:
             raise UsageError(
-                f"at: found {number(place.at)} m, beyond the travel of {name}; expected a position from {number(low)} "
-                f"to {number(high)} m"
+                f"at: found {units(place.at, 'm')}, beyond the travel of {name}; expected a position from "
+                f"{units.number(low, 'm')} to {units(high, 'm')}"
             )
         return place
     piece = piece_at(hand, name, at)
@@ -233,7 +239,17 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
         step = _EDGE * (piece.high - piece.low)
         stiffness = float(hand.force(piece.place + step) - hand.force(piece.place - step)) / (2.0 * step)
     place = Place(
-        name, channel, piece.place if at is None else at, piece.low, piece.high, mass, stiffness, damping, hand, piece
+        name,
+        channel,
+        piece.place if at is None else at,
+        piece.low,
+        piece.high,
+        mass,
+        stiffness,
+        damping,
+        hand,
+        piece,
+        units,
     )
     _require_rest(place, abs(float(hand.force(place.at))), force_limit(scene))
     return place
@@ -242,8 +258,9 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
 def _require_rest(place: Place, force: float, limit: float) -> None:
     if force > limit:
         raise UsageError(
-            f"at: {place.words()}, the scene asks for {number(force, 4)} N, more than the force limit of "
-            f"{number(limit)} N: there the force is clipped, and no spring is felt. Choose a position with less force"
+            f"at: {place.words()}, the scene asks for {place.units(force, 'N', 4)}, more than the force limit of "
+            f"{place.units(limit, 'N')}: there the force is clipped, and no spring is felt. Choose a position with "
+            "less force"
         )
     if place.stiffness == 0.0:
         raise UsageError(
@@ -252,7 +269,8 @@ def _require_rest(place: Place, force: float, limit: float) -> None:
         )
     if place.stiffness < 0.0:
         raise UsageError(
-            f"at: {place.words()}, the scene is a snap: it pushes the hand away with {number(place.stiffness, 5)} N/m, "
+            f"at: {place.words()}, the scene is a snap: it pushes the hand away with "
+            f"{place.units(place.stiffness, 'N/m', 5)}, "
             "and no hand comes to rest there. Choose a position in a region of positive stiffness; `hapsim check` "
             "lists them"
         )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hapsim.loop.ring import LATE_FORCE, UNSENT
 from hapsim.recording.trace import Report, Trace
+from hapsim.units import Units
 
 ROUNDING = 1.0 / math.sqrt(12.0)
 """Counts: standard deviation of rounding to whole ones."""
@@ -105,13 +106,18 @@ def silence(trace: Trace, channel: int) -> str:
     acted = np.count_nonzero(trace.force_counts[:, channel])
     if not acted or np.ptp(trace.position_counts[:, channel]):
         return ""
-    return silence_words(acted / trace.rate, float(np.abs(trace.force[:, channel]).max()))
+    return silence_words(
+        acted / trace.rate,
+        float(np.abs(trace.force[:, channel]).max()),
+        Units.said_by(trace.report.motion[channel : channel + 1]),
+    )
 
 
-def silence_words(seconds: float, force: float) -> str:
+def silence_words(seconds: float, force: float, units: Units) -> str:
     """The same sentences for a force that acted for `seconds`, of at most `force` N."""
     return (
-        f"the position has not changed by one count for {seconds:.2g} s while force acts ({force:.3g} N at most): "
+        f"the position has not changed by one count for {seconds:.2g} s while force acts ({units(force, 'N', '.3g')} "
+        "at most): "
         "sensor or cable? Move the device by hand, and see whether `hapsim run` shows another position. If it does, "
         "the device is held, stuck by dry friction, or its motor does not push: only then allow more with --push"
     )

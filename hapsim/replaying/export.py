@@ -247,7 +247,7 @@ class Columns:
         """Returns the unit of each number that the column has in a row."""
         if not column.by_channel:
             return [column.unit]
-        return [units(f"in {column.unit}").removeprefix("in ") for units in self._units]
+        return [units.name(column.unit) for units in self._units]
 
     def units_text(self, column: Column) -> str:
         """Returns the column's unit; where channels have different ones, each in their order: "rad, m"."""

@@ -135,7 +135,7 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
     hints = " ".join(unlikely(scene)).removesuffix(".") if kind is GuardError else ""
     if advice := f"A likely mistake: {hints}" if hints else _stability_advice(loop, report, ending):
         what = f"{what}. {advice}"
-    what = scene.units(f"{what}; {_where_the_force_is(scene, loop, bool(report.released))}")
+    what = f"{what}; {_where_the_force_is(scene, loop, bool(report.released))}"
     return _with_trace(kind(f"{name}: {what}"), trace)
 
 
@@ -196,10 +196,13 @@ def _staircase(loop: LoopMemory, report: Report) -> str:
 
 def _out_of_travel(loop: LoopMemory, report: Report) -> str:
     travel, c = loop.record.travel, int(loop.record.travel.channel)
+    units = loop.rendered_scene.units_of(c)
     return (
-        f"channel {c} is out of its travel at tick {report.ticks}: at {travel.position:.6g} m, where "
-        f"device.travel goes from {travel.low[c]:g} to {travel.high[c]:g} m and the force fades within "
-        f"{travel.margin[c]:g} m outside; its force was not sent. Something drives the device outward, or its zero is "
+        f"channel {c} is out of its travel at tick {report.ticks}: at {units(travel.position, 'm', '.6g')}, where "
+        f"device.travel goes from {units.number(travel.low[c], 'm', 'g')} to {units(travel.high[c], 'm', 'g')} and the "
+        "force fades within "
+        f"{units(travel.margin[c], 'm', 'g')} outside; its force was not sent. Something drives the device outward, or "
+        "its zero is "
         "not where the scene has it: a motor or an encoder with the wrong sign, a wrong device.origin, a device that "
         "restarted elsewhere, or limits that are not the device's. Move it back within its travel before the next run"
     )
@@ -214,9 +217,12 @@ def _too_late(loop: LoopMemory, report: Report) -> str:
 
 def _position_leapt(loop: LoopMemory, report: Report) -> str:
     leap = loop.record.leap
+    units = loop.rendered_scene.units_of(int(leap.channel))
+    bound = units(rounded_down(units.scaled(leap.bound_m, "m")), "m")
     return (
-        f"the position of channel {leap.channel} leapt at tick {report.ticks}: {leap.leapt_m:.4g} m away from "
-        f"where its motion led, where no hand gets farther than {rounded_down(leap.bound_m)} m (hapsim/STABILITY.md); "
+        f"the position of channel {leap.channel} leapt at tick {report.ticks}: {units(leap.leapt_m, 'm', '.4g')} away "
+        "from "
+        f"where its motion led, where no hand gets farther than {bound} (hapsim/STABILITY.md); "
         "its force was not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a "
         f"force_limit that is not the device's{_at_end_of_counts(loop, _NEAR_END)}"
     )
@@ -229,9 +235,10 @@ def _at_end_of_counts(loop: LoopMemory, near: float) -> str:
     c = max(range(n), key=lambda one: counts[one])
     if counts[c] < near * _COUNTS:
         return ""
-    scale = float(io.position_scale[c])
+    scale, units = float(io.position_scale[c]), loop.rendered_scene.units_of(c)
     return (
-        f". The position's count is at its end on channel {c} (±{_COUNTS * scale:.4g} m at {scale:g} m per count): the "
+        f". The position's count is at its end on channel {c} (±{units(_COUNTS * scale, 'm', '.4g')} at "
+        f"{units(scale, 'm', 'g')} per count): the "
         "device went as far as 32 bits reach. Keep it within by a spring, a stop or device.travel, or make its counts "
         "larger: mock.quantum, or the position scale of a device's firmware"
     )

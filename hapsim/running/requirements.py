@@ -57,7 +57,7 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
     if options.duration is not None and not 0 < options.duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {options.duration}, expected a finite number of seconds above 0")
     if not options.unstable and (why := refused_travel(scene)):
-        raise UsageError(scene.units(why))
+        raise UsageError(why)
     if options.realtime:
         require_linux("--realtime", "leave it out")
     if options.record is not None:
@@ -108,7 +108,7 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
         return ""
     shaking = prediction.judge.shaking
     grows = "" if shaking is None else f": {shaking.sentence(scene.units)}"
-    why = " ".join([".", *unlikely(scene)]) if unlikely(scene) else f"{grows}.{_stable_alternatives(prediction)}"
+    why = " ".join([".", *unlikely(scene)]) if unlikely(scene) else f"{grows}.{_stable_alternatives(scene, prediction)}"
     late = f"; {prediction.wire_delay}" if prediction.wire_delay else ""
     return (
         f"{path}: not armed: the scene is predicted unstable (spectral radius {prediction.spectral_radius:.6g}, stable "
@@ -117,7 +117,7 @@ def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
     )
 
 
-def _stable_alternatives(prediction: Prediction) -> str:
+def _stable_alternatives(scene: Scene, prediction: Prediction) -> str:
     """Returns a sentence: the stiffness or the damping at which each hand by itself would be stable."""
     ways = []
     for one in prediction.felt:
@@ -125,7 +125,8 @@ def _stable_alternatives(prediction: Prediction) -> str:
         if 0.0 < one.stiffness_factor < 1.0:
             ways.append(f"{one.name} with less than {rounded_down(one.stiffness_factor)} of its stiffness")
         if not one.stable and least < most:
-            ways.append(f"{one.name} with a damping between {between(max(least, 0.0), most, ' and ')} N·s/m")
+            damping = f"{between(max(least, 0.0), most, ' and ')} {scene.units_of(one.channel).name('N·s/m')}"
+            ways.append(f"{one.name} with a damping between {damping}")
     return f" Stable by itself: {'; or '.join(ways)}." if ways else ""
 
 
@@ -133,7 +134,7 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
     """Raises UsageError or DescriptionError where scene and device do not fit. `name`: the port, as the user says."""
     if description.channels < scene.channels:
         raise UsageError(f"{name}: the device has {description.channels} channel(s), the scene uses {scene.channels}")
-    _require_numbers(name, description)
+    _require_numbers(scene, name, description)
     _require_motion(scene, name, description)
     if abs(description.rate_hz / scene.rate - 1.0) > 1e-6:
         raise UsageError(
@@ -152,8 +153,10 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
     for channel, origin in enumerate(scene.device.origins(scene.channels)):
         most = 2**31 * description.position_scale[channel]
         if abs(origin or 0.0) >= most:
+            units = scene.units_of(channel)
             raise UsageError(
-                f"{name}: device.origin: found {origin:g} m on channel {channel}; this device counts up to {most:g} m"
+                f"{name}: device.origin: found {units(origin, 'm', 'g')} on channel {channel}; this device counts up "
+                f"to {units(most, 'm', 'g')}"
             )
     around, count_of = ModuleContext.of(scene.modules), description.position_scale.__getitem__
     for issue in narrow_detents(around, count_of, "declared by the device"):
@@ -187,13 +190,13 @@ def require_known_zero(scene: Scene, name: str) -> None:
         )
 
 
-def _require_numbers(name: str, description: Description) -> None:
+def _require_numbers(scene: Scene, name: str, description: Description) -> None:
     """Raises DescriptionError where the rate, a scale or a limit is not a number above 0."""
     declared = [("rate", description.rate_hz, "Hz", schema.REG_RATE)]
     for field, unit, register in _SCALES:
         for c, value in enumerate(getattr(description, field)):
             at = schema.REG_CHANNEL + c * schema.CHANNEL_WORDS + register
-            declared.append((f"{field.replace('_', ' ')} of channel {c}", value, unit, at))
+            declared.append((f"{field.replace('_', ' ')} of channel {c}", value, scene.units.si.name(unit), at))
     for what, value, unit, register in declared:
         if not (np.isfinite(value) and value > 0):
             raise DescriptionError(

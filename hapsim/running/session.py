@@ -425,9 +425,8 @@ def start(scene: SceneSource, **options: Any) -> Session:
     scene = as_scene(scene)
     if record.transport != "auto":
         scene = with_device(scene, port=None)  # nor has the mock the wire of a port
-    with scene.units.in_errors():
-        session = Session(scene, record)
-        session.begin()
+    session = Session(scene, record)
+    session.begin()
     return session
 
 

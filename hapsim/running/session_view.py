@@ -162,16 +162,17 @@ def as_html(scene: Scene, name: str, state: State, parameters: Mapping[str, Any]
     progress = state.progress
     title = f"{scene.path or 'a scene'} on {name}: {progress.phase}, {progress.elapsed_s:.1f} s"
     rate = "" if progress.seen_rate_hz is None else f", {progress.seen_rate_hz:.1f} Hz"
-    channels = "".join(
-        f"<tr><td>channel {c}</td><td>{x:.6g} m</td><td>{v:.4g} m/s</td><td>{f:.4g} N</td></tr>"
-        for c, (x, v, f) in enumerate(zip(state.position, state.velocity, state.force, strict=True))
-    )
+    channels = ""
+    for c, (x, v, f) in enumerate(zip(state.position, state.velocity, state.force, strict=True)):
+        units = scene.units_of(c)
+        cells = f"channel {c}", units(x, "m", ".6g"), units(v, "m/s", ".4g"), units(f, "N", ".4g")
+        channels += f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
     values = "".join(
         f"<tr><td>{html.escape(one.name)}</td><td colspan=3>{html.escape(_short(one.value))} {one.unit}</td></tr>"
         for one in parameters.values()
     )
     misses = f", {progress.deadline_misses} deadline misses of {progress.ticks} ticks"
-    return f"<table><caption>{html.escape(title + rate + misses)}</caption>{scene.units(channels)}{values}</table>"
+    return f"<table><caption>{html.escape(title + rate + misses)}</caption>{channels}{values}</table>"
 
 
 def _short(value: Any) -> str:
@@ -205,8 +206,9 @@ class SessionView:
 
     def __repr__(self) -> str:
         progress = self.progress()
-        moved = zip(progress.position, progress.force, strict=False)
-        channels = ", ".join(self.scene.units(f"{x:+.3g} m {force:+.3g} N") for x, force in moved)
+        moved = enumerate(zip(progress.position, progress.force, strict=False))
+        each = ((self.scene.units_of(c), x, force) for c, (x, force) in moved)
+        channels = ", ".join(f"{units(x, 'm', '+.3g')} {units(force, 'N', '+.3g')}" for units, x, force in each)
         how = f"{progress.phase}, {progress.elapsed_s:.1f} s, {channels}, {progress.deadline_misses} misses"
         return f"<Session: {self.scene.path or 'a scene'} on {self.name}, {how}>"
 

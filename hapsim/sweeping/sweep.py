@@ -309,13 +309,13 @@ def dataset_of(task: Task, points: Points, parts: Parts) -> xarray.Dataset:
 
     variables = {name: one for kind in task.kinds for name, one in KINDS[kind].items()}
     columns = parts.together(len(points), variables)
-    shape, units = tuple(points.sizes.values()), Scene.model_validate(task.document).units_of(task.channel)
+    shape, units = tuple(points.sizes.values()), Scene.model_validate(task.document).units_of(task.channel).si
     coordinates = _coordinates(points)
     found: dict[str, Any] = {}
     for name, column in columns.items():
         about = {}
         if name in variables:
-            about = {"units": str(units(variables[name].unit)), "description": variables[name].description}
+            about = {"units": units.name(variables[name].unit), "description": variables[name].description}
         dimensions = (*points.sizes, FREQUENCY)[: len(shape) + column.ndim - 1]
         found[name] = dimensions, column.reshape(*shape, *column.shape[1:]), about
     if "impedance" in task.kinds:
