@@ -95,6 +95,10 @@ def calls_of(actions: Sequence[tuple[NativeFunction, Behind]], state: Behind) ->
 _words_at = array_at(np.uint64)
 _call = function_at(types.void(types.uint64, types.uint64))
 
+HEAR = types.void(types.uint64, types.uint64, types.uint64, types.float64)
+call_hear = function_at(HEAR)
+"""Calls `hear` of loop/sound.py, with its arguments: what takes a frame of what pick-ups heard in a step."""
+
 
 @inlined
 def call_all(calls, state):

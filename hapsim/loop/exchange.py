@@ -23,11 +23,11 @@ from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.stored_energy import TANK
+from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
 from hapsim.loop.buffers import IO_BUFFER, clip, next_place
 from hapsim.loop.counts import words_at
-from hapsim.loop.crossfade import SCENE_SLOT, move_scene
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
 from hapsim.loop.guards.energy_guard import ENERGY_GUARD, call_judge_energy
 from hapsim.loop.guards.frozen_sensor import FROZEN_SENSOR, call_judge_sensor, lower

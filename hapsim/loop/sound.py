@@ -16,11 +16,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from hapsim.compiling import fence, inlined
-from hapsim.compiling.native import array_at, function_at, native, record_at
+from hapsim.compiling.native import array_at, native, record_at
+from hapsim.cordis.dispatch import HEAR
 from hapsim.scene.sound import MOST_PICK_UPS
 
 KNEE = 0.75
@@ -51,10 +51,6 @@ SOUND_RING = np.dtype(
 
 _ring_at, _doubles_at, _floats_at = record_at(SOUND_RING), array_at(np.float64), array_at(np.float32)
 
-_HEAR = types.void(types.uint64, types.uint64, types.uint64, types.float64)
-call_hear = function_at(_HEAR)
-"""Calls `hear`, with its arguments."""
-
 
 class SoundRing:
     """The memory of a ring, and the reader of every frame."""
@@ -84,7 +80,7 @@ class SoundRing:
         return frames
 
 
-@native(_HEAR.return_type, *_HEAR.args)
+@native(HEAR.return_type, *HEAR.args)
 def hear(ring, heard, other, weight):
     """Makes a frame of what a program's pick-ups heard in a step, at this address; during a crossfade the share
     `weight` of it is what another program's heard, else `other` is 0."""

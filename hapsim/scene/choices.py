@@ -2,18 +2,36 @@
 them from here.
 
 What each of them is stands under the same name in `hapsim.theory`, and in what runs it: `hapsim/device/mock`,
-`hapsim/cordis`; holds are declared in `hapsim/holds.py`. Nothing heavy is imported here, so that a help text that
-lists names costs nothing.
+`hapsim/cordis`; holds and dampers are declared in `hapsim/holds.py` and `hapsim/dampers.py`. Nothing heavy is imported
+here, so that a help text that lists names costs nothing.
 """
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal
 
+from hapsim.dampers import DAMPERS
 from hapsim.holds import HOLDS
 
+_SCHEMES = {
+    "cordis": "by CORDIS's centred scheme",
+    "semi_implicit": "by the same with the step stored itself",
+    "midpoint": "by the trapezoidal rule",
+    "rk4": "by the Runge-Kutta rule of fourth order",
+    "exact": "by the exact solution between forces that are held",
+}
 if TYPE_CHECKING:
     Hold = str
+    DamperScheme = str
+    SchemeName = str
 else:
-    Hold = Literal[tuple(HOLDS)]
+    Hold, DamperScheme, SchemeName = (Literal[tuple(one)] for one in (HOLDS, DAMPERS, _SCHEMES))
+
+
+def _each(meanings: Mapping[str, str]) -> str:
+    *others, last = (f"{meaning} ({name})" for name, meaning in meanings.items())
+    return f"{', '.join(others)}, or {last}"
+
+
 _HOLDS = "; ".join(f"{hold.meaning} ({name})" for name, hold in HOLDS.items())
 HOLD = f"What the device makes of the forces that it receives: {_HOLDS}"
 
@@ -31,14 +49,10 @@ DECIMATION = (
     "weakens what vibrates faster than half the rate"
 )
 
-DamperScheme = Literal["backward", "centred", "filtered", "sensed"]
-DAMPER = (
-    "Where the damper's velocity comes from: the last two positions (backward), the last and the last but one before "
-    "(centred), a low-pass behind the first (filtered), or the device's own sensor (sensed)"
-)
+DAMPER = f"Where the damper's velocity comes from: {_each({name: one.meaning for name, one in DAMPERS.items()})}"
 #: The dampers that have a cutoff, and those that read the device's own velocity sensor.
-WITH_CUTOFF: tuple[DamperScheme, ...] = ("filtered",)
-WITH_SENSOR: tuple[DamperScheme, ...] = ("sensed",)
+WITH_CUTOFF = tuple(name for name, damper in DAMPERS.items() if damper.has_cutoff)
+WITH_SENSOR = tuple(name for name, damper in DAMPERS.items() if damper.senses)
 
 DetentShape = Literal["sine", "snap", "notch"]
 DETENT_SHAPE = (
@@ -48,12 +62,7 @@ DETENT_SHAPE = (
 #: The shapes of a detent that have a sharpness.
 WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
 
-SchemeName = Literal["cordis", "semi_implicit", "midpoint", "rk4", "exact"]
-SCHEME = (
-    "How masses move from sample to sample: by CORDIS's centred scheme (cordis), by the same with the step stored "
-    "itself (semi_implicit), by the trapezoidal rule (midpoint), by the Runge-Kutta rule of fourth order (rk4), or by "
-    "the exact solution between forces that are held (exact)"
-)
+SCHEME = f"How masses move from sample to sample: {_each(_SCHEMES)}"
 
 CorrectionName = Literal["none", "poles", "predictor", "adaptive"]
 CORRECTION = (

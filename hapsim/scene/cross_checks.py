@@ -6,6 +6,7 @@ They take whatever parts are sound, so that a fault in one place does not hide f
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
 
+from hapsim.dampers import DAMPERS
 from hapsim.scales import SCALES
 from hapsim.units import MOTIONS
 
@@ -48,7 +49,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     yield from _device_issues(per_channel[("device",)])
     substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:
-        yield from _centred_dampers(around)
+        yield from _dampers_across_steps(around)
         yield from _predicted_mean(per_channel[("device",)])
     if isinstance(sound, Mapping):
         yield from sound_issues(sound, around, scene.get("scheme"))
@@ -111,11 +112,11 @@ def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], sourc
                 yield Issue(("modules", name, "pitch"), sentence)
 
 
-def _centred_dampers(around: ModuleContext) -> Iterator[Issue]:
+def _dampers_across_steps(around: ModuleContext) -> Iterator[Issue]:
     for name, link in around.modules.items():
-        if isinstance(link, ViscoElastic) and around.knows(name, "damper") and link.damper == "centred":
+        if isinstance(link, ViscoElastic) and around.knows(name, "damper") and DAMPERS[link.damper].looks_back > 1:
             sentence = (
-                "found centred in a scene with substeps, of which it would use the last two alone; "
+                f"found {link.damper} in a scene with substeps, of which it would use the last two alone; "
                 "expected another damper, such as backward, or substeps: 1"
             )
             yield Issue(("modules", name, "damper"), sentence)

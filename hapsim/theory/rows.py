@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Floats, Indices
-from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.network import Network, damping_links, inner_links, is_centred, touches_channel
 from hapsim.theory.schemes import SCHEMES
 

@@ -206,7 +206,11 @@ def test_what_is_looked_for_is_found(every_compiled: list[Any]) -> None:
         ("lowering", "compiled.py", "emits.<locals>.decorate.<locals>.lower"),
     } <= found
     (run_loop,) = (one for one in every_compiled if one.name == "run_loop")
-    assert {PROTOCOL / "frames.py", HAPSIM / "cordis" / "tick.py", HAPSIM / "loop" / "system.py"} <= run_loop.reached
+    assert {
+        PROTOCOL / "frames.py",
+        HAPSIM / "cordis" / "substep_loop.py",
+        HAPSIM / "loop" / "system.py",
+    } <= run_loop.reached
 
 
 def test_no_compiled_function_of_the_packages_stands_outside_the_rooms(every_compiled: list[Any]) -> None:

@@ -7,8 +7,9 @@ import pytest
 
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene
-from hapsim.scene import Scene, parse_scene
-from hapsim.theory.interface import DAMPERS, WITH_CUTOFF, damper_named
+from hapsim.dampers import DAMPERS
+from hapsim.scene import WITH_CUTOFF, Scene, parse_scene
+from hapsim.theory.interface import damper_named
 
 RATE, CUTOFF = 1000.0, 70.0
 K, B = 300.0, 2.0

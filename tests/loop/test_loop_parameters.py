@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import hapsim
 from hapsim.compiling import entry
 from hapsim.cordis.program import parameter_values
-from hapsim.loop.crossfade import move_scene
+from hapsim.cordis.substep_loop import move_scene
 from hapsim.running.assemble import LoopMemory
 from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene

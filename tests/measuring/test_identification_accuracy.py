@@ -12,11 +12,13 @@ import pytest
 from scenes import with_configuration
 
 import hapsim
+from hapsim.dampers import DAMPERS
 from hapsim.holds import HOLDS
 from hapsim.measuring.measure_trace import Measurement, measure_trace
 from hapsim.running import run
+from hapsim.scene import WITH_CUTOFF
 from hapsim.theory import Configuration
-from hapsim.theory.interface import DAMPERS, SAMPLINGS, WITH_CUTOFF
+from hapsim.theory.interface import SAMPLINGS
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 #: Scenes of a hand on one spring and damper; the others are played where the tick is tested.

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 #: From those that stand on nothing to those that stand on all: a room imports itself, and rooms of lines above its own.
 ORDER = (
     ("hapsim", "hapsim.errors", "hapsim.number_format", "hapsim.stopping", "firmware_protocol"),
-    ("hapsim.laws", "hapsim.one_thread", "hapsim.units", "hapsim.whole_file"),
+    ("hapsim.dampers", "hapsim.laws", "hapsim.one_thread", "hapsim.units", "hapsim.whole_file"),
     ("hapsim.scales",),
     ("hapsim.theory", "hapsim.scene", "hapsim.compiling"),
     ("hapsim.prediction", "hapsim.cordis"),

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hapsim.dampers import DAMPERS, DamperModel
 from hapsim.holds import HOLDS
 from hapsim.theory import Configuration, Network
 from hapsim.theory.hand.configuration import stiffest_passive, stiffest_stable
-from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel, damper_named, late_and_held
+from hapsim.theory.interface import SAMPLINGS, damper_named, late_and_held
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
 from hapsim.theory.sample import loop
 from hapsim.theory.schemes import SCHEMES

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand.pole_pair import LinearOnPair, PolePair, quadratic_of_oscillator, total
-from hapsim.theory.interface import DamperModel
 from hapsim.theory.network.network import Network
 from hapsim.theory.rows import cut
 from hapsim.theory.sample import loop, sizes_of

@@ -24,8 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import DamperModel, velocity_read, whole_and_fraction
+from hapsim.theory.interface import velocity_read, whole_and_fraction
 
 POINTS_PER_SWING = 64  # of theta, for the fastest term to go from one extreme to the other
 REFINED_SPACING = (1.0, 0.02, 0.02)  # of that grid: the last parabola is good to rounding

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, not_negative, one_of, positive, vector
-from hapsim.theory.interface import DAMPERS, SAMPLINGS, DamperModel
+from hapsim.theory.interface import SAMPLINGS, damper_named
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
-BACKWARD = DAMPERS["backward"](0.0)
+BACKWARD = damper_named("backward", None, 1.0)
 DECIMATIONS = ("last", "mean")
 
 

@@ -1,0 +1,89 @@
+"""The substep loop: moves the scene from sample to sample.
+
+When a position arrives, all steps since the last one are taken at once, the hand on a straight line between the two.
+What the hand gets is the force of the last step, or the mean over the last sample's.
+
+While one scene follows another, `cross_fade` (loop/crossfade.py) moves both; where the scene has sound, `hear`
+(loop/sound.py) takes a frame of each step. Both are called by their addresses, and never compiled for scenes without.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import types
+
+from firmware_protocol import schema
+from firmware_protocol.compiled import compact
+from hapsim.compiling import inlined
+from hapsim.compiling.native import function_at
+from hapsim.cordis.dispatch import call_hear
+from hapsim.cordis.tick import follow_parameters, program_at, set_hands, tick
+
+SCENE_SLOT = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("substeps", np.int64),  # steps of the program in a sample
+        ("mean", np.int64),  # 1: the mean of their forces is what the hand gets; 0: the last one
+        ("summed", np.float64, (schema.MAX_CHANNELS,)),  # N, those so far
+        ("program", np.uint64),  # of the program that is moved
+        ("next", np.uint64),  # of the one that it fades to; 0: none
+        ("posted", np.uint64),  # of one to take; 0: none
+        ("posted_steps", np.int64),  # N, for it
+        ("steps", np.int64),  # N
+        ("left", np.float64),  # steps until the old scene is dropped
+        ("weight", np.float64),  # w
+        ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the new scene's force
+        ("hear", np.uint64),  # address of the function of that name; 0: the scene has no sound
+        ("sound", np.uint64),  # address of its ring
+        ("cross_fade", np.uint64),  # address of the function that moves two; 0: one scene, and none is posted
+    ],
+    align=True,
+)
+
+CROSS_FADE = types.void(types.uint64, types.uint64, types.uint64, types.uint64)
+_call_cross_fade = function_at(CROSS_FADE)
+
+
+@inlined
+def move_scene(slot, io, samples):
+    """Moves the scene by `samples`, the hands along a line; the force that answers them is then in `io.asked`."""
+    compact()
+    steps = samples * slot.substeps
+    for i in range(1, steps + 1):
+        position, velocity = io.measured, io.velocity
+        if i < steps:
+            for c in range(np.uint64(io.channels)):
+                rise, gain = io.measured[c] - io.before[c], io.velocity[c] - io.velocity_before[c]
+                io.bridge[c] = io.before[c] + rise * i / steps
+                io.velocity_bridge[c] = io.velocity_before[c] + gain * i / steps
+            position, velocity = io.bridge, io.velocity_bridge
+        if slot.cross_fade == 0:
+            move_by_step(slot.program, position, velocity, io.asked)
+            if slot.hear != 0:
+                call_hear(slot.hear, (slot.sound, program_at(slot.program).heard, np.uint64(0), 0.0))
+        else:
+            at = (np.uint64(position.ctypes.data), np.uint64(velocity.ctypes.data))
+            _call_cross_fade(slot.cross_fade, (slot.address, io.address, at[0], at[1]))
+        if slot.mean:
+            _take_mean(slot, io, i - (steps - slot.substeps), i == steps)
+
+
+@inlined
+def _take_mean(slot, io, number, is_last):
+    """Adds the forces of step `number`, from 1 on, of the last sample's; makes their mean the force that is sent."""
+    for c in range(np.uint64(io.channels)):
+        if number == 1:
+            slot.summed[c] = 0.0
+        slot.summed[c] += io.asked[c]
+        if is_last:
+            io.asked[c] = slot.summed[c] / slot.substeps
+
+
+@inlined
+def move_by_step(program, position, velocity, force):
+    """Moves the program at this address by a step, its live parameters first."""
+    program = program_at(program)
+    if program.parameters.stored != 0:
+        set_hands(program, position)
+    follow_parameters(program)
+    tick(program, position, velocity, force)
