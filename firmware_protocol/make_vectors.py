@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from firmware_protocol import schema
-from firmware_protocol.sessions import sessions
-from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame, vectors
-from firmware_protocol.wire_time import BITS_PER_BYTE, HOST_WORK_S
+from firmware_protocol.schema import BITS_PER_BYTE, HOST_WORK_S
+from firmware_protocol.vectors import FORMATS, TO_DEVICE, TYPES, frame, sessions, vectors
 
 VECTORS, SESSIONS, DOCUMENT, PORTING = (
     Path(__file__).with_name(name) for name in ("vectors.json", "sessions.json", "PROTOCOL.md", "PORTING.md")

@@ -44,7 +44,7 @@ def serve(assemble: Callable[[], Any], link: Path | None, realtime: bool, json: 
 
 def ports(json: Json = False) -> None:
     """List the serial ports."""
-    from hapsim.device.serial_port import serial_ports
+    from hapsim.device.ports import serial_ports
 
     found = serial_ports()
     if json:

@@ -20,8 +20,7 @@ from hapsim.cli.output import complain, document, failure_document, stderr, stdo
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
-from hapsim.device.ports import free_name
-from hapsim.device.serial_port import raw_port
+from hapsim.device.ports import free_name, raw_port
 from hapsim.errors import DeviceError, RunError, UsageError
 from hapsim.loop.counts import Progress
 from hapsim.loop.system import require_linux

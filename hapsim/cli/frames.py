@@ -24,8 +24,7 @@ from hapsim.cli.options import Baud, Json, flag, option, seconds
 from hapsim.cli.output import complain, failure_document, say, speak_in, stderr
 from hapsim.cli.streams import output_ended
 from hapsim.device.connection import Connection
-from hapsim.device.ports import leads_to
-from hapsim.device.serial_port import open_portable_port
+from hapsim.device.ports import leads_to, open_portable_port
 from hapsim.errors import DeviceError, UsageError
 from hapsim.number_format import number, plain, plural
 from hapsim.recording.report_file import is_report, read_report

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Literal
 
 from hapsim.device.connection import Connection
-from hapsim.device.serial_port import open_portable_port, open_serial_port
+from hapsim.device.ports import open_portable_port, open_serial_port
 from hapsim.errors import UsageError
 from hapsim.loop.system import require_linux
 from hapsim.loop.transport import PythonTransport

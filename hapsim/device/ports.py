@@ -1,4 +1,7 @@
-"""Names of ports: links that the user chose for a pseudo-terminal, and the devices that this user has met before.
+"""Ports: opening a device's serial port, links that the user chose for a pseudo-terminal, and devices met before.
+
+pyserial finds, configures and locks a port, which is then raw for the loop. It takes two locks: pyserial's is advisory,
+and the terminal's own does not stop root. The kernel ends both with the process, however it ends.
 
 A program that is killed leaves its link behind. Call `free_name` before opening a pseudo-terminal: the system reuses
 the number of a closed one, and an old link would then seem to lead to a port in use.
@@ -12,8 +15,11 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from hapsim.errors import UsageError
+from hapsim.device.connection import Connection
+from hapsim.errors import DeviceError, UsageError
+from hapsim.loop.transport import PythonTransport, descriptor_transport
 
 _PSEUDO_TERMINAL = re.compile(r"/dev/pts/\d+")
 
@@ -107,3 +113,154 @@ def is_new(port: str) -> bool:
             known.write(f"{name}\n")
         return True
     return False
+
+
+_PSEUDO_TERMINALS = range(136, 144)  # major numbers, Linux's Documentation/admin-guide/devices.txt
+_PROC = Path("/proc")
+_LONGEST = 120  # characters of a command line in a sentence
+_WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose interpreter may be held up for a tenth of a second
+
+
+def open_serial_port(path: str, baud: int) -> Connection:
+    """Opens a port at `baud` bit/s for the compiled loop. DeviceError, with the remedy, where that fails."""
+    port = _open(path, baud)
+    _make_raw(port.fileno())
+    return _connection(port, descriptor_transport(port.fileno()))
+
+
+def open_portable_port(path: str, baud: int) -> Connection:
+    """Opens a port at `baud` bit/s for the portable loop. DeviceError, with the remedy, where that fails."""
+    from hapsim.loop.portable import PortableTransport
+
+    port = _open(path, baud)
+    return _connection(port, PortableTransport(port))
+
+
+def _connection(port: Any, transport: PythonTransport) -> Connection:
+    note = "" if _set_low_latency(port) else "the port's driver offers no low-latency mode"
+    return Connection(transport, port.port, port.close, baud=port.baudrate, note=note, behind_port=True)
+
+
+@contextlib.contextmanager
+def raw_port(path: str, baud: int) -> Iterator[int]:
+    """Yields the descriptor of an open port: raw, locked, non-blocking. DeviceError, with the remedy, where that
+    fails."""
+    with contextlib.closing(_open(path, baud)) as port:
+        _make_raw(port.fileno())
+        _set_low_latency(port)
+        yield port.fileno()
+
+
+def _open(path: str, baud: int) -> Any:
+    import serial
+
+    try:
+        return serial.Serial(path, baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
+    except (OSError, ValueError) as error:  # SerialException is an OSError
+        raise DeviceError(_why_not(path, baud, error)) from error
+
+
+def serial_ports() -> list[dict[str, str]]:
+    """Returns path, description and hardware of each serial port of this system."""
+    from serial.tools import list_ports
+
+    return [
+        {"port": port.device, "description": port.description or "", "hardware": port.hwid or ""}
+        for port in sorted(list_ports.comports())
+    ]
+
+
+def _make_raw(descriptor: int) -> None:
+    """Sets VMIN = 1, so that an empty port reads as EAGAIN and only a hang-up as empty."""
+    import fcntl
+    import termios
+
+    attributes = termios.tcgetattr(descriptor)
+    attributes[6][termios.VMIN] = 1
+    attributes[6][termios.VTIME] = 0
+    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+    if os.major(os.fstat(descriptor).st_rdev) in _PSEUDO_TERMINALS:
+        return  # its other side keeps it open, and exclusive: only root could open it again
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(descriptor, termios.TIOCEXCL)
+
+
+def _set_low_latency(port: Any) -> bool:
+    """Asks the driver not to gather bytes (FTDI: 16 ms by default); whether it can."""
+    try:
+        port.set_low_latency_mode(True)
+    except (ValueError, OSError, AttributeError):
+        return False
+    return True
+
+
+_BUSY = ("exclusively lock", "busy", "PermissionError(13, 'Access is denied.'")  # the last is how Windows says it
+
+
+def _why_not(path: str, baud: int, error: Exception) -> str:
+    code = getattr(error, "errno", None)
+    text = str(error)
+    if code == errno.ENOENT or "No such file" in text or "FileNotFoundError" in text:
+        ports = ", ".join(port["port"] for port in serial_ports())
+        found = f"Ports found: {ports or 'none'} (details: `hapsim ports`)"
+        link = leads_to(path)
+        if link is not None:
+            return f"{path}: a link to {link}, which is gone: was the program that made it stopped? {found}"
+        return f"{path}: no such port. {found}"
+    if code in (errno.EACCES, errno.EPERM) or "Permission denied" in text:
+        return f"{path}: not permitted. On most systems: add yourself to the group dialout and log in again"
+    if code in (errno.EAGAIN, errno.EBUSY) or any(word in text for word in _BUSY):
+        holders = who_holds(path)
+        which = f": {holders}. Close it" if holders else ". Close it (ModemManager is a frequent one)"
+        return f"{path}: another program is using the port{which} and try again"
+    if code in (errno.ENOTTY, errno.EISDIR) or "not configure port" in text or "Inappropriate ioctl" in text:
+        for kind, is_kind in (("file", Path.is_file), ("directory", Path.is_dir)):
+            if is_kind(Path(path)):
+                return f"{path}: not a serial port, but a {kind}"
+        return f"{path}: not a serial port, or one that cannot be set to {baud} baud"
+    return f"{path}: cannot be opened: {text}"
+
+
+def who_holds(path: str) -> str:
+    """Returns the processes that hold `path`, in words that follow a colon; "" where none was found.
+
+    Linux shows every lock to everyone, but open files only to their user and root.
+    """
+    try:
+        port = os.stat(path)
+    except (OSError, ValueError):
+        return ""
+    locking = [pid for pid in _locking(port) if (_PROC / pid).exists()]
+    if locking:
+        return " and ".join(f"{_named(pid)} holds its lock" for pid in locking)
+    return " and ".join(f"{_named(pid)} has it open" for pid in _opening(os.path.realpath(path)))
+
+
+def _locking(port: os.stat_result) -> list[str]:
+    """The processes with a lock on this file, of lines like `1: FLOCK  ADVISORY  WRITE 2461 00:1a:3 0 EOF`."""
+    where = f"{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}"
+    with contextlib.suppress(OSError):
+        lines = map(str.split, (_PROC / "locks").read_text("ascii", "replace").splitlines())
+        return [words[4] for words in lines if words[1:2] == ["FLOCK"] and words[5:6] == [where]]
+    return []
+
+
+def _opening(port: str) -> list[str]:
+    """The readable processes that have this file open."""
+    found = []
+    for process in _PROC.glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # another user's, or it has ended
+            if any(os.readlink(one) == port for one in (process / "fd").iterdir()):
+                found.append(process.name)
+    return sorted(found, key=int)
+
+
+def _named(process: str) -> str:
+    if process == str(os.getpid()):
+        return f"this process itself (PID {process})"
+    command = ""
+    with contextlib.suppress(OSError):
+        command = (_PROC / process / "cmdline").read_text("utf-8", "replace").rstrip("\0").replace("\0", " ")
+    command = "".join(one if one.isprintable() else "?" for one in command)
+    command = f"{command[:_LONGEST]}…" if len(command) > _LONGEST else command
+    return f"PID {process} ({command})" if command else f"PID {process}"

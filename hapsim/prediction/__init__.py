@@ -3,7 +3,7 @@
 Public is what `__all__` names.
 """
 
-from firmware_protocol.wire_time import WireTime
+from firmware_protocol.schema import WireTime
 from hapsim.prediction.any_hand import AnyHand, ShakingHand, WorstHand
 from hapsim.prediction.felt import Desired, Felt, Robustness, correction_for, felt_at_rate, robustness_of
 from hapsim.prediction.felt_together import HAND_HZ, HAND_STIFFNESS, FeltTogether, OwnMotion, Weight

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from firmware_protocol import schema
-from firmware_protocol.wire_time import HOST_WORK_S, WireTime, wire_time
+from firmware_protocol.schema import HOST_WORK_S, WireTime, wire_time
 from hapsim.number_format import duration
 from hapsim.scene import Scene
 

@@ -29,7 +29,7 @@ from hapsim.sound.play import SoundOutput
 from hapsim.sound.wav import WavFile, require_writable_as_wav
 
 if TYPE_CHECKING:
-    from hapsim.device.mock.recorded import RecordedDevice
+    from hapsim.device.mock.stand_ins import RecordedDevice
 
 _AT_ONCE = 1 << 14  # rows
 _MOST_DRAWN = 1 << 20
@@ -276,7 +276,7 @@ def device_of(path: Path) -> RecordedDevice:
 
 
 def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
-    from hapsim.device.mock.recorded import RecordedDevice
+    from hapsim.device.mock.stand_ins import RecordedDevice
 
     run, report = reader.head.run, reader.summary["report"]
     if run is None:

@@ -34,7 +34,7 @@ from hapsim.scene import Scene
 from hapsim.sound.play import SoundOutput
 
 if TYPE_CHECKING:
-    from hapsim.device.mock.live_hand import LiveHand
+    from hapsim.device.mock.stand_ins import LiveHand
 
 _RING_ROWS = 1 << 16
 _SOUND_S, _LEAST_FRAMES = 1.0, 4096  # that the sound's ring holds at least
@@ -163,7 +163,7 @@ def assemble_loop(
     loop.watchdog_samples = timing.watchdog_samples(scene.rate, description.max_watchdog_samples)
     _set_guards(loop, scene, connection, description, options)
     if connection.mock is not None:
-        from hapsim.device.mock.live_hand import LiveHand
+        from hapsim.device.mock.stand_ins import LiveHand
 
         loop.hand = LiveHand(connection.mock, scene)
     loop.account_for(loop.program, rendering.scene)

@@ -153,7 +153,7 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "motion": CompileUnit(
         16,
-        ("device.mock.motion:move_with_spring_or_friction", "device.mock.live_hand:lead_hand"),
+        ("device.mock.motion:move_with_spring_or_friction", "device.mock.stand_ins:lead_hand"),
         in_second_process=True,
     ),
     "wire": CompileUnit(14, _TIMED_WIRE, in_second_process=True, calls_system=True),

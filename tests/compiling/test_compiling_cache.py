@@ -318,7 +318,7 @@ def test_all_that_numba_compiles_for_a_function_is_looked_at(tmp_path: Path) -> 
         ("string", "structure"),
         ("membrane", "structure"),
         ("nonlinear_links", "link"),
-        ("decoder", "encoding"),
+        ("decoder", "frames"),
     } <= names
     assert [(root, file) for root, file in ours if file not in sources_of(root)] == []
 

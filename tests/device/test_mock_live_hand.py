@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hapsim
-from hapsim.device.mock.live_hand import LiveHand
+from hapsim.device.mock.stand_ins import LiveHand
 from hapsim.scene import Hand, Scene
 
 New = Callable[..., Any]

@@ -16,9 +16,8 @@ from types import SimpleNamespace
 import pytest
 from serial.tools import list_ports
 
-from hapsim.device import serial_port
-from hapsim.device.ports import free_name, give_name, is_new, take_name
-from hapsim.device.serial_port import open_serial_port, who_holds
+from hapsim.device import ports
+from hapsim.device.ports import free_name, give_name, is_new, open_serial_port, take_name, who_holds
 from hapsim.errors import DeviceError, UsageError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
@@ -85,7 +84,7 @@ def test_a_name_where_no_link_can_be_made_is_told_with_what_to_do(tmp_path: Path
 
 HOLDS = """
 import sys, time
-from hapsim.device.serial_port import open_serial_port
+from hapsim.device.ports import open_serial_port
 held = open_serial_port(sys.argv[1], 2000000)
 print("open", flush=True)
 time.sleep(600)
@@ -152,9 +151,9 @@ def test_who_waits_for_a_lock_or_has_died_holds_no_port(
     for number in (7, 8):
         (tmp_path / str(number)).mkdir()
     (tmp_path / "7" / "cmdline").write_bytes(b"hapsim\0run\0my\xffscene.yaml\0")
-    monkeypatch.setattr(serial_port, "_PROC", tmp_path)
+    monkeypatch.setattr(ports, "_PROC", tmp_path)
     assert who_holds(port) == "PID 7 (hapsim run my\N{REPLACEMENT CHARACTER}scene.yaml) holds its lock"
-    monkeypatch.setattr(serial_port, "_PROC", tmp_path / "nowhere")
+    monkeypatch.setattr(ports, "_PROC", tmp_path / "nowhere")
     assert who_holds(port) == ""
     assert who_holds(str(tmp_path / "nowhere")) == ""
 
@@ -170,7 +169,7 @@ def test_a_port_of_the_mock_is_open_to_the_next_who_is_not_root(port: str) -> No
 def test_a_port_that_is_no_pseudo_terminal_is_exclusive(port: str, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     ioctl = fcntl.ioctl
-    monkeypatch.setattr("hapsim.device.serial_port._PSEUDO_TERMINALS", range(0))
+    monkeypatch.setattr("hapsim.device.ports._PSEUDO_TERMINALS", range(0))
     monkeypatch.setattr(fcntl, "ioctl", lambda *words: asked.append(words[1]) or ioctl(*words))
     open_serial_port(port, 2_000_000).close()
     assert termios.TIOCEXCL in asked

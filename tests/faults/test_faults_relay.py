@@ -25,7 +25,7 @@ from hapsim.bringup.faults.relay import PassingTimes, Relay
 from hapsim.cli.faults import passing_on
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
-from hapsim.device.serial_port import raw_port
+from hapsim.device.ports import raw_port
 from hapsim.errors import DeviceError, UsageError
 from hapsim.running import run
 from hapsim.scene import Scene

@@ -11,7 +11,7 @@ from typing import IO, Any
 from firmware_protocol import schema
 from hapsim.bringup.probe.wire import Sample, Session, Wire, arm
 from hapsim.device.connection import describe
-from hapsim.device.serial_port import open_serial_port
+from hapsim.device.ports import open_serial_port
 
 PUSH = (30_000_000, -20_000_000)  # counts: 0.3 N and -0.2 N, for which no torque is near the motors' limit
 FIRST = ("nice", "-n", "-15")  # before other programs of this machine, where that is granted

@@ -16,7 +16,7 @@ import pytest
 import firmware_protocol
 from firmware_protocol import schema
 from firmware_protocol.description import to_registers
-from firmware_protocol.sessions import DEVICES, LIMIT, STATES
+from firmware_protocol.vectors import DEVICES, LIMIT, STATES
 from hapsim.device.mock.assemble import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import OUTBOX_BYTES, look_at_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene

@@ -17,7 +17,7 @@ import pytest
 import firmware_protocol
 import hapsim
 from hapsim.device.connection import describe
-from hapsim.device.serial_port import open_serial_port
+from hapsim.device.ports import open_serial_port
 from hapsim.errors import DeviceError
 from hapsim.running import Excitation
 from hapsim.scene import Scene

@@ -21,7 +21,7 @@ from firmware_protocol import schema
 from firmware_protocol.client import Received
 from hapsim.bringup.probe.wire import Wire
 from hapsim.device.connection import arm, describe, disarm, read_register
-from hapsim.device.serial_port import open_serial_port
+from hapsim.device.ports import open_serial_port
 from hapsim.errors import DeviceError
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -11,7 +11,7 @@ import pytest
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device
 from firmware_protocol.make_vectors import DOCUMENT, SESSIONS, made_text
-from firmware_protocol.sessions import DEVICES, STATES, sessions
+from firmware_protocol.vectors import DEVICES, STATES, sessions
 
 TOLD = sessions()["sessions"]
 NAMES = [f"{at}-{entry['section']}-{entry['device']}" for at, entry in enumerate(TOLD)]

@@ -20,7 +20,7 @@ import pytest
 
 from firmware_protocol import schema
 from hapsim.device.connection import arm, describe, disarm, read_register
-from hapsim.device.serial_port import open_serial_port
+from hapsim.device.ports import open_serial_port
 from hapsim.errors import DeviceError
 from hapsim.recording.report_file import read_report
 from hapsim.recording.trace import load_trace

@@ -13,7 +13,7 @@ from loop_rig import frame, scene_of, scripted
 from firmware_protocol import client, schema
 from firmware_protocol.frames import SETUP, frame_to_host
 from hapsim.device.connection import describe, read_register
-from hapsim.device.serial_port import open_serial_port
+from hapsim.device.ports import open_serial_port
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.running import run
 from hapsim.scene import Detent, Scene

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import serial
 
-from hapsim.device.serial_port import open_serial_port, serial_ports
+from hapsim.device.ports import open_serial_port, serial_ports
 from hapsim.errors import DeviceError
 from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 

@@ -18,7 +18,7 @@ import hapsim
 from hapsim.bringup.faults.relay import Relay
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
-from hapsim.device.serial_port import raw_port
+from hapsim.device.ports import raw_port
 from hapsim.errors import DeviceError, SceneError, UsageError
 from hapsim.scene import Scene, parse_scene
 

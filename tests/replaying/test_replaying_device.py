@@ -16,7 +16,7 @@ import pytest
 from test_replaying_command import SCENE, recorded, rewrite
 
 import hapsim
-from hapsim.device.mock.recorded import RecordedDevice
+from hapsim.device.mock.stand_ins import RecordedDevice
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import DeviceError, RunError
 from hapsim.loop.ring import BRIDGED

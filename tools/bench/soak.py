@@ -29,7 +29,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from hapsim.device.connection import read_register
-from hapsim.device.serial_port import open_portable_port
+from hapsim.device.ports import open_portable_port
 from hapsim.errors import DeviceError
 
 ROOT = Path(__file__).parents[2]

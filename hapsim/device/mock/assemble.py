@@ -12,7 +12,7 @@ from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
-from firmware_protocol.wire_time import BITS_PER_BYTE, WireTime, wire_time
+from firmware_protocol.schema import BITS_PER_BYTE, WireTime, wire_time
 from hapsim.device.mock.firmware import MOCK, MOST_LATE, take_late_force
 from hapsim.device.mock.sampler import set_timing
 from hapsim.errors import UsageError
