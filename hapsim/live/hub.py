@@ -153,7 +153,7 @@ class Hub:
     @property
     def observer(self) -> RunObserver:
         """What keeps the hub up to date."""
-        return RunObserver(started=self._started, over=self._over, tell=self._told)
+        return RunObserver(started=self._started, over=self._over, tell=self.tell)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -176,11 +176,6 @@ class Hub:
     def _over(self) -> None:
         if self.session is not None:
             self._scene, self.session = self.session.scene, None
-
-    def _told(self, event: str, sentence: str) -> None:
-        kinds: dict[str, EventKind] = {"lost": "lost", "waiting": "waiting", "reconnected": "reconnected"}
-        if event in kinds:
-            self.tell(kinds[event], sentence)
 
     def _running(self) -> Session:
         if self.session is None:

@@ -1,15 +1,23 @@
-"""Every message of the WebSocket, as types: what a client may send, and what it gets. `schema` has all of them."""
+"""Every message of the WebSocket: what a client may send, and what it gets. `schema` has all but the binary ones."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import to_json
 
 from hapsim.errors import UsageError
-from hapsim.running.session_view import EventKind
+from hapsim.loop.histogram import Histogram
+from hapsim.recording.recorder import Samples
+from hapsim.running.parameters import Parameter
+from hapsim.running.session import Session
+from hapsim.running.session_view import Event, EventKind
+from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
 
 LONGEST, SHORT = 1 << 18, 1 << 16
@@ -238,6 +246,49 @@ class Predicted(BaseModel):
     id: Id = None
 
 
+def event_message(event: Event) -> EventMessage:
+    values = dict(event.values)
+    return EventMessage(kind=event.kind, sentence=event.sentence, values=values, sample=event.sample, at=event.at)
+
+
+def parameter_message(one: Parameter) -> ParameterMessage:
+    names = ("name", "kind", "value", "unit", "description", "least", "most", "words", "span")
+    return ParameterMessage(**{name: getattr(one, name) for name in names}, logarithmic=one.is_logarithmic)
+
+
+def channels_of(scene: Scene) -> list[Channel]:
+    motions, travels = scene.device.motions(scene.channels), scene.device.travels(scene.channels)
+    names = {point.channel: name for name, point in scene.device_points.items()}
+    return [
+        Channel(
+            channel=i,
+            name=names.get(i, ""),
+            motion=motion,
+            unit_position="rad" if motion == "rotary" else "m",
+            unit_force="N·m" if motion == "rotary" else "N",
+            force_limit=scene.device.force_limit,
+            travel=travels[i],
+            hand=Drag(stiffness=scale.drag_stiffness, damping=scale.drag_damping, reach=scale.reach),
+        )
+        for i, (motion, scale) in enumerate(zip(motions, scene.device.scales(scene.channels), strict=True))
+    ]
+
+
+def modules_of(session: Session | None) -> list[ModuleMessage]:
+    if session is None:
+        return []
+    found = []
+    for name, place in session.state().modules.items():
+        columns = getattr(session.scene.modules.get(name), "columns", None)
+        found.append(ModuleMessage(name=name, masses=None if isinstance(place, float) else place.size, columns=columns))
+    return found
+
+
+def bins_of(histogram: Histogram) -> Bins:
+    there = histogram.counts.nonzero()[0]
+    return Bins(edges_s=histogram.edges[there].tolist(), counts=histogram.counts[there].tolist())
+
+
 _REQUESTS: TypeAdapter[Any] = TypeAdapter(Request)
 _TYPES: dict[str, type[_Request]] = {
     str(one.__name__).lower(): one for one in (Get, Set, Subscribe, Marker, Stop, Adopt, Record, Predict)
@@ -305,3 +356,37 @@ def _shown(value: Any) -> str:
 
 def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+# Binary messages: rows of little-endian Float32
+
+SAMPLES, MODULES = 1, 2
+"""Kinds of a block."""
+HEAD = struct.Struct("<IIIIdd")
+"""Kind, rows, columns, channels, number of the first sample, sample period in s."""
+
+
+def block_of(samples: Samples, period: float) -> bytes:
+    """Returns a block with a row for each sample: [sample − first, flags, position × C, velocity × C, force × C].
+    `period`: s between two samples."""
+    first, channels = int(samples.sample[0]), samples.position.shape[1]
+    rows = np.column_stack(
+        [samples.sample - first, samples.flags, samples.position, samples.velocity, samples.force]
+    ).astype("<f4")
+    return HEAD.pack(SAMPLES, *rows.shape, channels, first, period) + rows.tobytes()
+
+
+def thinned(samples: Samples, every: int, before: int) -> Samples:
+    """Returns every n-th of the samples that follow `before` others."""
+    if every == 1:
+        return samples
+    kept = slice(-before % every, None, every)
+    return Samples(**{name: values[kept] for name, values in vars(samples).items()})
+
+
+def modules_block(glances: Sequence[tuple[int, NDArray[np.float64]]], channels: int, period: float) -> bytes:
+    """Returns a block with a row for each glance at watched modules, a sample's number and (modules,) positions in m:
+    [sample − first, position of each]."""
+    first = glances[0][0]
+    rows = np.array([[sample - first, *places] for sample, places in glances], "<f4")
+    return HEAD.pack(MODULES, *rows.shape, channels, first, period) + rows.tobytes()

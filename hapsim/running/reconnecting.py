@@ -23,6 +23,7 @@ from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram
 from hapsim.recording.trace import Report, Statistics
 from hapsim.running.session import Session, follow, start
+from hapsim.running.session_view import OfDevice
 from hapsim.scene import Scene
 from hapsim.stopping import stopping_on_signals
 
@@ -48,7 +49,7 @@ class RunObserver:
     """A session has ended, in whatever way: nothing is armed."""
     waiting: Callable[[], None] = lambda: None
     """Now and then while the run waits for the port."""
-    tell: Callable[[str, str], None] = lambda _event, _sentence: None
+    tell: Callable[[OfDevice, str], None] = lambda _event, _sentence: None
     """(event, sentence): `lost`, `waiting` (a try failed), `reconnected`."""
 
 

@@ -51,7 +51,7 @@ from hapsim.running.requirements import (
     require_known_zero,
     require_runnable,
 )
-from hapsim.running.session_view import SessionView, StateReader
+from hapsim.running.session_view import SessionView
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.sound.play import Playback, SoundOutput
@@ -110,7 +110,6 @@ class Session(SessionView):
             kept = max(options.history_s * scene.rate, min(scene.rate, _LAST_ROWS))
             kept = min(math.ceil(kept), _MOST_HISTORY)
             self._recorder = Recorder(self._loop.ring, options.keep, kept, self._take_notes)
-            self._state = StateReader(self._loop, scene.rate)
             self._to_file = threading.Lock()
             stack.callback(self._finish_record)
             if options.record is not None:

@@ -36,19 +36,8 @@ _STREAM_S = 60.0  # that a stream keeps for who reads it late
 _TRIES = 8  # to read values of one sample
 
 
-EventKind = Literal[
-    "armed",
-    "changed",
-    "rejected",
-    "marker",
-    "recording",
-    "recorded",
-    "lost",
-    "waiting",
-    "reconnected",
-    "guard",
-    "ended",
-]
+OfDevice = Literal["lost", "waiting", "reconnected"]
+EventKind = Literal["armed", "changed", "rejected", "marker", "recording", "recorded", OfDevice, "guard", "ended"]
 
 
 @dataclass(frozen=True)
@@ -86,66 +75,7 @@ class State:
     """Phase, rate and counters."""
 
 
-class StateReader:
-    """Reads the latest values of a loop beside it. The loop does not notice."""
-
-    def __init__(self, loop: LoopMemory, rate: float) -> None:
-        self._loop, self._rate = loop, rate
-        self._program: Program | None = None
-        self._places: dict[str, int | NDArray[np.int64]] = {}
-
-    def read(self, progress: Progress) -> State:
-        """Returns the values now. `progress`: of the same moment."""
-        io, state, used = self._loop.record.io, self._loop.state, slice(self._loop.wire.channels)
-        for _ in range(_TRIES):  # until no sample came meanwhile
-            sample, newest = int(state.sample), int(state.newest_ns)
-            here, before, gap = io.measured[used].copy(), io.before[used].copy(), max(int(state.gap), 1)
-            force = (io.force_counts * io.force_scale)[used]
-            if sample == int(state.sample):
-                break
-        return State(
-            sample=sample,
-            age_s=max(time.monotonic_ns() - newest, 0) * 1e-9 if newest else 0.0,
-            position=tuple(here.tolist()),
-            velocity=tuple(((here - before) * self._rate / gap).tolist()),
-            force=tuple(force.tolist()),
-            modules=self.modules(),
-            progress=progress,
-        )
-
-    def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
-        """Returns the newest sample's number, and where points and masses of structures ("gut.7", "skin.3.4") are:
-        (names,) m. Raises UsageError where there is no such one."""
-        program, hands = self._loop.program, self._hands()
-        row, numbers = positions_of(program)[0], program.numbers
-        for name in names:
-            if name not in numbers:
-                part = name.partition(".")[0]
-                masses = [one for one in numbers if one.startswith(f"{part}.")]
-                near = f"one of its masses, {masses[0]} to {masses[-1]}" if masses else "a point, or a structure's mass"
-                others = {one.partition(".")[0]: None for one in numbers}
-                raise UsageError(f"found '{name}', expected {near}{'' if masses else did_you_mean(part, list(others))}")
-        places = [hands[name] if name in hands else row[numbers[name]] for name in names]
-        return int(self._loop.state.sample), np.array(places, np.float64)
-
-    def modules(self) -> dict[str, float | NDArray[np.float64]]:
-        """Returns where each point is."""
-        program = self._loop.program
-        if program is not self._program:
-            self._program, self._places = program, _places(program.numbers)
-        row = positions_of(program)[0]
-        return {
-            name: row[place].astype(np.float64) if isinstance(place, np.ndarray) else float(row[place])
-            for name, place in self._places.items()
-        } | self._hands()
-
-    def _hands(self) -> dict[str, float]:
-        """Where the hands were measured, in m: their places in the program are the tick's own."""
-        measured = self._loop.record.io.measured
-        return {name: float(measured[one.channel]) for name, one in self._loop.rendered_scene.device_points.items()}
-
-
-def _places(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]:
+def _places_in(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]:
     """Where each module stands in a program's rows: one number, or those of a structure's masses."""
     places: dict[str, Any] = {}
     for name, number in numbers.items():
@@ -201,7 +131,9 @@ class SessionView:
     _recorder: Recorder
     _recorded_scene: Scene
     """As it was when the record began."""
-    _state: StateReader
+    _program: Program | None = None
+    _places: Mapping[str, int | NDArray[np.int64]] = {}
+    """Where the modules of that program are in its rows."""
     _to_file: threading.Lock
 
     def __repr__(self) -> str:
@@ -248,12 +180,53 @@ class SessionView:
     def state(self) -> State:
         """Returns the latest position, velocity and force of each channel, the position of each module, and how old
         they are. It takes some tens of microseconds, and the loop does not notice."""
-        return self._state.read(self.progress())
+        io, state, used = self._loop.record.io, self._loop.state, slice(self._loop.wire.channels)
+        for _ in range(_TRIES):  # until no sample came meanwhile
+            sample, newest = int(state.sample), int(state.newest_ns)
+            here, before, gap = io.measured[used].copy(), io.before[used].copy(), max(int(state.gap), 1)
+            force = (io.force_counts * io.force_scale)[used]
+            if sample == int(state.sample):
+                break
+        return State(
+            sample=sample,
+            age_s=max(time.monotonic_ns() - newest, 0) * 1e-9 if newest else 0.0,
+            position=tuple(here.tolist()),
+            velocity=tuple(((here - before) * self.scene.rate / gap).tolist()),
+            force=tuple(force.tolist()),
+            modules=self._modules(),
+            progress=self.progress(),
+        )
 
     def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
         """Returns the newest sample's number, and where points and masses of structures ("gut.7", "skin.3.4") are:
         (names,) m. Raises UsageError where there is no such one."""
-        return self._state.positions(names)
+        program, hands = self._loop.program, self._hands()
+        row, numbers = positions_of(program)[0], program.numbers
+        for name in names:
+            if name not in numbers:
+                part = name.partition(".")[0]
+                masses = [one for one in numbers if one.startswith(f"{part}.")]
+                near = f"one of its masses, {masses[0]} to {masses[-1]}" if masses else "a point, or a structure's mass"
+                others = {one.partition(".")[0]: None for one in numbers}
+                raise UsageError(f"found '{name}', expected {near}{'' if masses else did_you_mean(part, list(others))}")
+        places = [hands[name] if name in hands else row[numbers[name]] for name in names]
+        return int(self._loop.state.sample), np.array(places, np.float64)
+
+    def _modules(self) -> dict[str, float | NDArray[np.float64]]:
+        """Returns where each point is."""
+        program = self._loop.program
+        if program is not self._program:
+            self._program, self._places = program, _places_in(program.numbers)
+        row = positions_of(program)[0]
+        return {
+            name: row[place].astype(np.float64) if isinstance(place, np.ndarray) else float(row[place])
+            for name, place in self._places.items()
+        } | self._hands()
+
+    def _hands(self) -> dict[str, float]:
+        """Where the hands were measured, in m: their places in the program are the tick's own."""
+        measured = self._loop.record.io.measured
+        return {name: float(measured[one.channel]) for name, one in self._loop.rendered_scene.device_points.items()}
 
     def stream(self, history_s: float = 0.0) -> Stream:
         """Returns an iterator over all `Samples` from now on, without gaps, in pieces as they come. It ends with the

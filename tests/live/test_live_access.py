@@ -21,7 +21,7 @@ from websockets.frames import Frame, Opcode
 from websockets.sync.client import connect
 
 from hapsim.errors import UsageError
-from hapsim.live import sockets, viewer
+from hapsim.live import server, web
 from hapsim.live.access import TOKEN_VARIABLE, address_of, has_token, ip_of, new_token, why_refused
 from hapsim.live.osc import OscView
 from hapsim.live.osc_query import OscQueryView
@@ -206,7 +206,7 @@ def test_no_crowd_of_strangers_locks_out_who_has_the_token_or_is_at_the_machine(
     serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch, from_where: str
 ) -> None:
     """127.0.0.8 and 127.0.0.9 stand for other machines, 127.0.0.1 for this one."""
-    monkeypatch.setattr(sockets, "ip_of", lambda peer: ip_of(peer if peer == "127.0.0.1" else "192.0.2.1"))
+    monkeypatch.setattr(server, "ip_of", lambda peer: ip_of(peer if peer == "127.0.0.1" else "192.0.2.1"))
     served = serve(address="0.0.0.0:0")
     port, (_, _, token) = served.view.address.port, served.view.url.partition("token=")
     cookie = {"Cookie": f"hapsim-{port}={token}"}
@@ -216,7 +216,7 @@ def test_no_crowd_of_strangers_locks_out_who_has_the_token_or_is_at_the_machine(
         for source in ("127.0.0.1", "127.0.0.8", "127.0.0.9"):
             assert status(port, f"/?token={token}", source) == 303
             assert status(port, "/", source) == 401, "a place is no permission"
-        assert gone(crowd) >= 200 - sockets._MOST_CONNECTIONS
+        assert gone(crowd) >= 200 - server._MOST_CONNECTIONS
         assert client.ask(type="get")["type"] == "model", "those that were let in stay"
     assert not served.warnings
 
@@ -224,12 +224,12 @@ def test_no_crowd_of_strangers_locks_out_who_has_the_token_or_is_at_the_machine(
 def test_of_strangers_those_of_the_most_crowded_address_go_first(
     serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sockets, "ip_of", lambda _: ip_of("192.0.2.1"))
+    monkeypatch.setattr(server, "ip_of", lambda _: ip_of("192.0.2.1"))
     port = serve(address="0.0.0.0:0").view.address.port
     with contextlib.ExitStack() as stack:
         slow = stack.enter_context(socket.create_connection(("127.0.0.1", port), 30, ("127.0.0.8", 0)))
         crowd = strangers(stack, port, "127.0.0.9")
-        while gone(crowd) < 200 - sockets._MOST_CONNECTIONS:
+        while gone(crowd) < 200 - server._MOST_CONNECTIONS:
             pass
         assert gone([slow]) == 0
 
@@ -237,13 +237,13 @@ def test_of_strangers_those_of_the_most_crowded_address_go_first(
 def test_a_crowd_of_other_machines_takes_no_place_of_this_one(
     serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sockets, "ip_of", lambda peer: ip_of(peer if peer == "127.0.0.1" else "192.0.2.1"))
+    monkeypatch.setattr(server, "ip_of", lambda peer: ip_of(peer if peer == "127.0.0.1" else "192.0.2.1"))
     port = serve(address="0.0.0.0:0").view.address.port
     with contextlib.ExitStack() as stack:
         own = stack.enter_context(socket.create_connection(("127.0.0.1", port), 30, ("127.0.0.1", 0)))
         others = (f"127.0.1.{i}" for i in range(1, 201))
         crowd = [stack.enter_context(socket.create_connection(("127.0.0.1", port), 30, (one, 0))) for one in others]
-        while gone(crowd) < 200 - sockets._MOST_CONNECTIONS:
+        while gone(crowd) < 200 - server._MOST_CONNECTIONS:
             pass
         assert gone([own]) == 0
 
@@ -274,7 +274,7 @@ def ping_forever(served: Served) -> int:
         raw.settimeout(30)
         pings = 1000 * Frame(Opcode.PING, b"x" * 100).serialize(mask=True)
         with contextlib.suppress(ConnectionError):
-            while sent < 20 * sockets._MOST_UNSENT:
+            while sent < 20 * server._MOST_UNSENT:
                 raw.sendall(pings)
                 sent += len(pings)
     return sent
@@ -283,11 +283,11 @@ def ping_forever(served: Served) -> int:
 def test_a_client_that_reads_no_answer_to_its_pings_takes_no_memory_and_prints_nothing(
     serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(sockets, "_MOST_UNSENT", 1 << 20)
+    monkeypatch.setattr(server, "_MOST_UNSENT", 1 << 20)
     served = serve()
     with served.client() as other:
         other.ask(type="get")
-        assert ping_forever(served) < 10 * sockets._MOST_UNSENT
+        assert ping_forever(served) < 10 * server._MOST_UNSENT
         assert other.ask(type="get")["type"] == "model"
     assert not caplog.records
     assert not served.warnings
@@ -308,8 +308,8 @@ def test_what_asyncio_logs_of_the_server_is_not_printed_and_what_it_logs_elsewhe
 def test_a_client_that_reads_nothing_is_dropped_with_a_message(
     serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(viewer, "PATIENCE_S", 0.1)
-    monkeypatch.setattr(viewer, "MESSAGES_PER_S", 1e9)
+    monkeypatch.setattr(web, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(web, "MESSAGES_PER_S", 1e9)
     served = serve()
     slow = socket.socket()
     slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -339,8 +339,8 @@ def test_a_flood_of_messages_is_read_no_faster_than_allowed(
     async def note(seconds: float) -> None:
         waits.append(seconds)
 
-    monkeypatch.setattr(viewer, "MESSAGES_PER_S", 10.0)
-    monkeypatch.setattr(viewer, "asyncio", _With(asyncio, sleep=note))
+    monkeypatch.setattr(web, "MESSAGES_PER_S", 10.0)
+    monkeypatch.setattr(web, "asyncio", _With(asyncio, sleep=note))
     with serve().client() as client:
         for _ in range(300):
             client.send(type="get")

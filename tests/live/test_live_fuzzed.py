@@ -15,7 +15,7 @@ import pytest
 from live_clients import ANSWERS, SCENE, Served
 from websockets.exceptions import ConnectionClosed
 
-from hapsim.live import viewer
+from hapsim.live import web
 
 MESSAGES = int(os.environ.get("HAPSIM_POINTS", "1000"))  # HAPSIM_POINTS=100000 sends a hundred thousand, in minutes
 BATCH = 20  # sent before the first answer is read: no more than wait unread at the server
@@ -90,7 +90,7 @@ def messages(seed: int) -> Iterator[str | bytes]:
 def test_every_message_is_answered_and_the_scene_goes_on(
     serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(viewer, "MESSAGES_PER_S", 1e9)
+    monkeypatch.setattr(web, "MESSAGES_PER_S", 1e9)
     served, fuzz, kinds = serve(SLOW), messages(35), set()
     with served.client() as client:
         for _ in range(MESSAGES // BATCH):

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from jsonschema import Draft202012Validator
 
-from hapsim.live.web import _channels
+from hapsim.live.messages import channels_of
 from hapsim.measuring.measure import pushes
 from hapsim.prediction.force_bounds import fade_stiffness
 from hapsim.scene import Scene, parse_scene, scene_schema
@@ -121,7 +121,7 @@ def test_a_hand_at_a_knob_is_that_at_a_handle_with_the_inertia_in_place_of_the_m
     share = inertia / 0.5  # kg: that of a hand
     fades = fade_stiffness(device_of("rotary", inertia, share * 0.4), 0)
     assert fades == pytest.approx(share * fade_stiffness(device_of("linear", 0.5, 0.4), 0), rel=1e-9)
-    (knob,), (handle,) = (_channels(device_of(*one, 0.1)) for one in (("rotary", inertia), ("linear", 0.2)))
+    (knob,), (handle,) = (channels_of(device_of(*one, 0.1)) for one in (("rotary", inertia), ("linear", 0.2)))
     assert knob.hand.stiffness == pytest.approx(inertia / 0.2 * handle.hand.stiffness)
     assert knob.hand.damping == pytest.approx(inertia / 0.2 * handle.hand.damping)
     assert knob.hand.reach == 0.5
