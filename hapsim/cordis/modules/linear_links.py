@@ -125,7 +125,7 @@ def _step(point, period, state):
     return state.position[point] - state.previous[point]
 
 
-def _damped(
+def damped_type(
     damper: str,
     compiled_as: str,
     add_forces: NativeFunction,
@@ -162,8 +162,8 @@ VISCOELASTIC = link_type(
     "visco-elastic links",
     where=lambda link: link.damper == "backward",
 )
-CENTRED = _damped("centred", "one remembered stretch each", add_centred_forces, lambda *_: 0.0, initialize_centred)
-FILTERED = _damped("filtered", "one remembered velocity each", add_filtered_forces, _kept, initialize_filtered)
-SENSED = _damped("sensed", "velocities come from the device", add_sensed_forces, lambda _, rate: 1.0 / rate)
+CENTRED = damped_type("centred", "one remembered stretch each", add_centred_forces, lambda *_: 0.0, initialize_centred)
+FILTERED = damped_type("filtered", "one remembered velocity each", add_filtered_forces, _kept, initialize_filtered)
+SENSED = damped_type("sensed", "velocities come from the device", add_sensed_forces, lambda _, rate: 1.0 / rate)
 SPRING = link_type(Spring, Springs, add_spring_forces, "springs")
 DAMPER = link_type(Damper, _dampers, add_forces, "dampers")
