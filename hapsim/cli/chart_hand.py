@@ -20,7 +20,7 @@ from hapsim.cli.options import (
     require_positive,
     scene_name,
 )
-from hapsim.cli.output import document, say, speak_of, stdout, table
+from hapsim.cli.output import document, say, speak_of, spoken, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import between, number, percent
 from hapsim.scene import choices
@@ -155,21 +155,23 @@ def print_hands(drawn: list[Hand], others: list[Hand]) -> None:
 
 def _felt_sentence(hand: Hand) -> str:
     """Returns what is simulated and felt, and for which K and B the loop is stable."""
-    known = hand.summary()
+    known, units = hand.summary(), spoken()
     felt = "no spring and damper is equivalent"
     if known["dominant"]:
         felt = (
-            f"K = {known['stiffness']:g} N/m, B = {known['damping']:g} N·s/m is felt as "
-            f"k = {number(known['k'])} N/m, b = {number(known['b'])} N·s/m"
+            f"K = {units(known['stiffness'], 'N/m', 'g')}, B = {units(known['damping'], 'N·s/m', 'g')} is felt as "
+            f"k = {units(known['k'], 'N/m')}, b = {units(known['b'], 'N·s/m')}"
         )
     ends = []
     for name, which, unit, other in (("stiffness", "K", "N/m", "B"), ("damping", "B", "N·s/m", "K")):
         low, high = known[f"stable_{name}"]
         if high > 0.0:
             low = low if low > 1e-12 * high else 0.0  # a negative K or B is of no use
-            ends.append(f"for {which} from {between(low, high)} {unit} at this {other}")
+            ends.append(f"for {which} from {units(between(low, high), unit)} at this {other}")
     stable = f"stable {' and '.join(ends)}" if ends else "not stable with this K or B"
-    return f"{'' if known['stable'] else 'UNSTABLE: '}{hand.name} of {known['mass']:g} kg: {felt}; {stable}."
+    return (
+        f"{'' if known['stable'] else 'UNSTABLE: '}{hand.name} of {units(known['mass'], 'kg', 'g')}: {felt}; {stable}."
+    )
 
 
 def plane(
@@ -305,8 +307,8 @@ def force(
     from hapsim.chart.force import columns_of, draw_force, force_chart
 
     output.choose("force.svg")
-    require_positive("--speed", speed, "m/s")
     loaded = load(scene)
+    require_positive("--speed", speed, spoken().si.name("m/s"))
     hands = {point.channel: name for name, point in loaded.device_points.items()}
     name = hands.get(min(hands) if channel is None else channel)
     if name is None:
@@ -346,7 +348,8 @@ def transparency(
         if not chosen.is_simulated:
             raise UsageError("--simulated-stiffness is missing: without a SCENE, it says what is simulated")
         chart, summary = transparency_of(chosen), chosen.summary()
-        pair = f"K = {chosen.stiffness:.6g} N/m, B = {chosen.damping:.6g} N·s/m"
+        units = spoken()
+        pair = f"K = {units(chosen.stiffness, 'N/m', '.6g')}, B = {units(chosen.damping, 'N·s/m', '.6g')}"
         title = f"{pair}; {described(chosen.configuration)}"
         if not output.json:
             print_hands([chosen], [])

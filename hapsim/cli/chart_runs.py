@@ -50,7 +50,8 @@ def table1(
         raise UsageError(f"--correction: found '{correction}', expected {one_of(known)}")
     with live_line(stderr()) as tell:
         chart = table1_of(hand, as_scene=as_scene, correction=corrected, on_progress=tell)
-    tuned = f"K = {chart.K:.6g} N/m, k = {chart.k:.6g} N/m, correction: {corrected}"
+    units = loaded.units_of(hand.channel)
+    tuned = f"K = {units(chart.K, 'N/m', '.6g')}, k = {units(chart.k, 'N/m', '.6g')}, correction: {corrected}"
     output.write(chart.columns, lambda path: draw_table1(chart, f"{tuned}; {described(chart.configuration)}", path))
     if not output.json:
         rows = [
@@ -65,7 +66,8 @@ def table1(
             )
             for one in chart.couplings.values()
         ]
-        headings = ("", "k  N/m", "K  N/m", "predicted  Hz", "measured  Hz", "off by", "of I")
+        unit = units.name("N/m")
+        headings = ("", f"k  {unit}", f"K  {unit}", "predicted  Hz", "measured  Hz", "off by", "of I")
         stdout().print(table("Table 1: a mass on real springs k and simulated springs K", headings, rows))
     columns = chart.columns()
     couplings = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

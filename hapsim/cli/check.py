@@ -16,7 +16,7 @@ from hapsim.cli.check_regions import regions_document, show_regions, show_states
 from hapsim.cli.check_together import show_together, together_document
 from hapsim.cli.live import at_work
 from hapsim.cli.options import At, Json, SceneFile, flag, load, option, position, scene_name
-from hapsim.cli.output import Table, document, pick, spoken, stderr, stdout, table
+from hapsim.cli.output import Table, document, pick, stderr, stdout, table
 from hapsim.errors import GuardError, UsageError
 from hapsim.holds import HOLDS
 from hapsim.number_format import duration, number
@@ -36,7 +36,7 @@ from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bou
 from hapsim.prediction.linear import late_by_mean, with_device
 from hapsim.prediction.timing import on_wire
 from hapsim.theory.network.margins import SEARCHED
-from hapsim.units import InUnits
+from hapsim.units import Units
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -157,7 +157,7 @@ def _predicted_for(scene: Scene) -> str:
     """Returns the device and the hands of a prediction: one, or each channel's where they differ."""
     device, channels = scene.device, scene.channels
     each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
-    hands = [spoken(channel)(_one_hand(*one)) for channel, one in enumerate(each)]
+    hands = [_one_hand(*one, scene.units_of(channel)) for channel, one in enumerate(each)]
     used = {point.channel: hands[point.channel] for point in scene.device_points.values()}
     first, *others = dict.fromkeys(used.values())
     who = "; ".join(f"channel {c}: {hand}" for c, hand in sorted(used.items())) if others else first
@@ -169,14 +169,14 @@ def _predicted_for(scene: Scene) -> str:
     steps = f", {scene.substeps} substeps a sample" if scene.substeps > 1 else ""
     if lag := late_by_mean(scene):
         steps += f" (springs act on the mean position, {lag:.4g} of a sample late)"
-    return InUnits(f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}{steps}")
+    return f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}{steps}"
 
 
-def _one_hand(span: tuple[float, float], friction: float, stiffness: float) -> str:
+def _one_hand(span: tuple[float, float], friction: float, stiffness: float, units: Units) -> str:
     least, most = span
-    mass = f"{most:g} kg" if least == most else f"{least:g} to {most:g} kg"
-    spring = f", a spring of {stiffness:g} N/m" if stiffness else ""
-    return f"{mass}, friction {friction:g} N·s/m{spring}"
+    mass = units(most, "kg", "g") if least == most else f"{least:g} to {units(most, 'kg', 'g')}"
+    spring = f", a spring of {units(stiffness, 'N/m', 'g')}" if stiffness else ""
+    return f"{mass}, friction {units(friction, 'N·s/m', 'g')}{spring}"
 
 
 def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: Prediction | None) -> None:
@@ -194,11 +194,12 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
         out.print(f"A large scene: {prediction.poles_method}.")
     details.show_wire(out, prediction, on_wire, explain=False)
     bounds = run_bounds(scene)
-    slew = f", slew {bounds.slew_limit:g} N/s" if math.isfinite(bounds.slew_limit) else ""
+    slew = f", slew {scene.units(bounds.slew_limit, 'N/s', 'g')}" if math.isfinite(bounds.slew_limit) else ""
     soft = f", soft start {duration(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else ""
     silence = duration(host_silence(prediction.rate).zero_force_after_s)
     out.print(
-        f"Guards: force {scene.device.force_limit:g} N{slew}{soft}, energy {bounds.energy_limit:g} J; zero force "
+        f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy {bounds.energy_limit:g} "
+        "J; zero force "
         f"{silence} after the host dies"
     )
     for sentence in (*details.travel_sentences(scene), *details.count_sentences(scene, prediction)):
@@ -207,7 +208,7 @@ def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: P
         out.print(sentence)
     for desired in prediction.desired:
         if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:
-            out.print(reached_sentence(desired, prediction.rendering.kind.name, prediction.regions))
+            out.print(reached_sentence(desired, prediction.rendering.kind.name, prediction))
     details.show_assumptions(out, prediction.assumptions)
 
 
@@ -216,9 +217,9 @@ def _felt_summary(prediction: Prediction) -> Table:
     rows = []
     for felt in prediction.felt:
         k, b = prediction.asked_for(felt)
-        static = number(robustness_of(felt).steady_stiffness)
-        rows.append((f"{escape(felt.name)}: k", number(k), number(felt.k), static, spoken(felt.channel)("N/m")))
-        rows.append((f"{escape(felt.name)}: b", number(b), number(felt.b), "", spoken(felt.channel)("N·s/m")))
+        static, units = number(robustness_of(felt).steady_stiffness), prediction.scene.units_of(felt.channel)
+        rows.append((f"{escape(felt.name)}: k", number(k), number(felt.k), static, units.name("N/m")))
+        rows.append((f"{escape(felt.name)}: b", number(b), number(felt.b), "", units.name("N·s/m")))
     return table("", ("", "asked for", "felt", "static", ""), rows, box=None)
 
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
-from hapsim.cli.output import spoken
 from hapsim.errors import UsageError
 from hapsim.number_format import number, rounded_down, rounded_up
+from hapsim.units import Units
 
 if TYPE_CHECKING:
     from hapsim.prediction import AnyHand, Prediction, WorstHand
@@ -44,7 +44,7 @@ def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
     alike: dict[str, list[str]] = {}
     for one in prediction.any_hands:
         told = f"{_passive(prediction, one)}{_ordinary(prediction, one)}"
-        alike.setdefault(spoken(one.channels[0])(told), []).append(_who(one))
+        alike.setdefault(told, []).append(_who(one))
     for sentence, whose in alike.items():
         yield f"{', '.join(whose)}: {sentence}"
 
@@ -62,7 +62,9 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
         )
     if one.pushes_away:
         return f"not passive{taken}, whatever the friction: at rest the scene pushes the hand on"
-    friction = f"{_needed(one)} of friction (declared: {_numbers(one.friction)})"
+    friction = (
+        f"{_needed(one, prediction.scene.units_of(one.channels[0]))} of friction (declared: {_numbers(one.friction)})"
+    )
     if one.is_passive:
         return f"passive{taken}, which is stable in any hands (Colgate and Schenkel): that needs {friction}"
     return f"not passive{taken}: it is stable in any hands only with {friction}{_shaken(prediction, one)}"
@@ -78,15 +80,16 @@ def _ordinary(prediction: Prediction, one: AnyHand) -> str:
         return ""
     if worst.is_stable:
         return f". Hands of up to {_ORDINARY[0][1]:g} kg and {_ORDINARY[1][1]:g} N/m more do not shake it"
-    return f". [red]An ordinary hand shakes it[/red]: {_hands(one, worst)} more"
+    units = prediction.scene.units_of(one.channels[0])
+    return f". [red]An ordinary hand shakes it[/red]: {_hands(one, worst, units)} more"
 
 
-def _hands(one: AnyHand, worst: WorstHand) -> str:
+def _hands(one: AnyHand, worst: WorstHand, units: Units) -> str:
     """Returns what they add; of several what those add that add something."""
     each = zip(one.names, worst.masses, worst.stiffnesses, strict=True)
     several = len(one.names) > 1
     told = [
-        f"{number(mass, 3)} kg, {number(stiffness, 3)} N/m{f' on {escape(name)}' if several else ''}"
+        f"{units(mass, 'kg', 3)}, {units(stiffness, 'N/m', 3)}{f' on {escape(name)}' if several else ''}"
         for name, mass, stiffness in each
         if mass or stiffness or not several
     ]
@@ -98,12 +101,12 @@ def _who(one: AnyHand) -> str:
     return f"{', '.join([first, *others[:-1]])} and {others[-1]}" if others else first
 
 
-def _needed(one: AnyHand) -> str:
+def _needed(one: AnyHand, units: Units) -> str:
     shown = [rounded_up(max(0.0, float(needed))) for needed in one.needed]
     alike = len({*shown}) == 1
     if alike:
-        return f"{shown[0]} N·s/m{' each' if len(shown) > 1 else ''}"
-    return f"{' and '.join(shown)} N·s/m, in these proportions,"
+        return f"{units(shown[0], 'N·s/m')}{' each' if len(shown) > 1 else ''}"
+    return f"{units(' and '.join(shown), 'N·s/m')}, in these proportions,"
 
 
 def _numbers(friction: Any) -> str:
@@ -116,7 +119,8 @@ def _shaken(prediction: Prediction, one: AnyHand) -> str:
     below = f"; below {rounded_down(least)} a mass or a spring shakes it" if least > 0.0 else ""
     if hand is None:
         return below
-    holds = f"{number(hand.mass, 3)} kg" if hand.mass else f"{number(hand.stiffness, 3)} N/m"
+    units = prediction.scene.units_of(one.channels[0])
+    holds = units(hand.mass, "kg", 3) if hand.mass else units(hand.stiffness, "N/m", 3)
     holds = f"a clamp of {holds}" if hand.stiffness > _CLAMP else f"{holds} more"
     on = f" on [bold]{escape(hand.name)}[/bold]" if len(one.names) > 1 else ""
     growth, hertz = number(hand.growth, 7), number(hand.frequency_hz, 4)
@@ -128,15 +132,16 @@ def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | N
     worst."""
     if ranges is None:
         return
-    of = f"{_range(ranges[0])} kg and {_range(ranges[1])} N/m more"
     for one in prediction.any_hands:
-        unit, worst = spoken(one.channels[0]), one.worst_hand(*ranges)
+        units, worst = prediction.scene.units_of(one.channels[0]), one.worst_hand(*ranges)
         if worst is None:
             yield f"Hands on {_who(one)}: not worked out, because the loop has too many masses or too long a delay"
             continue
         verdict = "[green]stable with all that were tried[/green]" if worst.is_stable else "[red]some are shaken[/red]"
-        yield unit(
-            f"Hands on {_who(one)} of {of}: {verdict}; the worst, {_hands(one, worst)}, has a spectral radius of "
+        of = f"{units(_range(ranges[0]), 'kg')} and {units(_range(ranges[1]), 'N/m')} more"
+        yield (
+            f"Hands on {_who(one)} of {of}: {verdict}; the worst, {_hands(one, worst, units)}, has a spectral radius "
+            "of "
             f"{number(worst.spectral_radius, 9)}"
         )
 

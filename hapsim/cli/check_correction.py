@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from rich.markup import escape
@@ -13,6 +13,7 @@ from hapsim.number_format import between, rounded_up
 from hapsim.prediction import Desired, Prediction, predict
 from hapsim.prediction.felt import SHARES
 from hapsim.prediction.linear import with_device
+from hapsim.units import Units
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,10 +28,12 @@ def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iter
     """Yields how well the device has to be known for a correction to be off by no more than these shares."""
     for felt in prediction.felt:
         for one in prediction.tolerances(felt.name, shares):
+            units = prediction.scene.units_of(felt.channel)
             mass, friction, delay = (_within(*span) for span in (one.mass, one.friction, one.delay))
             yield (
-                f"{escape(felt.name)} feels what is desired within {one.share:.0%} where its mass is {mass} kg, its "
-                f"friction {friction} N·s/m, or the delay {delay} samples"
+                f"{escape(felt.name)} feels what is desired within {one.share:.0%} where its mass is "
+                f"{units(mass, 'kg')}, its "
+                f"friction {units(friction, 'N·s/m')}, or the delay {delay} samples"
             )
 
 
@@ -44,7 +47,7 @@ def show_correction(out: Console, prediction: Prediction) -> None:
     if rendering is None or rendering.kind is None:
         return
     for desired in prediction.desired:
-        out.print(reached_sentence(desired, rendering.kind.name, prediction.regions))
+        out.print(reached_sentence(desired, rendering.kind.name, prediction))
     if prediction.coupled and prediction.desired_modes:
         modes = prediction.desired_modes
         more = f"and {len(modes) - _ROWS} more; --json has them all" if len(modes) > _ROWS else ""
@@ -57,21 +60,20 @@ def show_correction(out: Console, prediction: Prediction) -> None:
         poles = predict(with_device(prediction.scene, correction="poles"), with_margins=False)
         for felt in prediction.felt:
             for one in poles.tolerances(felt.name, SHARES[:1]):
-                name, mass = escape(felt.name), _within(*one.mass)
-                out.print(f"With correction: poles {name} would feel it within {one.share:.0%} for {mass} kg")
+                mass = prediction.scene.units_of(felt.channel)(_within(*one.mass), "kg")
+                out.print(f"With correction: poles {escape(felt.name)} would feel it within {one.share:.0%} for {mass}")
     for note in rendering.notes:
         out.print(f"[yellow]Of the correction:[/yellow] {escape(note)}.")
 
 
-def reached_sentence(desired: Desired, name: str, regions: Collection[str]) -> str:
-    """Returns how close a correction comes to what is desired at one hand, and what would bring it closer. `regions`:
-    hands that feel different springs at different places."""
-    steady = ""
+def reached_sentence(desired: Desired, name: str, prediction: Prediction) -> str:
+    """Returns how close a correction comes to what is desired at one hand, and what would bring it closer."""
+    steady, units = "", prediction.scene.units_of(desired.channel)
     if abs(desired.steady_stiffness - desired.k) > _EXACT * abs(desired.k):
-        steady = f" A steady push meets {desired.steady_stiffness:.6g} N/m, not {desired.k:.6g}."
+        steady = f" A steady push meets {units(desired.steady_stiffness, 'N/m', '.6g')}, not {desired.k:.6g}."
     if desired.error < _EXACT:
         return f"Correction {name}: {desired.name} swings as desired.{steady}"
-    if desired.name in regions:
+    if desired.name in prediction.regions:
         return (
             f"Correction {name}: what {desired.name} feels in its region is {desired.error:.1%} off what is desired. "
             f"Contacts are corrected; tables, detents and clicks keep the scene's values.{steady}"
@@ -86,15 +88,15 @@ def reached_sentence(desired: Desired, name: str, regions: Collection[str]) -> s
     off = f", {desired.error:.1%} off" if math.isfinite(desired.error) else ""
     return (
         f"[yellow]Correction {name} does not reach what is desired at {desired.name}[/yellow]: simulated is what comes "
-        f"nearest{off}. {_what_would(desired.remedies)}"
+        f"nearest{off}. {_what_would(desired.remedies, units)}"
     )
 
 
-def _what_would(remedies: Remedies) -> str:
+def _what_would(remedies: Remedies, units: Units) -> str:
     ways = (
         (remedies.rate_hz, "a rate of {:.4g} Hz or more, with a delay of as many samples"),
         (remedies.delay_samples, "a delay of {:.3g} samples or less"),
-        (remedies.friction, "{:.4g} N·s/m or more of real friction in place of simulated damping"),
+        (remedies.friction, f"{{:.4g}} {units.name('N·s/m')} or more of real friction in place of simulated damping"),
         (remedies.predictor or None, "correction: predictor"),
     )
     if helpful := [text.format(value) for value, text in ways if value is not None]:

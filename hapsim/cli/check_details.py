@@ -12,7 +12,7 @@ from hapsim.cli.check_any_hand import any_hand_sentences
 from hapsim.cli.check_correction import show_correction
 from hapsim.cli.check_regions import show_regions, show_states
 from hapsim.cli.check_together import show_together
-from hapsim.cli.output import Table, table
+from hapsim.cli.output import Table, spoken, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import (
     Desired,
@@ -94,20 +94,25 @@ def _show_felt(out: Console, prediction: Prediction, felt: Felt) -> None:
 
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:
-    robustness, device = robustness_of(felt), felt.configuration
+    robustness, device, units = robustness_of(felt), felt.configuration, spoken(felt.channel)
     own = f" (+ {device.stiffness:.6g} real)" if device.stiffness else ""
     least, most = robustness.stable_masses
     masses = "none" if math.isnan(least) else f"{least:.3g} to {most:.3g}"
     if math.isinf(most):
         masses = f"from {least:.3g}" if least else "all"
     values = [
-        ["stiffness  N/m", "k", f"K = {felt.stiffness:.6g}{own}", f"k = {number(felt.k)}"],
-        ["damping  N·s/m", "b", f"B = {felt.damping:.6g} (+ {device.friction:.6g} real)", f"b = {number(felt.b)}"],
+        [f"stiffness  {units.name('N/m')}", "k", f"K = {felt.stiffness:.6g}{own}", f"k = {number(felt.k)}"],
+        [
+            f"damping  {units.name('N·s/m')}",
+            "b",
+            f"B = {felt.damping:.6g} (+ {device.friction:.6g} real)",
+            f"b = {number(felt.b)}",
+        ],
         ["eigenfrequency  Hz", "frequency_hz", "", number(felt.frequency_hz)],
         ["damping ratio", "damping_ratio", "", number(felt.damping_ratio)],
-        ["static stiffness  N/m", "k", "", number(robustness.steady_stiffness)],
-        ["noise gain  N/m", "", "", number(robustness.noise_gain)],
-        ["stable masses  kg", "", "", masses],
+        [f"static stiffness  {units.name('N/m')}", "k", "", number(robustness.steady_stiffness)],
+        [f"noise gain  {units.name('N/m')}", "", "", number(robustness.noise_gain)],
+        [f"stable masses  {units.name('kg')}", "", "", masses],
     ]
     rows = [(label, number(getattr(desired, key)) if desired and key else "", *both) for label, key, *both in values]
     return table(f"What the hand feels at {felt.name}", ("", "desired", "simulated", "felt"), rows)
@@ -135,7 +140,8 @@ def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
         least, most = map(float, hand.stable_damping(_FAINT * hand.stiffness_unit))
     if not most > 0.0:
         return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
-    return f"{becomes} where the damping is between {between(max(least, 0.0), most, ' and ')} N·s/m"
+    span = spoken(felt.channel)(between(max(least, 0.0), most, " and "), "N·s/m")
+    return f"{becomes} where the damping is between {span}"
 
 
 def _modes(prediction: Prediction) -> Table:
@@ -259,7 +265,8 @@ def _felt_on_wire(prediction: Prediction, on_wire: Prediction) -> str:
         felt = f"no spring and damper is equivalent: {late.reason}"
         if late.dominant:
             instead = f" (instead of {declared.k:.6g}, {declared.b:.6g})" if declared.dominant else ""
-            felt = f"k = {late.k:.6g} N/m, b = {late.b:.6g} N·s/m{instead}"
+            units = prediction.scene.units_of(late.channel)
+            felt = f"k = {units(late.k, 'N/m', '.6g')}, b = {units(late.b, 'N·s/m', '.6g')}{instead}"
         delay = f"{late.configuration.delay:g} samples in place of {declared.configuration.delay:g}"
         sentences.append(f"With a delay of {delay}, at {late.name}: {felt}.")
     verdict = "stable" if on_wire.stable else "[red]unstable[/red]"
@@ -275,10 +282,12 @@ def _bounds(scene: Scene, prediction: Prediction) -> Iterator[str]:
         f"{duration(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device allows "
         "it) the device latches: zero force until it is armed again. This holds for clock: device and clock: host."
     )
-    bounds = run_bounds(scene)
-    slew = f"by at most {bounds.slew_limit:g} N/s" if math.isfinite(bounds.slew_limit) else "as fast as the scene asks"
+    bounds, slew = run_bounds(scene), "as fast as the scene asks"
+    if math.isfinite(bounds.slew_limit):
+        slew = f"by at most {scene.units(bounds.slew_limit, 'N/s', 'g')}"
     yield (
-        f"Force: at most {scene.device.force_limit:g} N; it changes {slew}. The force that the scene asks for in the "
+        f"Force: at most {scene.units(scene.device.force_limit, 'N', 'g')}; it changes {slew}. The force that the "
+        "scene asks for in the "
         f"very first sample comes {_soft_start(bounds.soft_start_s)}. A run ends where the scene gives the hand more "
         f"than {bounds.energy_limit:g} J, or goes on swinging or shaking at the force limit (hapsim/STABILITY.md says "
         "what counts as that)."
@@ -289,7 +298,8 @@ def _bounds(scene: Scene, prediction: Prediction) -> Iterator[str]:
         bounds = force_bounds(scene, in_hand=True)
         yield (
             f"These limits apply to the mock. With a device (`--port`) the force changes by at most "
-            f"{bounds.slew_limit:g} N/s, and that of the very first sample comes {_soft_start(bounds.soft_start_s)}."
+            f"{scene.units(bounds.slew_limit, 'N/s', 'g')}, and that of the very first sample comes "
+            f"{_soft_start(bounds.soft_start_s)}."
         )
     if hidden := hidden_sign(scene, prediction):
         yield hidden
@@ -304,15 +314,17 @@ def travel_sentences(scene: Scene) -> Iterator[str]:
     device, channels = scene.device, scene.channels
     limits, margins = device.travels(channels), device.travel_margins(channels)
     for c, origin in enumerate(device.origins(channels)):
-        where = f" of channel {c}" if channels > 1 else ""
+        where, units = f" of channel {c}" if channels > 1 else "", scene.units_of(c)
         if device.travel is not None:
             (least, most), stiffness = limits[c], device.force_limit / margins[c]
             yield (
-                f"Travel{where}: {least:g} to {most:g} m. Outside, the force fades to zero within {margins[c]:g} m (a "
-                f"stiffness of up to {stiffness:.4g} N/m); a device that goes farther ends the run."
+                f"Travel{where}: {units.number(least, 'm', 'g')} to {units(most, 'm', 'g')}. Outside, the force fades "
+                "to "
+                f"zero within {units(margins[c], 'm', 'g')} (a stiffness of up to {units(stiffness, 'N/m', '.4g')}); a "
+                "device that goes farther ends the run."
             )
         if device.origin is not None:
-            zero = "the device is when it is armed" if origin is None else f"the device says {origin:g} m"
+            zero = "the device is when it is armed" if origin is None else f"the device says {units(origin, 'm', 'g')}"
             yield f"Origin{where}: position 0 is where {zero}."
 
 
@@ -324,15 +336,16 @@ def count_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     mock, limit = scene.mock_device, scene.device.force_limit
     for felt in prediction.felt:
         here = [felt, *(one.felt for one in prediction.regions.get(felt.name, ()))]
-        count = mock.quantum[felt.channel]
+        count, units = mock.quantum[felt.channel], scene.units_of(felt.channel)
         stiffness = count * max(one.stiffness for one in here)
         model = damper_named(felt.configuration.damper, felt.configuration.cutoff, scene.rate)
         share = 0.0 if model.senses else model.of_positions[0]
         damping = count * scene.rate * share * max(one.damping for one in here)
         if felt.predictor is None and max(stiffness, damping) > _NOTICED * limit:
             yield (
-                f"{felt.name}: one count of {number(count, 3)} m is worth {number(stiffness, 3)} N of stiffness "
-                f"and {number(damping, 3)} N of damping, of {limit:g} N: finer counts, or a filtered or sensed damper, "
+                f"{felt.name}: one count of {units(count, 'm', 3)} is worth {units(stiffness, 'N', 3)} of stiffness "
+                f"and {units(damping, 'N', 3)} of damping, of {units(limit, 'N', 'g')}: finer counts, or a filtered or "
+                "sensed damper, "
                 "make it smoother."
             )
     if mock.misses:

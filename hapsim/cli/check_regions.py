@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from hapsim.cli.output import Table, table
 from hapsim.number_format import duration, number, rounded_up
+from hapsim.units import Units
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,26 +41,26 @@ def show_regions(out: Console, scene: Scene, prediction: Prediction) -> None:
     shared: dict[tuple[tuple[tuple[str, ...], ...], tuple[str, ...]], list[str]] = {}
     for name, regions in prediction.regions.items():
         rows, others = _rows(regions, prediction.region_here[name])
-        key = tuple(map(_cells, rows)), (others, _narrow(regions), _bounces(regions))
+        key = tuple(map(_cells, rows)), (others, _narrow(regions), _bounces(regions), regions[0].hand.units.name("m"))
         shared.setdefault(key, []).append(name)
-    for (cells, sentences), names in shared.items():
-        out.print(_table(", ".join(names), cells))
+    for (cells, (*sentences, _unit)), names in shared.items():
+        out.print(_table(", ".join(names), cells, prediction.regions[names[0]][0].hand.units))
         for sentence in filter(None, sentences):
             out.print(sentence)
     for name, swing in prediction.judge.swings.items():
         if swing is not None:
             unnoticed = ": less than a count" if swing.is_unnoticed else ""
-            ways = swing.sentence(prediction.scene.units)
+            ways = swing.sentence(scene.units_of(scene.device_points[name].channel))
             out.print(f"Where it is unstable, {escape(name)} swings by {ways}{unnoticed}")
     for name, link in scene.links.items():
         if isinstance(link, Detent) and scene.device.travel is None and prediction.regions.keys() & set(link.between):
-            out.print(f"{escape(name)} repeats every {number(1e3 * link.pitch, 4)} mm; --at X shows others.")
+            out.print(f"{escape(name)} repeats every {scene.units(link.pitch, 'mm', 4)}; --at X shows others.")
 
 
 def show_hand(out: Console, name: str, regions: tuple[Region, ...]) -> None:
     """Prints the table of one hand."""
     rows, others = _rows(regions)
-    out.print(_table(name, [_cells(row) for row in rows]))
+    out.print(_table(name, [_cells(row) for row in rows], regions[0].hand.units))
     if others:
         out.print(others)
 
@@ -69,10 +70,10 @@ def _bounces(regions: tuple[Region, ...]) -> str:
     passivity forbids it, or where it is not derived."""
     held = [one.felt for one in regions if one.kind == "held"]
     needed = max((one.needed_friction for one in held), default=0.0)
-    has = regions[0].felt.configuration.friction
+    has, unit = regions[0].felt.configuration.friction, regions[0].hand.units.name("N·s/m")
     if not all(one.is_stable for one in regions) or not needed > has:
         return ""
-    return f"Not passive: bounces can grow below {rounded_up(needed)} N·s/m of friction (declared: {number(has)})"
+    return f"Not passive: bounces can grow below {rounded_up(needed)} {unit} of friction (declared: {number(has)})"
 
 
 def _narrow(regions: tuple[Region, ...]) -> str:
@@ -81,13 +82,13 @@ def _narrow(regions: tuple[Region, ...]) -> str:
     narrow = sum(high - low < count for (low, high), count in places.items())
     if not narrow:
         return ""
-    count = number(1e6 * regions[0].hand.count, 3)
+    count = regions[0].hand.units(regions[0].hand.count, "µm", 3)
     noise = ": noise of the recording?" if narrow > _NOISY else ""
-    return f"{narrow} of {len(places)} regions are narrower than a count of the mock ({count} µm){noise}"
+    return f"{narrow} of {len(places)} regions are narrower than a count of the mock ({count}){noise}"
 
 
-def _table(names: str, rows: Sequence[tuple[str, ...]]) -> Table:
-    headings = ("<position  mm", "K  N/m", "B", "felt k", "felt b", "<")
+def _table(names: str, rows: Sequence[tuple[str, ...]], units: Units) -> Table:
+    headings = (f"<position  {units.name('mm')}", f"K  {units.name('N/m')}", "B", "felt k", "felt b", "<")
     caption = "← where the table above holds" if any("←" in row[-1] for row in rows) else ""
     return table(f"By region, {escape(names)}", headings, rows, caption, box=None)
 
@@ -128,7 +129,7 @@ def _cells(row: _Row) -> tuple[str, ...]:
     alike = f", {row.alike} of these" if row.alike > 1 else ""
     here = " ←" if row.is_here else ""
     return (
-        _range(piece.low, piece.high),
+        _range(piece.low, piece.high, region.hand.units),
         number(piece.stiffness),
         number(piece.damping),
         *felt,
@@ -136,8 +137,8 @@ def _cells(row: _Row) -> tuple[str, ...]:
     )
 
 
-def _range(low: float, high: float) -> str:
-    ends = number(1e3 * low, 4), number(1e3 * high, 4)
+def _range(low: float, high: float, units: Units) -> str:
+    ends = units.number(low, "mm", 4), units.number(high, "mm", 4)
     if math.isfinite(low) and math.isfinite(high):
         return " to ".join(ends)
     if math.isfinite(low):
@@ -153,7 +154,7 @@ def _verdict(region: Region) -> str:
     if region.kind == "snap":
         return f"{slides}[yellow]snap[/yellow] {number(1e3 * region.snap_energy, 3)} mJ"
     if region.kind == "free":
-        return f"{slides}no spring" + (f", {number(abs(region.force), 3)} N" if region.force else "")
+        return f"{slides}no spring" + (f", {region.hand.units(abs(region.force), 'N', 3)}" if region.force else "")
     return f"{slides}stable{', passive' if region.felt.passive else ''}"
 
 

@@ -11,6 +11,7 @@ from rich.markup import escape
 
 from hapsim.cli.output import spoken, table
 from hapsim.number_format import number
+from hapsim.units import Units
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,15 +42,15 @@ def _rows(together: FeltTogether) -> Iterator[tuple[str, str, str, str, str]]:
             unit = spoken(together.channels[i])
             k, b = (number(sign * float(one[i, j])) for one in (felt.k, felt.b))
             wanted_k, wanted_b = (number(sign * float(one[i, j])) for one in (asked.k, asked.b))
-            yield f"{who}: k", wanted_k, k, number(sign * float(static[i, j])), unit("N/m")
-            yield f"{who}: b", wanted_b, b, "", unit("N·s/m")
+            yield f"{who}: k", wanted_k, k, number(sign * float(static[i, j])), unit.name("N/m")
+            yield f"{who}: b", wanted_b, b, "", unit.name("N·s/m")
 
 
 def _sentences(prediction: Prediction) -> Iterator[str]:
     """Yields what the rows are of, or what is felt where there are none."""
     for one in prediction.together:
         whys = "; ".join(f"[bold]{escape(name)}[/bold] {escape(prediction.coupled[name])}" for name in one.names)
-        felt, unit = one.felt, spoken(one.channels[0])
+        felt = one.felt
         if not felt.reason:
             held = " (of another hand: as of a spring and damper between them)" if len(one.names) > 1 else ""
             yield (
@@ -58,9 +59,9 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
             )
         else:
             yield f"{whys}: no single k and b say what it feels, for {felt.reason}{_modes(felt.frequencies_hz)}"
-            yield from (spoken(channel)(_at_frequencies(one, i)) for i, channel in enumerate(one.channels))
+            yield from (_at_frequencies(one, i, spoken(channel)) for i, channel in enumerate(one.channels))
         if (weight := _weight_of(prediction, one)) is not None:
-            yield unit(_weight(weight))
+            yield _weight(weight)
 
 
 def _weight_of(prediction: Prediction, one: FeltTogether) -> Weight | None:
@@ -77,20 +78,22 @@ def _modes(frequencies: tuple[float, ...]) -> str:
     return f" (modes of {', '.join(first)} and {last} Hz)" if first else f" (a mode of {last} Hz)"
 
 
-def _at_frequencies(one: FeltTogether, i: int) -> str:
+def _at_frequencies(one: FeltTogether, i: int, units: Units) -> str:
     from hapsim.prediction import HAND_HZ
 
     static, (k_moved, b_moved) = float(one.static_stiffness[i, i]), one.at_frequencies
     pairs = zip(HAND_HZ, k_moved[i].tolist(), b_moved[i].tolist(), strict=True)
-    moved = [f"at {hz:g} Hz {number(k, 4)} N/m and {number(b, 3)} N·s/m" for hz, k, b in pairs if math.isfinite(k)]
+    moved = [f"at {hz:g} Hz {units(k, 'N/m', 4)} and {units(b, 'N·s/m', 3)}" for hz, k, b in pairs if math.isfinite(k)]
     inertia = " (below 0: there it feels a mass, no spring)" if any(k < 0.0 for k in k_moved[i]) else ""
     on, it = "", ", the hand"
     if len(one.names) > 1:
         on, it = f" on {escape(one.names[i])}", " while the others are held, it"
-    return f"A steady push{on} meets {number(static, 4)} N/m; moved to and fro{it} meets {', '.join(moved)}{inertia}"
+    steady = f"A steady push{on} meets {units(static, 'N/m', 4)}"
+    return f"{steady}; moved to and fro{it} meets {', '.join(moved)}{inertia}"
 
 
 def _weight(weight: Weight) -> str:
+    """Returns what a linear hand feels of masses."""
     from hapsim.prediction import HAND_STIFFNESS
 
     told = f"The free masses weigh {number(weight.mass, 4)} kg. Shaken by a hand of {HAND_STIFFNESS:g} N/m they feel "

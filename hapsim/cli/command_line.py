@@ -20,7 +20,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from hapsim.cli.options import choose_cache, on_command_line, take_cache
-from hapsim.cli.output import complain, document, log_as_json, speak_in, spoken
+from hapsim.cli.output import complain, document, log_as_json, speak_in
 from hapsim.cli.streams import output_failure, standing_streams
 from hapsim.errors import HapsimError, UsageError, refused_by_system
 from hapsim.scene.issue import as_argument
@@ -281,4 +281,4 @@ def _fail(problem: str, status: int) -> int:
 
 def _print_failure(problem: str, status: int) -> None:
     if "--json" in sys.argv:
-        print(document({"error": spoken()(problem), "exit_status": status}))
+        print(document({"error": problem, "exit_status": status}))

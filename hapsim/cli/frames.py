@@ -21,12 +21,12 @@ from firmware_protocol.capture import REASONS, Capture, Decoded, Refused
 from firmware_protocol.frames import SETUP, Format
 from hapsim.cli.live import live_words
 from hapsim.cli.options import Baud, Json, flag, option, seconds
-from hapsim.cli.output import complain, failure_document, say, speak_in, stderr
+from hapsim.cli.output import complain, failure_document, say, speak_in, spoken, stderr
 from hapsim.cli.streams import output_ended
 from hapsim.device.connection import Connection
 from hapsim.device.ports import leads_to, open_portable_port
 from hapsim.errors import DeviceError, UsageError
-from hapsim.number_format import number, plain, plural
+from hapsim.number_format import plain, plural
 from hapsim.recording.report_file import is_report, read_report
 from hapsim.stopping import stopping_on_signals
 from hapsim.units import Units
@@ -345,7 +345,7 @@ def _words(entry: dict[str, Any]) -> str:
 
 def _values(counts: list[int], scaled: list[float | None], unit: str) -> str:
     return ", ".join(
-        f"{count} counts" + ("" if value is None else f" ({number(value)} {unit})")
+        f"{count} counts" + ("" if value is None else f" ({spoken()(value, unit)})")
         for count, value in zip(counts, scaled, strict=False)
     )
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option, push_option, require_file, seconds
-from hapsim.cli.output import Table, complain, document, pick, say, speak_of, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, pick, say, speak_of, spoken, stderr, stdout, table
 from hapsim.device.ports import is_new
 from hapsim.errors import UsageError
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 _LABELS = {
-    "mass": "mass  kg",
-    "friction": "friction  N·s/m",
-    "stiffness": "stiffness  N/m",
-    "delay": "delay  samples",
-    "coulomb": "dry friction  N",
-    "constant_force": "constant force  N",
+    "mass": ("mass", "kg"),
+    "friction": ("friction", "N·s/m"),
+    "stiffness": ("stiffness", "N/m"),
+    "delay": ("delay", "samples"),
+    "coulomb": ("dry friction", "N"),
+    "constant_force": ("constant force", "N"),
 }
 _SEEN = 3.0  # uncertainties: a value that differs from 0
 _OFF = 4.0  # uncertainties: a value that differs from the declared one
@@ -95,8 +95,10 @@ def identify(
 def _before_pushing(bounds: Bounds, channel: int, port: str | None, seconds: float) -> str:
     device = "the built-in mock" if port is None else f"the device at {port}"
     return (
-        f"Pushing channel {channel} of {device} now: at most {bounds.force:g} N to either side, {seconds:g} s and what "
-        f"it takes to find out how hard; stopped if the device moves more than {1e3 * bounds.travel:g} mm from where "
+        f"Pushing channel {channel} of {device} now: at most {spoken()(bounds.force, 'N', 'g')} to either side, "
+        f"{seconds:g} s and what "
+        f"it takes to find out how hard; stopped if the device moves more than {spoken()(bounds.travel, 'mm', 'g')} "
+        "from where "
         "it stands. Let it move freely, held as it will be held: the hand is part of the mass. Ctrl-C releases it."
     )
 
@@ -116,7 +118,8 @@ def _within_travel(scene: Scene, channel: int, travel: float | None) -> tuple[Sc
     room = min(most, -least) if here else 0.5 * (most - least)
     if here and room <= 0.0:
         raise UsageError(
-            f"device.travel: found {least:g} to {most:g} m from where it is armed (origin: here), expected room "
+            f"device.travel: found {spoken().number(least, 'm', 'g')} to {spoken()(most, 'm', 'g')} from where it is "
+            "armed (origin: here), expected room "
             "to both sides to push it; put it in the middle of its travel, and leave out travel and origin for this"
         )
     if here:
@@ -188,7 +191,7 @@ def _rounded(estimate: Estimate) -> str:
 def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str) -> Table:
     """Returns what is declared beside what was found."""
     rows = []
-    for key, label in _LABELS.items():
+    for key, (what, unit) in _LABELS.items():
         estimate: Estimate = getattr(found, key)
         said, off = declared.get(key), ""
         if said is not None and abs(estimate.value - said) < _OFF * estimate.uncertainty:
@@ -196,33 +199,43 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
         elif said is not None:
             off = relative_difference(estimate.value, said) if said else f"{estimate.value:+.2g}"
         rows.append(
-            (label, "–" if said is None else f"{said:g}", _rounded(estimate), f"{estimate.uncertainty:.1g}", off)
+            (
+                f"{what}  {spoken().name(unit)}",
+                "–" if said is None else f"{said:g}",
+                _rounded(estimate),
+                f"{estimate.uncertainty:.1g}",
+                off,
+            )
         )
     title = f"The device at {name}, channel {found.channel}"
     return table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
 
 
 def _sentences(found: DeviceIdentification) -> list[str]:
+    units = spoken()
     pairs = ", ".join(f"({drive.stiffness:.3g}, {drive.damping:.2g})" for drive in found.drives)
     stopped = "It was stopped before all was recorded. " if found.stopped else ""
     sentences = [
-        f"{stopped}Read from {found.samples} samples at simulated (K, B) of {pairs}; it moved {1e3 * found.peak_m:.2g} "
-        f"mm at most. The fit leaves {found.residual_m:.2g} m rms."
+        f"{stopped}Read from {found.samples} samples at simulated (K, B) of {pairs}; it moved "
+        f"{units(found.peak_m, 'mm', '.2g')} at most. The fit leaves {units(found.residual_m, 'm', '.2g')} rms."
     ]
     if found.hand is not None:
         mass, stiffness, damping = map(_rounded, (found.hand.mass, found.hand.stiffness, found.hand.damping))
         sentences.append(
-            f"A second mass moves with it, a hand's: {mass} kg on {stiffness} N/m and {damping} N·s/m. The values "
+            f"A second mass moves with it, a hand's: {units(mass, 'kg')} on {units(stiffness, 'N/m')} and "
+            f"{units(damping, 'N·s/m')}. The values "
             "above are the handle's. hapsim predicts one mass: what it predicts of this hand is the handle's alone."
         )
     if _is_seen(found.coulomb):
         sentences.append(
-            f"It has dry friction, {_rounded(found.coulomb)} N, for which `device` has no key: the prediction leaves "
+            f"It has dry friction, {units(_rounded(found.coulomb), 'N')}, for which `device` has no key: the "
+            "prediction leaves "
             "it out, and what the hand feels is damped more. `mock.coulomb` gives it to the mock."
         )
     if abs(found.constant_force.value) > _SEEN * found.constant_force.uncertainty:
         sentences.append(
-            f"A constant force of {_rounded(found.constant_force)} N acts where it was found: gravity, an offset of "
+            f"A constant force of {units(_rounded(found.constant_force), 'N')} acts where it was found: gravity, an "
+            "offset of "
             "the force, or a spring that rests elsewhere."
         )
     if found.seen_rate is not None and found.seen_rate.differs_from(found.rate_hz):

@@ -17,7 +17,7 @@ from hapsim.cli.output import complain, json_log, spoken, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
 from hapsim.stopping import note_work
-from hapsim.units import InUnits
+from hapsim.units import Units
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -176,7 +176,7 @@ class _Words:
             return f"waiting for {progress.text} · Ctrl-C ends the run"
         if progress.phase == "serving":
             return f"serving the mock device at {progress.text} · Ctrl-C stops it"
-        return InUnits(" · ".join(filter(None, _of_a_run(progress))))
+        return " · ".join(filter(None, _of_a_run(progress)))
 
 
 def _of_a_run(progress: Progress) -> Iterator[str]:
@@ -184,9 +184,7 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
     if progress.seen_rate_hz is not None:
         yield f"{progress.seen_rate_hz:.1f} Hz"
     moved = enumerate(zip(progress.position[:_MOST_CHANNELS], progress.force, strict=False))
-    # + 0.0: no minus before a zero
-    words = ((c, f"{round(1e3 * x, 2) + 0.0:+.2f} mm {round(f, 3) + 0.0:+.3f} N") for c, (x, f) in moved)
-    yield ", ".join(spoken(channel)(one) for channel, one in words)
+    yield ", ".join(_position_and_force(spoken(c), x, force) for c, (x, force) in moved)
     yield f"age {progress.age_samples}"
     yield f"misses {progress.deadline_misses}"
     for what, count in progress.shown("live"):
@@ -195,7 +193,13 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
         yield f"sound {1e3 * progress.sound_latency_s[0]:.1f} ms late, {progress.resampling_ppm or 0.0:+.1f} ppm"
     known = zip(progress.estimated_mass_kg, progress.estimated_mass_uncertainty_kg, strict=True)
     if masses := " ".join(f"{kg:.3g} ± {unsure:.1g}" for kg, unsure in known if kg is not None):
-        yield f"mass {masses} kg"
+        yield f"mass {spoken()(masses, 'kg')}"
+
+
+def _position_and_force(units: Units, x: float, force: float) -> str:
+    """Returns both with fixed digits; + 0.0: no minus before a zero."""
+    place, force = round(units.scaled(x, "mm"), 2) + 0.0, round(force, 3) + 0.0
+    return f"{units(f'{place:+.2f}', 'mm')} {units(f'{force:+.3f}', 'N')}"
 
 
 _PORT, _OSC_PORT = 7470, 7471

@@ -35,7 +35,7 @@ from hapsim.cli.options import (
     require_positive,
     say_written,
 )
-from hapsim.cli.output import Table, complain, document, failure_document, speak_of, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, failure_document, speak_of, spoken, stderr, stdout, table
 from hapsim.cli.run import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.diagnosis import diagnose
@@ -109,7 +109,11 @@ def _measure_pair(
         speak_of(channel)
     at = position(excitation.at, scene)
     if excitation.mass and channel in hands:
-        scene = with_hand(scene, channel, require_positive("--hand-stiffness", excitation.hand_stiffness, "N/m"))
+        scene = with_hand(
+            scene,
+            channel,
+            require_positive("--hand-stiffness", excitation.hand_stiffness, scene.units_of(channel).name("N/m")),
+        )
     prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if picture.wanted:
@@ -189,7 +193,7 @@ def show_measurement(
     """Prints prediction beside measurement on a channel, and beside what is desired, with a correction. `push`: N, if
     the largest one was asked for."""
     hands = {point.channel: name for name, point in scene.device_points.items()}
-    felt, report = felt_on(prediction, channel), measurement.trace.report
+    felt, report, units = felt_on(prediction, channel), measurement.trace.report, scene.units_of(channel)
     desired = next((one for one in prediction.desired if one.channel == channel), None)
     least, most = scene.device.mass_spans(scene.channels)[channel]
     of_mass = "declared"
@@ -197,10 +201,11 @@ def show_measurement(
         of_mass = "estimated" if any(report.estimated_mass_kg) else "assumed"
         whose = "the estimated mass" if of_mass == "estimated" else "the middle of the span"
         out.print(
-            f"k and b are those of a hand of {measurement.mass:.6g} kg, {whose} of {least:g} to {most:g} kg; they grow "
+            f"k and b are those of a hand of {units(measurement.mass, 'kg', '.6g')}, {whose} of {least:g} to "
+            f"{units(most, 'kg', 'g')}; they grow "
             "with the mass."
         )
-    where = "" if measurement.at_m is None else f", at {number(measurement.at_m)} m"
+    where = "" if measurement.at_m is None else f", at {units(measurement.at_m, 'm')}"
     title = f"What the hand feels at {escape(hands[channel])}, channel {channel}{where}"
     own = next((one.own_motion for one in prediction.together if channel in one.channels), None)
     out.print(_side_by_side(title, felt or own, measurement, of_mass, desired))
@@ -229,7 +234,7 @@ def show_measurement(
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
     out.print(
-        f"Read from {measurement.samples} samples; the fit leaves {measurement.residual_m:.2g} m, in "
+        f"Read from {measurement.samples} samples; the fit leaves {units(measurement.residual_m, 'm', '.2g')}, in "
         f"{measurement.order} poles."
     )
     show_assumptions(out, prediction.assumptions)
@@ -261,8 +266,8 @@ def _side_by_side(
     """Returns the table of prediction and measurement, to the digits that the uncertainty leaves."""
     rows: list[tuple[str, ...]] = []
     for label, key, uncertainty in (
-        ("k  N/m", "k", measurement.k_uncertainty),
-        ("b  N·s/m", "b", measurement.b_uncertainty),
+        (f"k  {spoken().name('N/m')}", "k", measurement.k_uncertainty),
+        (f"b  {spoken().name('N·s/m')}", "b", measurement.b_uncertainty),
         ("eigenfrequency  Hz", "frequency_hz", measurement.frequency_uncertainty_hz),
         ("damping ratio", "damping_ratio", measurement.damping_ratio_uncertainty),
     ):
@@ -279,7 +284,7 @@ def _side_by_side(
         )
     known = measurement.mass_uncertainty
     mass = number(measurement.mass) if known is None else rounded(measurement.mass, known)
-    rows.append(("mass  kg", "", "", mass, of_mass if known is None else number(known, 1), ""))
+    rows.append((f"mass  {spoken().name('kg')}", "", "", mass, of_mass if known is None else number(known, 1), ""))
     return table(title, ("", "desired", "predicted", "measured", "±", "off by"), rows)
 
 

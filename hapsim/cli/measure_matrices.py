@@ -244,7 +244,8 @@ def _table(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int, n
         for n in _shown(predicted.frequency)
     ]
     where = f"{predicted.names[i]}, channel {measured.channels[i]}"
-    return table(f"{words} at {escape(where)}, N·s/m", ("f  Hz", "desired", "predicted", "measured", "±"), rows)
+    unit = spoken(measured.channels[i]).name("N·s/m")
+    return table(f"{words} at {escape(where)}, {unit}", ("f  Hz", "desired", "predicted", "measured", "±"), rows)
 
 
 def _springs(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int) -> Table:
@@ -256,7 +257,8 @@ def _springs(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int)
         cells = [f"{k[n]:.5g}, {b[n]:.4g}" for k, b in pairs]
         rows.append((f"{f[n]:.4g}", *cells, f"{2.0 * np.pi * f[n] * off[n]:.1g}, {off[n]:.1g}"))
     where = f"{escape(predicted.names[i])}, channel {measured.channels[i]}"
-    title = f"The same rendered at {where} as k, b: N/m, N·s/m (a mass has k below 0)"
+    units = spoken(measured.channels[i])
+    title = f"The same rendered at {where} as k, b: {units.name('N/m')}, {units.name('N·s/m')} (a mass has k below 0)"
     return table(title, ("f  Hz", "desired", "predicted", "measured", "±"), rows)
 
 
@@ -280,7 +282,8 @@ def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> li
         apart = abs(getattr(measured, name).value[worst] - getattr(predicted, name)[worst])
         found.append(
             f"[yellow]The {words} impedance: prediction and measurement do not agree: at "
-            f"{frequency[worst[0]]:.4g} Hz {apart:.3g} N·s/m, {off[worst]:.2g} times the uncertainty.[/yellow]"
+            f"{frequency[worst[0]]:.4g} Hz {spoken()(apart, 'N·s/m', '.3g')}, {off[worst]:.2g} times the "
+            "uncertainty.[/yellow]"
         )
     found.append(
         "± is the radius of the circle about a measured value that holds the true one, all of them together with "
@@ -288,7 +291,8 @@ def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> li
         "friction and spring, which is what the hand feels."
     )
     found += [
-        f"Channel {channel} was excited with up to {force:.3g} N, which moved it by {travel * 1e3:.3g} mm; "
+        f"Channel {channel} was excited with up to {spoken(channel)(force, 'N', '.3g')}, which moved it by "
+        f"{spoken(channel)(travel, 'mm', '.3g')}; "
         f"{periods + 1} periods of {measured.period_s:.3g} s count."
         for channel, force, travel, periods in zip(
             measured.channels, measured.peak_force, measured.travel, measured.periods, strict=True
@@ -351,7 +355,7 @@ def _width_table(predicted: PredictedImpedance, channels: tuple[int, ...], width
                 rows.append(["", "measured", "", "", *_means(width.frequency, found.width_db)])
                 rows.append(["", "±", "", "", *_means(width.frequency, found.uncertainty_db, ".1g")])
     of_bands = (f"{low:.3g} to {high:.3g} Hz" for low, high, _ in bands)
-    headings = ("<at", "<wall", "K  N/m", "B  N·s/m", "all", *of_bands)
+    headings = ("<at", "<wall", f"K  {spoken().name('N/m')}", f"B  {spoken().name('N·s/m')}", "all", *of_bands)
     return table("Z-width: from the device alone to its stiffest wall, mean dB", headings, rows)
 
 

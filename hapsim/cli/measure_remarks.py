@@ -29,10 +29,11 @@ def attempts(measurement: Measurement) -> Iterator[str]:
     its region."""
     for one, following in pairwise(measurement.attempts):
         why = f"the hand left its region ({one.left})" if one.left else _unsure(one.uncertainty)
-        yield f"With pushes of {number(one.push_n, 3)} N {why}; repeated with {number(following.push_n, 3)} N."
+        most, next_most = spoken()(one.push_n, "N", 3), spoken()(following.push_n, "N", 3)
+        yield f"With pushes of {most} {why}; repeated with {next_most}."
     if measurement.left_region:
         yield (
-            f"[yellow]With pushes of {number(measurement.push_n or 0.0, 3)} N the hand left its region[/yellow] "
+            f"[yellow]With pushes of {spoken()(measurement.push_n or 0.0, 'N', 3)} the hand left its region[/yellow] "
             f"({measurement.left_region}): what is measured mixes several slopes, and says nothing of the device. "
             "Without --push, hapsim finds a push that stays in the region."
         )
@@ -42,7 +43,8 @@ def smaller_push(asked: float | None, measurement: Measurement) -> Iterator[str]
     """Yields how hard the hand was pushed, where that is less than the N that were asked for."""
     most = measurement.push_n
     if asked is not None and most is not None and most < 0.99 * asked:
-        yield f"Pushed with {number(most, 3)} N at most: more would exceed the force limit, or take the hand too far."
+        pushed = spoken()(most, "N", 3)
+        yield f"Pushed with {pushed} at most: more would exceed the force limit, or take the hand too far."
 
 
 def _unsure(share: float) -> str:
@@ -56,8 +58,9 @@ def dry_friction(scene: Scene, measurement: Measurement, channel: int) -> Iterat
     dry, swing = seen or declared, 0.5 * float(np.ptp(measurement.trace.position[:, channel], axis=0))
     angular = 2.0 * math.pi * measurement.frequency_hz
     takes = 4.0 * dry / (math.pi * angular * swing) if swing > 0.0 else math.nan
-    like = f"like another {number(takes, 2)} N·s/m" if math.isfinite(takes) else "the more"
-    damps = f"at the largest swing, {number(1e3 * swing, 2)} mm, it damps {like}, at smaller ones more"
+    units = scene.units_of(channel)
+    like = f"like another {units(takes, 'N·s/m', 2)}" if math.isfinite(takes) else "the more"
+    damps = f"at the largest swing, {units(swing, 'mm', 2)}, it damps {like}, at smaller ones more"
     if math.isnan(seen):
         yield (
             "[yellow]The device has dry friction[/yellow], as its motion shows, but not how much: k and b may be off "
@@ -65,12 +68,12 @@ def dry_friction(scene: Scene, measurement: Measurement, channel: int) -> Iterat
         )
     elif seen > 0.0:
         yield (
-            f"[yellow]The device has dry friction of {number(seen, 3)} N[/yellow], as its motion shows: k and b are "
+            f"[yellow]The device has dry friction of {units(seen, 'N', 3)}[/yellow], as its motion shows: k and b are "
             f"those without it; {damps}."
         )
     elif declared > 0.0 and swing > 0.0:
         yield (
-            f"The prediction leaves out the dry friction of {number(dry, 3)} N (mock.coulomb): {damps}. Push harder "
+            f"The prediction leaves out the dry friction of {units(dry, 'N', 3)} (mock.coulomb): {damps}. Push harder "
             "(--push) for less of it."
         )
 
@@ -111,9 +114,11 @@ def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -
     elif mass is not None:
         share = mass.factor
         yield (
-            f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], {mass.mass:.4g} kg: with it "
+            f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], "
+            f"{spoken()(mass.mass, 'kg', '.4g')}: with it "
             "the prediction has the eigenfrequency and the damping ratio that were measured, and the hand feels "
-            f"k = {share * measurement.k:.6g} N/m, b = {share * measurement.b:.6g} N·s/m. `hapsim identify --write` "
+            f"k = {spoken()(share * measurement.k, 'N/m', '.6g')}, b = "
+            f"{spoken()(share * measurement.b, 'N·s/m', '.6g')}. `hapsim identify --write` "
             "measures and stores it."
         )
     elif diagnosis.is_another_device:
@@ -172,16 +177,17 @@ def measured_weight(
 
 def weight_sentence(weight: MeasuredWeight, channel: int) -> str:
     """Returns it in words."""
-    unit, hand = spoken(channel), f"a hand of {number(weight.hand_stiffness, 4)} N/m"
+    units = spoken(channel)
+    hand = f"a hand of {units(weight.hand_stiffness, 'N/m', 4)}"
     if not math.isfinite(weight.measured):
-        return unit(f"Held by {hand} nothing was seen to swing: how heavy it feels is not known")
+        return f"Held by {hand} nothing was seen to swing: how heavy it feels is not known"
     if weight.measured <= 0.0:
-        return unit(f"Held by {hand} it swings no slower than the device alone: what it moves feels like no mass")
+        return f"Held by {hand} it swings no slower than the device alone: what it moves feels like no mass"
     off = weight.uncertainty
     known = f"{rounded(weight.measured, off)} ± {number(off, 1)}" if math.isfinite(off) else number(weight.measured, 4)
-    told = f"Shaken by {hand}, what it moves feels like {known} kg"
+    told = f"Shaken by {hand}, what it moves feels like {units(known, 'kg')}"
     if weight.predicted is not None and weight.continuous is not None and math.isfinite(weight.predicted):
         told += f" (predicted: {number(weight.predicted)}; without sampling and delay {number(weight.continuous)})"
     elif weight.predicted is None:
         told += " (not predicted: that is done for one hand and a loop of at most a hundred numbers)"
-    return unit(told)
+    return told

@@ -64,20 +64,15 @@ def stderr() -> Console:
 def _console(**options: Any) -> Console:
     from rich.console import Console
 
-    class InUnitsOfTheScene(Console):
-        def print(self, *objects: Any, **options: Any) -> None:
-            super().print(*(spoken()(one) if isinstance(one, str) else one for one in objects), **options)
-
-    return InUnitsOfTheScene(highlight=False, **options)
+    return Console(highlight=False, **options)
 
 
 _units: list[Units] = []
 
 
 def speak_in(units: Units, *of_channels: Units) -> None:
-    """Prints from now on in these units, of a scene and of each of its channels; files of the command line keep their
-    names."""
-    _units[:] = [one.keeping(sys.argv[1:]) for one in (units, *of_channels)]
+    """Prints from now on in these units, of a scene and of each of its channels."""
+    _units[:] = units, *of_channels
 
 
 def speak_of(channel: int) -> None:
@@ -172,8 +167,7 @@ def table(
 ) -> Table:
     """Returns a table without the columns that have a heading and no values. A column stands left if its heading is
     empty or begins with "<", else right. `options`: rich's."""
-    rows = [[*map(spoken(), row)] for row in rows]
-    title, caption, headings = spoken()(title), spoken()(caption), [*map(spoken(), headings)]
+    rows = list(rows)
     shown = [i for i, heading in enumerate(headings) if not (heading and rows) or any(row[i] for row in rows)]
     kept = [[row[i] for i in shown] for row in rows]
     return Table(title, [headings[i] for i in shown], kept, caption, options)
@@ -185,7 +179,7 @@ def say(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) 
     rich would also break a long path, which has to stay whole to be copied.
     """
     stream = stream or sys.stdout
-    print(fitted(spoken()(str(sentences)), _columns(stream), indent), file=stream)
+    print(fitted(str(sentences), _columns(stream), indent), file=stream)
 
 
 def fitted(text: str, columns: int | None, indent: str = _INDENT) -> str:
@@ -268,7 +262,7 @@ def json_log() -> JsonLog | None:
 def complain(problem: object, event: str = "failed", level: Level = "error", label: str = "", **fields: Any) -> None:
     """Prints a problem or an event on standard error. `label`: stands before it where people read. `fields`: in the
     log."""
-    problem = spoken()(str(problem))
+    problem = str(problem)
     if _log is not None:
         _log.say(level, event, problem, about=problem, **fields)
     else:

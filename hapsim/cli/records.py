@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hapsim.cli.device import Link, serve
 from hapsim.cli.live import at_work
 from hapsim.cli.options import Json, PictureOptions, RecordOptions, argument, flag, load, option, say_written
-from hapsim.cli.output import complain, document, say, speak_in, stderr, warn
+from hapsim.cli.output import complain, document, say, speak_in, spoken, stderr, warn
 from hapsim.errors import RecordError, UsageError
 from hapsim.number_format import number, plural
 
@@ -92,8 +92,8 @@ def _say(record: Record, scene: str | None, found: Comparison) -> None:
         has_changes = any("tick" in note for note in record.notes)
         say(f"{record.path}: {of_the_hand}{'; the changes of its own scene do not apply' if has_changes else ''}")
         for c, rms in enumerate(zip(found.rms_recorded, found.rms_replayed, found.rms_apart, strict=True)):
-            was, now, apart = map(number, rms)
-            say(f"Channel {c}: the force was {was} N rms and would be {now} N rms; they are {apart} N rms apart")
+            was, now, apart = (spoken(c)(one, "N") for one in rms)
+            say(f"Channel {c}: the force was {was} rms and would be {now} rms; they are {apart} rms apart")
 
 
 def _document(found: Comparison, is_complete: bool) -> dict[str, Any]:

@@ -284,9 +284,9 @@ class _Reporter:
         if progress.phase in ("running", "ended") and progress.ticks > 0 and not self._is_placed:
             self._is_placed = True
             if progress.faded_ticks == progress.ticks:
-                places = ", ".join(f"{one:.6g}" for one in progress.position)
+                places = spoken()(", ".join(spoken().number(one, "m", ".6g") for one in progress.position), "m")
                 complain(
-                    f"the device was armed outside device.travel (it is at {places} m): there the force fades, and is "
+                    f"the device was armed outside device.travel (it is at {places}): there the force fades, and is "
                     "zero beyond the band. Move it within, or say with device.origin where its zero is",
                     "outside",
                     "warning",
@@ -365,7 +365,10 @@ def _rows(report: Report, reconnections: int) -> Iterator[tuple[str, str]]:
         yield "position to loudspeaker  ms", f"{p50} (99 %: {p99})"
     for channel, mass in enumerate(report.estimated_mass_kg):
         if mass is not None:
-            yield spoken(channel)(f"estimated mass, channel {channel}  kg"), _estimated_mass(report, channel, mass)
+            yield (
+                f"estimated mass, channel {channel}  {spoken(channel).name('kg')}",
+                _estimated_mass(report, channel, mass),
+            )
     if report.released is False:
         yield "force released", "[yellow]not confirmed[/yellow]"
 

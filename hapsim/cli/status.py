@@ -15,7 +15,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.counts import words_at
 from hapsim.number_format import number
 from hapsim.running.status import answers, ask, sockets
-from hapsim.units import MOTIONS, Units
+from hapsim.units import Units
 
 
 def status(
@@ -69,8 +69,8 @@ _LABELS = {
     "rate_hz": "rate  Hz",
     "nominal_rate_hz": "rate asked for  Hz",
     "ticks": "ticks",
-    "force_n": "force  N",
-    "position_m": "position  m",
+    "force_n": "force  ‹N›",
+    "position_m": "position  ‹m›",
     "age_samples": "age of the force  samples",
     **words_at("status"),
 }
@@ -81,8 +81,8 @@ def show_status(out: Console, document: Mapping[str, object]) -> None:
     """Prints a row for each value that there is; a value without a label goes by its key. On a terminal a sentence
     breaks at its words, and a path in it stays whole."""
     keys = [*(key for key in _LABELS if key in document), *(key for key in document if key not in _LABELS)]
-    units = Units(one for one in MOTIONS if one in str(document.get("motion")))
-    values = {units(_LABELS.get(key, key)): _value(key, document) for key in keys}
+    units = Units.said_by(document.get("motion"))
+    values = {units.filled(_LABELS[key]) if key in _LABELS else key: _value(key, document) for key in keys}
     rows = {label: value for label, value in values.items() if value}
     width = min(max(map(len, rows), default=0), _WIDEST)
     for label, value in rows.items():

@@ -82,9 +82,9 @@ class Counts:
     """Frames of the scene's sound, where it is played or written: one for each step of its modules."""
     frozen: str = field(default="", metadata={"status": "sensor"})
     """What is said of a position that stands still while force acts: in a report of the one that did so for longest."""
-    estimated_mass_kg: tuple[float | None, ...] = _estimate("estimated mass", "kg")
+    estimated_mass_kg: tuple[float | None, ...] = _estimate("estimated mass", "‹kg›")
     """With an adaptive correction: the last estimate of each channel's mass; None on the others."""
-    estimated_mass_uncertainty_kg: tuple[float | None, ...] = _estimate("its uncertainty", "kg")
+    estimated_mass_uncertainty_kg: tuple[float | None, ...] = _estimate("its uncertainty", "‹kg›")
     """Its standard uncertainty; the whole span if nothing was known."""
     mass_explained: tuple[float | None, ...] = _estimate("motion explained")
     """R²: the share of the latest motion that was compared which the forces explain."""

@@ -129,7 +129,7 @@ def _run(probing: Probing, steps: tuple[str, ...], on_step: OnStep, say: Callabl
                 raise UsageError(f"--channel: found {channel}, expected {expected}")
             usual = SCALES[probing.device.motions[channel]].travel
             probing.leave = replace(probing.leave, travel=probing.leave.travel or usual)
-            say(probing.units(what_will_be_done(probing, probing.leave)))
+            say(what_will_be_done(probing, probing.leave))
         try:
             goes_on = run(probing) is not False
         except DeviceError as error:

@@ -101,12 +101,16 @@ class Probing:
         return name in self.results and self.results[name].result == "FAIL"
 
     def _note(self, name: str, result: Result, found: str, look_at: str) -> None:
-        self.results[name] = replace(_DECLARED[name], result=result, found=self.units(found), look_at=look_at)
+        self.results[name] = replace(_DECLARED[name], result=result, found=found, look_at=look_at)
 
     @property
     def units(self) -> Units:
         """The units of the device's channels, as far as it said so."""
         return Units(() if self.description is None else self.description.motions)
+
+    def units_of(self, channel: int) -> Units:
+        """The units of one of the device's channels."""
+        return Units(self.device.motions[channel : channel + 1])
 
     @property
     def device(self) -> Description:

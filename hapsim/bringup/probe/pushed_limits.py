@@ -142,7 +142,9 @@ def _judge_limited(probing: Probing, pusher: Pusher) -> None:
         return
     limited = probing.wire.register(schema.REG_LIMITED)
     force = _TOO_GREAT * pusher.limit
-    found = f"{asked} forces of {force:g} N, {in_time} of them in time: register 12 counts {limited}"
+    found = (
+        f"{asked} forces of {pusher.units(force, 'N', 'g')}, {in_time} of them in time: register 12 counts {limited}"
+    )
     if in_time or limited:
         probing.judge("limit_cut", limited is not None and in_time <= limited <= asked, found)
     else:

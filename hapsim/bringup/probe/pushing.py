@@ -58,6 +58,7 @@ class Pusher:
         """N, by the sample that they answer."""
         self._rate_hz = device.rate_hz
         self._position_scale = device.position_scale[leave.channel]
+        self.units = probing.units_of(leave.channel)
         travel, counts = leave.travel, _UNSEEN_COUNTS * self._position_scale
         way = max(_UNSEEN * travel / (6 * _PATTERNS), min(counts, _UNSEEN * travel))
         self.unseen = (leave.mass or _UNSEEN_MASS) * way
@@ -78,7 +79,7 @@ class Pusher:
         far. By default a force that comes too late is not acted on, and one that is not renewed ends."""
         if self._home is not None and abs(self.position(sample) - self._home) > self.leave.travel:
             self.session.zero(sample)
-            raise TravelledError(f"it moved more than {1e3 * self.leave.travel:g} mm: stopped")
+            raise TravelledError(f"it moved more than {self.units(self.leave.travel, 'mm', 'g')}: stopped")
         force = min(max(force, -self.leave.force), self.leave.force)
         count = min(max(math.trunc(force / self.force_scale), -_LARGEST_COUNT), _LARGEST_COUNT)
         self.forces[sample.n] = count * self.force_scale
@@ -106,7 +107,8 @@ class Pusher:
         acted = [abs(force) for force in self.forces.values() if force]
         return (
             f"the position has not changed by one count for {len(acted) / self._rate_hz:.2g} s while force acts "
-            f"({max(acted):.3g} N at most): sensor or cable? Move the device by hand: if its position changes, it is "
+            f"({self.units(max(acted), 'N', '.3g')} at most): sensor or cable? Move the device by hand: if its "
+            "position changes, it is "
             "held, or stuck by dry friction, and only then try a greater --push and --travel"
         )
 
@@ -122,10 +124,11 @@ class Pusher:
 
 def what_will_be_done(probing: Probing, leave: Leave) -> str:
     """Returns a sentence for the user, before anything is pushed."""
-    force = min(leave.force, probing.device.force_limit[leave.channel])
+    force, units = min(leave.force, probing.device.force_limit[leave.channel]), probing.units_of(leave.channel)
     return (
-        f"Pushing channel {leave.channel} now: at most {force:g} N to either side in short pulses, some seconds long, "
-        f"stopped if it moves more than {1e3 * leave.travel:g} mm. Let it move freely. Ctrl-C releases it."
+        f"Pushing channel {leave.channel} now: at most {units(force, 'N', 'g')} to either side in short pulses, some "
+        "seconds long, "
+        f"stopped if it moves more than {units(leave.travel, 'mm', 'g')}. Let it move freely. Ctrl-C releases it."
     )
 
 
@@ -133,7 +136,10 @@ def probe_pushing(probing: Probing) -> None:
     """Always goes on."""
     leave = probing.leave
     if leave is None:
-        probing.leave_out(STEP, "not allowed to push: --push F allows pushes to either side of at most F newton")
+        probing.leave_out(
+            STEP,
+            f"not allowed to push: --push F allows pushes to either side of at most F {probing.units.name('newton')}",
+        )
         return
     session = probing.arm_by_device(STEP, min(probing.longest_watchdog, 500))
     if session is None:
@@ -187,7 +193,7 @@ def _respond(probing: Probing, pusher: Pusher) -> None:
             break
         found, went_too_far = _pushed(pusher, force, length)
         if found is not None and (best is None or found.significance > best.significance):
-            best, pushes = found, f"pushes of {force:.3g} N, {length} long"
+            best, pushes = found, f"pushes of {pusher.units(force, 'N', '.3g')}, {length} long"
         if went_too_far or (best is not None and _is_sure(best)):
             break
     if best is None or best.significance < _SEEN:
@@ -203,8 +209,11 @@ def _respond(probing: Probing, pusher: Pusher) -> None:
             why = "the positions show no response: try a greater --push, or let the device move freely"
         probing.leave_out(STEP, why)
         return
+    units = pusher.units
     probing.response = best.total * probing.device.rate_hz**2
-    found_response = f"1 N makes {probing.response:.4g} m/s² (± {100 / best.significance:.2g} %)"
+    found_response = (
+        f"{units(1.0, 'N')} makes {units(probing.response, 'm/s²', '.4g')} (± {100 / best.significance:.2g} %)"
+    )
     inverted = "inverted: " if best.total < 0 else ""
     probing.judge("sign", best.total > 0, f"{inverted}{found_response}, from {best.rows} samples, {pushes}")
     _judge_delay(probing, best)
@@ -260,12 +269,13 @@ def _judge_delay(probing: Probing, found: Estimate) -> None:
 def _judge_mass(probing: Probing, found: Estimate, mass: float) -> None:
     """`mass`: kg, as it responds."""
     assert probing.leave is not None
-    given, words = probing.leave.mass, f"it responds like {mass:.4g} kg"
+    units = probing.units_of(probing.leave.channel)
+    given, words = probing.leave.mass, f"it responds like {units(mass, 'kg', '.4g')}"
     if given is None:
         probing.not_seen("mass", f"{words}; --mass KG says what it ought to be")
         return
     factor, unsure = given / mass, 3 / found.significance
-    words += f": {factor:.3g} times the response of {given:g} kg"
+    words += f": {factor:.3g} times the response of {units(given, 'kg', 'g')}"
     if unsure > _MASS_WITHIN:
         probing.not_seen("mass", f"{words}, but ± {100 * unsure:.0f} %: a greater --push shows more")
         return

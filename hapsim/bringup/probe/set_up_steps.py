@@ -218,17 +218,18 @@ def _judge_bridge(probing: Probing, word: int) -> None:
 
 def _judge_scales(probing: Probing) -> None:
     device = probing.device
-    units = {"position_scale": "m per count", "force_scale": "N per count", "force_limit": "N"}
-    for name, unit in units.items():
+    for name, unit in (("position_scale", "m per count"), ("force_scale", "N per count"), ("force_limit", "N")):
         _judge_scale(probing, name, getattr(device, name), unit)
     for c, (limit, scale) in enumerate(zip(device.force_limit, device.force_scale, strict=True)):
         reach = scale * 2.0**31
         # A limit that no count reaches does no harm, but mostly it comes from a wrong scale.
         if _is_scale(limit) and _is_scale(scale) and not scale < limit <= reach * (1 + 1e-9):
-            found = f"channel {c}: limit {limit:g} N, of which 32 bits of counts reach {reach:g} N"
+            units = probing.units_of(c)
+            most = units(reach, "N", "g")
+            found = f"channel {c}: limit {units(limit, 'N', 'g')}, of which 32 bits of counts reach {most}"
             probing.judge("force_limit", False, found, "force_scale and force_limit")
     if device.velocity_scale:
-        _judge_scale(probing, "velocity_scale", device.velocity_scale, "(m/s) per count")
+        _judge_scale(probing, "velocity_scale", device.velocity_scale, f"({probing.units.name('m/s')}) per count")
     else:
         probing.judge("velocity_scale", True, "0: no velocity is sensed")
 
@@ -239,7 +240,9 @@ def _is_scale(value: float) -> bool:
 
 def _judge_scale(probing: Probing, name: str, values: tuple[float, ...], unit: str) -> None:
     shown = values[:1] if len(set(values)) == 1 else values
-    probing.judge(name, all(map(_is_scale, values)), f"{', '.join(f'{value:g}' for value in shown)} {unit}")
+    probing.judge(
+        name, all(map(_is_scale, values)), f"{', '.join(f'{value:g}' for value in shown)} {probing.units.name(unit)}"
+    )
 
 
 _PACINGS = {schema.PACED_BY_DEVICE: "by the device", schema.PACED_BY_HOST: "by the host", schema.LOCKSTEP: "lockstep"}
