@@ -26,6 +26,7 @@ _ROTARY = {
     "m/s": "rad/s",
     "mm/s": "mrad/s",
     "mm": "mrad",
+    "nm": "nrad",
     "µm": "µrad",
     "kg": "kg·m²",
     "newton": "N·m",
@@ -35,8 +36,8 @@ _ROTARY = {
     "mN": "mN·m",
     "µN": "µN·m",
 }
-_DEGREES = {"m": "°", "mm": "°", "µm": "°", "m/s": "°/s", "mm/s": "°/s", "m/s²": "°/s²"}
-_SMALLER = {"mm": 1e3, "µm": 1e6, "mm/s": 1e3, "mN": 1e3, "µN": 1e6}
+_DEGREES = {"m": "°", "mm": "°", "µm": "°", "nm": "°", "m/s": "°/s", "mm/s": "°/s", "m/s²": "°/s²"}
+_SMALLER = {"mm": 1e3, "µm": 1e6, "nm": 1e9, "mm/s": 1e3, "mN": 1e3, "µN": 1e6}
 _MARKED = re.compile("‹([^›]+)›")
 # A bare m or N is a unit only behind a number, in brackets, behind "in" or the two spaces of a heading.
 _BARE = r"(?:(?<=[0-9)–] )|(?<=[(\[])|(?<=\bin )|(?<=\], )|(?<=, )(?=N\])|(?<=  ))[mN](?=$|[\s,;:.)\]])"

@@ -18,7 +18,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
 from hapsim.chart import style
-from hapsim.chart.figure import figure_to, legend_below
+from hapsim.chart.figure import drawn_in, figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.prediction import predict
@@ -286,7 +286,7 @@ def _draw_shares(axes: Axes, x: Floats, shares: dict[str, Floats], label: str) -
 OVER = ("device.mass", "device.friction", "device.delay")
 _LABELS = {
     "device.mass": "true mass / declared mass",
-    "device.friction": "true friction  (N·s/m)",
+    "device.friction": "true friction  (‹N·s/m›)",
     "device.delay": "true delay  (samples)",
 }
 _TRUE_VALUES = 121
@@ -362,7 +362,7 @@ def draw_tolerance(chart: ToleranceChart, title: str, path: Path, shares: Sequen
             for name, error in errors.items():
                 axes.plot(chart.true, 100.0 * error, label=name, **style.CORRECTIONS[name])
             axes.set_title(f"{label} felt beside {label} desired")
-            axes.set_xlabel(_LABELS[chart.over])
+            axes.set_xlabel(drawn_in().filled(_LABELS[chart.over]))
             axes.set_xlim(chart.true[0], chart.true[-1])
             axes.set_ylim(-_MOST_PER_CENT, _MOST_PER_CENT)
             axes.yaxis.set_major_formatter("{x:+.0f} %")

@@ -56,7 +56,7 @@ _units = [LINEAR]
 
 @contextmanager
 def labelled_in(units: Units) -> Iterator[None]:
-    """Translates the texts of the figures that are drawn in the block."""
+    """Has the figures that are drawn in the block in these units; others are in those of a line."""
     _units.append(units)
     try:
         yield
@@ -64,11 +64,15 @@ def labelled_in(units: Units) -> Iterator[None]:
         _units.pop()
 
 
-def _translate(text: Text, units: Units) -> None:
-    """Puts a text into these units; a long one, which has just room enough in those of a line, in smaller letters."""
-    before, after = text.get_text(), units(text.get_text())
-    text.set_text(after)
-    if len(after) > max(len(before), _LONG):
+def drawn_in() -> Units:
+    """Returns the units of the figure that is drawn."""
+    return _units[-1]
+
+
+def _fit(text: Text) -> None:
+    """Puts a long text with the units of a rotation, longer than those of a line, into smaller letters."""
+    words = text.get_text()
+    if len(words) > _LONG and any(unit in words for unit in ("rad", "N·m", "kg·m²")):
         text.set_fontsize(0.85 * float(text.get_fontsize()))
 
 
@@ -86,7 +90,7 @@ def figure_to(path: Path, width: float, height: float) -> Iterator[Figure]:
         yield figure
         if _units[-1].is_rotary:
             for text in figure.findobj(Text):
-                _translate(text, _units[-1])
+                _fit(text)
         with whole_file(path) as file:
             figure.savefig(file, dpi=_DOTS_PER_INCH, format=path.suffix[1:], metadata=_METADATA[path.suffix])
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapsim.chart import style
-from hapsim.chart.figure import figure_to, legend_below
+from hapsim.chart.figure import drawn_in, figure_to, legend_below
 from hapsim.chart.hand import described
 from hapsim.errors import UsageError
 from hapsim.number_format import number
@@ -129,10 +129,10 @@ def draw_force(chart: ForceChart, path: Path) -> None:
 
     colours = ScalarMappable(LogNorm(_LEAST_ERROR, _MOST_ERROR), mpl.colormaps[style.FELT_ERROR])
     with figure_to(path, 8.0, 4.8) as figure:
-        axes = figure.add_subplot()
+        axes, units = figure.add_subplot(), drawn_in()
         labels: set[str] = set()
         for region, x, force in zip(chart.drawn, chart.position, chart.force, strict=True):
-            error, mm = error_of(region), x * 1e3
+            error, mm = error_of(region), units.scaled(x, "mm")
             if not region.is_stable:
                 axes.axvspan(mm[0], mm[-1], label=_once("unstable", labels), **style.UNSTABLE_REGION)
             if region.kind == "snap":
@@ -143,13 +143,13 @@ def draw_force(chart: ForceChart, path: Path) -> None:
                 style.NOT_HELD if math.isnan(error) else {"color": colours.to_rgba(np.array(max(error, _LEAST_ERROR)))}
             )
             axes.plot(mm, force, **(style.FORCE | look))
-        x = 1e3 * np.concatenate(chart.position)
+        x = units.scaled(np.concatenate(chart.position), "mm")
         up, down = np.concatenate(chart.pushing), np.concatenate(chart.releasing)
-        loop = f"friction and damping of the scene, moved at {number(chart.speed, 3)} m/s"
+        loop = f"friction and damping of the scene, moved at {units(chart.speed, 'm/s', 3)}"
         axes.fill_between(x, down, up, label=loop, **style.HYSTERESIS)
         axes.axhline(0.0, **style.ZERO_LINE)
-        axes.set_xlabel("position of the hand (mm)")
-        axes.set_ylabel(f"{chart.what} of the hand (N)")
+        axes.set_xlabel(f"position of the hand ({units.name('mm')})")
+        axes.set_ylabel(f"{chart.what} of the hand ({units.name('N')})")
         axes.set_title(f"{chart.name}: {described(chart.drawn[0].felt.configuration)}", fontsize=9)
         axes.margins(x=0.0)
         figure.colorbar(colours, ax=axes, label="felt k or b, off what is asked for", extend="both", format=_percent)

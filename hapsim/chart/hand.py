@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from hapsim.chart.figure import drawn_in
 from hapsim.errors import UsageError
 from hapsim.number_format import short
 from hapsim.prediction import predict
 from hapsim.scene import Scene
 from hapsim.theory import Configuration, frequency_and_ratio
+from hapsim.units import LINEAR, Units
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,8 @@ class Hand:
     """kg: the least, the middle and the largest, if the scene gives a span."""
     corrected: tuple[float, float] | None = None
     """The scene's stiffness and damping, N/m and N·s/m, if a correction simulates others."""
+    units: Units = LINEAR
+    """Of its channel."""
 
     @property
     def is_simulated(self) -> bool:
@@ -86,13 +90,24 @@ class Hand:
         }
 
 
-def described(configuration: Configuration, *, mass: bool = True, normalised: bool = False) -> str:
-    """Returns a configuration in one line for a title, in SI units or the paper's. `mass`: whether to name it."""
-    c = configuration
-    b0 = f"$b_0 T/m$ = {short(c.friction / c.damping_unit)}" if normalised else f"$b_0$ = {short(c.friction)} N·s/m"
-    k0 = f"$k_0 T^2/m$ = {short(c.stiffness / c.stiffness_unit)}" if normalised else f"$k_0$ = {short(c.stiffness)} N/m"
+def described(
+    configuration: Configuration, *, mass: bool = True, normalised: bool = False, units: Units | None = None
+) -> str:
+    """Returns a configuration in one line for a title, in the paper's units or in `units` [default: those of the figure
+    that is drawn]. `mass`: whether to name it."""
+    c, units = configuration, units or drawn_in()
+    b0 = (
+        f"$b_0 T/m$ = {short(c.friction / c.damping_unit)}"
+        if normalised
+        else f"$b_0$ = {units(short(c.friction), 'N·s/m')}"
+    )
+    k0 = (
+        f"$k_0 T^2/m$ = {short(c.stiffness / c.stiffness_unit)}"
+        if normalised
+        else f"$k_0$ = {units(short(c.stiffness), 'N/m')}"
+    )
     parts = {
-        f"$m$ = {short(c.mass)} kg": mass and not normalised,
+        f"$m$ = {units(short(c.mass), 'kg')}": mass and not normalised,
         f"{short(c.rate)} Hz": not normalised,
         f"{c.hold} hold, delay {c.delay:g}": True,
         f"sampling: {c.sampling}": c.sampling != "ideal",
@@ -127,7 +142,11 @@ def hands_of_scene(scene: Scene, given: Mapping[str, Any]) -> list[Hand]:
         wanted = next((desired for desired in prediction.desired if desired.channel == one.channel), None)
         corrected = (wanted.k - c.stiffness, wanted.b - c.friction) if wanted else None
         simulated = one.stiffness, one.damping
-        hands.append(Hand(one.name, one.channel, configured(c, given), *simulated, masses, corrected))
+        hands.append(
+            Hand(
+                one.name, one.channel, configured(c, given), *simulated, masses, corrected, scene.units_of(one.channel)
+            )
+        )
     return hands
 
 

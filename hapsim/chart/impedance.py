@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 
 from hapsim.chart import style
-from hapsim.chart.figure import figure_to, legend_below
+from hapsim.chart.figure import drawn_in, figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.prediction import Prediction
@@ -144,7 +144,7 @@ def _draw_one(dense: PredictedImpedance, measured: MeasuredImpedance, i: int, pa
             upper.set_title(title)
             draw_sizes(upper, curves)
             draw_phases(lower, curves)
-        panels[0, 0].set_ylabel("|force / velocity|  (N·s/m)")
+        panels[0, 0].set_ylabel(f"|force / velocity|  ({drawn_in().name('N·s/m')})")
         panels[1, 0].set_ylabel("phase  (degrees)")
         legend_below(figure, 2, handlelength=2.6)
 
@@ -153,7 +153,7 @@ def _draw_matrix(dense: PredictedImpedance, measured: MeasuredImpedance, _: int,
     names = dense.names
     with figure_to(path, 1.5 + 2.9 * len(names), 1.4 + 2.3 * len(names)) as figure:
         panels = figure.subplots(len(names), len(names), sharex=True)
-        figure.suptitle("Rendered impedance  (N·s/m)")
+        figure.suptitle(f"Rendered impedance  ({drawn_in().name('N·s/m')})")
         for i, j in np.ndindex(len(names), len(names)):
             axes: Any = panels[i, j]
             axes.set_title(f"force at {names[i]}, velocity at {names[j]}")
@@ -249,10 +249,13 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
         figure.suptitle(title)
         draw_sizes(panels[0, 0], curves)
         draw_phases(panels[1, 0], curves)
-        panels[0, 0].set_ylabel("|force / velocity|  (N·s/m)")
+        panels[0, 0].set_ylabel(f"|force / velocity|  ({drawn_in().name('N·s/m')})")
         panels[1, 0].set_ylabel("phase  (degrees)")
+        units = drawn_in()
         both = [spring_and_damper(data.frequency, one) for one in (data.desired, data.rendered)]
-        for axes, label, part in zip(panels[:, 1], ("k  (N/m)", "b  (N·s/m)"), (0, 1), strict=True):
+        for axes, label, part in zip(
+            panels[:, 1], (f"k  ({units.name('N/m')})", f"b  ({units.name('N·s/m')})"), (0, 1), strict=True
+        ):
             _set_up(axes)
             # Near what is asked for it is drawn to scale, resonances and what is below 0 beyond on a logarithmic one.
             level = float(np.median(np.abs(both[0][part])))

@@ -21,7 +21,7 @@ from matplotlib.transforms import Bbox
 
 from hapsim.chart import plane_curves as curves
 from hapsim.chart import style
-from hapsim.chart.figure import figure_to, legend_below
+from hapsim.chart.figure import drawn_in, figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.chart.plane_curves import Curve, Scale, Sheet, View
 from hapsim.errors import UsageError
@@ -189,7 +189,7 @@ def _draw_curves(axes: Axes, data: Plane) -> None:
         of_mass = style.OF_MASS[data.masses.index(curve.mass)] if data.is_family else style.ISO_OF_ONE_MASS[curve.kind]
         axes.plot(curve.K, curve.B, **style.ISO[curve.kind] | of_mass)
     for mass, boundary, look in zip(data.masses, data.boundaries, style.OF_MASS, strict=False):
-        whose = f"$m$ = {mass:g} kg: " if data.is_family else ""
+        whose = f"$m$ = {drawn_in()(mass, 'kg', 'g')}: " if data.is_family else ""
         if boundary.is_seen:
             axes.plot(boundary.K, boundary.B, label=f"{whose}stability boundary, $b = 0$", **style.LIMIT | look)
     for drawn, label, look in (
@@ -200,7 +200,8 @@ def _draw_curves(axes: Axes, data: Plane) -> None:
         for i, curve in enumerate(curve for curve in drawn if curve.is_seen):
             axes.plot(curve.K, curve.B, label="" if i else label, **look)
     if data.is_family:
-        axes.plot([], [], label="thin: equal $k$ (N/m) and equal $b$ (N·s/m)", color="black", **style.ISO["iso_k"])
+        k, b = drawn_in().name("N/m"), drawn_in().name("N·s/m")
+        axes.plot([], [], label=f"thin: equal $k$ ({k}) and equal $b$ ({b})", color="black", **style.ISO["iso_k"])
         return
     for kind, what, name in zip(style.ISO, ("stiffness", "damping"), data.scale.felt_names, strict=True):
         if any(curve.kind == kind and curve.is_seen for curve in data.iso):
@@ -250,7 +251,7 @@ def _words(points: Sequence[Point], data: Plane) -> str:
     lines = [f"{first.name}: $K$ = {short(first.K)}, ${data.scale.simulated}$ = {short(first.B)}"]
     for at in points:
         felt = f"$k$ = {short(at.k)}, $b$ = {short(at.b)}" if math.isfinite(at.k) else "no spring and damper"
-        lines.append(f"{at.mass:g} kg feels {felt}" if data.is_family else f"feels {felt}")
+        lines.append(f"{drawn_in()(at.mass, 'kg', 'g')} feels {felt}" if data.is_family else f"feels {felt}")
     return "\n".join(lines)
 
 

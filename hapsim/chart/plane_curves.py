@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from hapsim.chart.figure import drawn_in
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.theory import Configuration
@@ -87,14 +88,16 @@ class Scale:
     @property
     def axis_labels(self) -> tuple[str, str]:
         """Labels of the K axis and of the B axis."""
-        K, B = ("$K\\,T^2/m$", "$B\\,T/m$") if self.normalised else ("$K$  (N/m)", "$B$  (N·s/m)")
+        stiffness, damping = drawn_in().name("N/m"), drawn_in().name("N·s/m")
+        K, B = ("$K\\,T^2/m$", "$B\\,T/m$") if self.normalised else (f"$K$  ({stiffness})", f"$B$  ({damping})")
         total = B.replace("B", f"({self.simulated})" if self.normalised else self.simulated)
         return f"simulated stiffness  {K}", f"total damping  {total}" if self.total else f"simulated damping  {B}"
 
     @property
     def felt_names(self) -> tuple[str, str]:
         """Names of the felt k and b, with their units."""
-        return ("$k\\,T^2/m$", "$b\\,T/m$") if self.normalised else ("$k$ (N/m)", "$b$ (N·s/m)")
+        stiffness, damping = drawn_in().name("N/m"), drawn_in().name("N·s/m")
+        return ("$k\\,T^2/m$", "$b\\,T/m$") if self.normalised else (f"$k$ ({stiffness})", f"$b$ ({damping})")
 
     @property
     def columns(self) -> list[str]:
@@ -154,7 +157,8 @@ def view_of(hands: Sequence[Hand], *, from_total: bool, K_to: float | None = Non
         )
     view = View(K_to or K_found, least, least + B_found if B_to is None else B_to)
     if view.B_to <= view.B_from:
-        raise UsageError(f"--to-damping: found {view.B_to:g} N·s/m, expected more than {view.B_from:g}")
+        found = hands[0].units(view.B_to, "N·s/m", "g")
+        raise UsageError(f"--to-damping: found {found}, expected more than {view.B_from:g}")
     return view
 
 

@@ -26,6 +26,7 @@ from hapsim.prediction.correction.element import element_for
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.scene.choices import CorrectionName
 from hapsim.theory import Configuration
+from hapsim.units import Units
 
 _FLICK = 0.1  # m/s
 _ROOM = 16.0  # range of the position counts, over how far the flick swings the mass
@@ -132,7 +133,8 @@ def table1(
     b0 = configuration.friction
     if 2.0 * b - b0 < 0.0:
         raise UsageError(
-            f"{hand.name} feels b = {b:.4g} N·s/m, less than half of its real friction of {b0:.4g}: no real "
+            f"{hand.name} feels b = {hand.units(b, 'N·s/m', '.4g')}, less than half of its real friction of {b0:.4g}: "
+            "no real "
             "damper does that; omit --as-scene, or give more damping"
         )
     built = {
@@ -143,7 +145,7 @@ def table1(
         "V": (k, b, K, B),
     }
     planned = [
-        _predicted(numeral, replace(configuration, stiffness=k, friction=b), K, B, correction)
+        _predicted(numeral, replace(configuration, stiffness=k, friction=b), K, B, correction, hand.units)
         for numeral, (k, b, K, B) in built.items()
     ]
     return Table1({one.numeral: _measured(one, on_progress) for one in planned}, configuration, k, K)
@@ -169,13 +171,16 @@ def _springs(hand: Hand, as_scene: bool, corrected: bool) -> tuple[Configuration
         K, B = map(float, loop.simulated(k, b))
     if not (math.isfinite(k) and math.isfinite(K)):
         raise UsageError(
-            f"{hand.name}: no real and simulated spring swing alike here; K is {hand.stiffness:g} N/m, m/T² is "
-            f"{own.stiffness_unit:g} N/m"
+            f"{hand.name}: no real and simulated spring swing alike here; K is "
+            f"{hand.units(hand.stiffness, 'N/m', 'g')}, m/T² is "
+            f"{hand.units(own.stiffness_unit, 'N/m', 'g')}"
         )
     return loop, K, B, k, b if as_scene else 0.0
 
 
-def _predicted(numeral: str, configuration: Configuration, K: float, B: float, correction: CorrectionName) -> Coupling:
+def _predicted(
+    numeral: str, configuration: Configuration, K: float, B: float, correction: CorrectionName, units: Units
+) -> Coupling:
     k = float(configuration.equivalent(K, B)[0])
     if correction != "none" and K > 0.0:
         kind = CORRECTIONS[correction]
@@ -187,8 +192,9 @@ def _predicted(numeral: str, configuration: Configuration, K: float, B: float, c
     if not frequency < 0.5 * configuration.rate:
         raise UsageError(
             f"coupling {numeral} of Table 1 would not swing below half the rate as a mass on a spring does: "
-            f"its real spring is {configuration.stiffness:.4g} N/m, its simulated one {K:.4g} N/m, and m/T² is "
-            f"{configuration.stiffness_unit:.4g} N/m. Write a smaller stiffness, or a higher rate"
+            f"its real spring is {units(configuration.stiffness, 'N/m', '.4g')}, its simulated one "
+            f"{units(K, 'N/m', '.4g')}, and m/T² is "
+            f"{units(configuration.stiffness_unit, 'N/m', '.4g')}. Write a smaller stiffness, or a higher rate"
         )
     return Coupling(numeral, configuration, K, B, correction, frequency)
 

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from hapsim.chart import style
-from hapsim.chart.figure import figure_to, legend_below
+from hapsim.chart.figure import drawn_in, figure_to, legend_below
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, UNSENT, WITHHELD
-from hapsim.number_format import number, rounded
+from hapsim.number_format import rounded
 from hapsim.recording.trace import Trace
 from hapsim.theory.arrays import Floats
 
@@ -66,7 +66,10 @@ def draw_trace(trace: Trace, title: str, path: Path) -> None:
     time = seconds_of(trace)
     with figure_to(path, 8.0, 5.2) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True)
-        for axes, values, label in ((upper, 1e3 * trace.position, "position (mm)"), (lower, trace.force, "force (N)")):
+        units = drawn_in()
+        position, force = units.scaled(trace.position, "mm"), trace.force
+        labels = f"position ({units.name('mm')})", f"force ({units.name('N')})"
+        for axes, values, label in zip((upper, lower), (position, force), labels, strict=True):
             for c in range(values.shape[1]):
                 axes.plot(time, values[:, c], linewidth=1.0, label=f"channel {c}")
             axes.set_ylabel(label)
@@ -104,15 +107,16 @@ def draw_replay(found: Comparison, title: str, path: Path) -> None:
     """Draws it to a file (.svg, .png or .pdf)."""
     with figure_to(path, 8.0, 5.2) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True)
+        units = drawn_in()
         for c in range(found.position.shape[1]):
             of = f" of channel {c}" if found.position.shape[1] > 1 else ""
-            upper.plot(found.time_s, 1e3 * found.position[:, c], linewidth=1.0, color=f"C{c}")
+            upper.plot(found.time_s, units.scaled(found.position[:, c], "mm"), linewidth=1.0, color=f"C{c}")
             lower.plot(
                 found.time_s, found.recorded[:, c], linewidth=2.2, alpha=0.4, color=f"C{c}", label=f"recorded{of}"
             )
             lower.plot(found.time_s, found.replayed[:, c], linewidth=0.9, color=f"C{c}", label=f"replayed{of}")
-        upper.set_ylabel("position (mm)")
-        lower.set_ylabel("force (N)")
+        upper.set_ylabel(f"position ({units.name('mm')})")
+        lower.set_ylabel(f"force ({units.name('N')})")
         lower.set_xlabel("time since arming (s)")
         for axes in (upper, lower):
             axes.margins(x=0.01)
@@ -172,18 +176,18 @@ def draw_ring_down(columns: dict[str, Floats], felt: Felt, measured: tuple[float
     names = ("time_s", "position_m", "predicted_envelope_m", "rest_position_m")
     time, position, envelope, rest = (columns[name] for name in names)
     with figure_to(path, 8.0, 4.6) as figure:
-        axes = figure.add_subplot()
+        axes, units = figure.add_subplot(), drawn_in()
         if np.isfinite(envelope).all():
-            label = f"predicted envelope: k = {felt.k:.5g} N/m, b = {felt.b:.4g} N·s/m"
-            axes.plot(time, 1e3 * (rest + envelope), label=label, **style.ENVELOPE)
-            axes.plot(time, 1e3 * (rest - envelope), **style.ENVELOPE)
-        label = f"measured: k = {measured[0]:.5g} N/m, b = {measured[1]:.4g} N·s/m"
-        axes.plot(time, 1e3 * position, "o-" if time.size < 200 else "-", label=label, **style.MOTION)
-        middle = 1e3 * rest[0] if rest.size and np.isfinite(rest[0]) else 0.0
-        axes.axhline(middle, **style.ZERO_LINE)
+            label = f"predicted envelope: k = {units(felt.k, 'N/m', '.5g')}, b = {units(felt.b, 'N·s/m', '.4g')}"
+            axes.plot(time, units.scaled(rest + envelope, "mm"), label=label, **style.ENVELOPE)
+            axes.plot(time, units.scaled(rest - envelope, "mm"), **style.ENVELOPE)
+        label = f"measured: k = {units(measured[0], 'N/m', '.5g')}, b = {units(measured[1], 'N·s/m', '.4g')}"
+        axes.plot(time, units.scaled(position, "mm"), "o-" if time.size < 200 else "-", label=label, **style.MOTION)
+        middle = float(rest[0]) if rest.size and np.isfinite(rest[0]) else 0.0
+        axes.axhline(units.scaled(middle, "mm"), **style.ZERO_LINE)
         axes.set_xlabel("time (s)")
-        axes.set_ylabel(f"position of the hand (mm), at rest at {number(middle, 4)} mm")
-        simulated = f"{felt.name}: K = {felt.stiffness:.5g} N/m, B = {felt.damping:.4g} N·s/m"
+        axes.set_ylabel(f"position of the hand ({units.name('mm')}), at rest at {units(middle, 'mm', 4)}")
+        simulated = f"{felt.name}: K = {units(felt.stiffness, 'N/m', '.5g')}, B = {units(felt.damping, 'N·s/m', '.4g')}"
         axes.set_title(f"{simulated}; {described(felt.configuration)}", fontsize=9)
         axes.margins(x=0.01)
         legend_below(figure, 2)
@@ -224,12 +228,13 @@ def draw_device_residual(found: DeviceIdentification, path: Path) -> None:
         panels = figure.subplot_mosaic([["time", "time"], ["velocity", "position"]])
         _draw_over_time(panels["time"], found)
         size = float(np.max(np.abs(lacking.force), initial=0.0))
-        unit, name = (1.0, "N") if size > 0.5 else (1e3, "mN") if size > 5e-4 else (1e6, "µN")
-        _draw_forces(panels["velocity"], lacking.velocity, lacking.force * unit, lacking.noise * unit)
-        _draw_forces(panels["position"], 1e3 * lacking.position, lacking.force * unit, lacking.noise * unit)
-        panels["velocity"].set_xlabel("velocity (m/s)")
-        panels["position"].set_xlabel("position from where it was found (mm)")
-        panels["velocity"].set_ylabel(f"force beside the model ({name})")
+        unit, units = "N" if size > 0.5 else "mN" if size > 5e-4 else "µN", drawn_in()
+        force, noise = units.scaled(lacking.force, unit), units.scaled(lacking.noise, unit)
+        _draw_forces(panels["velocity"], units.scaled(lacking.velocity, "m/s"), force, noise)
+        _draw_forces(panels["position"], units.scaled(lacking.position, "mm"), force, noise)
+        panels["velocity"].set_xlabel(f"velocity ({units.name('m/s')})")
+        panels["position"].set_xlabel(f"position from where it was found ({units.name('mm')})")
+        panels["velocity"].set_ylabel(f"force beside the model ({units.name(unit)})")
         panels["position"].sharey(panels["velocity"])
         legend_below(figure, 3)
         figure.suptitle(_title(found), fontsize=9)
@@ -241,17 +246,17 @@ def _draw_over_time(axes: Axes, found: DeviceIdentification) -> None:
     begins = np.cumsum([0.0, *(motion.position.size / found.rate_hz for motion in found.motions)])
     time = columns["time_s"] + begins[columns["run"].astype(int)]
     some = slice(None, None, max(1, time.size // _MOST_POINTS))
-    unit, name = (1e6, "µm") if found.residual_m > 2e-8 else (1e9, "nm")
-    axes.plot(time[some], unit * columns["position_residual_m"][some], markersize=1.5, **style.RESIDUAL)
+    unit, units = "µm" if found.residual_m > 2e-8 else "nm", drawn_in()
+    axes.plot(time[some], units.scaled(columns["position_residual_m"][some], unit), markersize=1.5, **style.RESIDUAL)
     axes.axhline(0.0, **style.ZERO_LINE)
     axes.set_xlim(0.0, float(begins[-1]))
     top = axes.get_ylim()[1]
     for begin, drive in zip(begins, found.drives, strict=False):
         axes.axvline(float(begin), linestyle=":", **style.ZERO_LINE)
-        words = f" K = {drive.stiffness:.3g} N/m, B = {drive.damping:.2g} N·s/m"
+        words = f" K = {units(drive.stiffness, 'N/m', '.3g')}, B = {units(drive.damping, 'N·s/m', '.2g')}"
         axes.annotate(words, (float(begin), top), ha="left", va="bottom", fontsize=8)
     axes.set_xlabel("time (s), the runs one after the other")
-    axes.set_ylabel(f"position beside the model ({name})")
+    axes.set_ylabel(f"position beside the model ({units.name(unit)})")
 
 
 def _draw_forces(axes: Axes, along: Floats, force: Floats, noise: float) -> None:
@@ -275,6 +280,7 @@ def _title(found: DeviceIdentification) -> str:
         ("dry friction", found.coulomb, "N"),
     )
     words = [
-        f"{name} {rounded(one.value, one.uncertainty)} ± {one.uncertainty:.1g} {unit}" for name, one, unit in named
+        f"{name} {rounded(one.value, one.uncertainty)} ± {one.uncertainty:.1g} {drawn_in().name(unit)}"
+        for name, one, unit in named
     ]
     return f"{', '.join(words[:3])},\n{', '.join(words[3:])}"

@@ -350,7 +350,7 @@ def transparency(
         chart, summary = transparency_of(chosen), chosen.summary()
         units = spoken()
         pair = f"K = {units(chosen.stiffness, 'N/m', '.6g')}, B = {units(chosen.damping, 'N·s/m', '.6g')}"
-        title = f"{pair}; {described(chosen.configuration)}"
+        title = f"{pair}; {described(chosen.configuration, units=units)}"
         if not output.json:
             print_hands([chosen], [])
     output.write(chart.columns, lambda path: draw_transparency(chart, title, path))
