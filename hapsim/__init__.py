@@ -43,58 +43,21 @@ if TYPE_CHECKING:
     from hapsim.scene import parse_scene as parse_scene
     from hapsim.sweeping.sweep import sweep as sweep
 
-_HOME = {
-    "DeviceIdentification": "hapsim.measuring.identify_device",
-    "Diagnosis": "hapsim.measuring.diagnosis",
-    "HandsMeasurement": "hapsim.measuring.measure_hands",
-    "MeasuredImpedance": "hapsim.measuring.measure_impedance",
-    "Measurement": "hapsim.measuring.measure_trace",
-    "Prediction": "hapsim.prediction",
-    "Scene": "hapsim.scene",
-    "Session": "hapsim.running",
-    "Trace": "hapsim.recording.trace",
-    "diagnose": "hapsim.measuring.diagnosis",
-    "identify": "hapsim.measuring.measure_trace",
-    "identify_device": "hapsim.measuring.identify_device",
-    "load_scene": "hapsim.scene",
-    "load_trace": "hapsim.recording.trace",
-    "measure": "hapsim.measuring.measure",
-    "measure_hands": "hapsim.measuring.measure_hands",
-    "measure_impedance": "hapsim.measuring.measure_impedance",
-    "measure_trace": "hapsim.measuring.measure_trace",
-    "parse_scene": "hapsim.scene",
-    "predict": "hapsim.prediction",
-    "run": "hapsim.running",
-    "sessions": "hapsim.running",
-    "start": "hapsim.running",
-    "sweep": "hapsim.sweeping.sweep",
+_NAMES = {
+    "hapsim.measuring.diagnosis": ("Diagnosis", "diagnose"),
+    "hapsim.measuring.identify_device": ("DeviceIdentification", "identify_device"),
+    "hapsim.measuring.measure": ("measure",),
+    "hapsim.measuring.measure_hands": ("HandsMeasurement", "measure_hands"),
+    "hapsim.measuring.measure_impedance": ("MeasuredImpedance", "measure_impedance"),
+    "hapsim.measuring.measure_trace": ("Measurement", "identify", "measure_trace"),
+    "hapsim.prediction": ("Prediction", "predict"),
+    "hapsim.recording.trace": ("Trace", "load_trace"),
+    "hapsim.running": ("Session", "run", "sessions", "start"),
+    "hapsim.scene": ("Scene", "load_scene", "parse_scene"),
+    "hapsim.sweeping.sweep": ("sweep",),
 }
-__all__ = [
-    "DeviceIdentification",
-    "Diagnosis",
-    "HandsMeasurement",
-    "MeasuredImpedance",
-    "Measurement",
-    "Prediction",
-    "Scene",
-    "Session",
-    "Trace",
-    "diagnose",
-    "identify",
-    "identify_device",
-    "load_scene",
-    "load_trace",
-    "measure",
-    "measure_hands",
-    "measure_impedance",
-    "measure_trace",
-    "parse_scene",
-    "predict",
-    "run",
-    "sessions",
-    "start",
-    "sweep",
-]
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = list(_HOME)
 __version__ = "0.1.0"
 
 

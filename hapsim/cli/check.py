@@ -41,7 +41,7 @@ from hapsim.units import Units
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hapsim.cordis.explain import Explanation
+    from hapsim.cordis.offline import Explanation
     from hapsim.scene import Scene
 
 
@@ -100,7 +100,7 @@ def check(
 
 
 def _explanation(scene: Scene) -> Explanation:
-    from hapsim.cordis.explain import explain
+    from hapsim.cordis.offline import explain
 
     with at_work(stderr(), "compiling", in_pipes=True) as show:
         return explain(scene, lambda part: show(f"compiling and timing {part}"))

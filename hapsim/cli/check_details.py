@@ -32,7 +32,7 @@ from hapsim.theory.network import SURELY
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hapsim.cordis.explain import Explanation
+    from hapsim.cordis.offline import Explanation
     from hapsim.scene import Scene
 
 _ROWS = 12  # of a table

@@ -49,15 +49,12 @@ LiveColumn = dict[tuple[str, str], float]
 """Values that may change while a scene runs, one behind the other, each by its module and what it is of that."""
 
 
-_PER_SAMPLE = ("damping", "friction")
-
-
 def live_values(module: Module, rate: float) -> list[float]:
     """A module's values that may change while the scene runs, in the order of its `live`, as a tick at `rate` Hz works
     with them: dampings and frictions, in N·s/m, over the sample period."""
     read_from = {"static": "break_away", "sharpness": "steepness"}  # with their defaults
-    values = [float(getattr(module, read_from.get(field, field))) for field in module.live]
-    return [value * rate if field in _PER_SAMPLE else value for field, value in zip(module.live, values, strict=True)]
+    per_sample = {"damping": rate, "friction": rate}
+    return [float(getattr(module, read_from.get(field, field))) * per_sample.get(field, 1.0) for field in module.live]
 
 
 def live_columns(modules: Mapping[str, Any], rate: float) -> list[LiveColumn]:
@@ -131,19 +128,14 @@ class Taken(NamedTuple):
         return self.kind.build(self.modules, self.columns, context)
 
 
-def nothing_inside(_scene: Scene) -> frozenset[str]:
-    """Returns the modules in the matrices of a scheme that has none."""
-    return frozenset()
-
-
 class Scheme(NamedTuple):
     """A way of moving masses.
 
     Attributes:
         parts: the program's parts, in the order in which they act.
         inside: the modules, by name, that are worked into matrices when the scene is compiled. They have no part of
-            their own, and nothing of them can change while the scene runs.
+            their own, and nothing of them can change while the scene runs. None: a scheme without matrices.
     """
 
     parts: Callable[[Scene, BuildContext, Sequence[Taken]], tuple[Part, ...]]
-    inside: Callable[[Scene], frozenset[str]] = nothing_inside
+    inside: Callable[[Scene], frozenset[str]] | None = None

@@ -159,7 +159,8 @@ def _live(scene: Scene) -> Iterator[tuple[PartType, Mapping[str, Any], list[Live
 
 def fixed_modules(scene: Scene) -> frozenset[str]:
     """The modules of which nothing can change while the scene runs, because its scheme has them in a matrix."""
-    return SCHEMES[scene.scheme].inside(scene)
+    inside = SCHEMES[scene.scheme].inside
+    return frozenset() if inside is None else inside(scene)
 
 
 def real_of(scene: Scene) -> Any:

@@ -35,8 +35,8 @@ from hapsim.scene import Hand, Mock, Nonlinear, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
+from hapsim.scene.modules.links import PickUp, sound_issues
 from hapsim.scene.part import Part, Table
-from hapsim.scene.sound import PickUp, sound_issues
 
 Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
 """By module and field: a number, a word, or the points of a table."""

@@ -16,9 +16,9 @@ from hapsim.errors import UsageError
 from hapsim.scene import Hand, Mock, Scene
 from hapsim.scene.issue import did_you_mean
 from hapsim.scene.modules import Module
+from hapsim.scene.modules.links import PickUp
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import Expectation
-from hapsim.scene.sound import PickUp
 
 Kind = Literal["number", "numbers", "word", "points"]
 Value = float | str | tuple[Any, ...]

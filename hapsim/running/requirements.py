@@ -14,7 +14,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
-from hapsim.cordis.explain import most_substeps, tick_seconds
+from hapsim.cordis.offline import most_substeps, tick_seconds
 from hapsim.cordis.program import compile_scene
 from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux

@@ -11,11 +11,10 @@ from hapsim.scales import SCALES
 from hapsim.units import MOTIONS
 
 from .issue import Issue, Path, quote
-from .modules.links import Detent, Link, ViscoElastic
+from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.points import DevicePoint, Ground
 from .part import ModuleContext, Part
 from .quantity import ANGLE, Span
-from .sound import sound_issues
 
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"), ("mock", "hand"))
@@ -62,7 +61,9 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
 def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
     mass = device.get("mass")
     masses = mass if isinstance(mass, tuple | list) else [mass]
-    if device.get("correction") == "adaptive" and not any(one is None or _is_span(one) for one in masses):
+    if device.get("correction") == "adaptive" and not any(
+        one is None or isinstance(one, Span) or (isinstance(one, dict) and "from" in one) for one in masses
+    ):
         yield Issue(
             ("device", "correction"),
             "found adaptive with a mass that is known, expected device.mass: {from: the least, to: the most}; "
@@ -183,10 +184,6 @@ def _angles(value: object, path: Path, seen: set[int]) -> Iterator[tuple[Path, s
         seen.add(id(value))
         for step, entry in enumerate(value) if isinstance(value, list) else value.items():
             yield from _angles(entry, (*path, step), seen)
-
-
-def _is_span(mass: object) -> bool:
-    return isinstance(mass, Span) or (isinstance(mass, dict) and "from" in mass)
 
 
 def _channels(around: ModuleContext) -> int | None:

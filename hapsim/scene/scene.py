@@ -21,13 +21,12 @@ from .cross_checks import cross_check_issues, has_angles
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
-from .modules.links import Link, ViscoElastic
+from .modules.links import Link, PickUp, ViscoElastic
 from .modules.points import DevicePoint, Ground, Mass, MaterialPoint
 from .modules.structures import Structure
 from .part import Module, ModuleContext, Part, Table
 from .quantity import NAME, count, quantity
 from .quantity import version as format_version
-from .sound import PickUp
 from .yaml_file import ACROSS
 
 VERSION = 1

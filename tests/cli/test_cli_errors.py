@@ -204,7 +204,7 @@ def test_a_signal_before_anything_is_armed_is_status_130_with_a_sentence(
 
 TO_STOP: dict[str, tuple[str, str]] = {  # by command: what it calls late, and what it says it did, beside its words
     "check": ("hapsim.cli.check.predict", "while working out modes and gain margins"),
-    "check --explain": ("hapsim.cordis.explain.explain", "while compiling"),
+    "check --explain": ("hapsim.cordis.offline.explain", "while compiling"),
     "chart plane": ("hapsim.chart.plane.draw_plane", ""),
     "chart felt": ("hapsim.chart.felt.felt_chart", ""),
     "chart force": ("hapsim.chart.force.draw_force", ""),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 
-from hapsim.cordis.explain import explain
+from hapsim.cordis.offline import explain
 from hapsim.cordis.program import PART_TYPES
 from hapsim.scene import Scene
 

@@ -146,15 +146,6 @@ def damped_type(
     )
 
 
-def _dampers(ends: Ends, damping: Column) -> Links:
-    return Links(ends, np.zeros_like(damping), damping)
-
-
-def _kept(link: ViscoElastic, rate: float) -> float:
-    """k of a filtered damper."""
-    return float(np.exp(-2.0 * np.pi * np.float64(link.cutoff) / rate))
-
-
 VISCOELASTIC = link_type(
     ViscoElastic,
     Links,
@@ -163,7 +154,13 @@ VISCOELASTIC = link_type(
     where=lambda link: link.damper == "backward",
 )
 CENTRED = damped_type("centred", "one remembered stretch each", add_centred_forces, lambda *_: 0.0, initialize_centred)
-FILTERED = damped_type("filtered", "one remembered velocity each", add_filtered_forces, _kept, initialize_filtered)
+FILTERED = damped_type(
+    "filtered",
+    "one remembered velocity each",
+    add_filtered_forces,
+    lambda link, rate: float(np.exp(-2.0 * np.pi * np.float64(link.cutoff) / rate)),  # k
+    initialize_filtered,
+)
 SENSED = damped_type("sensed", "velocities come from the device", add_sensed_forces, lambda _, rate: 1.0 / rate)
 SPRING = link_type(Spring, Springs, add_spring_forces, "springs")
-DAMPER = link_type(Damper, _dampers, add_forces, "dampers")
+DAMPER = link_type(Damper, lambda ends, damping: Links(ends, np.zeros_like(damping), damping), add_forces, "dampers")

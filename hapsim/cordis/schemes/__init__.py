@@ -7,7 +7,7 @@ at once. What differs is where the masses are at n + 1.
 
 from __future__ import annotations
 
-from hapsim.cordis.build_context import Scheme, nothing_inside
+from hapsim.cordis.build_context import Scheme
 from hapsim.cordis.schemes.exact import EXACT
 from hapsim.cordis.schemes.midpoint import MIDPOINT
 from hapsim.cordis.schemes.rk4 import RK4
@@ -27,4 +27,4 @@ SCHEMES: dict[str, Scheme] = {
 
 def without_matrices() -> list[str]:
     """The schemes under which every live value of a scene can change while it runs."""
-    return [name for name, scheme in SCHEMES.items() if scheme.inside is nothing_inside]
+    return [name for name, scheme in SCHEMES.items() if scheme.inside is None]

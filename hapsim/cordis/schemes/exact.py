@@ -73,7 +73,7 @@ def integrate(points, state):
         points.state[n + n + h] = state.force[points.loaded[h]]
         state.force[points.loaded[h]] = points.state.dtype.type(0)
     for i in range(n + n):
-        points.next[i] = _row(points.matrix[i], points.state)
+        points.next[i] = _sum(points.matrix[i], points.state)
     for i in range(n + n):
         points.state[i] = points.next[i]
     for i in range(n):
@@ -92,14 +92,6 @@ def resume(points, state):
         points.state[n + i] = state.position[p] - state.previous[p]
 
 
-@reassociated
-def _row(row, state):
-    total = row.dtype.type(0)
-    for j in range(np.uint64(row.size)):
-        total += row[j] * state[j]
-    return total
-
-
 def _dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
     """The part of the program that moves the subsystem as one."""
     from scipy.linalg import expm
@@ -112,12 +104,12 @@ def _dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
         )
     inertia = 1.0 / (inner.mass * context.rate * context.rate)
     # Steps are measured in units of the fastest motion, so that no part of the matrix dwarfs the others.
-    stiffness = inertia[:, None] * inner.stiffness_matrix().toarray()
+    stiffness = inertia[:, None] * inner.matrix_of(inner.links.stiffness).toarray()
     scale = max(1.0, float(np.sqrt(np.abs(stiffness).sum(axis=1).max(initial=0.0))))
     a = np.zeros((2 * n + h + 1, 2 * n + h + 1))
     a[:n, n : 2 * n] = scale * np.eye(n)
     a[n : 2 * n, :n] = -stiffness / scale
-    a[n : 2 * n, n : 2 * n] = -inertia[:, None] * inner.damping_matrix().toarray() * context.rate
+    a[n : 2 * n, n : 2 * n] = -inertia[:, None] * inner.matrix_of(inner.links.damping).toarray() * context.rate
     a[n + inner.loaded, 2 * n + np.arange(h)] = inertia[inner.loaded] / scale
     a[n : 2 * n, -1] = inertia * inner.force / scale
     require_finite(a)
@@ -243,19 +235,16 @@ def _sum(shape, motion):
 def modes_of(inner: LinearSubsystem, context: BuildContext) -> Modes | None:
     """The modes of the subsystem; None where damping couples them."""
     root = 1.0 / (np.sqrt(inner.mass) * context.rate)
-    stiffness = root[:, None] * inner.stiffness_matrix().toarray() * root
-    damping = root[:, None] * inner.damping_matrix().toarray() * root * context.rate
+    stiffness = root[:, None] * inner.matrix_of(inner.links.stiffness).toarray() * root
+    damping = root[:, None] * inner.matrix_of(inner.links.damping).toarray() * root * context.rate
     require_finite(stiffness, damping)
     scaled = [matrix / (float(np.abs(matrix).max(initial=0.0)) or 1.0) for matrix in (stiffness, damping)]
     for share in (0.0, 0.5, 0.3819660112501051):  # where K alone leaves open which, B says so together with it
         vectors = np.linalg.eigh(scaled[0] + share * scaled[1])[1]
-        if all(_is_diagonal(vectors.T @ matrix @ vectors) for matrix in scaled):
+        turned = [vectors.T @ matrix @ vectors for matrix in scaled]
+        if all(np.abs(one - np.diag(np.diag(one))).max(initial=0.0) <= DIAGONAL for one in turned):
             return _refined(inner, vectors * root[:, None] * context.rate, context)
     return None
-
-
-def _is_diagonal(matrix: Reals) -> bool:
-    return bool(np.abs(matrix - np.diag(np.diag(matrix))).max(initial=0.0) <= DIAGONAL)
 
 
 def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Modes:

@@ -58,14 +58,6 @@ class LinearSubsystem(NamedTuple):
     position: NDArray[np.float64]
     velocity: NDArray[np.float64]
 
-    def stiffness_matrix(self) -> Any:
-        """K, N/m, a sparse (n, n)."""
-        return self._joined(self.links.stiffness)
-
-    def damping_matrix(self) -> Any:
-        """B, N·s/m, a sparse (n, n)."""
-        return self._joined(self.links.damping)
-
     def stretches(self) -> Any:
         """Sparse (L, n): what takes positions to the links' stretches."""
         from scipy.sparse import coo_array
@@ -74,7 +66,8 @@ class LinearSubsystem(NamedTuple):
         place = self.links.ends[link, end]
         return coo_array((1.0 - 2.0 * end, (link, place)), (len(self.links.ends), self.point.size)).tocsr()
 
-    def _joined(self, values: NDArray[np.float64]) -> Any:
+    def matrix_of(self, values: NDArray[np.float64]) -> Any:
+        """K in N/m, or B in N·s/m, a sparse (n, n), of a stiffness or a damping for each link."""
         from scipy.sparse import diags_array
 
         spread = self.stretches()

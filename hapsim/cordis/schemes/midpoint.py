@@ -196,7 +196,8 @@ def _midpoint(inner: LinearSubsystem, context: BuildContext) -> Midpoint:
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     square = context.rate * context.rate
-    stiffness, damping = inner.stiffness_matrix() / square, inner.damping_matrix() / context.rate
+    stiffness = inner.matrix_of(inner.links.stiffness) / square
+    damping = inner.matrix_of(inner.links.damping) / context.rate
     require_finite(stiffness.data, damping.data, inner.mass)
     pattern = abs(stiffness) + abs(damping)
     order = reverse_cuthill_mckee(pattern, symmetric_mode=True)

@@ -1,19 +1,19 @@
 """The links, elements between two points: CORDIS's REF (visco-elastic link), RES (spring), FRO (damper), BUT (buffer)
-and LNL (nonlinear), dry friction, plectrum, detent and click."""
+and LNL (nonlinear), dry friction, plectrum, detent and click. And pick-ups, output channels that listen to a point."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from hapsim.laws import GrippingLaw, Law, SineLaw, curve_law, line, roomy
 
 from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DamperScheme, DetentShape
 from ..issue import Issue, did_you_mean, one_of, quote
-from ..part import Module, ModuleContext, check_of
-from ..quantity import Curve, curve, names, quantity
+from ..part import Module, ModuleContext, Part, check_of
+from ..quantity import Curve, curve, names, quantity, text
 from .points import DevicePoint
 from .structures import Structure
 
@@ -88,7 +88,7 @@ def _wrong_place(end: str, holder: str, around: ModuleContext) -> str | None:
     return f"found {quote(end)}, but {quote(holder)} is a {structure.type}; {expected}"
 
 
-CUTOFF = quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0)
+CUTOFF = quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0, left_out="no filter")
 
 
 class ViscoElastic(Link):
@@ -100,7 +100,7 @@ class ViscoElastic(Link):
     stiffness: Annotated[float, quantity("Stiffness of the spring", "N/m", least=0)]
     damping: Annotated[float, quantity("Viscosity of the damper", "N·s/m", least=0)] = 0.0
     damper: DamperScheme = Field(default="backward", description=DAMPER)
-    cutoff: Annotated[float | None, replace(CUTOFF, left_out="no filter")] = None
+    cutoff: Annotated[float | None, CUTOFF] = None
 
     def law(self) -> Law:
         return line(self.stiffness, self.damping, in_a_matrix=self.damper == "backward")
@@ -337,3 +337,59 @@ class Click(Link):
         states = ("at the bottom", "after the click", "in the click", "before the click", "apart")
         dampings, at, taken = (self.damping,) * 4 + (0.0,), -0.25 * travel, "is taken as pressed before its click"
         return Law(knots, dampings, states, self.bottom, pushes=True, taken_at=at, assumption=taken)
+
+
+MOST_PICK_UPS = 16
+
+Quantity = Literal["velocity", "position", "force"]
+QUANTITIES: tuple[Quantity, ...] = ("velocity", "position", "force")
+"""In the order in which compiled code numbers them."""
+
+POINT = text("The point that it listens to, by name", "the name of a point, such as hand or gut.7", ".+")
+GAIN = quantity("1.0, full scale, over the quantity in m/s, m or N; negative for the other sign", "1/(SI unit)")
+HIGHPASS = quantity("Frequency below which it gets quieter, by 6 dB an octave; 0: none", "Hz", least=0)
+
+
+class PickUp(Part):
+    """An output channel: a quantity of a point, times a gain. SI units."""
+
+    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, serialize_by_alias=True)
+
+    #: As of a module.
+    live: ClassVar[tuple[str, ...]] = ("gain",)
+    crossfaded: ClassVar[tuple[str, ...]] = ("from", "of")
+    type: ClassVar[str] = "pick-up"
+
+    point: Annotated[str, POINT] = Field(alias="from")
+    of: Quantity = Field(description="What it hears: how fast the point moves, where it is, or what links pull it with")
+    gain: Annotated[float, GAIN] = 1.0
+    highpass: Annotated[float, HIGHPASS] = 0.0
+
+
+def sound_issues(sound: Mapping[str, Any], around: ModuleContext, scheme: object) -> Iterator[Issue]:
+    """Yields the faults of pick-ups, as made or as written, together with the rest of the scene."""
+    if len(sound) > MOST_PICK_UPS:
+        yield Issue(("sound",), f"found {len(sound)} pick-ups, expected at most {MOST_PICK_UPS}", at_key=True)
+    for name, one in sound.items():
+        pick_up = {"from": one.point, "of": one.of} if isinstance(one, PickUp) else one
+        if name in around.kinds:
+            yield Issue(("sound", name), "found the name of a module too; expected one of its own", at_key=True)
+        if not isinstance(pick_up, dict):
+            continue
+        point, of = pick_up.get("from"), pick_up.get("of")
+        if isinstance(point, str):
+            sentence = wrong_end(name, point, around) or _rests(point, around)
+            if sentence:
+                yield Issue(("sound", name, "from"), sentence)
+        if of == "force" and scheme not in (None, "cordis"):
+            expected = f"expected velocity or position: under scheme: {scheme} forces are no sums over a point's links"
+            yield Issue(("sound", name, "of"), f"found force, {expected}")
+
+
+def _rests(point: str, around: ModuleContext) -> str | None:
+    holder = around.kinds.get(around.holder(point))
+    if holder is None or holder.can_move or not holder.is_point:
+        return None
+    return (
+        f"found {quote(point)}, a {holder.model_fields['type'].default}, which does not move; expected a point that can"
+    )

@@ -61,12 +61,9 @@ class Structure(Module):
     def has_place(self, place: str) -> bool:
         """Returns whether one of its points is called so."""
         numbers, below = place.split("."), [getattr(self, field) for field in self.counts]
-        return len(numbers) == len(below) and all(map(_is_number, numbers, below))
-
-
-def _is_number(text: str, below: int) -> bool:
-    """Whether this is how a whole number from 0 to one less than `below` is written."""
-    return len(text) <= 9 and text.isdecimal() and str(int(text)) == text and int(text) < below
+        if len(numbers) != len(below) or not all(len(one) <= 9 and one.isdecimal() for one in numbers):
+            return False
+        return all(str(int(one)) == one and int(one) < end for one, end in zip(numbers, below, strict=True))
 
 
 MOST_MASSES = 100_000
