@@ -217,7 +217,7 @@ def plane(
         B_to=B_to and B_to * scale.damping - scale.offset,
     )
     chart = plane_of(drawn, view, scale)
-    title = described(drawn[0].configuration, mass=len(masses) < 2, normalised=normalised)
+    title = described(drawn[0].configuration, mass=len(masses) < 2, normalised=normalised, units=spoken())
     output.write(chart.columns, lambda path: draw_plane(chart, title, path))
     if not output.json:
         print_hands(drawn, [other for other in others if other not in drawn])
@@ -248,7 +248,7 @@ def felt(
         hand, masses = hand.normalised(masses)
     chosen, _ = hand.hands(masses[0] if masses else None, as_written=True)
     chart = felt_chart(chosen)
-    title = described(chosen.configuration, normalised=normalised)
+    title = described(chosen.configuration, normalised=normalised, units=spoken())
     output.write(chart.columns, lambda path: draw_felt(chart, title, path))
     if not output.json:
         headings = ("<correction", *(percent(within, 3) for within in WITHIN))
