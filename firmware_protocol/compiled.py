@@ -118,15 +118,9 @@ def emits(write: Callable[[Any], object]) -> Callable[[Function], Function]:
     return decorate
 
 
-# A compiled function calls one of these at its beginning to keep the compiler from inlining it everywhere, or from
-# turning a loop over channels into a dozen loops: in the loop's eighty functions that made 16 MB of intermediate code.
-
-
-@emits(lambda builder: builder.function.attributes.update(["noinline", "optsize"]))
-def out_of_line() -> None:
-    """Makes the caller a called, not an inlined function: it is rarely needed, or called from several places."""
-
-
 @emits(lambda builder: builder.function.attributes.add("optsize"))
 def compact() -> None:
-    """Compiles the caller's loops as written: they are short."""
+    """Compiles the loops of the compiled function that calls it, at its beginning, as written: they are short.
+
+    Else the compiler turns a loop over channels into a dozen loops: in the loop's eighty functions that made 16 MB of
+    intermediate code."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from typing import Literal
 
 from hapsim.device.connection import Connection
 from hapsim.device.ports import open_portable_port, open_serial_port
@@ -69,35 +69,22 @@ def open_connection(
     open_port = open_portable_port if portable else open_serial_port
     place = place_of_device(scene, kind, portable=portable)
     with contextlib.ExitStack() as stack:
+        mock, port = None, scene.device.port or ""
+        if place != "port":
+            from hapsim.device.mock.assemble import assemble_mock
+
+            mock = assemble_mock(scene)
         if place == "loopback":
-            connection = _loopback(scene)
+            from hapsim.device.mock.wire import loopback_transport
+
+            connection = Connection(loopback_transport(mock), "mock in memory", close=lambda: None, mock=mock)
         else:
-            port = scene.device.port or ""
-            mock = None
             if place == "terminal":
-                mock = _mock(scene)
-                port = stack.enter_context(_serving(mock, realtime and scene.device.clock != "lockstep"))
+                from hapsim.device.mock.terminal import serving
+
+                port = stack.enter_context(serving(mock, realtime and scene.device.clock != "lockstep"))
             connection = stack.enter_context(contextlib.closing(open_port(port, scene.device.baud)))
             connection.behind_port, connection.mock = place == "port", mock
         if between is not None:
             connection.transport = between(connection.transport)
         yield connection
-
-
-def _loopback(scene: Scene) -> Connection:
-    from hapsim.device.mock.wire import loopback_transport
-
-    mock = _mock(scene)
-    return Connection(loopback_transport(mock), "mock in memory", close=lambda: None, mock=mock)
-
-
-def _mock(scene: Scene) -> Any:
-    from hapsim.device.mock.assemble import assemble_mock
-
-    return assemble_mock(scene)
-
-
-def _serving(mock: Any, as_hardware: bool) -> contextlib.AbstractContextManager[str]:
-    from hapsim.device.mock.terminal import serving
-
-    return serving(mock, as_hardware)

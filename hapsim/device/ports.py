@@ -63,6 +63,26 @@ def linked(name: Path | None, port: str) -> Iterator[str]:
         take_name(name, port)
 
 
+def open_pseudo_terminal(of: str, instead: str) -> tuple[int, int]:
+    """Opens a pseudo-terminal: its near and its far end, raw before any program can open it, non-blocking.
+
+    The far end has to stay open too: otherwise every close of a host would read as a hang-up. DeviceError where the
+    system has none left; `of`: whose it is, `instead`: what needs none, for its sentence.
+    """
+    import tty
+
+    try:
+        ends = os.openpty()
+    except OSError as error:
+        raise DeviceError(
+            f"no pseudo-terminal is available{of}: {error.strerror} (is /dev/pts mounted?). {instead}"
+        ) from error
+    for end in ends:
+        tty.setraw(end)
+        os.set_blocking(end, False)
+    return ends
+
+
 def leads_to(name: str | Path) -> str | None:
     """Returns the target of a symbolic link; None where there is no link."""
     try:

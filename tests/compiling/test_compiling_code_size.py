@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from firmware_protocol.compiled import ONE, compact, out_of_line
+from firmware_protocol.compiled import ONE, compact
 from hapsim.compiling import entry, fence, helper, inlined
 
 
@@ -19,7 +19,7 @@ def add_up(numbers):
 
 @helper
 def add_up_elsewhere(numbers):
-    out_of_line()
+    compact()
     return add_up_inlined(numbers)
 
 

@@ -6,7 +6,7 @@ import math
 import random
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
@@ -128,15 +128,20 @@ class Piece:
         return replace(self, data=in_front + data, found=other)
 
 
-def require_one(required: bool = False, **given: object) -> None:
-    """Raises an error (`unexpected`) if several of these keys are given, or, of `required` ones, none. An underscore
-    at the end of a name is not part of the key."""
-    keys = [name.rstrip("_") for name in given]
-    count = sum(value is not None for value in given.values())
-    if count > 1:
-        unexpected("one of them", found=f"both {' and '.join(keys)}")
-    if required and count == 0:
-        unexpected("one of them", found=f"neither {' nor '.join(keys)}")
+def one_of(*names: str, required: bool = False) -> Any:
+    """Returns a validator of a fault: several of these fields, or none of `required` ones, are an error (`unexpected`),
+    which names their keys."""
+
+    def check(fault: Part) -> Part:
+        keys = [type(fault).model_fields[name].alias or name for name in names]
+        count = sum(getattr(fault, name) is not None for name in names)
+        if count > 1:
+            unexpected("one of them", found=f"both {' and '.join(keys)}")
+        if required and count == 0:
+            unexpected("one of them", found=f"neither {' nor '.join(keys)}")
+        return fault
+
+    return model_validator(mode="after")(check)
 
 
 KINDS: dict[str, type[Fault]] = {}
@@ -231,11 +236,8 @@ class Lasting(Fault):
     after_samples: AfterSamples = None
     for_samples: ForSamples = None
 
-    @model_validator(mode="after")
-    def _one_clock(self) -> Self:
-        require_one(from_=self.begins_s, after_samples=self.after_samples)
-        require_one(for_=self.lasts_s, for_samples=self.for_samples)
-        return self
+    _one_begin = one_of("begins_s", "after_samples")
+    _one_length = one_of("lasts_s", "for_samples")
 
     def window(self) -> Window:
         return Window(self.begins_s, self.after_samples, self.lasts_s, self.for_samples)
@@ -257,10 +259,7 @@ class Event(Fault):
     at_s: At = None
     after_samples: AfterSamples = None
 
-    @model_validator(mode="after")
-    def _one_clock(self) -> Self:
-        require_one(True, at=self.at_s, after_samples=self.after_samples)
-        return self
+    _one_begin = one_of("at_s", "after_samples", required=True)
 
     def window(self) -> Window:
         return Window(self.at_s, self.after_samples)

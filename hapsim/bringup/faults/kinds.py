@@ -27,7 +27,7 @@ from hapsim.bringup.faults.fault import (
     OnFrames,
     Piece,
     Window,
-    require_one,
+    one_of,
     tidy,
 )
 from hapsim.scene.quantity import count, quantity, unexpected
@@ -116,10 +116,7 @@ class Garbage(Lasting):
 
     _due: Moment | None = None  # the next time
 
-    @model_validator(mode="after")
-    def _one_period(self) -> Self:
-        require_one(every=self.every, every_samples=self.every_samples)
-        return self
+    _one_period = one_of("every", "every_samples")
 
     def pass_time(self, now: Moment) -> list[Piece]:
         """Returns a burst of random bytes, if one is due."""
@@ -175,10 +172,7 @@ class _Quiet(Event):
     lasts_s: For = None
     for_samples: ForSamples = None
 
-    @model_validator(mode="after")
-    def _one_length(self) -> Self:
-        require_one(for_=self.lasts_s, for_samples=self.for_samples)
-        return self
+    _one_length = one_of("lasts_s", "for_samples")
 
     def window(self) -> Window:
         return Window(self.at_s, self.after_samples, self.lasts_s, self.for_samples)
@@ -384,10 +378,7 @@ class Leap(Event):
 
     _described: Registers = PrivateAttr(default_factory=Registers)  # the scale, if only metres are given
 
-    @model_validator(mode="after")
-    def _one_length(self) -> Self:
-        require_one(True, metres=self.metres, counts=self.counts)
-        return self
+    _one_way = one_of("metres", "counts", required=True)
 
     def take(self, piece: Piece, now: Moment) -> list[Piece]:
         """Moves a position. Notes the position scale from the description on the way."""
@@ -454,10 +445,7 @@ class Refresh(_Stale):
 
     _due = Moment(0.0, 0)
 
-    @model_validator(mode="after")
-    def _one_interval(self) -> Self:
-        require_one(True, every=self.every, every_samples=self.every_samples)
-        return self
+    _one_interval = one_of("every", "every_samples", required=True)
 
     def _is_read(self, now: Moment) -> bool:
         if is_due := now.has_reached(self._due):

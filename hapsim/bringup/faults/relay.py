@@ -16,10 +16,11 @@ from collections import Counter, deque
 from collections.abc import Callable
 from itertools import accumulate
 from pathlib import Path
+from typing import NamedTuple
 
 from hapsim.bringup.faults.injector import Injector, Passed
-from hapsim.device.ports import free_name, give_name, take_name
-from hapsim.errors import DeviceError, UsageError
+from hapsim.device.ports import free_name, linked, open_pseudo_terminal
+from hapsim.errors import DeviceError
 
 _PIECE = 1 << 16
 _LONGEST_WAIT_S = 1.0
@@ -49,13 +50,22 @@ class PassingTimes:
         return next((1e-6 * time_us for time_us, pieces in counted if pieces >= share * self.count), None)
 
 
+class _Host(NamedTuple):
+    """The pseudo-terminal that the host opens."""
+
+    near: int
+    name: str
+    open: contextlib.ExitStack
+    """Closes both ends, which hangs up the host, and removes the name."""
+
+
 class Relay:
     """Passes bytes both ways until `stop` is called, or the device goes away."""
 
     def __init__(self, device: int, injector: Injector, path: Path | None = None) -> None:
         """`device`: the descriptor of its port, not blocking; `path`: a name for the pseudo-terminal, a link."""
         self._device, self._injector, self._path = device, injector, path
-        self._host: _PseudoTerminal | None = None
+        self._host: _Host | None = None
         self._held_up: dict[bool, deque[Passed]] = {False: deque(), True: deque()}
         self._to_write = b""  # that the device has not taken yet
         self._stopped, self._stop = os.pipe()
@@ -66,7 +76,7 @@ class Relay:
         other side took at once."""
 
     def __enter__(self) -> Relay:
-        self._host = _PseudoTerminal(self._path)
+        self._plug_in()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -97,7 +107,7 @@ class Relay:
             if not self._injector.plugged:
                 self._hang_up()
             elif self._host is None:
-                self._host = _PseudoTerminal(self._path)
+                self._plug_in()
             self._send_due(now_s)
             if now_s - reported_s >= _REPORT_S:
                 reported_s = now_s
@@ -176,41 +186,19 @@ class Relay:
         self.unread_bytes += len(data) - written
         return written == len(data)
 
+    def _plug_in(self) -> None:
+        free_name(self._path)
+        near, far = open_pseudo_terminal(
+            "",
+            "In memory, with `clock: lockstep`, hapsim.bringup.faults.in_memory injects faults without one",
+        )
+        with contextlib.ExitStack() as stack:
+            for end in (far, near):
+                stack.callback(os.close, end)
+            name = stack.enter_context(linked(self._path, os.ttyname(far)))
+            self._host = _Host(near, name, stack.pop_all())
+
     def _hang_up(self) -> None:
         if self._host is not None:
-            self._host.close()
+            self._host.open.close()
             self._host = None
-
-
-class _PseudoTerminal:
-    """What the host opens: raw before anybody can, and open at its far end too, so that no close reads as a hang-up."""
-
-    def __init__(self, path: Path | None) -> None:
-        import tty
-
-        free_name(path)
-        try:
-            self.near, self._far = os.openpty()
-        except OSError as error:
-            raise DeviceError(
-                f"no pseudo-terminal is available: {error.strerror} (is /dev/pts mounted?). In memory, with `clock: "
-                "lockstep`, hapsim.bringup.faults.in_memory injects faults without one"
-            ) from error
-        for end in (self.near, self._far):
-            tty.setraw(end)
-            os.set_blocking(end, False)
-        self._link, self._port = path, os.ttyname(self._far)
-        self.name = self._port if path is None else str(path)
-        try:
-            if path is not None:
-                give_name(path, self._port)
-        except UsageError:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        """Hangs up the host, and removes the name."""
-        if self._link is not None:
-            take_name(self._link, self._port)
-        for end in (self.near, self._far):
-            os.close(end)

@@ -21,7 +21,7 @@ _BURSTS = 100.0  # times the rate: what comes so fast has waited, and came in on
 
 def probe_arming(probing: Probing) -> bool:
     """Returns whether the device sends positions, or does not pace itself."""
-    session = probing.arm_by_device("arming", probing.longest_watchdog)
+    session = probing.arm_by_device("arming", probing.device.max_watchdog_samples)
     if session is None and not probing.device.paces(schema.PACED_BY_DEVICE):
         return True
     if session is None:
@@ -31,28 +31,27 @@ def probe_arming(probing: Probing) -> bool:
     kept = status is not None and (status.wire, status.number, status.fault) == (SETUP, 0, schema.NO_FAULT)
     probing.judge("arm", kept, in_words(status))
     session.run(0, session.zero)
-    _judge_first(probing, session)
     if not session.samples:
+        other = f"but {in_words(session.others[0])}" if session.others else "nor another frame"
+        found = f"no position in the armed format, {other}; {len(session.wire.damaged)} pieces that are no frame"
+        words = f"{probing.device.channels} channels: {probing.device.channels} words"
+        look_at = f"the armed format of {words}, its start value, its check; the sample timer"
+        probing.judge("first_position", False, found, look_at)
         probing.wire.release()
         return False
+    first = session.samples[0]
+    probing.judge("first_position", first.n == 0 and first.fresh, f"{first.in_words()}, in the armed format")
     going = session.run(probing.samples_in(1.2, 192, 4000), session.zero)
     _judge_numbers(probing, session, going)
     _judge_rate(probing, session)
     _judge_ignored(probing, session)
-    _judge_disarm(probing, session)
+    answer = session.disarm()
+    after = probing.wire.receive_for(max(0.05, probing.periods(5)))
+    found = in_words(answer) + (f"; after it {in_words(after[0])}" if after else "")
+    if not probing.judge("disarm_armed", answer is not None and answer.wire == SETUP and not after, found):
+        probing.wire.release()
     _judge_velocities(probing)
     return True
-
-
-def _judge_first(probing: Probing, session: Session) -> bool:
-    if session.samples:
-        first = session.samples[0]
-        return probing.judge("first_position", first.n == 0 and first.fresh, f"{first.in_words()}, in the armed format")
-    other = f"but {in_words(session.others[0])}" if session.others else "nor another frame"
-    found = f"no position in the armed format, {other}; {len(session.wire.damaged)} pieces that are no frame"
-    channels = probing.device.channels
-    look_at = f"the armed format of {channels} channels: {channels} words, its start value, its check; the sample timer"
-    return probing.judge("first_position", False, found, look_at)
 
 
 def _judge_numbers(probing: Probing, session: Session, going: bool) -> bool:
@@ -92,12 +91,15 @@ def rate_of(numbers: NDArray[np.int64], at_s: NDArray[np.float64], nominal_hz: f
 
 
 def _judge_rate(probing: Probing, session: Session) -> None:
+    def not_seen(why: str) -> None:
+        for name in ("rate_kept", "jitter"):
+            probing.not_seen(name, why)
+
     nominal = probing.device.rate_hz
     numbers = np.array([sample.n for sample in session.samples])
     at_s = np.array([sample.at_s for sample in session.samples])
     if numbers.size < 4 * _WINDOWS:
-        for name in ("rate_kept", "jitter"):
-            probing.not_seen(name, f"only {numbers.size} samples came")
+        not_seen(f"only {numbers.size} samples came")
         return
     intervals = 1e3 * np.diff(at_s) / np.diff(numbers)
     low, middle, high = np.quantile(intervals, (0.01, 0.5, 0.99))
@@ -105,8 +107,7 @@ def _judge_rate(probing: Probing, session: Session) -> None:
     hz, uncertainty = rate_of(numbers, at_s, nominal)
     found = f"{hz:.6g} ± {uncertainty:.1g} Hz, {100 * (hz / nominal - 1.0):+z.2f} % from register 4 ({nominal:g} Hz)"
     if not 0.0 < hz < _BURSTS * nominal:
-        for name in ("rate_kept", "jitter"):
-            probing.not_seen(name, "the positions came in bursts: this host, or the device, is held up too often")
+        not_seen("the positions came in bursts: this host, or the device, is held up too often")
         return
     probing.judge("jitter", True, jitter)
     if uncertainty > 0.5 * _TOLERANCE * nominal:
@@ -131,21 +132,11 @@ def _judge_ignored(probing: Probing, session: Session) -> None:
     probing.judge("ignores_when_armed", went_on and not came and not pieces, found)
 
 
-def _judge_disarm(probing: Probing, session: Session) -> None:
-    wire = probing.wire
-    answer = session.disarm()
-    after = wire.receive_for(max(0.05, probing.periods(5)))
-    kept = answer is not None and answer.wire == SETUP and not after
-    found = in_words(answer) + (f"; after it {in_words(after[0])}" if after else "")
-    if not probing.judge("disarm_armed", kept, found):
-        wire.release()
-
-
 def _judge_velocities(probing: Probing) -> None:
     if not probing.device.senses_velocity:
         probing.not_seen("velocities", "no velocity is sensed (register 38)")
         return
-    session = probing.arm(schema.PACED_BY_DEVICE, probing.longest_watchdog, velocity=True)
+    session = probing.arm(schema.PACED_BY_DEVICE, probing.device.max_watchdog_samples, velocity=True)
     if session is None:
         look_at = "bit 7 of ARM's argument, beside the pacing in bits 6 to 0"
         probing.judge("velocities", False, "ARM with velocities is refused", look_at)
@@ -166,7 +157,7 @@ _LEFT_IN_TIME = 0.25  # of a period: an answer that left so early ought to be th
 
 def probe_forces(probing: Probing) -> None:
     """Always goes on."""
-    watchdog = probing.longest_watchdog
+    watchdog = probing.device.max_watchdog_samples
     if watchdog <= 2 * _WITHHELD:
         probing.leave_out("forces", f"a watchdog of {watchdog} samples ends what this step does")
         return
@@ -182,7 +173,13 @@ def probe_forces(probing: Probing) -> None:
         probing.wire.release()
         return
     _judge_samples(probing, session)
-    _judge_age(probing, session)
+    ages, age = [], 0
+    for sample in session.samples[1:_ANSWERED]:
+        age = 1 if sample.fresh else age + 1
+        ages.append(age)
+    share = 100.0 * ages.count(1) / len(ages)
+    found = f"1 in {share:.3g} % of {len(ages)} answered samples, at most {max(ages)}: as this host answers, in Python"
+    probing.judge("age", True, found)
     _judge_counters(probing, session)
 
 
@@ -223,16 +220,6 @@ def _judge_samples(probing: Probing, session: Session) -> None:
     found = f"{len(withheld)} samples were not answered: {len(withheld) - len(wrong)} POSITION_HELD"
     found += f", {len(wrong)} POSITION, the first: {wrong[0]}" if wrong else ""
     probing.judge("withheld", bool(withheld) and not wrong, found)
-
-
-def _judge_age(probing: Probing, session: Session) -> None:
-    ages, age = [], 0
-    for sample in session.samples[1:_ANSWERED]:
-        age = 1 if sample.fresh else age + 1
-        ages.append(age)
-    share = 100.0 * ages.count(1) / len(ages)
-    found = f"1 in {share:.3g} % of {len(ages)} answered samples, at most {max(ages)}: as this host answers, in Python"
-    probing.judge("age", True, found)
 
 
 def _judge_counters(probing: Probing, session: Session) -> None:

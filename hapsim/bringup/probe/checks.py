@@ -92,8 +92,7 @@ class Probing:
 
     def fail_next(self, step: str, found: str, look_at: str) -> None:
         """Notes that the first check of a step that has no result failed."""
-        name = next((name for name in _TABLE["steps"][step] if name not in self.results), None)
-        if name is not None:
+        for name in [name for name in _TABLE["steps"][step] if name not in self.results][:1]:
             self.judge(name, False, found, look_at)
 
     def has_failed(self, name: str) -> bool:
@@ -117,11 +116,6 @@ class Probing:
         """What the device said of itself, once that is known to make sense."""
         assert self.description is not None, "no step that arms comes before the registers"
         return self.description
-
-    @property
-    def longest_watchdog(self) -> int:
-        """Samples."""
-        return self.device.max_watchdog_samples
 
     def periods(self, samples: float) -> float:
         """Returns how long this many samples take, in s."""

@@ -13,7 +13,7 @@ from firmware_protocol import schema
 from firmware_protocol.client import Received
 from firmware_protocol.frames import SETUP
 from hapsim.bringup.probe.checks import Probing
-from hapsim.bringup.probe.wire import LONG_LIFE, Sample, Session, in_words
+from hapsim.bringup.probe.wire import LONG_LIFE, Session, in_words
 
 _WATCHDOG = 40  # samples
 _TOO_LATE = 3  # samples after it
@@ -21,7 +21,7 @@ _TOO_LATE = 3  # samples after it
 
 def probe_watchdog(probing: Probing) -> None:
     """Always goes on."""
-    watchdog = min(_WATCHDOG, probing.longest_watchdog)
+    watchdog = min(_WATCHDOG, probing.device.max_watchdog_samples)
     session = probing.arm_by_device("watchdog", watchdog)
     if session is None:
         return
@@ -32,7 +32,9 @@ def probe_watchdog(probing: Probing) -> None:
         probing.leave_out("watchdog", "the device did not latch")
         return
     _judge_ignores(probing, session.samples[-1].n if session.samples else 0)
-    _judge_disarm(probing)
+    answer, _ = probing.wire.ask(probing.wire.frame(schema.DISARM, 0), schema.STATUS)
+    said = answer and (answer.wire, answer.state, answer.fault)
+    probing.judge("disarm_latched", said == (SETUP, schema.IDLE, schema.HOST_QUIET), in_words(answer))
     _judge_rearming(probing, watchdog)
 
 
@@ -70,12 +72,6 @@ def _judge_ignores(probing: Probing, n: int) -> None:
     kept = said == (SETUP, schema.HOST_QUIET) and not others and spoke == 0 and accepted == after
     found = f"{spoke} bytes after STATUS; {in_words(answer)}, after two FORCE; register 8 read {accepted}, then {after}"
     probing.judge("latched_ignores", kept, found + "".join(f"; {in_words(one)}" for one in others[:1]))
-
-
-def _judge_disarm(probing: Probing) -> None:
-    answer, _ = probing.wire.ask(probing.wire.frame(schema.DISARM, 0), schema.STATUS)
-    said = answer and (answer.wire, answer.state, answer.fault)
-    probing.judge("disarm_latched", said == (SETUP, schema.IDLE, schema.HOST_QUIET), in_words(answer))
 
 
 def _judge_rearming(probing: Probing, watchdog: int) -> None:
@@ -136,18 +132,22 @@ def probe_blocked(probing: Probing) -> None:
         why = f"{samples} frames of {size} B at {device.rate_hz:g} Hz take {lasts:.3g} s: too long to fill what buffers"
         probing.leave_out("blocked", why)
         return
-    session = probing.arm_by_device("blocked", probing.longest_watchdog, velocity=velocity)
+    session = probing.arm_by_device("blocked", probing.device.max_watchdog_samples, velocity=velocity)
     if session is None:
         return
     going = session.run(_BEFORE, session.zero)
-    rate_hz = _rate_between(session.samples[0], session.samples[-1], device.rate_hz) if going else 0.0
+    rate_hz = 0.0
+    if going:
+        oldest, newest = session.samples[0], session.samples[-1]
+        lasted_s = newest.at_s - oldest.at_s
+        rate_hz = min(device.rate_hz, (newest.n - oldest.n) / lasted_s) if lasted_s > 0 else device.rate_hz
     is_steady = going and _judge_tick(probing, session, samples, rate_hz)
     if not going or is_steady is None:
         probing.wire.release()
         probing.leave_out("blocked", "the device had stopped before, or did not come back")
         return
     session.disarm()
-    watchdog = min(round(0.9 * samples), probing.longest_watchdog)
+    watchdog = min(round(0.9 * samples), probing.device.max_watchdog_samples)
     _judge_watchdog_blocked(probing, watchdog, rate_hz, is_steady, velocity)
 
 
@@ -157,7 +157,7 @@ def _judge_tick(probing: Probing, session: Session, samples: int, rate_hz: float
     wire, first = probing.wire, session.samples[-1]
     damaged = len(wire.damaged)
     _write_unread(session, probing.periods(samples), rate_hz, min(probing.periods(50), 0.1))
-    _take_waiting(session)
+    session.take_waiting()
     if session.samples[-1] is first:
         probing.judge("tick_goes_on", False, f"after {samples} samples unread: nothing more came")
         return None
@@ -182,7 +182,12 @@ def _judge_tick(probing: Probing, session: Session, samples: int, rate_hz: float
         probing.judge("tick_goes_on", went_on and not stopped, found)
     else:
         probing.not_seen("tick_goes_on", f"{found}: the system had room for all, the device was never short of it")
-    _judge_whole(probing, lost, len(wire.damaged) - damaged)
+    if pieces := len(wire.damaged) - damaged:
+        probing.judge("whole_frames", False, f"{pieces} pieces that are no frame; {lost} frames were dropped")
+    elif lost:
+        probing.judge("whole_frames", True, f"{lost} frames dropped, no piece of one came")
+    else:
+        probing.not_seen("whole_frames", "nothing was dropped")
     return is_steady if went_on else None
 
 
@@ -197,27 +202,6 @@ def _write_unread(session: Session, seconds: float, rate_hz: float, pause_s: flo
         clock.sleep(pause_s)
 
 
-def _take_waiting(session: Session) -> None:
-    while new := session.wire.receive(0.0):
-        session.take(new)
-
-
-def _rate_between(oldest: Sample, newest: Sample, nominal: float) -> float:
-    """Returns Hz; not more than the nominal rate."""
-    lasted = newest.at_s - oldest.at_s
-    return min(nominal, (newest.n - oldest.n) / lasted) if lasted > 0 else nominal
-
-
-def _judge_whole(probing: Probing, lost: int, damaged: int) -> None:
-    if damaged:
-        found = f"{damaged} pieces that are no frame; {lost} frames were dropped"
-        probing.judge("whole_frames", False, found)
-    elif lost:
-        probing.judge("whole_frames", True, f"{lost} frames dropped, no piece of one came")
-    else:
-        probing.not_seen("whole_frames", "nothing was dropped")
-
-
 def _judge_watchdog_blocked(probing: Probing, watchdog: int, rate_hz: float, is_steady: bool, velocity: bool) -> None:
     wire = probing.wire
     session = probing.arm(schema.PACED_BY_DEVICE, watchdog, velocity=velocity)
@@ -225,7 +209,7 @@ def _judge_watchdog_blocked(probing: Probing, watchdog: int, rate_hz: float, is_
         probing.not_seen("watchdog_blocked", "the device did not arm again")
         return
     wire.clock.sleep(_UNREAD * watchdog / rate_hz)
-    _take_waiting(session)
+    session.take_waiting()
     newest = session.newest.n if session.newest else 0
     # The STATUS may have found no room: a latched device answers in the set-up format.
     fault = wire.register(schema.REG_FAULT) if session.ended is None else session.ended.fault
@@ -253,12 +237,12 @@ def probe_host_paced(probing: Probing) -> None:
     if not probing.device.paces(schema.PACED_BY_HOST):
         probing.leave_out("host", "the device does not declare that the host may pace (bit 1 of register 3)")
         return
-    session = probing.arm(schema.PACED_BY_HOST, probing.longest_watchdog)
+    session = probing.arm(schema.PACED_BY_HOST, probing.device.max_watchdog_samples)
     if session is None:
         probing.judge("each_force", False, "ARM with pacing 1 is refused", "register 3 declares it (bit 1)")
         return
     session.run(0, None)
-    quiet_s = min(max(0.02, probing.periods(5)), 0.5 * probing.periods(probing.longest_watchdog))
+    quiet_s = min(max(0.02, probing.periods(5)), 0.5 * probing.periods(probing.device.max_watchdog_samples))
     session.take(probing.wire.receive_for(quiet_s))
     numbers = [sample.n for sample in session.samples]
     found = f"positions {', '.join(map(str, numbers[:5]))} before the first FORCE" if numbers else "no position 0"
@@ -293,7 +277,7 @@ def _exchange(probing: Probing, session: Session) -> None:
 
 
 def _judge_host_watchdog(probing: Probing) -> None:
-    wire, watchdog = probing.wire, probing.samples_in(_HOST_WATCHDOG_S, 2, probing.longest_watchdog)
+    wire, watchdog = probing.wire, probing.samples_in(_HOST_WATCHDOG_S, 2, probing.device.max_watchdog_samples)
     nominal_s = probing.periods(watchdog)
     longest_s = 5 * nominal_s + 1.0
     begun = wire.clock.monotonic()  # before the device is armed: it cannot be in time and seem early

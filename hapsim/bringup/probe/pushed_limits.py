@@ -30,7 +30,7 @@ def probe_lives(probing: Probing) -> None:
     leave, response = probing.leave, probing.response
     if leave is None or response is None:
         return
-    watchdog = min(probing.longest_watchdog, 500)
+    watchdog = min(probing.device.max_watchdog_samples, 500)
     if watchdog < 4 * _SILENCE:
         probing.not_seen("time_to_live", f"a watchdog of {watchdog} samples is too short for it")
         return
@@ -71,12 +71,11 @@ def _push_and_be_silent(probing: Probing, pusher: Pusher, force: float) -> None:
 def _response_by_age(pusher: Pusher, begun: int) -> Estimate | None:
     """Returns the response to the first half of each push, to its second half, and to what ought to be over."""
     samples = pusher.samples_from(begun)
+    ages = (range(_LIFE // 2), range(_LIFE // 2, _LIFE), range(_LIFE, _LIFE + _SILENCE))
     acting: dict[int, Sequence[float]] = {}
     for n, force in pusher.forces.items():
         if force and n + 1 in samples and samples[n + 1].fresh:
-            for k in range(n, n + _LIFE + _SILENCE):
-                ages = (range(_LIFE // 2), range(_LIFE // 2, _LIFE), range(_LIFE, _LIFE + _SILENCE))
-                acting[k] = [force * (k - n - 1 in age) for age in ages]
+            acting |= {n + 1 + age: [force * (age in part) for part in ages] for age in range(-1, ages[-1].stop - 1)}
 
     def by_age(k: int) -> list[float] | None:
         if k not in acting or k - 1 not in acting:
@@ -97,13 +96,11 @@ def _judge_life(probing: Probing, found: Estimate | None) -> None:
     words = f"time to live {_LIFE - 1}: {shares}"
     if unsure > _UNSURE:
         probing.not_seen("time_to_live", f"{words}: a greater --push shows more")
-    elif after > _ON:
-        probing.judge("time_to_live", False, f"{words}: it goes on")
-    elif second < 1 - _ON:
-        words += ": it ends too early (an actuator that gives impulses does that, and may)"
-        probing.judge("time_to_live", False, words)
-    else:
-        probing.judge("time_to_live", True, f"{words}; from {1 - _ON:g} up and up to {_ON:g} are allowed")
+        return
+    kept = after <= _ON and second >= 1 - _ON
+    allowed = f"; from {1 - _ON:g} up and up to {_ON:g} are allowed"
+    early = ": it ends too early (an actuator that gives impulses does that, and may)"
+    probing.judge("time_to_live", kept, words + (allowed if kept else ": it goes on" if after > _ON else early))
 
 
 def _push_too_much(probing: Probing, pusher: Pusher) -> None:
@@ -157,9 +154,9 @@ def _by_the_host(probing: Probing, leave: Leave, response: float) -> None:
     session, why = None, "the device does not declare that the host may pace"
     if probing.device.paces(schema.PACED_BY_HOST):
         why = "the longest watchdog is too short for it"
-        if probing.longest_watchdog >= 2 * _HOST_WAIT * life:
+        if probing.device.max_watchdog_samples >= 2 * _HOST_WAIT * life:
             why = "the device did not arm paced by the host"
-            session = probing.arm(schema.PACED_BY_HOST, probing.longest_watchdog)
+            session = probing.arm(schema.PACED_BY_HOST, probing.device.max_watchdog_samples)
     if session is None:
         probing.not_seen("host_time_to_live", why)
         return

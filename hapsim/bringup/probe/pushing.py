@@ -141,7 +141,7 @@ def probe_pushing(probing: Probing) -> None:
             f"not allowed to push: --push F allows pushes to either side of at most F {probing.units.name('newton')}",
         )
         return
-    session = probing.arm_by_device(STEP, min(probing.longest_watchdog, 500))
+    session = probing.arm_by_device(STEP, min(probing.device.max_watchdog_samples, 500))
     if session is None:
         return
     pusher = Pusher(probing, session, leave)
@@ -194,7 +194,7 @@ def _respond(probing: Probing, pusher: Pusher) -> None:
         found, went_too_far = _pushed(pusher, force, length)
         if found is not None and (best is None or found.significance > best.significance):
             best, pushes = found, f"pushes of {pusher.units(force, 'N', '.3g')}, {length} long"
-        if went_too_far or (best is not None and _is_sure(best)):
+        if went_too_far or (best is not None and best.is_clear):
             break
     if best is None or best.significance < _SEEN:
         if went_too_far:
@@ -218,10 +218,6 @@ def _respond(probing: Probing, pusher: Pusher) -> None:
     probing.judge("sign", best.total > 0, f"{inverted}{found_response}, from {best.rows} samples, {pushes}")
     _judge_delay(probing, best)
     _judge_mass(probing, best, 1.0 / abs(probing.response))
-
-
-def _is_sure(found: Estimate) -> bool:
-    return found.significance > _SURE and float(max(found.deviations[:2])) < _CLEAR * abs(found.total)
 
 
 def _pushed(pusher: Pusher, force: float, length: int) -> tuple[Estimate | None, str]:
@@ -303,6 +299,11 @@ class Estimate:
     def total(self) -> float:
         """The values' sum."""
         return float(self.values.sum())
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether nothing longer has to be tried: its lags can be distinguished."""
+        return self.significance > _SURE and float(max(self.deviations[:2])) < _CLEAR * abs(self.total)
 
     @property
     def significance(self) -> float:

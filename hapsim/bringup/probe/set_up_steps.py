@@ -33,12 +33,24 @@ def probe_conversation(probing: Probing) -> bool:
     """Returns whether the device answers."""
     if not _answers(probing):
         return False
+    wire = probing.wire
     _describes(probing, (schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS))
-    _is_silent(probing)
+    before, pieces = wire.received, len(wire.damaged)
+    heard = wire.receive_for(_QUIET_S)
+    count, noise = wire.received - before, b" ".join(wire.damaged[pieces:])
+    sample = f", the first: {in_words(heard[0])}" if heard else f", such as {noise[:24]!r}" if noise else ""
+    probing.judge("silence", count == 0, f"{count} bytes in {_QUIET_S:g} s{sample}")
     _ignores_damage(probing)
     _finds_back(probing)
     _ignores_unknown_types(probing)
-    _reads_zero(probing)
+    for number in _NO_REGISTERS:
+        word = wire.register(number)
+        if word != 0:
+            found = f"register {number}: {'no answer' if word is None else f'reads 0x{word:x}'}"
+            probing.judge("unknown_registers", False, found)
+            break
+    else:
+        probing.judge("unknown_registers", True, ", ".join(map(str, _NO_REGISTERS)))
     return True
 
 
@@ -71,17 +83,8 @@ def _describes(probing: Probing, numbers: tuple[int, ...]) -> bool:
     return probing.judge("describe", True, "registers 0, 1 and 2, each by its number")
 
 
-def _is_silent(probing: Probing) -> None:
-    wire = probing.wire
-    before, pieces = wire.received, len(wire.damaged)
-    heard = wire.receive_for(_QUIET_S)
-    count, noise = wire.received - before, b" ".join(wire.damaged[pieces:])
-    sample = f", the first: {in_words(heard[0])}" if heard else f", such as {noise[:24]!r}" if noise else ""
-    probing.judge("silence", count == 0, f"{count} bytes in {_QUIET_S:g} s{sample}")
-
-
 def _is_version(one: Received) -> bool:
-    return one.kind == schema.DESCRIPTION and one.number == schema.REG_VERSION
+    return (one.kind, one.number) == (schema.DESCRIPTION, schema.REG_VERSION)
 
 
 def _only_the_second(wire: Wire, first: bytes) -> tuple[bool, Received | None]:
@@ -138,46 +141,38 @@ def _ignores_unknown_types(probing: Probing) -> bool:
     return probing.judge("unknown_types", True, f"{len(_UNKNOWN_TYPES)} unknown types and FORCE, none answered")
 
 
-def _reads_zero(probing: Probing) -> bool:
-    for number in _NO_REGISTERS:
-        value = probing.wire.register(number)
-        if value != 0:
-            found = f"register {number}: {'no answer' if value is None else f'reads 0x{value:x}'}"
-            return probing.judge("unknown_registers", False, found)
-    return probing.judge("unknown_registers", True, ", ".join(map(str, _NO_REGISTERS)))
-
-
 _LEAST_HZ, _MOST_HZ = 1e-3, 1e9
 """Beyond these a rate is no haptic device's: the two words of the double are more likely swapped."""
 
 
 def probe_registers(probing: Probing) -> bool:
     """Returns whether the device may be armed: it speaks this schema, and its registers make sense."""
-    registers = np.zeros(schema.REGISTERS, np.int64)
+    registers, judge = np.zeros(schema.REGISTERS, np.int64), probing.judge
     if not _read(probing, registers, [schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS]):
         return False
     version, word, channels = (int(registers[n]) for n in (schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS))
-    same = (
-        f"0x{word:08x}, this hapsim's is 0x{schema.SCHEMA_HASH:08x}" if word != schema.SCHEMA_HASH else f"0x{word:08x}"
-    )
-    kept = [
-        probing.judge("version", version == schema.VERSION, f"{version}"),
-        probing.judge("schema", word == schema.SCHEMA_HASH, same),
-    ]
-    if not all(kept) or not probing.judge("channels", 1 <= channels <= schema.MAX_CHANNELS, f"{channels}"):
+    other = "" if word == schema.SCHEMA_HASH else f", this hapsim's is 0x{schema.SCHEMA_HASH:08x}"
+    is_ours = judge("version", version == schema.VERSION, f"{version}")
+    is_ours &= judge("schema", word == schema.SCHEMA_HASH, f"0x{word:08x}{other}")
+    if not is_ours or not judge("channels", 1 <= channels <= schema.MAX_CHANNELS, f"{channels}"):
         return False
     if not _read(probing, registers, registers_of_a_description(channels)):
         return False
-    _judge_name(probing, registers)
+    name = registers[schema.REG_NAME :][: schema.NAME_WORDS].astype("<u4").tobytes().rstrip(b"\0")
+    judge("name", all(0x20 <= byte <= 0x7E for byte in name), repr(name.decode("latin-1")))
     _judge_pacings(probing, int(registers[schema.REG_PACINGS]))
-    probing.description = from_registers(registers)
-    watchdog, rate = int(registers[schema.REG_MAX_WATCHDOG]), probing.device.rate_hz
-    probing.judge("max_watchdog", 1 <= watchdog <= schema.MAX_WATCHDOG_SAMPLES, f"{watchdog} samples")
-    probing.judge("rate", _LEAST_HZ <= rate <= _MOST_HZ, f"{rate:g} Hz")
-    named = ", ".join(f"channel {c} {motion}" for c, motion in enumerate(probing.device.motions))
-    rotary = probing.device.rotary
-    probing.judge("rotary", rotary < 1 << channels, f"0x{rotary:x}: {named}" if rotary else "0: not declared")
-    _judge_bridge(probing, int(registers[schema.REG_BRIDGE]))
+    probing.description = device = from_registers(registers)
+    watchdog, bridge = int(registers[schema.REG_MAX_WATCHDOG]), int(registers[schema.REG_BRIDGE])
+    judge("max_watchdog", 1 <= watchdog <= schema.MAX_WATCHDOG_SAMPLES, f"{watchdog} samples")
+    judge("rate", _LEAST_HZ <= device.rate_hz <= _MOST_HZ, f"{device.rate_hz:g} Hz")
+    named = ", ".join(f"channel {c} {motion}" for c, motion in enumerate(device.motions))
+    rotary = f"0x{device.rotary:x}: {named}" if device.rotary else "0: not declared"
+    judge("rotary", device.rotary < 1 << channels, rotary)
+    if bridge == 1:
+        found = "1: a bridge; what the device does when the bridge ends or its cable is pulled cannot be seen here"
+        probing.not_seen("bridge", found, "the bridge's page; keep a hand near the device's power")
+    else:
+        judge("bridge", bridge == 0, f"{bridge}: {'neither 0 nor 1' if bridge else 'not declared'}")
     _judge_scales(probing)
     needed = ("pacings", "max_watchdog", "rate", "position_scale", "force_scale", "force_limit", "velocity_scale")
     return not any(map(probing.has_failed, needed))
@@ -192,14 +187,8 @@ def _read(probing: Probing, registers: NDArray[np.int64], numbers: list[int]) ->
     return True
 
 
-def _judge_name(probing: Probing, registers: NDArray[np.int64]) -> None:
-    words = registers[schema.REG_NAME : schema.REG_NAME + schema.NAME_WORDS].astype("<u4").tobytes()
-    name = words.rstrip(b"\0")
-    probing.judge("name", all(0x20 <= byte <= 0x7E for byte in name), repr(name.decode("latin-1")))
-
-
 def _judge_pacings(probing: Probing, pacings: int) -> None:
-    names = [name for bit, name in enumerate(("device", "host", "lockstep")) if pacings >> bit & 1]
+    names = [name for bit, name in schema.PACINGS.items() if pacings >> bit & 1]
     probing.judge("pacings", bool(names) and pacings < 8, f"0x{pacings:x}: {', '.join(names) or 'none'}")
     if "lockstep" in names:
         look_at = "bit 2 of register 3: for simulated devices only. If there is a motor, clear it"
@@ -208,18 +197,18 @@ def _judge_pacings(probing: Probing, pacings: int) -> None:
         probing.judge("lockstep", True, "not declared")
 
 
-def _judge_bridge(probing: Probing, word: int) -> None:
-    if word == 1:
-        found = "1: a bridge; what the device does when the bridge ends or its cable is pulled cannot be seen here"
-        probing.not_seen("bridge", found, "the bridge's page; keep a hand near the device's power")
-    else:
-        probing.judge("bridge", word == 0, f"{word}: {'not declared' if word == 0 else 'neither 0 nor 1'}")
-
-
 def _judge_scales(probing: Probing) -> None:
-    device = probing.device
-    for name, unit in (("position_scale", "m per count"), ("force_scale", "N per count"), ("force_limit", "N")):
-        _judge_scale(probing, name, getattr(device, name), unit)
+    device, name_of = probing.device, probing.units.name
+    scales = {"position_scale": "m per count", "force_scale": "N per count", "force_limit": "N"}
+    named = {name: name_of(unit) for name, unit in scales.items()}
+    if device.velocity_scale:
+        named["velocity_scale"] = f"({name_of('m/s')}) per count"
+    else:
+        probing.judge("velocity_scale", True, "0: no velocity is sensed")
+    for name, unit in named.items():
+        values: tuple[float, ...] = getattr(device, name)
+        shown = values[:1] if len(set(values)) == 1 else values
+        probing.judge(name, all(map(_is_scale, values)), f"{', '.join(f'{value:g}' for value in shown)} {unit}")
     for c, (limit, scale) in enumerate(zip(device.force_limit, device.force_scale, strict=True)):
         reach = scale * 2.0**31
         # A limit that no count reaches does no harm, but mostly it comes from a wrong scale.
@@ -228,21 +217,10 @@ def _judge_scales(probing: Probing) -> None:
             most = units(reach, "N", "g")
             found = f"channel {c}: limit {units(limit, 'N', 'g')}, of which 32 bits of counts reach {most}"
             probing.judge("force_limit", False, found, "force_scale and force_limit")
-    if device.velocity_scale:
-        _judge_scale(probing, "velocity_scale", device.velocity_scale, f"({probing.units.name('m/s')}) per count")
-    else:
-        probing.judge("velocity_scale", True, "0: no velocity is sensed")
 
 
 def _is_scale(value: float) -> bool:
     return math.isfinite(value) and value > 0
-
-
-def _judge_scale(probing: Probing, name: str, values: tuple[float, ...], unit: str) -> None:
-    shown = values[:1] if len(set(values)) == 1 else values
-    probing.judge(
-        name, all(map(_is_scale, values)), f"{', '.join(f'{value:g}' for value in shown)} {probing.units.name(unit)}"
-    )
 
 
 _PACINGS = {schema.PACED_BY_DEVICE: "by the device", schema.PACED_BY_HOST: "by the host", schema.LOCKSTEP: "lockstep"}
@@ -253,22 +231,25 @@ def probe_refusals(probing: Probing) -> None:
     device, wire = probing.device, probing.wire
     good = schema.PACED_BY_DEVICE if device.paces(schema.PACED_BY_DEVICE) else schema.PACED_BY_HOST
     other_schema = {"a schema hash with one bit flipped": wire.arm_frame(good, 1, word=schema.SCHEMA_HASH ^ 1)}
-    _refused(probing, "wrong_schema", other_schema, schema.WRONG_SCHEMA)
+    _judge_refused(probing, "wrong_schema", other_schema, schema.WRONG_SCHEMA)
     pacings = [one for one in (*_PACINGS, 3, 0x7F) if one > schema.LOCKSTEP or not device.paces(one)]
     frames = {f"pacing {one} ({_PACINGS.get(one, 'unknown')})": wire.arm_frame(one, 1) for one in pacings}
-    _refused(probing, "wrong_pacing", frames, schema.WRONG_PACING)
+    _judge_refused(probing, "wrong_pacing", frames, schema.WRONG_PACING)
     watchdogs = (0, device.max_watchdog_samples + 1, 4095)
     frames = {f"watchdog {one}": wire.arm_frame(good, one) for one in watchdogs}
-    _refused(probing, "wrong_watchdog", frames, schema.WRONG_WATCHDOG)
+    _judge_refused(probing, "wrong_watchdog", frames, schema.WRONG_WATCHDOG)
     if device.senses_velocity:
         probing.not_seen("wrong_sensing", "the device senses velocity on every channel: nothing to refuse")
     else:
         frames = {"velocities asked for": wire.arm_frame(good, 1, velocity=True)}
-        _refused(probing, "wrong_sensing", frames, schema.WRONG_SENSING)
-    _disarms(probing)
+        _judge_refused(probing, "wrong_sensing", frames, schema.WRONG_SENSING)
+    before = wire.register(schema.REG_FAULT)
+    answer, _ = wire.ask(wire.frame(schema.DISARM, 0), schema.STATUS)
+    kept = answer is not None and (answer.wire, answer.state, answer.fault) == (SETUP, schema.IDLE, before)
+    probing.judge("disarm_idle", kept, f"{in_words(answer)}; register 7 read {before}")
 
 
-def _refused(probing: Probing, name: str, frames: dict[str, bytes], fault: int) -> bool:
+def _judge_refused(probing: Probing, name: str, frames: dict[str, bytes], fault: int) -> bool:
     """Sends each ARM, by its words, and judges whether it is refused with this fault."""
     for what, frame in frames.items():
         answer, _ = probing.wire.ask(frame, schema.STATUS)
@@ -293,11 +274,3 @@ def _stays(probing: Probing, what: str, fault: int, answer: Received | None) -> 
     wire.release()
     found = in_words(position) if position else f"register 7 reads {read.word}" if read else "no answer to DESCRIBE"
     return probing.judge("stays_idle", False, f"{found}, after {what} was refused")
-
-
-def _disarms(probing: Probing) -> None:
-    wire = probing.wire
-    before = wire.register(schema.REG_FAULT)
-    answer, _ = wire.ask(wire.frame(schema.DISARM, 0), schema.STATUS)
-    kept = answer is not None and (answer.wire, answer.state, answer.fault) == (SETUP, schema.IDLE, before)
-    probing.judge("disarm_idle", kept, f"{in_words(answer)}; register 7 read {before}")

@@ -152,6 +152,11 @@ class Session:
             self.take(self.wire.receive(0.05))
         return len(self.samples) > before
 
+    def take_waiting(self) -> None:
+        """Takes what has come by now."""
+        while new := self.wire.receive(0.0):
+            self.take(new)
+
     def run(self, samples: int, answer: Callable[[Sample], None] | None) -> bool:
         """Runs for this many samples; `answer` is called with each newest position. Returns whether they came."""
         last = self.newest.n + samples if self.newest else samples

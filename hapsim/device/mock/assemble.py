@@ -39,12 +39,25 @@ def describe_mock(scene: Scene) -> Description:
 def assemble_mock(scene: Scene) -> Any:
     """Returns the MOCK of the scene's `device` and `mock`. UsageError where in virtual time no force gets through its
     wire."""
-    description = describe_mock(scene)
+    description, device = describe_mock(scene), scene.mock_device
     mock = described_mock(description)
-    _set_bodies(mock, scene)
-    _set_converters(mock, scene, description)
+    bodies, converters = mock.initial[: scene.channels], mock.converters[: scene.channels]
+    bodies["mass"] = device.mass
+    bodies["friction"], bodies["stiffness"], bodies["push"] = hand_values(scene)
+    bodies["coulomb"] = device.coulomb
+    bodies["position"] = device.initial_position
+    bodies["velocity"] = device.initial_velocity
+    mock.bodies[: scene.channels] = bodies
+    converters["period"] = 1.0 / scene.rate
+    for converter in converters:
+        mock.depth = set_timing(converter, device.hold, device.sampling, device.delay)
+    converters["quantum"] = device.quantum
+    converters["velocity_quantum"] = description.velocity_scale
+    converters["noise"] = device.noise
+    converters["seed"] = _seeds(device.seed, scene.channels)
     _set_wire(mock, scene)
-    _set_grips(mock, scene)
+    for grip, (second, mass) in zip(mock.grips, device.grips, strict=False):
+        grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
     return mock
 
 
@@ -65,16 +78,6 @@ def described_mock(description: Description) -> Any:
     return mock
 
 
-def _set_bodies(mock: Any, scene: Scene) -> None:
-    device, bodies = scene.mock_device, mock.initial[: scene.channels]
-    bodies["mass"] = device.mass
-    bodies["friction"], bodies["stiffness"], bodies["push"] = hand_values(scene)
-    bodies["coulomb"] = device.coulomb
-    bodies["position"] = device.initial_position
-    bodies["velocity"] = device.initial_velocity
-    mock.bodies[: scene.channels] = bodies
-
-
 def hand_values(scene: Scene) -> NDArray[np.float64]:
     """Returns what the hand makes of the mock's bodies, shape (3, C): friction (N·s/m) and stiffness (N/m), the
     device's among them, and the push (N) of each."""
@@ -84,17 +87,6 @@ def hand_values(scene: Scene) -> NDArray[np.float64]:
     values[1] = np.add(device.stiffness, hand.stiffness)
     values[2] = np.add(hand.force, np.multiply(hand.stiffness, hand.position))
     return values
-
-
-def _set_converters(mock: Any, scene: Scene, description: Description) -> None:
-    device, converters = scene.mock_device, mock.converters[: scene.channels]
-    converters["period"] = 1.0 / scene.rate
-    for converter in converters:
-        mock.depth = set_timing(converter, device.hold, device.sampling, device.delay)
-    converters["quantum"] = device.quantum
-    converters["velocity_quantum"] = description.velocity_scale
-    converters["noise"] = device.noise
-    converters["seed"] = _seeds(device.seed, scene.channels)
 
 
 def _seeds(entropy: int | tuple[int, int], count: int) -> NDArray[np.uint64]:
@@ -116,11 +108,6 @@ def _set_wire(mock: Any, scene: Scene) -> None:
         mock.called.take_force = take_late_force.address()
     mock.byte_ns = BITS_PER_BYTE * 1e9 / device.baud if device.baud else 0.0
     mock.turnaround_ns = device.turnaround * 1e9
-
-
-def _set_grips(mock: Any, scene: Scene) -> None:
-    for grip, (second, mass) in zip(mock.grips, scene.mock_device.grips, strict=False):
-        grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
 
 
 def _require_passable(wire: WireTime, late: int | None, lives: int) -> None:

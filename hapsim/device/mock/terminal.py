@@ -1,7 +1,6 @@
 """The mock on a pseudo-terminal, served in real time: a port that any program opens like a serial device's.
 
-The terminal is raw before any program can open it, and a descriptor of its far end stays open: otherwise the first
-bytes would be echoed, and every close of the host would read as a hang-up. What serves it is compiled and holds no GIL.
+What serves it is compiled and holds no GIL.
 """
 
 from __future__ import annotations
@@ -24,8 +23,7 @@ from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.firmware import INPUT_BYTES, call_event, call_take_bytes, prepare
 from hapsim.device.mock.wire import transmitter_transport, uart_transport
-from hapsim.device.ports import free_name, linked
-from hapsim.errors import DeviceError
+from hapsim.device.ports import free_name, linked, open_pseudo_terminal
 from hapsim.loop.clocks import next_point
 from hapsim.loop.counts import Progress
 from hapsim.loop.realtime import no_timer_slack, scheduled_fifo
@@ -107,19 +105,11 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
     `as_hardware`: ahead of every other program, where the system grants that, as a device's timer is.
     """
     require_pseudo_terminal()
-    import tty
-
+    near, far = open_pseudo_terminal(
+        " for the mock",
+        "With `clock: lockstep` in the scene's `device`, the mock of `run` and `measure` runs in memory and needs none",
+    )
     try:
-        near, far = os.openpty()
-    except OSError as error:
-        raise DeviceError(
-            f"no pseudo-terminal is available for the mock: {error.strerror} (is /dev/pts mounted?). With `clock: "
-            "lockstep` in the scene's `device`, the mock of `run` and `measure` runs in memory and needs none"
-        ) from error
-    try:
-        for end in (near, far):
-            tty.setraw(end)
-            os.set_blocking(end, False)
         # Compiled before a host can connect: it does not wait for as long as a first compilation takes.
         prepare(mock)
         transport = uart_transport(near, mock) if mock.byte_ns or mock.turnaround_ns else transmitter_transport(near)
@@ -162,11 +152,8 @@ def serve_until_stopped(
     stops: SimpleQueue[None] = SimpleQueue()
     for number in STOPS:
         signal.signal(number, lambda _number, _frame: stops.put(None))
-    with (
-        on_compilation(Counted(lambda name, share: tell(Progress("compiling", name, share=share))).add),
-        serving(assemble(), as_hardware) as path,
-        linked(link, path) as name,
-    ):
+    counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
+    with on_compilation(counted.add), serving(assemble(), as_hardware) as path, linked(link, path) as name:
         if not stops.empty():
             raise KeyboardInterrupt  # before it announced a port that answers
         announce(name)
