@@ -27,6 +27,7 @@ _DEEPEST = 8
 _MOST_MESSAGES = 200  # of a packet
 _FULL = 1400  # bytes of a bundle that is sent: what one Ethernet frame carries
 _TYPES = frozenset("ifdhs")
+_LARGEST = 3.4e38  # that f can be
 _LONGEST_PATTERN, _MOST_WILDCARDS = 200, 16
 _WILD = frozenset("?*[]{}")
 
@@ -96,15 +97,10 @@ def packet_of(address: str, arguments: Sequence[Argument]) -> bytes:
         if isinstance(one, int):
             builder.add_arg(one & 0x7FFFFFFF, builder.ARG_TYPE_INT)
         elif isinstance(one, float):
-            builder.add_arg(as_single(one), builder.ARG_TYPE_FLOAT)
+            builder.add_arg(max(-_LARGEST, min(_LARGEST, one)), builder.ARG_TYPE_FLOAT)
         else:
             builder.add_arg(one, builder.ARG_TYPE_STRING)
     return builder.build().dgram
-
-
-def as_single(value: float) -> float:
-    """Returns a number within what OSC's f can be."""
-    return max(-3.4e38, min(3.4e38, value))
 
 
 def bundles_of(messages: Sequence[bytes]) -> Iterator[bytes]:

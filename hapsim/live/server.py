@@ -81,7 +81,9 @@ class Server:
     async def _serve(self) -> None:
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
         self._loop.set_exception_handler(
-            lambda _, about: self._report(f"a defect of hapsim itself: {_in_words(about)}")
+            lambda _, about: self._report(
+                f"a defect of hapsim itself: {about.get('message', '')}: {about.get('exception')!r}"
+            )
         )
         open_views: list[View] = []
         try:
@@ -92,27 +94,19 @@ class Server:
             while not self._stop.is_set():
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(self._stop.wait(), _COLLECT_S)
-                _collect_what_clients_left()
+                # With real-time privileges (`hapsim.loop.realtime`) the collector is off and all older objects are set
+                # aside, so what clients left takes milliseconds, in which the haptic loop runs on.
+                if not gc.isenabled():
+                    gc.collect()
         except Exception as error:
             self._started.set_exception(error)
         finally:
             await asyncio.gather(*(_closed(view.close) for view in open_views), return_exceptions=True)
 
 
-def _collect_what_clients_left() -> None:
-    """Collects garbage where nothing else does: with real-time privileges (`hapsim.loop.realtime`) the collector is off
-    and all older objects are set aside, so this takes milliseconds, in which the haptic loop runs on."""
-    if not gc.isenabled():
-        gc.collect()
-
-
 async def _closed(close: Callable[[], object]) -> None:
     async with asyncio.timeout(_PATIENCE_S):
         await close()  # type: ignore[misc]
-
-
-def _in_words(about: dict[str, Any]) -> str:
-    return f"{about.get('message', '')}: {about.get('exception')!r}"
 
 
 _MOST_CONNECTIONS = 64  # of each group

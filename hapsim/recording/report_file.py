@@ -84,7 +84,12 @@ def write_report(
         _SCENE: yaml.safe_dump(scene.model_dump(mode="json", exclude_none=True), sort_keys=False),
     }
     directory.mkdir(parents=True, exist_ok=True)
-    path = _free_path(directory, now, name, trace.report.ending)
+    ending = trace.report.ending
+    words = (name.removeprefix("/dev/"), "not released" if ending in ("done", "stopped") else ending)
+    port, ending = (re.sub(r"[^A-Za-z0-9.]+", "-", word).strip("-") for word in words)
+    name = f"{now:%Y%m%dT%H%M%SZ}_{port[-40:]}_{ending}"
+    paths = (directory / f"{name}{f'_{number}' if number > 1 else ''}.zip" for number in itertools.count(1))
+    path = next(path for path in paths if not path.exists())
     unfinished = path.with_suffix(f".{os.urandom(8).hex()}")  # under its name it is whole, or not there
     try:
         with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as file:
@@ -144,11 +149,3 @@ def last_frames(data: bytes) -> bytes:
         if at < 0:
             return data[first:]
     return data[at + 1 :]
-
-
-def _free_path(directory: Path, when: datetime, port: str, ending: str) -> Path:
-    words = (port.removeprefix("/dev/"), "not released" if ending in ("done", "stopped") else ending)
-    port, ending = (re.sub(r"[^A-Za-z0-9.]+", "-", word).strip("-") for word in words)
-    name = f"{when:%Y%m%dT%H%M%SZ}_{port[-40:]}_{ending}"
-    paths = (directory / f"{name}{f'_{number}' if number > 1 else ''}.zip" for number in itertools.count(1))
-    return next(path for path in paths if not path.exists())

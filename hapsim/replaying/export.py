@@ -75,7 +75,11 @@ def _write_sound(file: Path, columns: Columns, wanted: str) -> tuple[float, str]
     each = {name: column for column in of_channels for name in columns.names_of(column, ".")}
     pick_ups = [*columns.scene.sound] if columns.scene else []
     if wanted in pick_ups:
-        _write_pick_up(file, columns, wanted)
+        replay = Replay(Record(columns.path), None, file, wanted)  # at the level of `run --sound-file`
+        replay.record.reader.on_rows = columns.reader.on_rows
+        for _ in replay.pieces():
+            pass
+        replay.close(keeps_part=False)
         return 1.0, ""
     if wanted not in each:
         raise UsageError(f"--column: found '{wanted}', expected {one_of([*each, *pick_ups])}")
@@ -97,16 +101,6 @@ def _write_sound(file: Path, columns: Columns, wanted: str) -> tuple[float, str]
     if wav.failure:
         raise OSError(wav.failure)
     return full_scale, columns.units_of(column)[channel]
-
-
-def _write_pick_up(file: Path, columns: Columns, name: str) -> None:
-    """At the level of `run --sound-file`."""
-    record = Record(columns.path)
-    record.reader.on_rows = columns.reader.on_rows
-    replay = Replay(record, None, file, name)
-    for _ in replay.pieces():
-        pass
-    replay.close(keeps_part=False)
 
 
 def _write_hdf5(path: Path, columns: Columns) -> None:

@@ -77,7 +77,6 @@ class LiveScene:
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes some live parameters, as `Session.set`."""
-
         replaces = _crossfades(self.scene, changes)
 
         def change(is_beside: bool = True) -> bool:
@@ -85,7 +84,8 @@ class LiveScene:
                 scene = changed(self.scene, changes)
                 if MOCK_HAND in changes and self._loop.hand is None:
                     raise UsageError(_NO_HAND)
-                if not self._is_quickly_judged(scene):
+                is_same = self._unstable is False and scene.modules is self.scene.modules
+                if self._unstable is not None and not is_same and not is_soon_stable(scene, _MOST_STATES):
                     if not is_beside:
                         return False
                     if self._unstable is False:
@@ -100,11 +100,6 @@ class LiveScene:
         # Beside the loop it predicts the scene, which takes seconds for a large one, or compiles it.
         if replaces or not change(is_beside=False):
             self._beside_loop(change)
-
-    def _is_quickly_judged(self, scene: Scene) -> bool:
-        """Whether a change to `scene` needs no prediction, by `unstable`."""
-        is_same = self._unstable is False and scene.modules is self.scene.modules
-        return self._unstable is None or is_same or is_soon_stable(scene, _MOST_STATES)
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, as `Session.adopt`."""

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 import numpy as np
 
 from firmware_protocol.compiled import new_record
+from firmware_protocol.decoder import DECODER
 from hapsim.compiling.kept import compile_for, directory_of_kept_code, is_kept, why_not_kept
 from hapsim.compiling.native import PlainNative
 from hapsim.compiling.progress import Counted, on_compilation
@@ -77,11 +78,14 @@ class CompileUnit(NamedTuple):
             yield from found.values() if isinstance(found, dict) else (found,)
 
 
-def _run_loop() -> list[tuple[Any, ...]]:
-    from hapsim.loop.exchange import LOOP
-    from hapsim.loop.run import run_loop
+def _entry(function: str, *arguments: Any) -> Callable[[], list[tuple[Any, ...]]]:
+    """Names an entry, below hapsim, and what it takes: of a record, its type's name."""
 
-    return [(run_loop, new_record(LOOP))]
+    def resolved(one: Any) -> Any:
+        found = pkgutil.resolve_name(f"hapsim.{one}") if isinstance(one, str) else one
+        return new_record(found) if isinstance(found, np.dtype) else found
+
+    return lambda: [tuple(map(resolved, (function, *arguments)))]
 
 
 def _portable_loop() -> list[tuple[Any, ...]]:
@@ -89,27 +93,6 @@ def _portable_loop() -> list[tuple[Any, ...]]:
     from hapsim.loop.portable import entries_for
 
     return entries_for(new_record(LOOP))
-
-
-def _serve() -> list[tuple[Any, ...]]:
-    from hapsim.device.mock.firmware import MOCK
-    from hapsim.device.mock.terminal import SERVICE, serve
-
-    return [(serve, new_record(MOCK), new_record(SERVICE))]
-
-
-def _posts() -> list[tuple[Any, ...]]:
-    from hapsim.cordis.parameters import PARAMETERS, post
-
-    return [(post, new_record(PARAMETERS), np.zeros(0), 1)]
-
-
-def _replay() -> list[tuple[Any, ...]]:
-    from firmware_protocol.decoder import DECODER
-    from hapsim.loop.exchange import LOOP
-    from hapsim.loop.run import replay_rows
-
-    return [(replay_rows, new_record(LOOP), new_record(DECODER), np.zeros((0, 1), np.int64), True, True)]
 
 
 def _compile_modules(precision: str) -> None:
@@ -132,20 +115,20 @@ _GUARDS = (
     "cordis.stored_energy:evaluate",
 )
 _FIRMWARE = ("device.mock.firmware:FUNCTIONS", "device.mock.motion:move_gliding")
-_WIRE = ("device.mock.wire:receive_at_once", "device.mock.wire:send_at_once")
-_TIMED_WIRE = (
-    "device.mock.firmware:take_late_force",
-    "device.mock.wire:receive_in_time",
-    "device.mock.wire:send_in_time",
-)
 
 UNITS: dict[str, CompileUnit] = {
-    "loop": CompileUnit(48, entries=_run_loop, calls_system=True),
+    "loop": CompileUnit(48, entries=_entry("loop.run:run_loop", "loop.exchange:LOOP"), calls_system=True),
     "port": CompileUnit(
         3, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
     ),
     "guards": CompileUnit(12, _GUARDS),  # a run compiles only those that its scene sets up
-    "mock": CompileUnit(45, (*_FIRMWARE, *_WIRE), _serve, in_second_process=True, calls_system=True),
+    "mock": CompileUnit(
+        45,
+        (*_FIRMWARE, "device.mock.wire:receive_at_once", "device.mock.wire:send_at_once"),
+        _entry("device.mock.terminal:serve", "device.mock.firmware:MOCK", "device.mock.terminal:SERVICE"),
+        in_second_process=True,
+        calls_system=True,
+    ),
     "loopback": CompileUnit(
         39,
         (*_FIRMWARE, "device.mock.wire:receive_in_memory", "device.mock.wire:send_in_memory"),
@@ -156,11 +139,24 @@ UNITS: dict[str, CompileUnit] = {
         ("device.mock.motion:move_with_spring_or_friction", "device.mock.stand_ins:lead_hand"),
         in_second_process=True,
     ),
-    "wire": CompileUnit(14, _TIMED_WIRE, in_second_process=True, calls_system=True),
+    "wire": CompileUnit(
+        14,
+        ("device.mock.firmware:take_late_force", "device.mock.wire:receive_in_time", "device.mock.wire:send_in_time"),
+        in_second_process=True,
+        calls_system=True,
+    ),
     "sound": CompileUnit(2, ("loop.sound:hear",)),
     "playback": CompileUnit(17, ("sound.resample:play",), calls_system=True),
-    "changes": CompileUnit(8, ("cordis.parameters:move", "loop.crossfade:cross_fade"), _posts),
-    "replay": CompileUnit(40, entries=_replay, in_second_process=True),
+    "changes": CompileUnit(
+        8,
+        ("cordis.parameters:move", "loop.crossfade:cross_fade"),
+        _entry("cordis.parameters:post", "cordis.parameters:PARAMETERS", np.zeros(0), 1),
+    ),
+    "replay": CompileUnit(
+        40,
+        entries=_entry("loop.run:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), True, True),
+        in_second_process=True,
+    ),
     "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),
     "modules": CompileUnit(150, modules="double"),
     "modules in single precision": CompileUnit(148, modules="single", in_second_process=True),
@@ -233,7 +229,7 @@ def _start_compiling(names: Sequence[str]) -> subprocess.Popen[str] | None:
 
 
 def main(names: list[str]) -> None:
-    """Compiles these units: the second process."""
+    """Compiles these units, as the second process."""
     with on_compilation(lambda name: print(name, flush=True)):
         for name in names:
             UNITS[name].compile()

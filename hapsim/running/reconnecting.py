@@ -123,9 +123,9 @@ def keep_running(
     """
     if reconnect and place_of_device(scene, options.get("transport", "auto"), portable=True) != "port":
         raise UsageError("--reconnect waits for a device's port: found the mock, which does not go away; leave it out")
-    keeper = _Keeper(scene, observer, reconnect, _Files(record), _Files(sound_file), duration, options)
-    with stopping_on_signals(keeper.stop):
-        return keeper.run()
+    reconnector = _Reconnector(scene, observer, reconnect, _Files(record), _Files(sound_file), duration, options)
+    with stopping_on_signals(reconnector.stop):
+        return reconnector.run()
 
 
 def record_of(path: Path, session: int) -> Path:
@@ -157,7 +157,7 @@ class _Files:
 
 
 @dataclass
-class _Keeper:
+class _Reconnector:
     """The sessions of a run. The first fields are the arguments of `keep_running`."""
 
     scene: Scene

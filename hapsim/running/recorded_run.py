@@ -49,6 +49,11 @@ def run_of(
 ) -> dict[str, Any]:
     """Returns the document of a run. `behind_port`: as of a Connection; `in_python`: whether the loop is not compiled.
     `read_run`, `options_of` and `hapsim.scene.parse_scene` read it."""
+    excitation, pushes = options.excitation, None
+    if isinstance(excitation, PeriodicExcitation):
+        pushes = {"channel": excitation.channel, "forces": excitation.forces.tolist()}
+    elif excitation is not None:
+        pushes = asdict(excitation)
     return {
         "scene": document_of(scene),
         "first_tick": int(loop.state.ticks),
@@ -56,7 +61,7 @@ def run_of(
         "behind_port": behind_port,
         "in_python": in_python,
         "options": {name: getattr(options, name) for name in _OPTIONS},
-        "excitation": _document_of_pushes(options.excitation),
+        "excitation": pushes,
         "versions": versions_of_now(),
     }
 
@@ -87,9 +92,3 @@ def options_of(run: RecordedRun) -> RunOptions:
     pushes = PeriodicExcitation(**run.excitation) if isinstance(run.excitation, dict) else run.excitation
     options: dict[str, Any] = {str(name): value for name, value in run.options.items()}
     return RunOptions(**options, excitation=pushes)
-
-
-def _document_of_pushes(excitation: Excitation | PeriodicExcitation | None) -> dict[str, Any] | None:
-    if isinstance(excitation, PeriodicExcitation):
-        return {"channel": excitation.channel, "forces": excitation.forces.tolist()}
-    return None if excitation is None else asdict(excitation)

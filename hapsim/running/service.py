@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from string import Template
-from typing import NamedTuple
 
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.counts import Progress
@@ -79,13 +78,13 @@ def unit_for(
 
 def closed_to_service(scene: str) -> str:
     """Returns why the system's service could not read the scene, the interpreter or hapsim; "" where it can."""
-    account = _account()
-    groups = [0] if account.number == 0 else os.getgrouplist(account.name, account.group)
+    user, number, group = _account()
+    groups = [0] if number == 0 else os.getgrouplist(user, group)
     for what, file in (("the scene", scene), ("the interpreter", sys.executable), ("hapsim", __file__)):
-        folder = _closed_folder(file, account.number, groups)
+        folder = _closed_folder(file, number, groups)
         if folder is not None:
             return (
-                f"{what}, {os.path.abspath(file)}, is below {folder}, which a service of {account.name} may not enter "
+                f"{what}, {os.path.abspath(file)}, is below {folder}, which a service of {user} may not enter "
                 "(it has no right to pass over permissions): print the unit as the user whose directory that is, or "
                 "move it to where everyone may read, such as /opt or /srv"
             )
@@ -106,38 +105,30 @@ def _closed_folder(file: str, user: int, groups: list[int]) -> Path | None:
     return None
 
 
-class _Account(NamedTuple):
-    """The user whom the service runs as."""
-
-    name: str
-    number: int
-    group: int
-
-
-def _account() -> _Account:
-    """Returns the account of the user who asks, through sudo or not."""
+def _account() -> tuple[str, int, int]:
+    """Returns the user whom the service runs as, who asks through sudo or not: name, number and group's number."""
     import pwd
 
     number = os.geteuid()
     try:
         entry = pwd.getpwnam(os.environ.get("SUDO_USER", "root")) if number == 0 else pwd.getpwuid(number)
     except KeyError:  # a container's user need not be in the list
-        return _Account("root" if number == 0 else str(number), number, os.getegid())
-    return _Account(entry.pw_name, entry.pw_uid, entry.pw_gid)
+        return "root" if number == 0 else str(number), number, os.getegid()
+    return entry.pw_name, entry.pw_uid, entry.pw_gid
 
 
 def _account_settings() -> str:
     """Returns the lines with user and group; "" for root."""
     import grp
 
-    account = _account()
-    if account.number == 0:
+    user, number, group_number = _account()
+    if number == 0:
         return ""
     try:
-        group = grp.getgrgid(account.group).gr_name
+        group = grp.getgrgid(group_number).gr_name
     except KeyError:
-        group = str(account.group)
-    return f"User={account.name}\nGroup={group}\n"
+        group = str(group_number)
+    return f"User={user}\nGroup={group}\n"
 
 
 def _drivers(port: str) -> tuple[str, ...]:

@@ -89,7 +89,13 @@ class Session(SessionView):
         self._options = options
         self._place = place_of_device(scene, options.transport, portable=options.portable)
         if self._place == "port":
-            _require_free(scene.device.port or "")
+            port = scene.device.port or ""
+            for other in sessions():
+                if os.path.realpath(other.name) == os.path.realpath(port):
+                    raise UsageError(
+                        f"{port}: a session of this program, which runs {other.scene.path or 'a scene'}, is using the "
+                        "port. Call its `close` first (`hapsim.sessions()` returns the sessions that run)"
+                    )
         self._in_python = options.portable or options.between is not None or bool(missing_calls())
         self.gives_way = scene.device.clock != "lockstep" and not self._in_python
         """Whether work beside the loop gives way to it (hapsim.loop.beside)."""
@@ -106,7 +112,11 @@ class Session(SessionView):
             self._loop = assemble_loop(scene, self._connection, self._description, options)
             require_in_time(self._loop.rendered_scene)
             self._live = LiveScene(scene, self._loop, self._over.is_set, self.gives_way, options.unstable)
-            self._body = self._compiled_body()
+            self._body: Callable[[Any], int] = run_loop
+            if self._in_python:
+                self._body = PortableLoop(self._loop.record, self._loop.inbox, self._connection.transport).run
+            else:  # before the device is armed: from then on the loop answers at once
+                compile_for(run_loop, self._loop.record)
             kept = max(options.history_s * scene.rate, min(scene.rate, _LAST_ROWS))
             kept = min(math.ceil(kept), _MOST_HISTORY)
             self._recorder = Recorder(self._loop.ring, options.keep, kept, self._take_notes)
@@ -181,13 +191,6 @@ class Session(SessionView):
         if self.restarted:
             require_known_zero(scene, connection.name)
         return connection
-
-    def _compiled_body(self) -> Callable[[Any], int]:
-        """Returns the function that runs the loop, compiled: once the device is armed, the loop answers at once."""
-        if self._in_python:
-            return PortableLoop(self._loop.record, self._loop.inbox, self._connection.transport).run
-        compile_for(run_loop, self._loop.record)
-        return run_loop
 
     def _open_sound(self, scene: Scene, stack: contextlib.ExitStack) -> None:
         options, ring, warn = self._options, self._loop.sound, self._options.on_warning or _ignore
@@ -353,15 +356,6 @@ class Session(SessionView):
         return outcome.with_sentence(
             failure, f". The last frames and the last second are in {path} (`hapsim frames` reads it)"
         )
-
-
-def _require_free(port: str) -> None:
-    for session in sessions():
-        if os.path.realpath(session.name) == os.path.realpath(port):
-            raise UsageError(
-                f"{port}: a session of this program, which runs {session.scene.path or 'a scene'}, is using the port. "
-                "Call its `close` first (`hapsim.sessions()` returns the sessions that run)"
-            )
 
 
 def _with_keywords_of(

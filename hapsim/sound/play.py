@@ -157,11 +157,6 @@ class Playback:
         except self._portaudio.PortAudioError as error:
             raise UsageError(f"sound: {self.name} does not start: {error}") from error
 
-    @property
-    def ratio_ppm(self) -> float:
-        """How much faster the device's clock is than the card's, by what they declare."""
-        return 1e6 * float(self.record.slope / self.record.nominal - 1.0)
-
     def look(self) -> None:
         """Warns, once, if the card takes no frames any more. The scene goes on without it."""
         blocks, now = int(self.record.blocks), time.monotonic()
@@ -245,6 +240,6 @@ class SoundOutput:
         return counts | {
             "lost_sound_frames": lost + int(player.lost),
             "underruns": int(player.underruns + player.card_underruns),
-            "resampling_ppm": self.playback.ratio_ppm if latency.total else None,
+            "resampling_ppm": 1e6 * float(player.slope / player.nominal - 1.0) if latency.total else None,
             "sound_latency_s": (latency.quantile(0.5), latency.quantile(0.99)) if latency.total else None,
         }
