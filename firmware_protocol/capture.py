@@ -66,8 +66,7 @@ class Registers(dict[int, int]):
     @property
     def motions(self) -> tuple[Literal["linear", "rotary"], ...]:
         """Motion of each channel; linear where the device declared none."""
-        bits = self.get(schema.REG_ROTARY, 0)
-        return tuple("rotary" if bits >> c & 1 else "linear" for c in range(self.get(schema.REG_CHANNELS, 1) & 31))
+        return schema.motions(self.get(schema.REG_ROTARY, 0), self.get(schema.REG_CHANNELS, 1) & 31)
 
     def scale(self, which: int, channel: int) -> float | None:
         """Returns a scale by its place among the channel's registers; None if the device did not describe it."""

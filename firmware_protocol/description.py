@@ -49,7 +49,7 @@ class Description:
     @property
     def motions(self) -> tuple[Literal["linear", "rotary"], ...]:
         """Motion of each channel; linear where none is declared."""
-        return tuple("rotary" if self.rotary >> channel & 1 else "linear" for channel in range(self.channels))
+        return schema.motions(self.rotary, self.channels)
 
     def paces(self, pacing: int) -> bool:
         """Returns whether the device offers PACED_BY_DEVICE, PACED_BY_HOST or LOCKSTEP."""
@@ -82,7 +82,7 @@ def to_registers(description: Description) -> NDArray[np.int64]:
     are 1 to 16 channels, each with both scales and a limit, and velocity scales for all of them or for none.
     """
     channels = description.channels
-    _require_channels(channels)
+    schema.require_channels(channels)
     if not channels == len(description.force_scale) == len(description.force_limit):
         raise ValueError("every channel needs a position scale, a force scale and a force limit")
     if len(description.velocity_scale) not in (0, channels):
@@ -114,7 +114,7 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
     """
     words: dict[str, Any] = {name: int(registers[register]) for name, register in _WORDS.items()}
     channels = words.pop("channels")
-    _require_channels(channels)
+    schema.require_channels(channels)
     held = registers.astype("<u4")
     doubles, per_channel = _doubles_of(held)
     scales: dict[str, Any] = {
@@ -132,11 +132,6 @@ def _doubles_of(registers: NDArray[np.uint32]) -> tuple[NDArray[np.float64], NDA
     """Returns (the registers as doubles, those of the channels with a row for each), which share their memory."""
     doubles = registers.view("<f8")
     return doubles, doubles[schema.REG_CHANNEL // 2 :].reshape(schema.MAX_CHANNELS, schema.CHANNEL_WORDS // 2)
-
-
-def _require_channels(channels: int) -> None:
-    if not 1 <= channels <= schema.MAX_CHANNELS:
-        raise ValueError(f"{channels} channels: the protocol carries 1 to {schema.MAX_CHANNELS}")
 
 
 def _printable(name: str) -> str:

@@ -133,14 +133,10 @@ def armed_format(channels: int, velocity: bool = False) -> Format:
 
     Raises ValueError for any other number of channels.
     """
-    if not 1 <= channels <= schema.MAX_CHANNELS:
-        raise ValueError(f"{channels} channels: the protocol carries 1 to {schema.MAX_CHANNELS}")
+    schema.require_channels(channels)
     long_check = schema.has_long_check(channels, velocity)
-    if velocity:
-        seed = schema.VELOCITY_SEED_LONG if long_check else schema.VELOCITY_SEED_SHORT
-    else:
-        seed = schema.ARMED_SEED_LONG if long_check else schema.ARMED_SEED_SHORT
-    return Format(channels, velocity, long_check, seed)
+    word = schema.VELOCITY_SEED_LONG if velocity else schema.ARMED_SEED_LONG
+    return Format(channels, velocity, long_check, word if long_check else schema.folded(word))
 
 
 @cache

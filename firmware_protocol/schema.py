@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 VERSION = 1
 MAX_CHANNELS = 16
@@ -106,19 +107,31 @@ SETUP_SEED = 0x4853  # "HS": the same in every version, so that versions can nam
 VELOCITY_MARK = 0x56454C01
 
 
-def _folded(word: int) -> int:
+def folded(word: int) -> int:
+    """Returns the 16-bit start value that belongs to one of 32 bits."""
     return (word ^ (word >> 16)) & 0xFFFF
 
 
 ARMED_SEED_LONG = SCHEMA_HASH
-ARMED_SEED_SHORT = _folded(ARMED_SEED_LONG)
+ARMED_SEED_SHORT = folded(ARMED_SEED_LONG)
 VELOCITY_SEED_LONG = SCHEMA_HASH ^ VELOCITY_MARK
-VELOCITY_SEED_SHORT = _folded(VELOCITY_SEED_LONG)
+VELOCITY_SEED_SHORT = folded(VELOCITY_SEED_LONG)
+
+
+def require_channels(channels: int) -> None:
+    """Raises ValueError for a number of channels that the protocol does not carry."""
+    if not 1 <= channels <= MAX_CHANNELS:
+        raise ValueError(f"{channels} channels: the protocol carries 1 to {MAX_CHANNELS}")
 
 
 def words(channels: int, to_device: bool, velocity: bool = False) -> int:
     """Returns the words of a frame's payload. `velocity`: of a format in which the device sends velocities too."""
     return 2 * channels if velocity and not to_device else channels
+
+
+def motions(rotary: int, channels: int) -> tuple[Literal["linear", "rotary"], ...]:
+    """Returns the motion of each channel by REG_ROTARY; linear where none is declared."""
+    return tuple("rotary" if rotary >> channel & 1 else "linear" for channel in range(channels))
 
 
 def has_long_check(channels: int, velocity: bool = False) -> bool:

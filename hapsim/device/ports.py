@@ -37,30 +37,21 @@ def free_name(name: Path | None) -> None:
         name.unlink()
 
 
-def give_name(name: Path, port: str) -> None:
-    """Makes `name` a link to `port`. UsageError where that is not possible."""
-    free_name(name)
-    with _explained(name):
-        name.symlink_to(port)
-
-
-def take_name(name: Path, port: str) -> None:
-    """Removes the link if it still leads to `port`."""
-    if leads_to(name) == port:
-        name.unlink(missing_ok=True)
-
-
 @contextlib.contextmanager
 def linked(name: Path | None, port: str) -> Iterator[str]:
-    """Yields the port's name: the link `name` while open, or the port's own."""
+    """Makes `name` a link to `port` while open, and yields the port's name: the link, or without one its own. A link
+    that leads elsewhere by then is not removed. UsageError where no link can be made."""
     if name is None:
         yield port
         return
-    give_name(name, port)
+    free_name(name)
+    with _explained(name):
+        name.symlink_to(port)
     try:
         yield str(name)
     finally:
-        take_name(name, port)
+        if leads_to(name) == port:
+            name.unlink(missing_ok=True)
 
 
 def open_pseudo_terminal(of: str, instead: str) -> tuple[int, int]:

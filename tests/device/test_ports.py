@@ -17,7 +17,7 @@ import pytest
 from serial.tools import list_ports
 
 from hapsim.device import ports
-from hapsim.device.ports import free_name, give_name, is_new, open_serial_port, take_name, who_holds
+from hapsim.device.ports import free_name, is_new, linked, open_serial_port, who_holds
 from hapsim.errors import DeviceError, UsageError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
@@ -42,10 +42,8 @@ def refusal(name: Path) -> str:
 def test_a_link_to_a_pseudo_terminal_that_is_gone_is_replaced(tmp_path: Path) -> None:
     name = tmp_path / "port"
     name.symlink_to("/dev/pts/99999")
-    with terminal() as port:
-        give_name(name, port)
-        assert os.readlink(name) == port
-        take_name(name, port)
+    with terminal() as port, linked(name, port) as named:
+        assert (named, os.readlink(name)) == (str(name), port)
     assert not name.is_symlink()
     free_name(name)
     free_name(None)
@@ -56,8 +54,15 @@ def test_a_link_to_a_pseudo_terminal_that_is_there_stays(tmp_path: Path) -> None
     with terminal() as port:
         name.symlink_to(port)
         assert refusal(name) == (f"found a link to {port}, expected a free name for the port; remove an unused link")
-        take_name(name, "/dev/pts/99999")
         assert os.readlink(name) == port
+
+
+def test_a_link_that_leads_elsewhere_by_now_stays(tmp_path: Path) -> None:
+    name = tmp_path / "port"
+    with terminal() as port, linked(name, "/dev/pts/99999"):
+        name.unlink()
+        name.symlink_to(port)
+    assert os.readlink(name) == port
 
 
 @pytest.mark.parametrize(
@@ -78,8 +83,9 @@ def test_what_is_no_link_of_ours_stays(tmp_path: Path, made, told: str) -> None:
 
 
 def test_a_name_where_no_link_can_be_made_is_told_with_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="No such file or directory; choose a name in a directory of yours"):
-        give_name(tmp_path / "none" / "port", "/dev/pts/99999")
+    told = "No such file or directory; choose a name in a directory of yours"
+    with pytest.raises(UsageError, match=told), linked(tmp_path / "none" / "port", "/dev/pts/99999"):
+        pass
 
 
 HOLDS = """
