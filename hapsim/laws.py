@@ -133,19 +133,14 @@ class Law:
         """N, above which the tension never goes, however fast the ends part."""
         return max(tension for _, tension in self.knots) if self.pushes else math.inf
 
-    @property
-    def fast_damping(self) -> float:
-        """N·s/m, the steepest that it gets while its ends move; 0 where none is steeper than at rest."""
-        steepest = self._over_speed.sector[1]
-        return steepest if steepest > max(self.dampings) else 0.0
-
     def dampings_at(self, speed: float) -> tuple[float, ...]:
         """N·s/m, other dampings than those at rest that a motion up to this speed, m/s, may meet: the steepest, and
         none where it is level beyond its points."""
         if not self.speeds:
             return ()
-        is_level = max(self.dampings) > 0.0 and min(-self.speeds[0][0], self.speeds[-1][0]) < speed
-        return (self.fast_damping,) * (self.fast_damping > 0.0) + (0.0,) * is_level
+        at_rest, steepest = max(self.dampings), self._over_speed.sector[1]
+        is_level = at_rest > 0.0 and min(-self.speeds[0][0], self.speeds[-1][0]) < speed
+        return (steepest,) * (steepest > max(at_rest, 0.0)) + (0.0,) * is_level
 
     def strongest(self, rate: float) -> float:
         """N, which the tension never exceeds at this rate of samples (Hz); infinite where nothing bounds it."""

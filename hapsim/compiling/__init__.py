@@ -24,7 +24,5 @@ entry = compiler.entry
 @emits(lambda builder: builder.fence("acq_rel"))
 def fence() -> None:
     """Other processors see what comes before it before what comes after it, and the compiler moves nothing across.
-
     numba has no atomic operations on processors (numba issue 2988). On x86, which keeps the order of loads and of
-    stores anyway, a fence costs no instruction. Python keeps it too.
-    """
+    stores anyway, a fence costs no instruction. Python keeps it too."""

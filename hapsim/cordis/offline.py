@@ -85,15 +85,6 @@ def ticks_watched(program: Program, rows: list[NDArray[Any]], weights: Reals, wa
     _ticks_watched(program.record, still, np.zeros_like(still), addresses, weights, watched)
 
 
-def act_alone(program: Program, action: str, part: Part, samples: int) -> None:
-    """Calls one action of one of the program's parts `samples` times, at the program's own state."""
-    having = [one for one in program.parts if getattr(one, action) is not None]
-    (number,) = (i for i, one in enumerate(having) if one is part)
-    alone = new_record(CALLS)
-    alone.pairs, alone.count = program.record[action].pairs + np.uint64(_PAIR_BYTES * number), 1
-    _call_many(program.record, alone, samples)
-
-
 _start, _take_over = entry(_start_inlined), entry(_take_over_inlined)
 _follow_parameters, _tick = entry(_follow_inlined), entry(_tick_inlined)
 
@@ -202,9 +193,15 @@ def _named(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part
 
 
 def _alone(program: Program, part: Part) -> float:
-    """What a part takes of a tick, called by itself; NaN where a tick does not call it."""
-    in_a_tick = [name for name in ("add_forces", "integrate") if getattr(part, name) is not None]
-    return sum(_seconds(partial(act_alone, program, name, part)) for name in in_a_tick) or float("nan")
+    """What a part takes of a tick, called by itself at the program's own state; NaN where a tick does not call it."""
+    seconds = []
+    for name in ("add_forces", "integrate"):
+        having = [one for one in program.parts if getattr(one, name) is not None]
+        for number in (i for i, one in enumerate(having) if one is part):
+            alone = new_record(CALLS)
+            alone.pairs, alone.count = program.record[name].pairs + np.uint64(_PAIR_BYTES * number), 1
+            seconds.append(_seconds(partial(_call_many, program.record, alone)))
+    return sum(seconds) or float("nan")
 
 
 def _seconds(run: Callable[[int], None]) -> float:

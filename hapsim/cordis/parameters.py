@@ -110,10 +110,8 @@ def post(parameters, values, samples):
 @native(types.int64, *[types.uint64] * 3)
 def move(parameters, position, previous):
     """Before a sample: takes what was posted, and moves the values by one sample; 1 where any moved. `position`,
-    `previous`: addresses of the points at this sample and the one before.
-
-    It is called by its address, which is set when something is posted: it is compiled only if a value ever changes.
-    """
+    `previous`: addresses of the points at this sample and the one before. It is called by its address, which is set
+    when something is posted: it is compiled only if a value ever changes."""
     parameters = _parameters_at(parameters)
     count = parameters.count
     ramps = _doubles_at(parameters.ramps, 5 * count)

@@ -87,13 +87,9 @@ class Program:
 
 
 def compile_scene(scene: Scene, values: Column | None = None) -> Program:
-    """The program of `scene`, at its initial state.
-
-    `values`: those of `parameter_values`, kept and read at every tick, so that the caller may change them.
-
-    Raises:
-        UsageError: the scene's scheme, or its precision, cannot work out these numbers.
-    """
+    """The program of `scene`, at its initial state. `values`: those of `parameter_values`, kept and read at every tick,
+    so that the caller may change them. Raises UsageError: the scene's scheme, or its precision, cannot work out these
+    numbers."""
     if values is None:
         values = parameter_values(scene)
     number, size, structures = _numbers(scene)
@@ -127,11 +123,8 @@ def _require_finite(scene: Scene, numbers: Iterable[Any]) -> None:
 
 
 def parameter_values(scene: Scene) -> Column:
-    """What can be changed while the scene runs, shape (P,): the live columns of every type of module, in turn.
-
-    Raises:
-        UsageError: the scene's precision does not hold one.
-    """
+    """What can be changed while the scene runs, shape (P,): the live columns of every type of module, in turn. Raises
+    UsageError: the scene's precision does not hold one."""
     with np.errstate(over="ignore"):
         values = np.array(
             [value for *_, columns in _live(scene) for column in columns for value in column.values()], np.float64
@@ -169,10 +162,8 @@ def real_of(scene: Scene) -> Any:
 
 
 def positions_of(program: Program) -> tuple[Column, Column]:
-    """(N,) where the points are, and where they were a sample before, in m; the program's own, not copies.
-
-    Of hands, the second is of use to the tick alone.
-    """
+    """(N,) where the points are, and where they were a sample before, in m; the program's own, not copies. Of hands,
+    the second is of use to the tick alone."""
     turn = int(program.record.turn)
     return program.rows[turn], program.rows[turn - 1]
 

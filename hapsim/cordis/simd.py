@@ -99,9 +99,7 @@ def put(_typing: Any, row: Any, first: Any, lanes: Any) -> Any:  # noqa: ARG001
 @intrinsic(prefer_literal=True)
 def shift_lanes(_typing: Any, terms: Any, which: Any, by: Any) -> Any:
     """Of three lanes in a row (left, here, right), each a tuple: element `which`, from `by` lanes beside `here` on.
-
-    `which`, `by`: literals.
-    """
+    `which`, `by`: literals."""
     if not (isinstance(which, types.Literal) and isinstance(by, types.Literal)):
         return None
     element, shift = which.literal_value, by.literal_value

@@ -69,11 +69,8 @@ def take_over(older, program, measured):
 
 @inlined
 def tick(program, measured, velocity, force):
-    """Moves the scene by one sample.
-
-    `measured`: the device's positions in m, one per channel. `velocity`: those that it senses in m/s, 0 where it does
-    not. `force`: receives the force in N on each channel that the scene uses.
-    """
+    """Moves the scene by one sample. `measured`: the device's positions in m, one per channel. `velocity`: those that
+    it senses in m/s, 0 where it does not. `force`: receives the force in N on each channel that the scene uses."""
     compact()
     turn = np.uint64(program.turn)
     program.turn = ONE - turn

@@ -49,12 +49,9 @@ def as_scene(source: SceneSource) -> Scene:
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """The scene of a file, or the shipped scene of this name where no file has it (which then has no `path`:
-    nothing rewrites what ships).
-
-    Raises:
-        SceneError: the file cannot be read or is not a scene; one line for each fault, in the file's order.
-    """
+    """The scene of a file, or the shipped scene of this name where no file has it (which then has no `path`: nothing
+    rewrites what ships). Raises SceneError: the file cannot be read or is not a scene; one line for each fault, in the
+    file's order."""
     name = os.fsdecode(path)
     if not os.path.exists(name) and (shipped := shipped_scene_path(name)):
         return parse_scene(shipped_scene(name), str(shipped))
@@ -164,11 +161,8 @@ def _sound_fields(data: dict[str, Any], issues: Iterable[Issue]) -> dict[Path, d
 
 
 def scene_schema() -> dict[str, Any]:
-    """The JSON schema (draft 2020-12) of a scene file.
-
-    It holds what one value by itself has to be, with units and defaults. What takes more than one value, such
-    as a name that has to exist, only `parse_scene` checks.
-    """
+    """The JSON schema (draft 2020-12) of a scene file. It holds what one value by itself has to be, with units and
+    defaults. What takes more than one value, such as a name that has to exist, only `parse_scene` checks."""
     described = Scene.model_json_schema() | {
         "title": f"hapsim scene, version {VERSION}",
         "description": "A scene for hapsim: the device that the hand holds, and what it feels. SI units.",

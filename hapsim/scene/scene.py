@@ -129,10 +129,8 @@ class Scene(Part):
 
     @property
     def channels(self) -> int:
-        """Number of channels of the device: one more than the highest that a module holds.
-
-        A list per channel has exactly this length; channels below the highest that no module holds count.
-        """
+        """Number of channels of the device: one more than the highest that a module holds. A list per channel has
+        exactly this length; channels below the highest that no module holds count."""
         return 1 + max(one.channel for one in self.modules.values() if isinstance(one, DevicePoint))
 
     @property

@@ -66,11 +66,8 @@ for _tag, (_, _starts) in _WORDS.items():
 
 
 def scalar_value(node: yaml.Node) -> str | float | bool | None:
-    """The value of a scalar node.
-
-    Raises:
-        ValueError: the node carries a tag that a scene has no use for, or one that its text does not fit.
-    """
+    """The value of a scalar node. Raises ValueError: the node carries a tag that a scene has no use for, or one that
+    its text does not fit."""
     tag, text = node.tag, node.value
     if tag == STRING:
         return text
@@ -146,11 +143,8 @@ class YamlSyntaxError(Exception):
 
 
 def compose(text: str) -> yaml.Node | None:
-    """Returns the top node of the text; None where the text holds nothing.
-
-    Raises:
-        YamlSyntaxError: the text is not YAML.
-    """
+    """Returns the top node of the text; None where the text holds nothing. Raises YamlSyntaxError: the text is not
+    YAML."""
     loader = None
     try:
         loader = SceneLoader(text)

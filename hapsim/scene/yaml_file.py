@@ -186,10 +186,8 @@ class Layout:
 
 
 def findings_of(error: ValidationError, document: Document, layout: Layout, units: Units = LINEAR) -> list[Issue]:
-    """Returns the faults within single parts; those between parts are left to `cross_check_issues`.
-
-    A missing key is not mentioned where an unknown key beside it looks like that key misspelt.
-    """
+    """Returns the faults within single parts; those between parts are left to `cross_check_issues`. A missing key is
+    not mentioned where an unknown key beside it looks like that key misspelt."""
     raws = [raw for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
     findings = [_Finding(raw, document, layout, units) for raw in raws]
     misspelt = {found.meant() for found in findings if found.kind == "extra_forbidden"}

@@ -24,6 +24,7 @@ from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.modules.structure import (
+    STENCIL_KERNELS,
     LoadedPoints,
     StencilKernel,
     UniformLinks,
@@ -32,7 +33,6 @@ from hapsim.cordis.modules.structure import (
     moved,
     neighbours,
     push_loaded_points,
-    stencil_kernel,
     structure_type,
     sweep,
 )
@@ -174,7 +174,7 @@ def _sum_of_four(step, rows, here, terms):
     return neighbours(terms, 0) + (above + _terms_at(step, rows, here + step.pitch))
 
 
-stencil_kernel(MembraneStep, StencilKernel(linear_terms, _update_by_coefficients, _update_by_differences))
+STENCIL_KERNELS[MembraneStep] = StencilKernel(linear_terms, _update_by_coefficients, _update_by_differences)
 
 MEMBRANE = structure_type(
     Membrane, _numbers, _layout, initialize, integrate, "membranes", "a stencil over contiguous memory, row by row"

@@ -18,10 +18,8 @@ from hapsim.scene import Detent, Friction, Plectrum
 
 
 class Frictions(NamedTuple):
-    """L links: force and static in N, K and B/T in N/m, anchor in m; shape (L,).
-
-    `sliding`: 1 or -1, which way, or 0 where it sticks.
-    """
+    """L links: force and static in N, K and B/T in N/m, anchor in m; shape (L,). `sliding`: 1 or -1, which way, or 0
+    where it sticks."""
 
     ends: Ends
     force: Column
@@ -33,10 +31,8 @@ class Frictions(NamedTuple):
 
 
 class Plectra(NamedTuple):
-    """L plectra: K and B/T in N/m, `release` in m; shape (L,).
-
-    `side`: 1 or -1, on which side it released, or 0 where it grips.
-    """
+    """L plectra: K and B/T in N/m, `release` in m; shape (L,). `side`: 1 or -1, on which side it released, or 0 where
+    it grips."""
 
     ends: Ends
     stiffness: Column

@@ -56,10 +56,8 @@ def integrate(group, state):
 
 
 class Cells(NamedTuple):
-    """C cells, which stand together from point `start` on: K and B/T in N/m, rest in m, shape (C,).
-
-    `rest_before`: m, of the sample before, shape (C,).
-    """
+    """C cells, which stand together from point `start` on: K and B/T in N/m, rest in m, shape (C,). `rest_before`: m,
+    of the sample before, shape (C,)."""
 
     start: np.uint64
     stiffness: Column

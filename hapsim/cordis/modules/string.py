@@ -35,6 +35,7 @@ from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.modules.structure import (
+    STENCIL_KERNELS,
     LoadedPoints,
     StencilKernel,
     UniformLinks,
@@ -43,7 +44,6 @@ from hapsim.cordis.modules.structure import (
     moved,
     neighbours,
     push_loaded_points,
-    stencil_kernel,
     structure_type,
     sweep,
 )
@@ -218,9 +218,9 @@ def _update_stiff_by_differences(step, rows, _here, terms):
     return moved(step, x, before, (neighbours(terms, 0) - two * t) - step.g * bend)
 
 
-stencil_kernel(StringStep, StencilKernel(linear_terms, _update_by_coefficients, _update_by_differences))
-stencil_kernel(
-    StiffStringStep, StencilKernel(_stiff_terms, _update_stiff_by_coefficients, _update_stiff_by_differences)
+STENCIL_KERNELS[StringStep] = StencilKernel(linear_terms, _update_by_coefficients, _update_by_differences)
+STENCIL_KERNELS[StiffStringStep] = StencilKernel(
+    _stiff_terms, _update_stiff_by_coefficients, _update_stiff_by_differences
 )
 
 _string_type = partial(structure_type, String, _numbers, _layout, initialize)

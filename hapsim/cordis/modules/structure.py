@@ -1,7 +1,7 @@
 """What strings and membranes share: a stencil that moves every mass alike, in one pass over contiguous memory, in lanes
 (`simd.py`), and the masses that links hold.
 
-A step is a named tuple of a structure's numbers, with a kernel registered for its type by `stencil_kernel`.
+A step is a named tuple of a structure's numbers, with a kernel for its type in `STENCIL_KERNELS`.
 It works out from x[n] and x[n-1] of some masses what their neighbours need of them, and from that and the neighbours'
 terms where they are at x[n+1]. So each term is worked out once and not by each neighbour anew. x[n+1] goes where x[n-1]
 was: two rows of positions in place of three, which a long string fetches from beyond the nearest caches in every step.
@@ -112,12 +112,8 @@ class StencilKernel(NamedTuple):
     by_differences: Callable[..., Any]
 
 
-_KERNELS: dict[type, StencilKernel] = {}
-
-
-def stencil_kernel(step: type, kernel: StencilKernel) -> None:
-    """Registers what moves a structure's masses by a sample."""
-    _KERNELS[step] = kernel
+STENCIL_KERNELS: dict[type, StencilKernel] = {}
+"""What moves a structure's masses by a sample, by the type of its step."""
 
 
 def _neighbour_terms(step, x, before):
@@ -130,7 +126,7 @@ def _update(step, rows, here, terms):
 
 @overload(_neighbour_terms)
 def _choose_neighbour_terms(step, x, before):  # noqa: ARG001  (numba matches the names)
-    kernel: Any = _KERNELS[step.instance_class].terms_of
+    kernel: Any = STENCIL_KERNELS[step.instance_class].terms_of
 
     def neighbour_terms(step, x, before):
         return kernel(step, x, before)
@@ -140,7 +136,7 @@ def _choose_neighbour_terms(step, x, before):  # noqa: ARG001  (numba matches th
 
 @overload(_update)
 def _choose_update(step, rows, here, terms):  # noqa: ARG001  (numba matches the names)
-    kernel = _KERNELS[step.instance_class]
+    kernel = STENCIL_KERNELS[step.instance_class]
     way: Any = kernel.by_differences if rows[0].dtype == types.float32 else kernel.by_coefficients
 
     def update(step, rows, here, terms):

@@ -36,10 +36,8 @@ class KeptForce(NamedTuple):
 
 
 class RungeKutta(NamedTuple):
-    """The points from number `start` on: their T²/m in m/N, and c1, c2, c3 in m; shape (n,).
-
-    `at`, and behind `at_address`: all points at an instant between two samples. `links`: CALLS made at every instant.
-    """
+    """The points from number `start` on: their T²/m in m/N, and c1, c2, c3 in m; shape (n,). `at`, and behind
+    `at_address`: all points at an instant between two samples. `links`: CALLS made at every instant."""
 
     start: np.uint64
     mobility: Column
