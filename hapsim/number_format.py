@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
-from typing import Any
 
 _TIME_UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 
@@ -111,16 +110,3 @@ def short(value: float) -> str:
 def in_ascii(text: str) -> str:
     """Returns the same text for a terminal without µ and dashes."""
     return text.replace("µ", "u").replace("–", "-")
-
-
-def plain(value: Any) -> Any:
-    """Returns only what JSON has: complex numbers as [re, im], infinities and NaN as null."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, complex):
-        value = value.real, value.imag
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
-from hapsim.cli.check_regions import regions_document, show_hand
+from hapsim.cli.check_regions import show_hand
 from hapsim.cli.options import (
     Json,
     PictureOptions,
@@ -21,6 +21,7 @@ from hapsim.cli.options import (
     scene_name,
 )
 from hapsim.cli.output import document, say, speak_of, spoken, stdout, table
+from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import between, number, percent
 from hapsim.scene import choices
@@ -119,8 +120,7 @@ class ChartOutput(PictureOptions):
     def close(self, summary: dict[str, Any]) -> None:
         """Prints the document, or which files were written."""
         if self.json:
-            files = {name: path and str(path) for name, path in (("picture", self.picture), ("data", self.data))}
-            print(document(summary | files))
+            print(document(summary | pick(self, "picture data")))
         else:
             self.say_written()
 
@@ -321,7 +321,7 @@ def force(
     output.write(lambda: columns_of(chart), lambda path: draw_force(chart, path))
     if not output.json:
         show_hand(stdout(), name, chart.regions)
-    output.close({"scene": scene, "name": name, "speed_m_s": speed, "regions": regions_document(chart.regions)})
+    output.close({"scene": scene, "name": name, "speed_m_s": speed, "regions": chart.regions})
 
 
 def transparency(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -110,7 +109,7 @@ def speed_accuracy(
     if not output.json:
         for sentence in verdicts.values():
             say(sentence)
-    output.close({"objects": verdicts, "rows": [row.as_document() for row in rows]})
+    output.close({"objects": verdicts, "rows": rows})
 
 
 def trace(
@@ -138,7 +137,7 @@ def trace(
     output.write(lambda: columns_of(recorded), lambda path: draw_trace(recorded, about, path))
     if not output.json:
         say(about)
-    output.close({"trace": str(file), "rows": recorded.sample.size, "report": asdict(recorded.report)})
+    output.close({"trace": file, "rows": recorded.sample.size, "report": recorded.report})
 
 
 def _about(recorded: Trace) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import asdict
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
@@ -12,16 +12,16 @@ from rich.markup import escape
 from hapsim.cli import check_details as details
 from hapsim.cli.check_any_hand import any_hands_document, hand_ranges, worst_hand_sentences
 from hapsim.cli.check_correction import reached_sentence, tolerance_sentences
-from hapsim.cli.check_regions import regions_document, show_regions, show_states, states_document, swings_document
+from hapsim.cli.check_regions import show_regions, show_states
 from hapsim.cli.check_together import show_together, together_document
 from hapsim.cli.live import at_work
 from hapsim.cli.options import At, Json, SceneFile, flag, load, option, position, scene_name
-from hapsim.cli.output import Table, document, pick, stderr, stdout, table
+from hapsim.cli.output import Table, document, stderr, stdout, table
+from hapsim.documents import pick
 from hapsim.errors import GuardError, UsageError
 from hapsim.holds import HOLDS
 from hapsim.number_format import duration, number
 from hapsim.prediction import (
-    Desired,
     Felt,
     Prediction,
     host_silence,
@@ -31,7 +31,7 @@ from hapsim.prediction import (
     robustness_of,
     warnings_about,
 )
-from hapsim.prediction.felt import SHARES, Tolerance, felt_document
+from hapsim.prediction.felt import SHARES
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
 from hapsim.prediction.linear import late_by_mean, with_device
 from hapsim.prediction.timing import on_wire
@@ -71,14 +71,16 @@ def check(
     of_slew = _slew_warnings(loaded, prediction)
     warnings = [*of_slew, *(one for one in warnings_about(loaded, prediction) if one not in of_slew)]
     if json:
-        compiled = {} if explanation is None else {"compiled": explanation.as_document()}
-        compiled |= {"sound_peaks": peaks} if peaks else {}
-        compiled |= {"partials_hz": partials} if partials else {}
-        bounds = {"force_bounds": run_bounds(loaded)._asdict(), "travel": travel_document(loaded)}
-        predicted = prediction_document(prediction, on_wire=on_wire)
-        predicted |= {"any_hands": any_hands_document(prediction, hands)}
-        about = {"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings}
-        print(document(about | predicted | bounds | compiled))
+        compiled = explanation and pick(explanation, "* share")
+        some = {"compiled": compiled, "sound_peaks": peaks, "partials_hz": partials}
+        whole = {
+            **{"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings},
+            **prediction_document(prediction, on_wire=on_wire),
+            "any_hands": any_hands_document(prediction, hands),
+            **{"force_bounds": run_bounds(loaded), "travel": travel_document(loaded)},
+            **{name: one for name, one in some.items() if one},
+        }
+        print(document(whole))
         return
     out = stdout()
     _show_verdict(out, scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)
@@ -248,98 +250,70 @@ def _margin_summary(prediction: Prediction) -> str:
     return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
 
 
+_TOLERANCE = "share mass_kg=mass friction delay_samples=delay"
+_CORRECTED = (
+    "written.K=written.0 written.B=written.1 simulated.K=rendered.0 simulated.B=rendered.1 made_for_kg=made_for reached"
+)
+_SWING = "least_m=least most_m=most force_n=force"
+
+
 def prediction_document(
     prediction: Prediction, channel: int | None = None, on_wire: Prediction | None = None
 ) -> dict[str, Any]:
     """Returns what `hapsim check --json` prints; `predicted` and `dominant` are of `channel` (None: the first).
     `on_wire`: as `predict_on_wire` returned it."""
-    felt = felt_on(prediction, channel)
-    margins = {
-        margin.name: {
-            "stiffness_factor": margin.stiffness_factor or None,
-            "damping_factor": margin.damping_factor or None,
-            "stabilizing_stiffness_factors": margin.stabilizing_stiffness,
-            "stabilizing_damping_factors": margin.stabilizing_damping,
-        }
-        for margin in prediction.margins
-    }
+    felt, rendering = felt_on(prediction, channel), prediction.rendering
     modes = [
-        pick(mode, "pole", "frequency_hz", "damping_ratio")
+        pick(mode, "pole frequency_hz damping_ratio")
         | {"participation": dict(zip(prediction.points, mode.participation, strict=True))}
         for mode in prediction.modes
     ]
-    return pick(prediction, "stable", "spectral_radius", "poles_in_all", "poles", "assumptions") | {
-        "rate_hz": prediction.rate,
-        "nominal_rate_hz": prediction.rate,
+    corrected: dict[str, Any] = {}
+    if rendering is not None and rendering.kind is not None:
+        desired = [one for one in prediction.desired if channel in (None, one.channel)]
+        corrected = {
+            "desired": desired[0] if desired else None,
+            "tolerances": {
+                one.name: [pick(each, _TOLERANCE) for each in prediction.tolerances(one.name)]
+                for one in prediction.desired
+            },
+            "correction": {
+                "name": rendering.kind.name,
+                "device_points": {port.name: pick(port, _CORRECTED) for port in rendering.ports},
+                "desired": _by_name(prediction.desired),
+                "desired_modes": [pick(mode, "root frequency_hz damping_ratio") for mode in prediction.desired_modes],
+                "notes": rendering.notes,
+            },
+        }
+    # Of the wire, `predicted` and `stable` are those at the delay that results, null where it costs one sample.
+    on_wire = prediction if prediction.wire_delay else on_wire
+    late = on_wire and felt_on(on_wire, channel)
+    of_wire = {"of": prediction.wire_of, "predicted": late, "stable": on_wire and on_wire.stable}
+    return {
+        **pick(prediction, "stable spectral_radius poles_in_all poles assumptions rate_hz=rate nominal_rate_hz=rate"),
         "poles_method": prediction.poles_method or "every pole (memories, at zero, are not listed)",
         "dominant": felt is not None and felt.dominant,
-        "predicted": felt and felt_document(felt),
-        **_correction_document(prediction, channel),
-        "device_points": {one.name: felt_document(one) for one in prediction.felt},
+        "predicted": felt,
+        **corrected,
+        "device_points": _by_name(prediction.felt),
         "coupled_device_points": prediction.coupled,
         "felt_together": together_document(prediction),
-        "regions": {name: regions_document(regions) for name, regions in prediction.regions.items()},
-        "swings": swings_document(prediction),
-        "contact_states": states_document(prediction),
-        "modes": modes,
-        "margins": margins,
-        "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
-        "wire_time": _wire_document(prediction, channel, on_wire),
-        "host_silence": asdict(host_silence(prediction.rate)),
-    }
-
-
-def _tolerance(one: Tolerance) -> dict[str, Any]:
-    return {"share": one.share, "mass_kg": one.mass, "friction": one.friction, "delay_samples": one.delay}
-
-
-def _correction_document(prediction: Prediction, channel: int | None) -> dict[str, Any]:
-    """Returns `desired` and `correction`; nothing without a correction."""
-    rendering = prediction.rendering
-    if rendering is None or rendering.kind is None:
-        return {}
-    ports = {
-        port.name: {
-            "written": dict(zip(("K", "B"), port.written, strict=True)),
-            "simulated": dict(zip(("K", "B"), port.rendered, strict=True)),
-            "made_for_kg": port.made_for,
-            "reached": port.reached,
-        }
-        for port in rendering.ports
-    }
-    modes = [pick(mode, "root", "frequency_hz", "damping_ratio") for mode in prediction.desired_modes]
-    return {
-        "desired": next((_desired(one) for one in prediction.desired if channel in (None, one.channel)), None),
-        "tolerances": {one.name: [*map(_tolerance, prediction.tolerances(one.name))] for one in prediction.desired},
-        "correction": {
-            "name": rendering.kind.name,
-            "device_points": ports,
-            "desired": {one.name: _desired(one) for one in prediction.desired},
-            "desired_modes": modes,
-            "notes": rendering.notes,
+        "regions": prediction.regions,
+        "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
+        "contact_states": {
+            **pick(prediction.states, "found=count complete=is_complete not_judged=unjudged"),
+            "unstable": [pick(one, "state growth module") for one in prediction.states.growing],
         },
+        "modes": modes,
+        "margins": _by_name(prediction.margins),
+        "margins_method": prediction.margins_method or ("every link" if prediction.margins else "none"),
+        "wire_time": pick(prediction.wire_time, "* exchange_s fits delay_samples highest_rate_hz") | of_wire,
+        "host_silence": host_silence(prediction.rate),
     }
 
 
-def _desired(desired: Desired) -> dict[str, Any]:
-    return desired._asdict() | {"remedies": desired.remedies and desired.remedies._asdict()}
-
-
-def _wire_document(prediction: Prediction, channel: int | None, on_wire: Prediction | None) -> dict[str, Any]:
-    """`predicted` and `stable` are those at the delay that results, null where the wire costs one sample."""
-    budget = prediction.wire_time
-    on_wire = prediction if prediction.wire_delay else on_wire
-    felt = on_wire and felt_on(on_wire, channel)
-    worked_out = pick(budget, "exchange_s", "fits", "delay_samples", "highest_rate_hz")
-    return (
-        asdict(budget)
-        | worked_out
-        | {
-            "of": prediction.wire_of,
-            "predicted": felt and felt_document(felt) | {"delay": felt.configuration.delay},
-            "stable": on_wire and on_wire.stable,
-        }
-    )
+def _by_name(items: Iterable[Any]) -> dict[str, Any]:
+    return {one.name: one for one in items}
 
 
 def felt_on(prediction: Prediction, channel: int | None) -> Felt | None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
+from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import number, rounded_down, rounded_up
 from hapsim.units import Units
@@ -153,20 +154,8 @@ def _range(values: Range) -> str:
 
 def any_hands_document(prediction: Prediction, ranges: tuple[Range, Range] | None = None) -> list[dict[str, Any]]:
     """Returns the same as a JSON document. `ranges`: of mass and stiffness."""
-    return [
-        {
-            "device_points": one.names,
-            "friction": one.friction,
-            "needed_friction": [float(each) if math.isfinite(each) else None for each in one.needed],
-            "needed_friction_of_single_hands": one.needed_for_one,
-            "passive": one.is_passive,
-            "frequency_hz": one.frequency_hz,
-            "lasting": one.lasting,
-            "pushes_away": one.pushes_away,
-            "not_derived": one.not_derived,
-            "shaking_hand": (shaking := one.shaking) and shaking._asdict(),
-            "worst_hand": (worst := one.worst_hand(*ranges) if ranges else None)
-            and worst._asdict() | {"stable": worst.is_stable},
-        }
-        for one in prediction.any_hands
-    ]
+    found = []
+    for one in prediction.any_hands:
+        worst = one.worst_hand(*ranges) if ranges else None
+        found.append(pick(one, one.DOCUMENT) | {"worst_hand": worst and pick(worst, "* stable=is_stable")})
+    return found

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
@@ -172,46 +172,3 @@ def show_states(out: Console, prediction: Prediction) -> None:
         out.print(f"[yellow]Not judged[/yellow]: {which} states of its contacts")
     elif states.count > 1 and prediction.stable:
         out.print(f"Stable {states.words}")
-
-
-def swings_document(prediction: Prediction) -> dict[str, Any]:
-    """Returns how far each hand swings that its regions shake, as a JSON document; null: not found."""
-    swings = prediction.judge.swings
-    return {
-        name: swing and {"least_m": swing.least, "most_m": swing.most, "force_n": swing.force}
-        for name, swing in swings.items()
-    }
-
-
-def states_document(prediction: Prediction) -> dict[str, Any]:
-    """Returns the states that contacts, plectra, tables and dry friction which move masses can be in, as a JSON
-    document."""
-    states = prediction.states
-    growing = [{"state": one.state, "growth": one.growth, "module": one.module} for one in states.growing]
-    return {"found": states.count, "complete": states.is_complete, "not_judged": states.unjudged, "unstable": growing}
-
-
-def regions_document(regions: tuple[Region, ...]) -> list[dict[str, Any]]:
-    """Returns the regions of one hand, as a JSON document."""
-    return [
-        {
-            "low_m": one.piece.low,
-            "high_m": one.piece.high,
-            "place_m": one.piece.place,
-            "K": one.piece.stiffness,
-            "B": one.piece.damping,
-            "k": one.felt.k if one.kind == "held" else None,
-            "b": one.felt.b if one.kind == "held" else None,
-            "kind": one.kind,
-            "stable": one.is_stable,
-            "passive": one.felt.passive,
-            "needed_friction": one.felt.needed_friction if math.isfinite(one.felt.needed_friction) else None,
-            "force_n": one.force,
-            "snap_energy_j": one.snap_energy,
-            "links": one.piece.states,
-            "slide": one.piece.sliding,
-            "reach_m": one.piece.reach,
-            "curved": one.piece.is_curved,
-        }
-        for one in regions
-    ]

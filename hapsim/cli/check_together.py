@@ -10,6 +10,7 @@ import numpy as np
 from rich.markup import escape
 
 from hapsim.cli.output import spoken, table
+from hapsim.documents import pick
 from hapsim.number_format import number
 from hapsim.units import Units
 
@@ -116,11 +117,8 @@ def together_document(prediction: Prediction) -> list[dict[str, Any]]:
             "b": _matrix(one.felt.b),
             "continuous": {"k": _matrix(one.asked_for.k), "b": _matrix(one.asked_for.b)},
             "static_stiffness": _matrix(one.static_stiffness),
-            "kinetic_share": one.felt.share,
-            "other_motions": one.felt.others,
-            "frequencies_hz": one.felt.frequencies_hz,
-            "reason": one.felt.reason,
-            "weight": (weight := _weight_of(prediction, one)) and weight._asdict(),
+            **pick(one.felt, "kinetic_share=share other_motions=others frequencies_hz reason"),
+            "weight": _weight_of(prediction, one),
             "moved": [
                 {"frequency_hz": hz, "k": k, "b": b}
                 for hz, k, b in zip(HAND_HZ, *(part[0].tolist() for part in one.at_frequencies), strict=True)
@@ -130,5 +128,5 @@ def together_document(prediction: Prediction) -> list[dict[str, Any]]:
     ]
 
 
-def _matrix(values: np.ndarray[Any, Any]) -> list[list[float]] | None:
-    return values.tolist() if np.isfinite(values).all() else None
+def _matrix(values: np.ndarray[Any, Any]) -> Any:
+    return values if np.isfinite(values).all() else None

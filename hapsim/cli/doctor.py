@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,9 +25,10 @@ from hapsim.cli.options import (
     option,
     transport_kind,
 )
-from hapsim.cli.output import Table, complain, document, fitted, pick, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, fitted, stderr, stdout, table
 from hapsim.doctor.examine import RATES_HZ, examine
 from hapsim.doctor.exchanges import EXCHANGE, IN_TIME, MOCK, ON_THE_MOCK, Exchanges, Verdict
+from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import frequency, in_ascii, share_in_percent, short_duration, time_unit
 from hapsim.stopping import INTERRUPTED, ignore_stops
@@ -199,44 +200,32 @@ def examination_document(examination: Examination) -> dict[str, Any]:
     elif failed is not None:
         ending = {"error": failed.failure, "exit_status": failed.exit_status}
     made = zip(examination.exchanges, examination.verdicts, strict=True)
-    return (
-        pick(examination, "scene", "rate_hz", "steps")
-        | {
-            "seconds_each": examination.seconds,
-            "machine": asdict(examination.machine),
-            "grants": None if examination.grants is None else [asdict(grant) for grant in examination.grants],
-            "load": examination.load and asdict(examination.load),
-            "wakeups": [{"rate_hz": rate, "lateness": _durations(one)} for rate, one in examination.wakeups.items()],
-            "exchanges": [_exchanges_document(run, verdict) for run, verdict in made],
-            "in_time_means": IN_TIME,
-            "best_rates_hz": examination.best_rates,
-            "advice": [asdict(one) for one in examination.advice],
-            "stopped_after_steps": examination.stopped_after,
-        }
-        | ending
-    )
+    return {
+        **pick(examination, "scene rate_hz steps seconds_each=seconds machine grants load"),
+        "wakeups": [{"rate_hz": rate, "lateness": _durations(one)} for rate, one in examination.wakeups.items()],
+        "exchanges": [_exchanges_document(run, verdict) for run, verdict in made],
+        "in_time_means": IN_TIME,
+        **pick(examination, "best_rates_hz=best_rates advice stopped_after_steps=stopped_after"),
+        **ending,
+    }
 
 
 def _exchanges_document(run: Exchanges, verdict: Verdict) -> dict[str, Any]:
-    of_run = pick(run.report, "ticks", "deadline_misses", "lost_frames")
-    return (
-        pick(run, "rate_hz", "clock", "where")
-        | pick(verdict, "answer", "share_in_time")
-        | of_run
-        | {
-            "kept_rate_hz": run.report and run.report.rate_hz,
-            "lateness": run.lateness and _durations(run.lateness),
-            "exchange": run.exchange and _durations(run.exchange),
-            "failure": run.failure or None,
-        }
-    )
+    return {
+        **pick(run, "rate_hz clock where"),
+        **pick(verdict, "answer share_in_time"),
+        **pick(run.report, "ticks deadline_misses lost_frames kept_rate_hz=rate_hz"),
+        "lateness": run.lateness and _durations(run.lateness),
+        "exchange": run.exchange and _durations(run.exchange),
+        "failure": run.failure or None,
+    }
 
 
 def _durations(histogram: Histogram) -> dict[str, Any]:
-    edges, (count, *quantiles) = histogram.edges.tolist(), asdict(histogram.spread()).values()
+    edges = histogram.edges.tolist()
     bins = [[edges[i], edges[i + 1], int(in_bin)] for i, in_bin in enumerate(histogram.counts) if in_bin]
-    spread = dict(zip(("p50_s", "p99_s", "p999_s", "max_s"), quantiles, strict=True))
-    return {"count": count, **spread, "bins_from_s_to_s_count": bins}
+    spread = pick(histogram.spread(), "count p50_s=p50 p99_s=p99 p999_s=p999 max_s=max")
+    return spread | {"bins_from_s_to_s_count": bins}
 
 
 _BINS_AN_OCTAVE = 16

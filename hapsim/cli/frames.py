@@ -25,8 +25,9 @@ from hapsim.cli.output import complain, failure_document, say, speak_in, spoken,
 from hapsim.cli.streams import output_ended
 from hapsim.device.connection import Connection
 from hapsim.device.ports import leads_to, open_portable_port
+from hapsim.documents import plain
 from hapsim.errors import DeviceError, UsageError
-from hapsim.number_format import plain, plural
+from hapsim.number_format import plural
 from hapsim.recording.report_file import is_report, read_report
 from hapsim.stopping import stopping_on_signals
 from hapsim.units import Units

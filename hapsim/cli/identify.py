@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option, push_option, require_file, seconds
-from hapsim.cli.output import Table, complain, document, pick, say, speak_of, spoken, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, say, speak_of, spoken, stderr, stdout, table
 from hapsim.device.ports import is_new
+from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 from hapsim.number_format import relative_difference, rounded
@@ -254,23 +254,18 @@ def _identification_document(
     found: DeviceIdentification, declared: Mapping[str, float], written: Written | None
 ) -> dict[str, Any]:
     """Returns what `hapsim identify --json` prints beside the scene."""
-    seen, values = pick(found.seen_rate, "rate_hz", "uncertainty_hz"), None
+    values = None
     if written is not None:
         values = {name: float(one) if isinstance(one, str) else one.model_dump() for name, one in written.items()}
-    drives = [
-        {"K": drive.stiffness, "B": drive.damping, "push_n": drive.force, "push_s": drive.half / found.rate_hz}
-        for drive in found.drives
-    ]
-    of_it = pick(found, "channel", "peak_m", "samples", "residual_m", "stopped", "rate_hz", "noise_m")
-    return of_it | {
+    return {
+        **pick(found, "channel peak_m samples residual_m stopped rate_hz noise_m"),
         "declared": dict(declared),
-        "identified": {name: asdict(getattr(found, name)) for name in _LABELS},
-        "force_n": found.bounds.force,
-        "travel_m": found.bounds.travel,
-        "drives": drives,
-        "misfit": found.misfit or None,
-        "rate_seen_hz": seen["rate_hz"],
-        "rate_seen_uncertainty_hz": seen["uncertainty_hz"],
-        "hand": found.hand and asdict(found.hand),
+        "identified": pick(found, " ".join(_LABELS)),
+        **pick(found.bounds, "force_n=force travel_m=travel"),
+        "drives": [
+            pick(drive, "K=stiffness B=damping push_n=force") | {"push_s": drive.half / found.rate_hz}
+            for drive in found.drives
+        ],
+        **pick(found, "misfit? rate_seen_hz=seen_rate.rate_hz rate_seen_uncertainty_hz=seen_rate.uncertainty_hz hand"),
         "written": values,
     }

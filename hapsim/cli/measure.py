@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -37,13 +36,13 @@ from hapsim.cli.options import (
 )
 from hapsim.cli.output import Table, complain, document, failure_document, speak_of, spoken, stderr, stdout, table
 from hapsim.cli.run import print_warnings, require_stable, show_report, show_run, with_mock
+from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure import measure as measure_scene
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, relative_difference, rounded
 from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
-from hapsim.prediction.felt import felt_document
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -136,7 +135,7 @@ def _measure_pair(
     weight = measured_weight(scene, prediction, measurement, channel, excitation) if excitation.mass else None
     if json:
         measured = measurement_document(prediction, measurement, channel, on_wire)
-        measured |= {} if weight is None else {"felt_mass": weight._asdict()}
+        measured |= {} if weight is None else {"felt_mass": weight}
         print(document({"scene": device.scene, "warnings": warnings} | measured))
     else:
         show_measurement(stdout(), scene, prediction, measurement, channel, excitation.push)
@@ -299,45 +298,29 @@ def measurement_document(
     that scene and device declare; `at_rate_seen` has both sides for another rate that was seen."""
     seen, felt = measurement.seen_rate, felt_on(prediction, channel)
     diagnosis, at_seen_rate = diagnose(prediction, measurement, channel), None
-    mass, mode = diagnosis.probable_mass, diagnosis.second_mode
     if seen is not None and seen.differs_from(prediction.rate):
         at_seen_rate = {
-            "predicted": felt and felt_document(felt_at_rate(felt, seen.rate_hz)),
-            "measured": _values(measurement.at_rate(seen.rate_hz)),
+            "predicted": felt and felt_at_rate(felt, seen.rate_hz),
+            "measured": measurement.at_rate(seen.rate_hz),
         }
-    measured = _values(measurement) | {
+    measured = pick(measurement, measurement.DOCUMENT) | {
         "dominant": measurement.dominant and not diagnosis.gives,
-        "second_mode": mode and mode._asdict(),
-        "probable_mass_kg": mass and mass.mass,
-        "probable_mass_uncertainty_kg": mass and mass.uncertainty,
+        **pick(diagnosis, "second_mode probable_mass_kg=probable_mass.mass"),
+        **pick(diagnosis, "probable_mass_uncertainty_kg=probable_mass.uncertainty"),
     }
-    return _run_document(prediction, measurement.trace.report, channel, measurement.failure, on_wire) | {
+    return {
+        **_run_document(prediction, measurement.trace.report, channel, measurement.failure, on_wire),
         "measured": measured,
-        "at_m": measurement.at_m,
-        "push_n": measurement.push_n,
-        "left_region": measurement.left_region or None,
-        "attempts": [one._asdict() for one in measurement.attempts],
-        "rate_seen_hz": seen and seen.rate_hz,
-        "rate_seen_uncertainty_hz": seen and seen.uncertainty_hz,
+        **pick(measurement, "at_m push_n left_region? attempts"),
+        **pick(seen, "rate_seen_hz=rate_hz rate_seen_uncertainty_hz=uncertainty_hz"),
         "at_rate_seen": at_seen_rate,
     }
 
 
 def _run_document(
-    prediction: Prediction,
-    report: Report,
-    channel: int,
-    failure: RunError | None,
-    on_wire: Prediction | None = None,
+    prediction: Prediction, report: Report, channel: int, failure: RunError | None, on_wire: Prediction | None = None
 ) -> dict[str, Any]:
     """Returns the same without a measurement: of a run that failed before anything could be identified."""
-    run = asdict(report)
-    rates = {"rate_hz": prediction.rate, "kept_rate_hz": run.pop("rate_hz")}
-    predicted = prediction_document(prediction, channel, on_wire)
-    return predicted | {"measured": None} | run | rates | failure_document(failure)
-
-
-def _values(measurement: Measurement) -> dict[str, Any]:
-    left_out = ("trace", "failure", "seen_rate", "mass_uncertainty", "second_mode", "at_m", "push_n", "attempts")
-    values = {name: value for name, value in vars(measurement).items() if name not in left_out}
-    return values | {"mass_kg": measurement.mass, "mass_uncertainty_kg": measurement.mass_uncertainty}
+    predicted = prediction_document(prediction, channel, on_wire) | {"measured": None}
+    rates = {"rate_hz": prediction.rate, "kept_rate_hz": report.rate_hz}
+    return predicted | pick(report, "*") | rates | failure_document(failure)

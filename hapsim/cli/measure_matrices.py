@@ -13,8 +13,9 @@ from rich.markup import escape
 from hapsim.cli.check_details import show_assumptions
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions, say_written
-from hapsim.cli.output import Table, complain, document, pick, spoken, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, spoken, stderr, stdout, table
 from hapsim.cli.run import predict_before_arming, print_warnings, require_stable, with_mock
+from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring import measure_hands as rings
 from hapsim.measuring.limits import require_device_point
@@ -101,15 +102,15 @@ def _rows(one: FeltTogether, found: HandsMeasurement, i: int, j: int) -> list[tu
 
 def hands_document(one: FeltTogether, found: HandsMeasurement) -> dict[str, Any]:
     """Returns the same for scripts; matrices by device points."""
-    predicted = None if one.felt.reason else {"k": one.felt.k, "b": one.felt.b}
-    names = ("k", "b", "k_uncertainty", "b_uncertainty", "poles", "others", "samples")
-    measured = {name: getattr(found, name) for name in names}
+    predicted = None if one.felt.reason else pick(one.felt, "k b")
+    measured = pick(found, "k b k_uncertainty b_uncertainty poles others samples")
     return {"device_points": one.names, "channels": found.channels, "predicted": predicted, "measured": measured}
 
 
 _WALL_PERIODS = 14
 _STOPPED = "hapsim: stopped early: the impedance is of the periods recorded until then"
 _ROWS = 12  # of the frequencies, in a table
+_IMPEDANCES = "device rendered closed_loop"
 _UNSURE = 0.1  # of a value
 
 
@@ -370,28 +371,22 @@ def impedance_document(
 ) -> dict[str, Any]:
     """Returns what `hapsim measure --impedance --json` prints beside the scene; matrices are (frequencies, C, C),
     complex numbers [re, im], N·s/m."""
-    names = ("device", "rendered", "closed_loop")
+    sides = {"desired": predicted.desired, "predicted": predicted.rendered, "measured": measured.rendered.value}
+    pairs = {name: spring_and_damper(predicted.frequency[:, None, None], one) for name, one in sides.items()}
     return {
         "impedance": {
-            "frequency_hz": predicted.frequency,
-            "device_points": predicted.names,
-            **pick(measured, "channels", "period_s", "lost_periods", "limited_samples"),
+            **pick(predicted, "frequency_hz=frequency device_points=names"),
+            **pick(measured, "channels period_s lost_periods limited_samples"),
             "desired": predicted.desired,
-            "predicted": pick(predicted, *names),
-            "measured": {name: getattr(measured, name)._asdict() for name in names},
-            "spring_and_damper": {
-                name: dict(zip(("k", "b"), spring_and_damper(predicted.frequency[:, None, None], one), strict=True))
-                for name, one in (
-                    ("desired", predicted.desired),
-                    ("predicted", predicted.rendered),
-                    ("measured", measured.rendered.value),
-                )
+            "predicted": pick(predicted, _IMPEDANCES),
+            "measured": pick(measured, _IMPEDANCES),
+            "spring_and_damper": {name: {"k": k, "b": b} for name, (k, b) in pairs.items()},
+            "off_by_uncertainties": {
+                name: float(np.max(off_by(predicted, measured, name))) for name in _IMPEDANCES.split()
             },
-            "off_by_uncertainties": {name: float(np.max(off_by(predicted, measured, name))) for name in names},
             "confidence": 0.999,
             "periods": [pairs + 1 for pairs in measured.periods],
-            "peak_force_n": measured.peak_force,
-            "travel_m": measured.travel,
+            **pick(measured, "peak_force_n=peak_force travel_m=travel"),
             "assumptions": predicted.assumptions,
             "cautions": cautions(predicted, measured),
         },
@@ -410,7 +405,7 @@ def _width_document(width: ZWidth, measured: MeasuredWidth | None) -> dict[str, 
         decades = decades_of(width.frequency, values)
         return {
             "mean_db": mean_width(width.frequency, values),
-            "decades": [{"from_hz": low, "to_hz": high, "mean_db": mean} for low, high, mean in decades],
+            "decades": [dict(zip(("from_hz", "to_hz", "mean_db"), one, strict=True)) for one in decades],
             "width_db": values,
         }
 
@@ -418,9 +413,4 @@ def _width_document(width: ZWidth, measured: MeasuredWidth | None) -> dict[str, 
     if measured is not None:
         mean = mean_width(width.frequency, measured.uncertainty_db)
         found = of(measured.width_db) | {"uncertainty_db": measured.uncertainty_db, "mean_uncertainty_db": mean}
-    return {
-        "stiffness": width.wall.stiffness,
-        "damping": width.wall.damping,
-        "predicted": of(width.width_db),
-        "measured": found,
-    }
+    return pick(width.wall, "stiffness damping") | {"predicted": of(width.width_db), "measured": found}

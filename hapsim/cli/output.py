@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
-from hapsim.number_format import plain
+from hapsim.documents import plain
 from hapsim.units import LINEAR, Units
 
 if TYPE_CHECKING:
@@ -36,19 +36,14 @@ _PERIOD_S = 1.0
 _PHRASE = 24  # characters: a longer cell is a phrase, which wraps, and not a number
 
 
-def document(value: dict[str, Any]) -> str:
-    """Returns the text of one JSON document."""
+def document(value: Any) -> str:
+    """Returns the text of one JSON document: of a result, or a dict with results in it."""
     return json.dumps(plain(value), indent=2, allow_nan=False)
 
 
 def failure_document(failure: HapsimError | None) -> dict[str, Any]:
     """Returns the keys that say how a command failed; none if it did not."""
     return {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
-
-
-def pick(source: Any, *names: str) -> dict[str, Any]:
-    """Returns attributes of an object by their names; None for each if there is no object."""
-    return {name: None if source is None else getattr(source, name) for name in names}
 
 
 def stdout() -> Console:

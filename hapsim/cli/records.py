@@ -9,6 +9,7 @@ from hapsim.cli.device import Link, serve
 from hapsim.cli.live import at_work
 from hapsim.cli.options import Json, PictureOptions, RecordOptions, argument, flag, load, option, say_written
 from hapsim.cli.output import complain, document, say, speak_in, spoken, stderr, warn
+from hapsim.documents import pick
 from hapsim.errors import RecordError, UsageError
 from hapsim.number_format import number, plural
 
@@ -51,7 +52,7 @@ def replay(
     if pictures.wanted:
         _draw(found, pictures, f"{record.name}{'' if scene is None else f', answered by {Path(scene).name}'}")
     if json:
-        print(document({"record": str(record), "scene": scene} | _document(found, recorded.reader.is_finished)))
+        print(document({"record": record, "scene": scene} | _document(found, recorded.reader.is_finished)))
     else:
         _say(recorded, scene, found)
         pictures.say_written()
@@ -97,15 +98,10 @@ def _say(record: Record, scene: str | None, found: Comparison) -> None:
 
 
 def _document(found: Comparison, is_complete: bool) -> dict[str, Any]:
-    first = found.difference
     return {
-        "ticks": found.ticks,
-        "changes": found.changes,
-        "identical": first is None,
-        "complete": is_complete,
-        "first_difference": None if first is None else {"tick": first.tick, "sample": first.sample, "what": first.what},
-        "force_rms_recorded": found.rms_recorded,
-        "force_rms_replayed": found.rms_replayed,
+        **pick(found, "ticks changes"),
+        **{"identical": found.difference is None, "complete": is_complete},
+        **pick(found, "first_difference=difference force_rms_recorded=rms_recorded force_rms_replayed=rms_replayed"),
         "force_rms_apart": found.rms_apart,
     }
 
@@ -130,16 +126,10 @@ def export(
     missing = _missing(columns)
     if json:
         about = {
-            "record": str(record),
-            "file": str(out),
-            "rows": columns.count,
-            "channels": columns.channels,
+            **{"record": record, "file": out, "rows": columns.count, "channels": columns.channels},
             "columns": {column.name: columns.units_text(column) for column in columns.all},
-            "changes": len(columns.changes),
-            "markers": len(columns.markers),
-            "full_scale": full_scale or None,
-            "full_scale_unit": unit or None,
-            "missing": missing,
+            **{"changes": len(columns.changes), "markers": len(columns.markers)},
+            **{"full_scale": full_scale or None, "full_scale_unit": unit or None, "missing": missing},
         }
         print(document(about))
         return

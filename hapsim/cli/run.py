@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +40,7 @@ from hapsim.cli.output import (
     warn,
 )
 from hapsim.device.ports import is_new
+from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.loop.beside import Beside
 from hapsim.loop.counts import Progress
@@ -430,14 +431,9 @@ def _spread_in_us(spread: Spread) -> str:
 
 def lifetime_document(lifetime: Lifetime, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:
     """Returns what `hapsim run` prints: the report of all sessions, and how often the device came back."""
-    return (
-        asdict(lifetime.report)
-        | ({"realtime": [asdict(grant) for grant in grants]} if grants else {})
-        | {
-            "reconnections": lifetime.reconnections,
-            "interruptions": [asdict(one) for one in lifetime.interruptions],
-            "records": list(map(str, lifetime.records)),
-            "sound_files": list(map(str, lifetime.sound_files)),
-        }
-        | failure_document(lifetime.failure)
-    )
+    return {
+        **pick(lifetime.report, "*"),
+        **({"realtime": grants} if grants else {}),
+        **pick(lifetime, "reconnections interruptions records sound_files"),
+        **failure_document(lifetime.failure),
+    }

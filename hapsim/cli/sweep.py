@@ -110,7 +110,7 @@ def sweep(
         chart = sweep_chart(dataset, *drawn)
         pictures.write(chart.columns, lambda path: draw_sweep(chart, path))
     if json:
-        print(document({"scene": scene, "out": str(out), "points": len(chosen), **summary_of(dataset)}))
+        print(document({"scene": scene, "out": out, "points": len(chosen), **summary_of(dataset)}))
     else:
         _say(dataset, scene, out)
         pictures.say_written()

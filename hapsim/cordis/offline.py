@@ -148,10 +148,6 @@ class Explanation(NamedTuple):
         """How many ticks fit into the sample period beside an exchange."""
         return most_substeps(self.seconds, self.period)
 
-    def as_document(self) -> dict[str, Any]:
-        """The same by names, for scripts."""
-        return self._asdict() | {"share": self.share, "parts": [part._asdict() for part in self.parts]}
-
 
 def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Explanation:
     """Compiles `scene`, runs it on a hand that rests, and reports its parts; `on_part` hears each part's name."""

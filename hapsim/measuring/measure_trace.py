@@ -65,6 +65,12 @@ class Attempt(NamedTuple):
 class Measurement:
     """What the hand felt, each value with the standard uncertainty that the identification states."""
 
+    DOCUMENT = (
+        "k b frequency_hz damping_ratio frequency_uncertainty_hz damping_ratio_uncertainty k_uncertainty b_uncertainty "
+        "pole pole_uncertainty poles dominant reason mass order samples residual_m dry_friction_n mass_kg=mass "
+        "mass_uncertainty_kg=mass_uncertainty"
+    )
+
     k: float
     """N/m."""
     b: float

@@ -75,6 +75,11 @@ class AnyHand:
         not_derived: why it is not known what makes it passive; "" where it is.
     """
 
+    DOCUMENT = (
+        "device_points=names friction needed_friction=needed needed_friction_of_single_hands=needed_for_one "
+        "passive=is_passive frequency_hz lasting pushes_away not_derived shaking_hand=shaking"
+    )
+
     names: tuple[str, ...]
     channels: tuple[int, ...]
     not_derived: str

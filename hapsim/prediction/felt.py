@@ -6,9 +6,9 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +48,14 @@ class Robustness(NamedTuple):
 class Felt:
     """What the hand feels on one device point whose links all end on grounds: a temporary hybrid system of its own.
     Each number is worked out when it is asked for."""
+
+    DOCUMENT = (
+        "name channel stiffness damping k b frequency_hz damping_ratio dominant stable spectral_radius poles passive "
+        "linear_limit reason limits.configuration=formula limits.stiffness=stiffness limits.damping=damping "
+        "mass=configuration.mass friction=configuration.friction delay=configuration.delay hold=configuration.hold "
+        "sampling=configuration.sampling damper=configuration.damper cutoff=configuration.cutoff "
+        "device_stiffness=configuration.stiffness *robustness"
+    )
 
     name: str
     channel: int
@@ -250,21 +258,6 @@ def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
     slower = felt.configuration.rate / rate_hz
     device = replace(device, cutoff=None if device.cutoff is None else device.cutoff / slower)
     return replace(felt, configuration=device, damping=felt.damping * (1.0 if device.damper in WITH_SENSOR else slower))
-
-
-_NUMBERS = (
-    *("name", "channel", "stiffness", "damping", "k", "b", "frequency_hz", "damping_ratio", "dominant", "stable"),
-    *("spectral_radius", "poles", "passive", "linear_limit", "reason"),
-)
-_OF_DEVICE = ("mass", "friction", "delay", "hold", "sampling", "damper", "cutoff")
-
-
-def felt_document(felt: Felt) -> dict[str, Any]:
-    """Returns what one hand feels, as a JSON document: k (N/m), b (N·s/m), its configuration and robustness."""
-    limits = {"configuration": asdict(felt.formula), "stiffness": felt.stiffness, "damping": felt.damping}
-    device = {name: getattr(felt.configuration, name) for name in _OF_DEVICE}
-    device |= {"device_stiffness": felt.configuration.stiffness}
-    return {name: getattr(felt, name) for name in _NUMBERS} | {"limits": limits} | device | felt.robustness._asdict()
 
 
 _MASSES = 9  # of a span, at which the error of a correction is looked at

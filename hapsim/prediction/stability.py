@@ -38,6 +38,12 @@ _POINTS = 1025  # at which the energy of a curved snap is summed
 class Region:
     """A region of a hand's travel, and what the hand feels there when it moves by little."""
 
+    DOCUMENT = (
+        "low_m=piece.low high_m=piece.high place_m=piece.place K=piece.stiffness B=piece.damping k=held.k b=held.b "
+        "kind stable=is_stable passive=felt.passive needed_friction=felt.needed_friction force_n=force "
+        "snap_energy_j=snap_energy links=piece.states slide=piece.sliding reach_m=piece.reach curved=piece.is_curved"
+    )
+
     piece: Piece
     """Its place, the scene's K and B, and how the links are."""
     felt: Felt
@@ -52,6 +58,11 @@ class Region:
         """`held` by a spring, `free` without one, or a `snap`: a negative stiffness drives the hand on."""
         stiffness = self.felt.stiffness + self.felt.configuration.stiffness
         return "held" if stiffness > 0.0 else "snap" if stiffness < 0.0 else "free"
+
+    @property
+    def held(self) -> Felt | None:
+        """What the hand feels there, where a spring holds it."""
+        return self.felt if self.kind == "held" else None
 
     @cached_property
     def growth(self) -> float:
@@ -235,6 +246,11 @@ class LinkMargin:
     Infinity where it never is. Where the scene is unstable as it stands: the largest factor below 1 that makes it
     stable, 0 where there is none. NaN where it was not worked out.
     """
+
+    DOCUMENT = (
+        "stiffness_factor? damping_factor? stabilizing_stiffness_factors=stabilizing_stiffness "
+        "stabilizing_damping_factors=stabilizing_damping"
+    )
 
     name: str
     stiffness_factor: float

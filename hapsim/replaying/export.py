@@ -13,10 +13,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from hapsim.documents import plain
 from hapsim.errors import UsageError
 from hapsim.loop import ring
 from hapsim.loop.ring import LATE_FORCE, VELOCITY
-from hapsim.number_format import plain
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.recorder import Scales

@@ -7,9 +7,8 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 from firmware_protocol.description import Description
-from hapsim.number_format import plain
+from hapsim.documents import pick, plain
 from hapsim.prediction import predict
-from hapsim.prediction.felt import felt_document
 from hapsim.recording.report import validated
 from hapsim.running.assemble import LoopMemory
 from hapsim.running.changes import document_of
@@ -71,11 +70,11 @@ def prediction_of(scene: Scene) -> dict[str, Any]:
     `hapsim check --json` prints them; `error` where it cannot be predicted."""
     try:
         found = predict(scene, with_margins=False)
-        hands = {felt.name: felt_document(felt) for felt in found.felt}
-        whole = {"stable": found.stable, "spectral_radius": found.spectral_radius, "poles": found.poles}
+        hands = {felt.name: felt for felt in found.felt}
+        whole = pick(found, "stable spectral_radius poles") | {"device_points": hands}
     except Exception as error:  # a record does not depend on it
         return {"error": str(error) or type(error).__name__}
-    document: dict[str, Any] = plain(whole | {"device_points": hands})
+    document: dict[str, Any] = plain(whole)
     return document
 
 

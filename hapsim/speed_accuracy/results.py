@@ -6,7 +6,7 @@ import json
 import math
 import statistics
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -82,14 +82,9 @@ class Row:
         """Whether hapsim was measured, not another program."""
         return self.whose == OURS
 
-    def as_document(self) -> dict[str, Any]:
-        """For JSON: NaN is null."""
-        error = self.error if math.isfinite(self.error) else None
-        return asdict(self) | {"error": error, "costs": list(self.costs)}
-
 
 def row_of_document(document: Any) -> Row:
-    """The reverse of `Row.as_document`. Raises TypeError or ValueError where it is none."""
+    """The reverse of `documents.plain`. Raises TypeError or ValueError where it is none."""
     row = Row(**document)
     error = math.nan if row.error is None else float(row.error)
     return replace(row, error=error, rate_hz=float(row.rate_hz), costs=tuple(map(float, row.costs)))

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from hapsim.chart.speed_accuracy import draw_speed_accuracy, looks_of
+from hapsim.documents import plain
 from hapsim.speed_accuracy.comparison import OBJECTS, objects_named
 from hapsim.speed_accuracy.results import OURS, Row
 
@@ -22,7 +23,7 @@ PEER = Row("string-10", "a peer", "", "double", 1000.0, "frequency", 1e-3, (0.1,
 def test_a_small_selection_gives_picture_numbers_and_a_sentence(
     chart: Chart, rows_of: Callable[[str], list[dict[str, str]]]
 ) -> None:
-    Path("peers.json").write_text(json.dumps({"rows": [PEER.as_document()]}), encoding="utf-8")
+    Path("peers.json").write_text(json.dumps({"rows": [plain(PEER)]}), encoding="utf-8")
     answer = chart("speed-accuracy", *SMALL, "--with", "peers.json", "--picture", "p.png", "--data", "n.csv")
     assert answer.status == 0
     assert "A string of 10 masses: frequency: on the front" in answer.out

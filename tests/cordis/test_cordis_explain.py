@@ -7,6 +7,7 @@ import math
 
 from hapsim.cordis.offline import explain
 from hapsim.cordis.program import PART_TYPES
+from hapsim.documents import plain
 from hapsim.scene import Scene
 
 MODULES = {
@@ -36,7 +37,7 @@ def test_each_kind_that_a_scene_has_is_reported_with_what_it_costs_and_the_other
     assert [part.name for part in told.parts if math.isnan(part.seconds)] == ["grounds"]
     assert told.bytes > 3 * 8 * told.points
     assert 0.0 < told.seconds < told.period
-    assert [part["name"] for part in json.loads(json.dumps(told.as_document()))["parts"]] == heard[1:]
+    assert [part["name"] for part in json.loads(json.dumps(plain(told._asdict())))["parts"]] == heard[1:]
 
 
 def test_of_another_scheme_its_own_parts_are_reported() -> None:

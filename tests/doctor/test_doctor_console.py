@@ -21,6 +21,7 @@ from hapsim.cli.output import document
 from hapsim.doctor.advice import Advice, Load, Machine
 from hapsim.doctor.examine import Examination, Step
 from hapsim.doctor.exchanges import MOCK, Exchanges, verdict_on
+from hapsim.documents import plain
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.realtime import PrivilegeResult
 from hapsim.number_format import short_duration
@@ -115,7 +116,7 @@ def test_a_terminal_without_unicode_gets_none(examination: Examination) -> None:
 
 
 def test_the_document_is_plain_and_has_no_nan(examination: Examination) -> None:
-    made = examination_document(examination)
+    made = plain(examination_document(examination))
     assert json.loads(document(made)) == json.loads(json.dumps(made, allow_nan=False))
     wakeups = made["wakeups"]
     assert [entry["rate_hz"] for entry in wakeups] == [1000.0, 4000.0]

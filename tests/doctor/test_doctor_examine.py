@@ -13,6 +13,7 @@ from hapsim.cli.doctor import examination_document, show_examination
 from hapsim.doctor import examine as examination_module
 from hapsim.doctor.advice import SystemFiles
 from hapsim.doctor.examine import Examination, Step, examine
+from hapsim.documents import plain
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram
@@ -113,7 +114,7 @@ def test_a_device_that_fails_is_part_of_the_answer(examined: Callable[..., Any])
     assert examination.device_failed is not None
     assert examination.device_failed.exit_status == 3
     assert examination.verdicts[0].sentence == "3 kHz: no verdict (no such port)"
-    document = examination_document(examination)
+    document = plain(examination_document(examination))
     assert (document["error"], document["exit_status"]) == ("no such port", 3)
     assert document["wakeups"]
 
@@ -137,7 +138,7 @@ def test_one_that_is_stopped_tells_what_it_measured(
         monkeypatch.setattr(examination_module, name, interrupted(getattr(examination_module, name)))
     examination, _ = examined(scene(), rates=(1000.0, 2000.0))
     assert (examination.stopped_after, examination.steps, len(begun)) == (steps, 9, steps + 1)
-    document = examination_document(examination)
+    document = plain(examination_document(examination))
     assert (len(document["wakeups"]), len(document["exchanges"])) == (min(steps, 3), max(steps - 3, 0))
     assert (document["stopped_after_steps"], document["exit_status"]) == (steps, 130)
     assert f"stopped after {steps} of 9 steps" in document["error"]

@@ -14,6 +14,7 @@ from rich.console import Console
 
 import hapsim as python_api
 from hapsim.cli.measure import measurement_document, show_measurement
+from hapsim.documents import plain
 from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.prediction import predict, with_mass
@@ -155,7 +156,7 @@ def test_a_hand_that_gives_is_named_as_a_second_mode(noise: float) -> None:
     assert measurement.second_mode is not None
     assert 0.05 < measurement.second_mode.share < 0.1
     assert python_api.diagnose(predict(scene), measurement).gives
-    document = measurement_document(predict(scene), measurement, 0)["measured"]
+    document = plain(measurement_document(predict(scene), measurement, 0)["measured"])
     assert (document["dominant"], document["second_mode"]["predicted"], document["probable_mass_kg"]) == (
         False,
         False,

@@ -19,6 +19,7 @@ from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.mock.wire import loopback_transport
+from hapsim.documents import plain
 from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE
 from hapsim.measuring.measure_trace import Measurement, measure_trace
@@ -158,7 +159,7 @@ def test_of_a_port_a_rate_is_seen() -> None:
 @pytest.mark.parametrize("share", [0.9, 1.0])
 def test_the_document_has_both_sides_for_the_rate_that_was_seen(a_trace: Trace, share: float) -> None:
     measurement = measure_trace(arriving(a_trace, np.arange(2048) / (1000.0 * share)), 0.2)
-    document = measurement_document(predict(scene_of()), measurement, 0)
+    document = plain(measurement_document(predict(scene_of()), measurement, 0))
     assert (document["rate_hz"], document["nominal_rate_hz"]) == (1000.0, 1000.0)
     assert document["rate_seen_hz"] == pytest.approx(1000.0 * share, abs=document["rate_seen_uncertainty_hz"])
     if share == 1.0:

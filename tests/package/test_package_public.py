@@ -26,6 +26,7 @@ ASKS_THE_DEVICE = "asks the device for its own counters once the run is over"
 WITHIN_THE_GUARDS = "draws what the guards allow a scene to hold"
 INSIDE = {
     ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
+    ("tools/bench/speed/", "hapsim.documents"): ADDS_PEERS,
     ("tools/bench/speed/", "hapsim.chart"): ADDS_PEERS,
     ("tools/bench/speed/", "hapsim.cordis"): "times the tick itself, without a loop and a device",
     ("tools/bench/steadiness/", "hapsim.chart.figure"): "writes its pictures and tables as `hapsim chart` does",

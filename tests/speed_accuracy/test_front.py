@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from hapsim.documents import plain
 from hapsim.errors import UsageError
 from hapsim.speed_accuracy.comparison import objects_named
 from hapsim.speed_accuracy.results import (
@@ -60,11 +61,11 @@ def test_the_advice_is_the_cheapest_within_that_is_faster_than_real_time() -> No
 
 def test_rows_come_back_from_a_file_and_only_the_peers_are_taken(tmp_path: Path) -> None:
     path = tmp_path / "rows.json"
-    path.write_text(json.dumps({"rows": [row.as_document() for row in EVERY]}), encoding="utf-8")
+    path.write_text(json.dumps({"rows": [plain(row) for row in EVERY]}), encoding="utf-8")
     assert peers_in(path, ["string-10"]) == [PEER]
     assert peers_in(path, ["spring"]) == []
-    assert [row_of_document(json.loads(json.dumps(row.as_document()))) for row in (FINE, PEER)] == [FINE, PEER]
-    assert math.isnan(row_of_document(UNSTABLE.as_document()).error)
+    assert [row_of_document(json.loads(json.dumps(plain(row)))) for row in (FINE, PEER)] == [FINE, PEER]
+    assert math.isnan(row_of_document(plain(UNSTABLE)).error)
 
 
 @pytest.mark.parametrize("text", ["{}", "no JSON", '{"rows": [{"cost": 1}]}', "[]"])

@@ -27,6 +27,7 @@ from steadiness.machine import awake, describe_machine, processor_time
 
 from hapsim.chart.figure import require_writable, save_rows
 from hapsim.chart.speed_accuracy import draw_speed_accuracy
+from hapsim.documents import plain
 from hapsim.errors import HapsimError, UsageError
 from hapsim.speed_accuracy.comparison import RATES, Comparison, objects_named
 from hapsim.speed_accuracy.results import Row, columns, fronts
@@ -87,7 +88,7 @@ def _measure(arguments: argparse.Namespace) -> dict[str, Any]:
             _round(number, comparison, peers, ratios, about, arguments.only)
             _tell(f"round {number + 1} of {rounds} took {time.monotonic() - begin:.0f} s")
         rows: list[Row] = (comparison.rows() if comparison else []) + (peers.rows() if peers else [])
-        about["rows"] = [row.as_document() for row in rows]
+        about["rows"] = [plain(row) for row in rows]
         about["ratios"] = ratios.measured if ratios else {}
         stolen, every = (now - then for now, then in zip(processor_time(), before, strict=True))
         about["conditions"] += [
