@@ -121,22 +121,14 @@ def _device(port: str | None, scene: str | None, baud: int) -> Iterator[int]:
     """Yields the descriptor of the device's port."""
     instead = "a transport in memory takes them there (hapsim.bringup.faults.in_memory)"
     require_linux("faults on a pseudo-terminal", instead)
+    loaded = None if scene is None else load(scene)
     with contextlib.ExitStack() as stack:
-        if scene is not None:
-            port = stack.enter_context(_mock(scene))
+        if loaded is not None:
+            with live_line(stderr()) as tell:
+                counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
+                with on_compilation(counted.add):
+                    port = stack.enter_context(serving(assemble_mock(loaded)))
         yield stack.enter_context(raw_port(port or "", baud))
-
-
-@contextlib.contextmanager
-def _mock(scene: str) -> Iterator[str]:
-    """Serves a scene's mock, and yields its port."""
-    loaded = load(scene)
-    with contextlib.ExitStack() as stack:
-        with live_line(stderr()) as tell:
-            counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
-            with on_compilation(counted.add):
-                path = stack.enter_context(serving(assemble_mock(loaded)))
-        yield path
 
 
 _WAYS = {True: "to the device", False: "from the device"}

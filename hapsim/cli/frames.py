@@ -35,6 +35,7 @@ from hapsim.units import Units
 _SENDERS = {"host": (True,), "device": (False,), "both": (True, False)}
 _PIECE = 1 << 16
 _LONG = 1 << 22  # bytes: of a longer file it shows how far it is
+_AT_ONCE = getattr(os, "O_NONBLOCK", 0)
 _LOOK_S = 0.2  # how often a silent port or pipe is left to see whether it is enough
 _TEXT_INDENT = " " * 10  # of an entry that goes on in the next line: below what follows its offset
 
@@ -178,13 +179,9 @@ def _pieces_of(
         with _reading(source):
             # Closed below: only a failed opening is reported as one. It does not wait for a FIFO's writer: no signal
             # would end that, and `_of_stream` waits.
-            stream = open(source, "rb", opener=_open_at_once)  # noqa: SIM115
+            stream = open(source, "rb", opener=lambda path, flags: os.open(path, flags | _AT_ONCE))  # noqa: SIM115
         with stream:
             yield _of_stream(source, stream, stopped)
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 @contextlib.contextmanager

@@ -163,9 +163,9 @@ def test_a_link_that_was_left_over_is_gone_before_the_mock_has_a_port(
     name = tmp_path / "port"
     name.symlink_to("/dev/pts/99999")
 
-    def start(_scene: str) -> None:
+    def start(_mock: object) -> None:
         raise DeviceError("still there" if name.is_symlink() else "free")
 
-    monkeypatch.setattr("hapsim.cli.faults._mock", start)
+    monkeypatch.setattr("hapsim.cli.faults.serving", start)
     answer = hapsim("faults", "noisy_wire", "--scene", scene, "--path", name, "--json")
     assert answer.document["error"] == "free"
