@@ -9,11 +9,11 @@ from hapsim.prediction.felt import Desired, Felt, Robustness, correction_for, fe
 from hapsim.prediction.felt_together import HAND_HZ, HAND_STIFFNESS, FeltTogether, OwnMotion, Weight
 from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.linear import configuration_of
-from hapsim.prediction.partials import partials_of
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import (
     Prediction,
     is_surely_unstable,
+    partials_of,
     predict,
     predict_on_wire,
     surely_shaken_by,

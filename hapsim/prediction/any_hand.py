@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from hapsim.errors import UsageError
 from hapsim.one_thread import one_thread
 from hapsim.theory import Network
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.network import SURELY, part_of, part_of_each, poles_of, state_size
+from hapsim.theory.network import SURELY, poles_of, state_size
 from hapsim.theory.network.impedance import device_forces
 from hapsim.theory.network.modes import snap_to_rest
 from hapsim.theory.network.passivity import HeldScene, Passivity, highest, passivity_of, peaks_of, why_not_derived
@@ -71,8 +71,6 @@ class AnyHand:
     Attributes:
         names: of the n device points.
         channels: theirs.
-        friction: (n,) N·s/m, declared.
-        not_derived: why it is not known what makes it passive; "" where it is.
     """
 
     DOCUMENT = (
@@ -82,9 +80,15 @@ class AnyHand:
 
     names: tuple[str, ...]
     channels: tuple[int, ...]
-    not_derived: str
+    not_predicted: str
+    """Why what runs is not the network; "" where it is."""
     _network: Network
     _points: tuple[str, ...]
+
+    @cached_property
+    def not_derived(self) -> str:
+        """Why it is not known what makes it passive; "" where it is."""
+        return self.not_predicted or why_not_derived(self._network)
 
     @cached_property
     def _held(self) -> HeldScene:
@@ -212,7 +216,7 @@ class AnyHand:
         for name, (low, high) in (("mass", mass), ("stiffness", stiffness)):
             if not 0.0 <= low <= high < math.inf:
                 raise UsageError(f"a hand's {name}: found {low:g}:{high:g}, expected low:high, from 0 on")
-        if self.is_too_large:
+        if state_size(self._network) > _MOST_STATES:  # of masses and delay
             return None
         least, most = (np.repeat([mass[end], stiffness[end]], len(self.names)) for end in (0, 1))
 
@@ -229,11 +233,6 @@ class AnyHand:
             radius, hands = max([*found, *map(judged, close)], key=lambda one: one[0])
         masses, springs = hands.reshape(2, -1).tolist()
         return WorstHand(tuple(masses), tuple(springs), radius)
-
-    @property
-    def is_too_large(self) -> bool:
-        """Whether hands of a range are not worked out: the loop's state has too many numbers, of masses and delay."""
-        return state_size(self._network) > _MOST_STATES
 
     def _hands(self, low: Floats, high: Floats) -> Iterator[Floats]:
         """Yields hands (2 n,): alike on all points, on each alone, and in resonance on each."""
@@ -283,19 +282,3 @@ def _with_hands(network: Network, masses: Floats, stiffnesses: Floats) -> Networ
         channel_mass=network.channel_mass + masses,
         channel_stiffness=network.channel_stiffness + stiffnesses,
     )
-
-
-def any_hands(
-    network: Network, points: Sequence[str], channels: dict[str, int], not_derived: str
-) -> tuple[AnyHand, ...]:
-    """Of each part of the scene that has some of these hands, by name with their channels. `not_derived`: of what is
-    not the network's."""
-    part, found = part_of_each(network.ends, len(points)), []
-    for number in dict.fromkeys(int(part[points.index(name)]) for name in channels):
-        inside = np.flatnonzero(part == number)
-        names = tuple(name for name in channels if part[points.index(name)] == number)
-        of_part = part_of(network, inside)
-        why = not_derived or why_not_derived(of_part)
-        numbers = tuple(channels[name] for name in names)
-        found.append(AnyHand(names, numbers, why, of_part, tuple(points[at] for at in inside.tolist())))
-    return tuple(found)

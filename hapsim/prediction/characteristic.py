@@ -44,12 +44,6 @@ class HandLink(NamedTuple):
         ends = sorted(float(self.distance(x)) for x in (low, high))
         return [self.fixed_m + self.sign * d for d in self.law.edges_between(ends[0], ends[1])]
 
-    def as_reached(self, start: float, low: float, high: float) -> HandLink:
-        """Itself; or, where it is a plectrum that neither grips where the hand starts nor is passed at d = 0 within the
-        travel (m), one that is always released."""
-        released = self.law.grips and abs(float(self.distance(start))) > self.law.edges[-1]
-        return self._replace(law=RELEASED) if released and not low <= self.fixed_m <= high else self
-
     @property
     def is_regional(self) -> bool:
         """Whether it is not the same spring and damper everywhere."""
@@ -158,7 +152,7 @@ class Characteristic:
         for low, high in pairwise([self.low, *self.edges(), self.high]):
             one = self._piece(low, high)
             last = pieces[-1] if pieces else None
-            if last is not None and not (one.is_curved or last.is_curved) and self._are_alike(last, one):
+            if last is not None and not (one.is_curved or last.is_curved) and _are_alike(last, one):
                 pieces[-1] = self._piece(last.low, high)
             else:
                 pieces.append(one)
@@ -200,10 +194,6 @@ class Characteristic:
         near = _ALIKE * max(abs(low) if math.isfinite(low) else 0.0, abs(high) if math.isfinite(high) else 0.0)
         return min(max(x, low), high) if low - near <= x <= high + near else None
 
-    def _slope(self, x: float) -> float:
-        """N/m of the hand's force at x, the device's own spring included; friction sticks."""
-        return self.own_stiffness + math.fsum(self._linears(x, "stiffness"))
-
     def _linears(self, x: float, what: str) -> list[float]:
         return [getattr(one.law.linear(float(one.distance(x))), what) for one in self.links.values()]
 
@@ -226,7 +216,7 @@ class Characteristic:
         edge, way = (low, 1.0) if math.isfinite(low) else (high, -1.0)
         if not math.isfinite(edge):
             return 0.0
-        slope = self._slope(_within(low, high))
+        slope = self.own_stiffness + math.fsum(self._linears(_within(low, high), "stiffness"))
         return edge + way * (_PRESSED * self.force_limit / slope if slope > 0.0 else self.free)
 
     def _with_sliding(self, piece: Piece) -> list[Piece]:
@@ -246,13 +236,10 @@ class Characteristic:
             )
         return variants
 
-    def _are_alike(self, one: Piece, other: Piece) -> bool:
-        stiffest = max(abs(one.stiffness), abs(other.stiffness))
-        strongest = max(abs(one.damping), abs(other.damping))
-        return (
-            abs(one.stiffness - other.stiffness) <= _ALIKE * stiffest
-            and abs(one.damping - other.damping) <= _ALIKE * strongest
-        )
+
+def _are_alike(one: Piece, other: Piece) -> bool:
+    both = (one.stiffness, other.stiffness), (one.damping, other.damping)
+    return all(abs(a - b) <= _ALIKE * max(abs(a), abs(b)) for a, b in both)
 
 
 def _inside(low: float, high: float) -> tuple[float, float]:
@@ -284,8 +271,12 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bo
     device, channel = scene.device, scene.device_points[name].channel
     low, high = device.travels(scene.channels)[channel]
     start = None if wherever else starts_at(scene, channel)
+    # A plectrum that neither grips where the hand starts nor is passed within the travel is always released.
     if start is not None:
-        links = {link: one.as_reached(start, low, high) for link, one in links.items()}
+        for link_name, one in links.items():
+            grips_there = not one.law.grips or abs(float(one.distance(start))) <= one.law.edges[-1]
+            if not grips_there and not low <= one.fixed_m <= high:
+                links[link_name] = one._replace(law=RELEASED)
     repeats = [one for one in links.values() if one.law.period]
     if repeats and not (math.isfinite(low) and math.isfinite(high)):
         period = max(one.law.period for one in repeats)
@@ -328,7 +319,7 @@ def scene_at(scene: Scene, at: float | None = None, instead: Mapping[str, Linear
     taken: dict[str, Linear] = {}
     alone = {name: characteristic_of(scene, name, at or 0.0) for name in scene.device_points}
     if at is not None and None in alone.values():
-        from hapsim.prediction.equilibrium import links_at_rest
+        from hapsim.prediction.reach import links_at_rest
 
         taken |= links_at_rest(scene, dict.fromkeys(alone, at))
     hands = {name: one for name, one in alone.items() if one is not None and one.is_regional}

@@ -152,19 +152,19 @@ class Felt:
             return str(self.configuration.why_no_equivalent(self.stiffness, self.damping))
         return "" if math.isfinite(self.k) else "the slowest poles are not those of a spring and damper"
 
-    @property
+    @cached_property
     def stiffness_factor(self) -> float:
-        """By how much K could grow before the loop becomes unstable, B as it is; infinity if never, below 1 if it
-        is."""
+        """By how much K could grow before the loop is unstable, B as it is; infinity if never, below 1 if it is."""
         if self.stiffness == 0.0:
             return math.inf
-        stiffest = _stiffest(self.formula, self.damping)
+        stiffest = float(self.formula.stable_stiffness(self.damping)[1])
         return stiffest / self.stiffness if stiffest > 0.0 else 0.0
 
-    @property
+    @cached_property
     def stable_damping(self) -> tuple[float, float]:
         """N·s/m: from least to most B, with K as it is; NaN where no damping makes it stable."""
-        return _stable_damping(self.formula, self.stiffness)
+        least, most = self.formula.stable_damping(self.stiffness)
+        return float(least), float(most)
 
     @cached_property
     def robustness(self) -> Robustness:
@@ -179,8 +179,7 @@ class Felt:
             )
 
     def with_mass(self, mass: float) -> Felt:
-        """The same hand where its true mass is `mass` kg, while links and predictor stay as they were made for the
-        other."""
+        """The same hand where its true mass is `mass` kg, while links and predictor stay made for the other."""
         return replace(self, configuration=replace(self.configuration, mass=mass))
 
     def masses_with(self, frequency_hz: float) -> Iterator[float]:
@@ -198,17 +197,6 @@ class Felt:
                     yield float(brentq(off, tried[i], tried[i + 1], xtol=1e-15, rtol=1e-12))
 
 
-@lru_cache(256)  # hands that are alike
-def _stiffest(configuration: Configuration, damping: float) -> float:
-    return float(configuration.stable_stiffness(damping)[1])
-
-
-@lru_cache(256)
-def _stable_damping(configuration: Configuration, stiffness: float) -> tuple[float, float]:
-    least, most = (float(value) for value in configuration.stable_damping(stiffness))
-    return least, most
-
-
 def robustness_of(felt: Felt) -> Robustness:
     """What a hand meets beside k and b, by this prediction."""
     return felt.robustness
@@ -216,7 +204,7 @@ def robustness_of(felt: Felt) -> Robustness:
 
 def felt_by(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
     """What a lone hand feels; under a predictor in its loop, of the device as it is declared."""
-    felt = _felt_of(name, rendering.seen.device_points[name].channel, *hand_of(rendering.seen, linear, name))
+    felt = _felt(name, rendering.seen.device_points[name].channel, *hand_of(rendering.seen, linear, name))
     port = next((port for port in rendering.ports if port.name == name), None)
     if port is None or rendering.kind is None or not rendering.kind.predicts or felt.stiffness == felt.damping == 0.0:
         return felt
@@ -224,9 +212,7 @@ def felt_by(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
     return replace(felt, configuration=device, predictor=predictor, without_predictor=felt.configuration)
 
 
-@lru_cache(1024)  # regions in which a hand feels the same
-def _felt_of(name: str, channel: int, configuration: Configuration, stiffness: float, damping: float) -> Felt:
-    return Felt(name, channel, configuration, stiffness, damping)
+_felt = lru_cache(1024)(Felt)  # regions in which a hand feels the same
 
 
 def correction_for(felt: Felt) -> str:
@@ -365,15 +351,15 @@ def tolerance_of(felt: Felt, k: float, b: float, share: float) -> Tolerance | No
     if not meets(device):
         return None
     m, b0, delay = device.mass, device.friction, device.delay
-    less, more = _span(lambda x: meets(replace(device, mass=m * math.exp(x))), math.inf)
-    weaker, stronger = _span(lambda x: meets(replace(device, friction=b0 + b * x)), b0 / b)
-    sooner, later = _span(lambda x: meets(replace(device, delay=delay + x)), delay)
+
+    def span(of: Callable[[float], Configuration], most_less: float) -> tuple[float, float]:
+        return _last(lambda x: meets(of(x)), -1, most_less), _last(lambda x: meets(of(x)), 1)
+
+    less, more = span(lambda x: replace(device, mass=m * math.exp(x)), math.inf)
+    weaker, stronger = span(lambda x: replace(device, friction=b0 + b * x), b0 / b)
+    sooner, later = span(lambda x: replace(device, delay=delay + x), delay)
     mass, friction = (m * math.exp(less), m * math.exp(more)), (b0 + b * weaker, b0 + b * stronger)
     return Tolerance(share, mass, friction, (delay + sooner, delay + later))
-
-
-def _span(meets: Callable[[float], bool], most_less: float) -> tuple[float, float]:
-    return _last(meets, -1, most_less), _last(meets, 1)
 
 
 def _last(meets: Callable[[float], bool], side: int, most: float = math.inf) -> float:

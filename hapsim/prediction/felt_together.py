@@ -4,7 +4,7 @@ they do; and what is always defined."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -13,7 +13,7 @@ import numpy as np
 
 from hapsim.one_thread import one_thread
 from hapsim.prediction.impedance import spring_and_damper
-from hapsim.theory import Network, Solution, frequency_and_ratio
+from hapsim.theory import Network, frequency_and_ratio
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import (
     CARRIED,
@@ -23,8 +23,6 @@ from hapsim.theory.network import (
     felt_mass,
     felt_pair,
     no_pair,
-    part_of,
-    part_of_each,
     state_size,
     static_stiffness,
 )
@@ -110,7 +108,11 @@ class FeltTogether:
             return None
         with one_thread():
             off, hz = _crossing(lambda kh: felt_mass(network, kh), _OFF * mass, stiffest)
-            lighter, _ = _crossing(lambda share: felt_mass(_lighter(network, share), HAND_STIFFNESS), mass, 1.0)
+            lighter, _ = _crossing(
+                lambda share: felt_mass(replace(network, point_mass=share * network.point_mass), HAND_STIFFNESS),
+                mass,
+                1.0,
+            )
         return Weight(mass, *weighs, hz if off else math.nan, lighter * mass or math.nan)
 
     def weighs(self, hand_stiffness: float) -> tuple[float, float] | None:
@@ -147,10 +149,6 @@ class FeltTogether:
         return self._network.channel_stiffness[:, None] + k, self._network.channel_friction[:, None] + b
 
 
-def _lighter(network: Network, share: float) -> Network:
-    return replace(network, point_mass=share * network.point_mass)
-
-
 def _crossing(of: Callable[[float], tuple[float, float]], wanted: float, most: float) -> tuple[float, float]:
     """The number up to `most` from which on the first of what is made of it is above `wanted`, and the second; 0 where
     it is there, or is nowhere."""
@@ -161,27 +159,3 @@ def _crossing(of: Callable[[float], tuple[float, float]], wanted: float, most: f
         middle = math.sqrt(low * high)
         low, high = (low, middle) if of(middle)[0] > wanted else (middle, high)
     return low, of(low)[1]
-
-
-def felt_together(
-    network: Network,
-    solution: Solution,
-    continuous: Network,
-    points: Sequence[str],
-    channels: dict[str, int],
-    not_predicted: str,
-) -> tuple[FeltTogether, ...]:
-    """Of each part of the scene that has some of these hands, by name with their channels.
-
-    `network`, `solution`: of what runs; `continuous`: the scene as it is written; `points`: the names of the points of
-    both.
-    """
-    part, found = part_of_each(network.ends, len(points)), []
-    for number in dict.fromkeys(int(part[points.index(name)]) for name in channels):
-        inside = np.flatnonzero(part == number)
-        names = tuple(name for name in channels if part[points.index(name)] == number)
-        numbers = tuple(channels[name] for name in names)
-        parts = part_of(network, inside), part_of(continuous, inside)
-        eigen = solution.eigen if inside.size == len(points) else None
-        found.append(FeltTogether(names, numbers, not_predicted, *parts, eigen))
-    return tuple(found)

@@ -14,7 +14,7 @@ from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.linear import configuration_of, instead_of, network_of, why_coupled
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
-from hapsim.theory import Configuration, Network, NotWorkedOutError
+from hapsim.theory import Network, NotWorkedOutError
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.correction import PredictedLoop
 from hapsim.theory.hand.configuration import StiffestWall, stiffest_passive, stiffest_stable
@@ -119,21 +119,20 @@ class ZWidth:
 def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZWidth]:
     """The Z-width of the device's channel: "passive", to the stiffest wall that no hand makes unstable, where that is
     derived for the hold and sampling; and "stable", to the stiffest that is stable with the declared mass."""
-    configuration = configuration_of(on_wire(scene), channel)
+    c = configuration_of(on_wire(scene), channel)
     f = np.asarray(frequency, dtype=float)
-    walls = {"stable": stiffest_stable(configuration)}
+    walls = {"stable": stiffest_stable(c)}
     with contextlib.suppress(ValueError):
-        walls = {"passive": stiffest_passive(configuration)} | walls
-    return {name: _width(configuration, wall, f) for name, wall in walls.items()}
-
-
-def _width(c: Configuration, wall: StiffestWall, frequency: Floats) -> ZWidth:
+        walls = {"passive": stiffest_passive(c)} | walls
+    found = {}
     hand = {"channel_mass": [c.mass], "channel_friction": [c.friction], "channel_stiffness": [c.stiffness]}
-    damping = wall.damping - wall.stiffness * c.spring_lag * c.period
-    link = {"ends": [[0, -1]], "stiffness": [wall.stiffness], "damping": [damping]}
-    network = Network(rate=c.rate, delay=c.delay, hold=c.hold, sampling=c.sampling, point_mass=[], **hand, **link)  # type: ignore[arg-type]
-    loop = loop_impedance(network, frequency)
-    return ZWidth(frequency, wall, width_db(loop.device[:, 0, 0], loop.closed_loop[:, 0, 0]))
+    for name, wall in walls.items():
+        damping = wall.damping - wall.stiffness * c.spring_lag * c.period
+        link = {"ends": [[0, -1]], "stiffness": [wall.stiffness], "damping": [damping]}
+        network = Network(rate=c.rate, delay=c.delay, hold=c.hold, sampling=c.sampling, point_mass=[], **hand, **link)  # type: ignore[arg-type]
+        loop = loop_impedance(network, f)
+        found[name] = ZWidth(f, wall, width_db(loop.device[:, 0, 0], loop.closed_loop[:, 0, 0]))
+    return found
 
 
 def width_db(device: Complexes, with_wall: Complexes) -> Floats:

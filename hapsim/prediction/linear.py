@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from hapsim.laws import Linear, line
 from hapsim.scene import Scene, ViscoElastic
-from hapsim.scene.modules import MaterialPoint
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.interface import damper_named, hold_lag
 from hapsim.theory.schemes import SCHEMES, LinkNature
@@ -75,7 +74,10 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
     inner: list[LinearLink] = []
     for name, point in scene.material_points.items():
         masses[name] = point.mass
-        for own in _own_links(point):
+        held = point.held_by()
+        pulls = [] if held is None else [line(held.stiffness, held.damping, in_a_matrix=True).linear()]
+        pulls += [point.law().linear()] if point.pulls_itself else []
+        for own in pulls:
             outside = _is_outside(own, scene.scheme)
             inner.append(LinearLink((name, STAYS), own.stiffness, own.damping, outside=outside))
             if own.assumption:
@@ -87,15 +89,6 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
         named = [*places, STAYS]  # -1 is the last
         inner += [LinearLink((named[a], named[b]), k, z) for a, b, k, z in elements.links]
     return LinearScene(masses, frozenset([*scene.grounds, STAYS]), links, inner, assumptions)
-
-
-def _own_links(point: MaterialPoint) -> Iterator[Linear]:
-    """What pulls a material point by itself."""
-    held = point.held_by()
-    if held is not None:
-        yield line(held.stiffness, held.damping, in_a_matrix=True).linear()
-    if point.pulls_itself:
-        yield point.law().linear()
 
 
 def links_of(linear: LinearScene, name: str) -> dict[str, LinearLink]:

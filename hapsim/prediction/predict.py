@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, lru_cache
@@ -13,31 +13,34 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
-from hapsim.prediction.any_hand import AnyHand, any_hands
+from hapsim.prediction.any_hand import AnyHand
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt import SHARES, Desired, Felt, Tolerance, desired_of, felt_by, swing, tolerance_of
-from hapsim.prediction.felt_together import FeltTogether, felt_together
+from hapsim.prediction.felt_together import FeltTogether
 from hapsim.prediction.linear import has_more_than_regions, links_of, network_of, why_coupled
-from hapsim.prediction.stability import Judge, LinkMargin, Region, least_margins, link_margins
+from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import PACED, wire_delay, wire_of, wire_time_of, with_wire_delay
-from hapsim.scene import Link, Scene
+from hapsim.scene import Buffer, Click, Friction, Link, Plectrum, Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.scene.part import Table
 from hapsim.scene.quantity import per_channel
-from hapsim.theory import Margins, Mode, Solution, margins_of
-from hapsim.theory.arrays import sort_by_modulus
-from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large
+from hapsim.theory import Margins, Mode, Network, margins_of
+from hapsim.theory.arrays import Indices, sort_by_modulus
+from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, part_of, part_of_each
 from hapsim.theory.network.network import is_centred
 
 _MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
+_LETS_GO = (Buffer, Plectrum, Click, Friction)  # what excites a sound, and lets it ring
+_LOWEST_HZ = 20.0  # of a partial
+_MOST_DAMPED = 0.1  # of critical: what is damped more is a thud
+_LEAST_SHARE = 1e-4  # of the largest energy that a motion has at the pick-up's point
 
 
 class Prediction:
-    """A scene, predicted: each part is worked out when it is asked for, and once; `predict` asks for the poles and the
-    verdict."""
+    """A scene, predicted: each part is worked out when it is asked for, and once."""
 
     points: tuple[str, ...]
     """Names to which a mode's participation refers."""
@@ -110,8 +113,7 @@ class Prediction:
 
     @cached_property
     def regions(self) -> dict[str, tuple[Region, ...]]:
-        """Of each of `felt` that feels different springs and dampers at different places; `felt` is that of one of
-        them."""
+        """Of each hand that feels different springs and dampers at different places; `felt` is that of one of them."""
         return {name: found for name, found in self._every_region.items() if len(found) > 1}
 
     @cached_property
@@ -130,45 +132,58 @@ class Prediction:
         every = ((name, one) for name, regions in self.regions.items() for one in reversed(regions))
         return {name: one for name, one in every if (one.piece.low, one.piece.high) == here[name]}
 
-    def _is_held(self, name: str) -> bool:
-        """Whether the hand is held stably somewhere, if not at `at`."""
-        return self._at is not None and any(one.kind == "held" and one.is_stable for one in self.regions.get(name, ()))
-
     @cached_property
     def together(self) -> tuple[FeltTogether, ...]:
         """What is felt on the device points that are `coupled`, by the parts of the scene that no link joins."""
-        kind = self._rendering.kind
+        kind, (network, solution, _) = self._rendering.kind, self.judge.solved
         not_predicted = f"with correction: {kind.name} it is not worked out" if kind and kind.predicts else ""
-        written = self._network
-        if kind is not None:
-            written, _ = network_of(self._rendering.desired, scene_at(self._rendering.desired))
-        channels = {name: self.scene.device_points[name].channel for name in self.coupled}
-        network, solution, _ = self.judge.solved
-        return felt_together(network, solution, written, self.points, channels, not_predicted)
+        written = self._network if kind is None else self._written
+        return tuple(
+            FeltTogether(
+                names, channels, not_predicted, part_of(network, inside), part_of(written, inside),
+                solution.eigen if inside.size == len(self.points) else None,
+            )
+            for names, channels, inside in self._parts(self.coupled)
+        )  # fmt: skip
+
+    @property
+    def _written(self) -> Network:
+        """The scene as it is written, not as a correction renders it."""
+        return network_of(self._rendering.desired, scene_at(self._rendering.desired))[0]
+
+    def _parts(self, names: Collection[str]) -> Iterator[tuple[tuple[str, ...], tuple[int, ...], Indices]]:
+        """Yields of each part of the scene with some of these device points: those, their channels, all its points."""
+        part, number = part_of_each(self._network.ends, len(self.points)), self.points.index
+        for its in dict.fromkeys(int(part[number(name)]) for name in names):
+            own = tuple(name for name in names if part[number(name)] == its)
+            yield own, tuple(self.scene.device_points[name].channel for name in own), np.flatnonzero(part == its)
 
     @cached_property
     def any_hands(self) -> tuple[AnyHand, ...]:
         """What hands other than the declared ones do, by the parts of the scene that no link joins."""
-        kind = self._rendering.kind
-        not_derived = "it is not derived where a predictor answers" if kind and kind.predicts else ""
-        channels = {name: point.channel for name, point in self.scene.device_points.items()}
-        return any_hands(self.judge.solved[0], self.points, channels, not_derived)
+        kind, network = self._rendering.kind, self.judge.solved.network
+        why = "it is not derived where a predictor answers" if kind and kind.predicts else ""
+        return tuple(
+            AnyHand(names, channels, why, part_of(network, inside), tuple(self.points[at] for at in inside))
+            for names, channels, inside in self._parts(self.scene.device_points)
+        )
 
     @cached_property
     def judge(self) -> Judge:
         """Who says whether the scene is stable."""
-        loose = tuple(felt for felt in self._lone if not felt.stable and not self._is_held(felt.name))
+        held = {
+            name
+            for name, regions in self.regions.items()
+            if self._at is not None and any(one.kind == "held" and one.is_stable for one in regions)
+        }
+        loose = tuple(felt for felt in self._lone if not felt.stable and felt.name not in held)
         regions = {name: one for name, one in self._every_region.items() if not has_more_than_regions(self._seen, name)}
         return Judge(self._network, self.points, self.is_lone, regions, loose, self.states)
 
     @property
-    def _solution(self) -> Solution:
-        return self.judge.solved[1]
-
-    @property
     def by_its_scheme(self) -> bool:
         """Whether poles, modes and margins are those of the scheme by which the scene runs, or else of CORDIS's."""
-        return not self.judge.solved[2]
+        return not self.judge.solved.instead
 
     @property
     def stable(self) -> bool:
@@ -183,7 +198,7 @@ class Prediction:
     def contacts_at(self, hands: Mapping[str, float]) -> str:
         """How the contacts that move masses are while all hands hold still at these places (m) and the masses rest, in
         words: "finger is touched"; "" where there are none, or no rest is found."""
-        from hapsim.prediction.equilibrium import distances_at_rest
+        from hapsim.prediction.reach import distances_at_rest
 
         names = {name for part in self.states.parts for state in part[:1] for name in state}
         if not names:
@@ -218,14 +233,18 @@ class Prediction:
     @cached_property
     def spectral_radius(self) -> float:
         """The largest modulus of a pole, wherever the hands are."""
-        radius = max(one.spectral_radius for one in self._lone) if self._by_formula else self._solution.spectral_radius
+        radius = (
+            max(one.spectral_radius for one in self._lone)
+            if self._by_formula
+            else self.judge.solved.solution.spectral_radius
+        )
         grown = [one.growth for regions in self.judge.regions.values() for one in regions]
         return max([radius, *grown, *(one.growth for one in self.states.growing)])
 
     @cached_property
     def poles(self) -> tuple[complex, ...]:
         """Of the whole closed loop, by decreasing modulus, without those at zero; of a large scene only some."""
-        poles = self._solution.poles
+        poles = self.judge.solved.solution.poles
         if self._by_formula:
             poles = sort_by_modulus(np.array([pole for one in self._lone for pole in one.poles], complex))
         return tuple(complex(pole) for pole in poles if abs(pole) > 1e-9)
@@ -233,17 +252,17 @@ class Prediction:
     @property
     def poles_in_all(self) -> int:
         """How many the closed loop has, those at zero included."""
-        return self._solution.all
+        return self.judge.solved.solution.all
 
     @property
     def poles_method(self) -> str:
         """In words, which poles of a large scene were worked out; "" where all were."""
-        return self._solution.method
+        return self.judge.solved.solution.method
 
     @property
     def modes(self) -> tuple[Mode, ...]:
         """Of the whole closed loop, the slowest to decay first."""
-        return tuple(self._solution.modes)
+        return tuple(self.judge.solved.solution.modes)
 
     @cached_property
     def _margins(self) -> Margins:
@@ -259,7 +278,7 @@ class Prediction:
     def margins(self) -> tuple[LinkMargin, ...]:
         """One for each link, in the scene's order; none where they were not asked for."""
         every = [one for regions in self.regions.values() for one in regions]
-        return least_margins(link_margins(self._linear, self._margins, self._lone), every)
+        return link_margins(self._linear, self._margins, self._lone, every)
 
     @property
     def margins_method(self) -> str:
@@ -269,8 +288,15 @@ class Prediction:
     @property
     def assumptions(self) -> tuple[str, ...]:
         """Sentences: what was taken for what the theory does not have."""
-        instead = [self.judge.solved[2]] if self.judge.solved[2] else []
-        return (*self._linear.assumptions, *instead, *_near_pose(self.scene))
+        instead = [self.judge.solved.instead] if self.judge.solved.instead else []
+        units, channels = self.scene.units, self.scene.channels
+        if (at := self.scene.device.mass_at) is not None:
+            pose = ", ".join(units.number(one, "m", "g") for one in per_channel(at, channels))
+            instead.append(
+                f"k and b hold near {units(pose, 'm')} (device.mass_at): elsewhere the device has another mass and "
+                "friction, and a force on one channel moves another too"
+            )
+        return (*self._linear.assumptions, *instead)
 
     @property
     def rendering(self) -> Rendering | None:
@@ -302,21 +328,15 @@ class Prediction:
     @cached_property
     def desired_modes(self) -> tuple[ContinuousMode, ...]:
         """Those of the scene in continuous time, the slowest to decay first; none without a correction."""
-        if self._rendering.kind is None:
+        if self._rendering.kind is None or is_large(network := self._written):
             return ()
-        network, _ = network_of(self._rendering.desired, scene_at(self._rendering.desired))
-        return () if is_large(network) else tuple(continuous_modes(network))
+        return tuple(continuous_modes(network))
 
     def asked_for(self, felt: Felt) -> tuple[float, float]:
         """N/m and N·s/m that the scene asks for where `felt` is, the device's own included."""
         wanted = next((one for one in self.desired if one.name == felt.name), None)
         own = felt.configuration
         return (wanted.k, wanted.b) if wanted else (felt.stiffness + own.stiffness, felt.damping + own.friction)
-
-    def is_released(self, links: Collection[str]) -> bool:
-        """Whether none of these links pulls where the hands are taken to be, and no correction acts."""
-        taken = (self._linear.links[name] for name in links)
-        return self.rendering is None and all(one.stiffness == one.damping == 0.0 for one in taken)
 
     @property
     def first(self) -> Felt | None:
@@ -386,13 +406,11 @@ def is_soon_stable(scene: Scene, most_states: int) -> bool:
     is_lone = not scene.structures and not scene.material_points and len(hands) > 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):
         return Prediction(scene, with_margins=False, wherever=True).judge.is_soon_stable(most_states)
-    return all(_is_stable_alone(_with_links_of(scene, name)) for name in hands)
-
-
-def _with_links_of(scene: Scene, name: str) -> Scene:
-    """The scene with the links of this hand alone, and without what does not concern it."""
-    own = {at: one for at, one in scene.modules.items() if not isinstance(one, Link) or name in one.between}
-    return scene.model_copy(update={"modules": Table(own), "sound": Table({})})
+    for name in hands:  # with the links of this hand alone, and without what does not concern it
+        own = {at: one for at, one in scene.modules.items() if not isinstance(one, Link) or name in one.between}
+        if not _is_stable_alone(scene.model_copy(update={"modules": Table(own), "sound": Table({})})):
+            return False
+    return True
 
 
 @lru_cache(maxsize=64)
@@ -427,17 +445,22 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
     return found
 
 
-def _near_pose(scene: Scene) -> list[str]:
-    """Returns where the device's mass and friction hold, in a sentence; none where that is everywhere."""
-    if scene.device.mass_at is None:
-        return []
-    places = per_channel(scene.device.mass_at, scene.channels)
-    pose = ", ".join(scene.units.number(one, "m", "g") for one in places)
-    return [
-        f"k and b hold near {scene.units(pose, 'm')} (device.mass_at): elsewhere the device has another mass and "
-        "friction, and a force "
-        "on one channel moves another too"
-    ]
+def partials_of(scene: Scene, prediction: Prediction | None = None) -> dict[str, tuple[float, ...]]:
+    """Each pick-up's partials in Hz, rising: the frequencies at which what it listens to swings once contacts, plectra
+    and friction have released it. Of a large scene the lowest ones. `prediction`: that of the scene, if it is made."""
+    held = {name: one for name, one in scene.modules.items() if not isinstance(one, _LETS_GO)}
+    taken = [] if prediction is None else [prediction._linear.links[at] for at in scene.modules.keys() - held.keys()]
+    is_released = all(one.stiffness == one.damping == 0.0 for one in taken)  # where the hands are taken to be
+    if prediction is None or prediction.rendering is not None or not is_released:
+        prediction = predict(scene.model_copy(update={"modules": Table(held)}), with_margins=False)
+    rings = [one for one in prediction.modes if one.damping_ratio < _MOST_DAMPED and one.frequency_hz > _LOWEST_HZ]
+    number = {name: i for i, name in enumerate(prediction.points)}
+    found = {}
+    for name, pick_up in scene.sound.items():
+        shares = np.array([one.participation[number[pick_up.point]] for one in rings])
+        heard = shares > _LEAST_SHARE * shares.max(initial=0.0)
+        found[name] = tuple(sorted(one.frequency_hz for one, is_heard in zip(rings, heard, strict=True) if is_heard))
+    return found
 
 
 def _require_within_numbers(scene: Scene) -> None:

@@ -12,14 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hapsim.errors import UsageError
 from hapsim.laws import Law, Linear
-from hapsim.prediction.linear import STAYS, LinearScene
+from hapsim.prediction.linear import STAYS, LinearScene, linear_scene, network_of
 from hapsim.prediction.swings import Rest, Swing, Swinging, has_pieces
 from hapsim.scene import Scene
 from hapsim.theory import Network
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network import part_of
-from hapsim.theory.rows import stretches_of
+from hapsim.theory.rows import Rows, stretches_of
+
+_MOST_STEPS = 100
+_AT_REST = 1e-12  # m, by which the last step still moves a mass
+_HALVINGS = 30
+_LEAST_STIFFNESS = 1e-9  # of the stiffest link: what holds a mass that nothing else holds
 
 
 class Option(NamedTuple):
@@ -35,11 +41,6 @@ class Option(NamedTuple):
     """By how much its ends have to move before, m."""
     period: float = 0.0
     """m, in which the piece repeats; 0: it does not."""
-
-    def at_pace(self, pace: str, damping: float | None) -> Option:
-        """The same while its ends move so; `damping`: N·s/m, if it is another then."""
-        linear = self.linear if damping is None else self.linear._replace(damping=damping)
-        return self._replace(state=f"{self.state} and {pace}" if self.state else pace, linear=linear)
 
     def near(self, d: float) -> tuple[float, float]:
         """From where to where the piece goes that is nearest to this distance, m."""
@@ -73,17 +74,20 @@ def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
         elif not law.period or linear not in [one.linear for one in found]:
             found.append(Option(piece.state, linear, low, high, period=law.period))
     dampings = law.dampings_at(fastest)
-    if dampings:
-        paces = [("slow", None), *(("fast" if damping else "faster than its table", damping) for damping in dampings)]
-        found = [one.at_pace(pace, damping) for pace, damping in paces for one in found]
-    return tuple(found)
+    if not dampings:
+        return tuple(found)
+    paced = []
+    for pace, damping in [("slow", None), *(("fast" if one else "faster than its table", one) for one in dampings)]:
+        for one in found:
+            linear = one.linear if damping is None else one.linear._replace(damping=damping)
+            paced.append(one._replace(state=f"{one.state} and {pace}" if one.state else pace, linear=linear))
+    return tuple(paced)
 
 
 State = dict[str, Option]
 """How each link of a part of the scene is, by name."""
 
 
-_FIXED = "."  # whatever stays where it is; no point is called so
 _MEETS = 1e-12  # m: what overlaps by less does not
 
 
@@ -98,7 +102,7 @@ class Reach:
     def __init__(self, scene: Scene, linear: LinearScene, contacts: Collection[str]) -> None:
         self._begins = beginnings(scene)
         touched = {end for name in contacts for end in linear.links[name].between if end not in scene.grounds}
-        self._index = {name: i for i, name in enumerate((*sorted(touched), _FIXED))}
+        self._index = {name: i for i, name in enumerate((*sorted(touched), STAYS))}
         near: dict[str, list[tuple[str, float]]] = {}
         for first, second, least, most in self._limits(scene, linear, contacts):
             near.setdefault(second, []).append((first, most))
@@ -113,13 +117,13 @@ class Reach:
         for name, hand in scene.device_points.items():
             low, high = scene.device.travels(scene.channels)[hand.channel]
             begins = self._begins[name]
-            yield name, _FIXED, low - begins, high - begins
+            yield name, STAYS, low - begins, high - begins
         fast = {name: (abs(point.start()[1]), point.mass) for name, point in scene.material_points.items()}
         named = [*linear.links.items(), *(("", link) for link in linear.inner)]
         for (name, link), stretch in zip(named, stretches_at_the_beginning(scene, linear), strict=True):
             if name in contacts:
                 continue
-            first, second = (_FIXED if end in linear.fixed else end for end in link.between)
+            first, second = (STAYS if end in linear.fixed else end for end in link.between)
             # A hand goes where it likes: what ties a mass to it says nothing of where that is.
             if link.stiffness > 0.0 and first != second and not {first, second} & scene.device_points.keys():
                 speeds = (fast.get(end, (0.0, 0.0)) for end in link.between)
@@ -288,7 +292,8 @@ def rest_in(
     low, high = pressed_within(low, high, press, rise, force_limit)
     if not low <= high:
         return None
-    x = _place(low, high)
+    x = low + _INSIDE if math.isfinite(low) else high - _INSIDE if math.isfinite(high) else 0.0
+    x = 0.5 * (low + high) if math.isfinite(high - low) else x
     distances = [float(begin[link] + slope[link] * x) for link in laws]
     return Rest(x, distances, press + rise * x, min(far - near for near, far in pieces.values()), growth)
 
@@ -301,7 +306,77 @@ def pressed_within(low: float, high: float, press: float, rise: float, most: flo
     return max(low, near), min(high, far)
 
 
-def _place(low: float, high: float) -> float:
-    if math.isfinite(high - low):
-        return 0.5 * (low + high)
-    return low + _INSIDE if math.isfinite(low) else high - _INSIDE if math.isfinite(high) else 0.0
+class _Springs(NamedTuple):
+    """L links, those with `laws` first, and those inside structures, which are linear."""
+
+    joins: Rows
+    """(L, N): 1 at a link's first end, -1 at its second, where these are masses."""
+    fixed: Floats
+    """(L,): m, what ends that do not move add to its distance."""
+    stiffness: Floats
+    """N/m, of the linear ones."""
+    laws: list[Law]
+
+    def distances(self, x: Floats) -> Floats:
+        """(L,): m, with the masses at x."""
+        return np.asarray(self.joins @ x + self.fixed)
+
+    def forces(self, x: Floats) -> Floats:
+        """(N,): N on each mass."""
+        d, laws = self.distances(x), len(self.laws)
+        of_laws = [float(law.tension(one)) for law, one in zip(self.laws, d[:laws], strict=True)]
+        return np.asarray(-(self.joins.T @ np.append(of_laws, self.stiffness * d[laws:])))
+
+    def stiffness_matrix(self, x: Floats) -> Rows:
+        """(N, N): N/m; 0 of a link whose tension falls."""
+        from scipy.sparse import csc_matrix, diags, identity
+
+        of_laws = [law.slope(float(one)) for law, one in zip(self.laws, self.distances(x), strict=False)]
+        slopes = np.maximum(np.append(of_laws, self.stiffness), 0.0)
+        least = _LEAST_STIFFNESS * max(float(slopes.max()), 1.0)
+        return csc_matrix(self.joins.T @ diags(slopes) @ self.joins + least * identity(x.size))
+
+
+def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]:
+    """The spring and damper of each link of the scene, by name, as of `distances_at_rest`."""
+    found = {}
+    for name, d in distances_at_rest(scene, hands).items():
+        law = scene.links[name].law()
+        taken = f"is taken as {law.state(d)}, as it is where the masses rest" if law.assumption else ""
+        found[name] = law.linear(d)._replace(assumption=taken)
+    return found
+
+
+def distances_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, float]:
+    """m, of the ends of each link of the scene, by name, while the hands hold still at these places (m) and the masses
+    rest. A link that sticks has no force there. UsageError where no rest is found."""
+    linear, begins, first = linear_scene(scene), beginnings(scene), len(scene.device_points)
+    network, points = network_of(scene, linear)
+    stretches, start = stretches_of(network, sparse=True), np.array([begins[name] for name in points])
+    held = start.copy()
+    held[:first] = [hands.get(name, 0.0) for name in points[:first]]
+    fixed = stretches_at_the_beginning(scene, linear) + stretches[:, :first] @ held[:first] - stretches @ start
+    laws = [scene.links[name].law() for name in linear.links]
+    springs = _Springs(stretches[:, first:], fixed, network.stiffness[len(laws) :], laws)
+    d = springs.distances(_relaxed(springs, start[first:]))
+    return dict(zip(linear.links, d.tolist(), strict=False))
+
+
+def _relaxed(springs: _Springs, x: Floats) -> Floats:
+    """(N,): where the masses rest, m, by Newton's steps, each halved until the forces are less."""
+    from scipy.sparse.linalg import spsolve
+
+    if not x.size:
+        return x
+    forces = springs.forces(x)
+    for _ in range(_MOST_STEPS):
+        step = np.atleast_1d(spsolve(springs.stiffness_matrix(x), forces))
+        if float(np.max(np.abs(step))) <= _AT_REST:
+            return x
+        for _ in range(_HALVINGS):
+            nearer = springs.forces(x + step)
+            if float(np.abs(nearer).max()) < float(np.abs(forces).max()):
+                break
+            step = 0.5 * step
+        x, forces = x + step, springs.forces(x + step)
+    raise UsageError("at: no place was found where the scene's masses rest while the hand holds still there")

@@ -69,20 +69,14 @@ class Region:
         """By how much the hand is shaken in a sample; 0 where nothing shakes it."""
         if self.kind == "held" and self.felt.stable:
             return 0.0
-        grows = modulus_without(self.felt.poles, self.kind)
+        # Without the pole that a snap or a free hand has by itself: the largest real one.
+        grows = max(map(abs, without_real(self.felt.poles, int(self.kind != "held"))), default=0.0)
         return 0.0 if self.kind != "held" and grows < SURELY else grows
 
     @property
     def is_stable(self) -> bool:
         """Whether nothing shakes the hand. In a snap: nothing but the snap itself; where it is free: nothing at all."""
         return self.growth == 0.0
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether the links are simulated as they are written, for the state that is read, and none is dry friction."""
-        is_dry = any(math.isfinite(link.law.reach) for link in self.hand.links.values())
-        as_written = (self.felt.stiffness, self.felt.damping) == (self.piece.stiffness, self.piece.damping)
-        return self.felt.predictor is None and as_written and not is_dry
 
     @property
     def rest(self) -> Rest | None:
@@ -117,11 +111,6 @@ class Region:
         return float(np.trapezoid(np.max(force) - force, x))
 
 
-def modulus_without(poles: Iterable[complex], kind: RegionKind) -> float:
-    """The largest modulus of a pole, without the one that a snap or a free hand has by itself: the largest real one."""
-    return max(map(abs, without_real(poles, int(kind != "held"))), default=0.0)
-
-
 @dataclass(eq=False)
 class Judge(NetworkVerdict):
     """The verdict on a scene; its poles are worked out where they are asked for.
@@ -146,7 +135,7 @@ class Judge(NetworkVerdict):
         """Whether every motion dies out with the contacts as they are taken, wherever hands with regions are, as far as
         the poles were worked out."""
         shaken = any(region.growth for regions in self.regions.values() for region in regions)
-        return not shaken and not self.loose and (self.is_lone or self.solved[1].is_stable)
+        return not shaken and not self.loose and (self.is_lone or self.solved.solution.is_stable)
 
     @cached_property
     def is_stable(self) -> bool:
@@ -205,19 +194,20 @@ class Judge(NetworkVerdict):
         return found | {name: self.swing_of(name) for name in self._unstable}
 
     def swing_of(self, name: str) -> Swing | None:
-        """Of a hand that its regions shake."""
+        """Of a hand that its regions shake; None also where links are not simulated as they are written, for the state
+        that is read, or one is dry friction."""
         if name not in self._found:
-            self._found[name] = self._swing_in_regions(name)
+            regions, self._found[name] = self._unstable[name], None
+            hand, felt = regions[0].hand, [(one.felt, one.piece) for one in regions]
+            is_dry = any(math.isfinite(link.law.reach) for link in hand.links.values())
+            is_read = all(one.predictor is None for one, _ in felt)
+            as_written = all((a.stiffness, a.damping) == (b.stiffness, b.damping) for a, b in felt)
+            if is_read and as_written and not is_dry:
+                network = part_of(self.network, np.array([self.points.index(name)]))
+                laws = {i: link.law for i, link in enumerate(hand.links.values()) if has_pieces(link.law)}
+                swinging = Swinging(network, [name], laws, hand.force_limit, (hand.low, hand.high), hand.count)
+                self._found[name] = swinging.swing_at([one.rest for one in regions if one.rest is not None])
         return self._found[name]
-
-    def _swing_in_regions(self, name: str) -> Swing | None:
-        regions = self._unstable[name]
-        if not all(one.is_plain for one in regions):
-            return None
-        hand, network = regions[0].hand, part_of(self.network, np.array([self.points.index(name)]))
-        laws = {i: link.law for i, link in enumerate(hand.links.values()) if has_pieces(link.law)}
-        swinging = Swinging(network, [name], laws, hand.force_limit, (hand.low, hand.high), hand.count)
-        return swinging.swing_at([one.rest for one in regions if one.rest is not None])
 
     @cached_property
     def _shaken_hand(self) -> Shaking | None:
@@ -230,7 +220,7 @@ class Judge(NetworkVerdict):
                 return Shaking(worst.growth, f"{name} in {where}", swing=swing)
         loose = [felt for felt in self.loose if felt.name not in self._unstable]  # those were looked at
         off = [Shaking(felt.spectral_radius, felt.name) for felt in loose] if self.is_lone else []
-        if off and math.isnan(self.solved[1].spectral_radius):
+        if off and math.isnan(self.solved.solution.spectral_radius):
             return Shaking(math.inf, "")
         return max((shaking for shaking in off if shaking.growth > SURELY), default=None)
 
@@ -261,32 +251,29 @@ class LinkMargin:
     stabilizing_damping: Ranges | None = None
 
 
-def link_margins(linear: LinearScene, margins: Margins, felt: tuple[Felt, ...]) -> tuple[LinkMargin, ...]:
-    """Where a hand's only link is all that holds it, its margin by the closed formula; not where the scene is unstable,
-    which another hand may be to blame for."""
+def link_margins(
+    linear: LinearScene, margins: Margins, felt: tuple[Felt, ...], regions: Iterable[Region]
+) -> tuple[LinkMargin, ...]:
+    """Of each link the margin in the network, or the least in any of these regions in which its hand is held. Where a
+    hand's only link is all that holds it, by the closed formula; not where the scene is unstable, which another hand
+    may be to blame for."""
     lone = {one.name: one for one in felt if len(links_of(linear, one.name)) == 1}
-    named: list[LinkMargin] = []
+    least: dict[str, LinkMargin] = {}
     stabilizing = margins.stabilizing or [Stabilizing(None, None)] * len(margins.links)
     for (name, link), margin, ranges in zip(linear.links.items(), margins.links, stabilizing, strict=False):
-        hand = None if margins.stabilizing else next((end for end in link.between if end in lone), None)
-        factor = margin.stiffness_factor if hand is None else lone[hand].stiffness_factor
-        named.append(LinkMargin(name, factor, margin.damping_factor, ranges.stiffness, ranges.damping))
-    return tuple(named)
-
-
-def least_margins(margins: tuple[LinkMargin, ...], regions: Iterable[Region]) -> tuple[LinkMargin, ...]:
-    """Of each link the least margin in any region in which its hand is held."""
-    least = {one.name: one for one in margins}
+        own = None if margins.stabilizing else next((lone[end] for end in link.between if end in lone), None)
+        factor = margin.stiffness_factor if own is None else own.stiffness_factor
+        least[name] = LinkMargin(name, factor, margin.damping_factor, ranges.stiffness, ranges.damping)
     for region in (one for one in regions if one.kind == "held" and one.is_stable):
-        felt = region.felt
-        stiffest, strongest = felt.stiffness * felt.stiffness_factor, felt.stable_damping[1]
+        hand = region.felt
+        stiffest, strongest = hand.stiffness * hand.stiffness_factor, hand.stable_damping[1]
         for name, link in region.linear.items():
             before = least.get(name)
             if before is None or before.stabilizing_stiffness is not None:
                 continue
             # What all links may have together, without what the others have.
-            stiffness = (stiffest - felt.stiffness) / link.stiffness + 1.0 if link.stiffness > 0.0 else math.inf
-            damping = (strongest - felt.damping) / link.damping + 1.0 if link.damping > 0.0 else math.inf
+            stiffness = (stiffest - hand.stiffness) / link.stiffness + 1.0 if link.stiffness > 0.0 else math.inf
+            damping = (strongest - hand.damping) / link.damping + 1.0 if link.damping > 0.0 else math.inf
             least[name] = replace(
                 before,
                 stiffness_factor=min(before.stiffness_factor, stiffness),

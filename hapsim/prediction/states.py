@@ -23,7 +23,7 @@ from hapsim.prediction.reach import Option, Reach, State, options_of, swing_of_p
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
 from hapsim.scene import Scene
 from hapsim.theory import Network
-from hapsim.theory.arrays import Bools, Floats, Indices
+from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network import LARGE, never_grows, part_of, part_of_each, state_size
 from hapsim.theory.rows import stretches_of
 
@@ -153,8 +153,8 @@ class ContactStates:
                 key = blocks, tuple((name, state[name].linear) for name in names if state[name].acts)
                 if key not in verdicts:
                     network, points = self._part(blocks, state)
-                    grows = not never_grows(network)
-                    left -= grows * _work(network)
+                    grows, size = not never_grows(network), state_size(network)
+                    left -= grows * (_OF_LARGE * size if size > LARGE else (size + _OF_EACH) ** 3)
                     if left < 0.0:
                         is_judged = False
                         continue
@@ -195,7 +195,8 @@ class ContactStates:
         """(points,): the same number for points that are joined in every state."""
         same = np.array([name not in self._options for name in self._linear.links], dtype=bool)
         same = np.append(same, np.ones(len(self._network.ends) - same.size, bool))
-        return part_of_each(self._network.ends[same & _acts(self._network)], len(self._points))
+        acts = (self._network.stiffness != 0.0) | (self._network.damping != 0.0)
+        return part_of_each(self._network.ends[same & acts], len(self._points))
 
     def _joined(self, state: State) -> Iterator[tuple[frozenset[int], list[str]]]:
         """Blocks of points that the links join in this state, and the links of the state that end there."""
@@ -217,16 +218,6 @@ class ContactStates:
         points = np.flatnonzero(np.isin(self._block, list(blocks)))
         names = tuple(self._points[point] for point in points.tolist())
         return part_of(replace(self._network, stiffness=stiffness, damping=damping), points), names
-
-
-def _acts(network: Network) -> Bools:
-    """(L,): whether each link is a spring or a damper."""
-    return (network.stiffness != 0.0) | (network.damping != 0.0)
-
-
-def _work(network: Network) -> float:
-    size = state_size(network)
-    return _OF_LARGE * size if size > LARGE else (size + _OF_EACH) ** 3
 
 
 def _snaps(network: Network) -> int:

@@ -136,21 +136,19 @@ class Swinging(NamedTuple):
             is_unnoticed=False,
         )
         is_small = is_all and len(every) == len(rests) and bool(moves.any(axis=1).all()) and self._is_small(ends[1])
-        return swing._replace(is_unnoticed=is_small and self._stays_small(every))
+        if is_small:  # again after a hand has moved?
+            low, high = self.travel
+            ways = [side * counts * self.quantum for side in (-1.0, 1.0) for counts in _COUNTS]
+            kicks = np.array([[min(max(way, low - one.at), high - one.at) for way in ways] for one in every])
+            ends, stays = self._ends(every, kicks, _MOST_SAMPLES, 0.0)
+            is_small = stays and bool(np.isfinite(ends).all()) and self._is_small(ends[1])
+        return swing._replace(is_unnoticed=is_small)
 
     def _is_small(self, ends: Floats) -> bool:
         """Whether nothing moves by a count, and next to no force."""
         spans, hands = ends[1] - ends[0], self.network.channel_mass.size
         force, way = spans[:hands].max(initial=0.0), spans[hands:].max()
         return bool(way < self.quantum and force < _NOTICED * self.force_limit)
-
-    def _stays_small(self, rests: Sequence[Rest]) -> bool:
-        """Whether it is as small again after a hand has moved."""
-        low, high = self.travel
-        ways = [side * counts * self.quantum for side in (-1.0, 1.0) for counts in _COUNTS]
-        kicks = np.array([[min(max(way, low - one.at), high - one.at) for way in ways] for one in rests])
-        ends, stays = self._ends(rests, kicks, _MOST_SAMPLES, 0.0)
-        return stays and bool(np.isfinite(ends).all()) and self._is_small(ends[1])
 
     @np.errstate(all="ignore")
     def _ends(self, rests: Sequence[Rest], kicks: Floats, samples: int, aside: float) -> tuple[Floats, bool]:
@@ -236,6 +234,15 @@ def without_real(poles: Iterable[complex], count: int) -> list[complex]:
     return rest
 
 
+class Solved(NamedTuple):
+    """A network that was worked out, its poles and modes, and a sentence where it stands in place of another
+    (`instead_of`); else ""."""
+
+    network: Network
+    solution: Solution
+    instead: str
+
+
 @dataclass(eq=False)
 class NetworkVerdict:
     """A network's poles, and what grows in it, worked out where they are asked for.
@@ -248,14 +255,14 @@ class NetworkVerdict:
     points: tuple[str, ...]
 
     @cached_property
-    def solved(self) -> tuple[Network, Solution, str]:
-        """The network, its poles and modes; where they are not worked out, those of `instead_of` it, and a sentence."""
+    def solved(self) -> Solved:
+        """The network with its poles and modes; where they are not worked out, what stands in its place."""
         with one_thread(_MANY_STATES < state_size(self.network) <= LARGE):
             try:
-                return self.network, solve(self.network), ""
+                return Solved(self.network, solve(self.network), "")
             except NotWorkedOutError as reason:
                 instead, sentence = instead_of(self.network, reason)
-                return instead, solve(instead), sentence
+                return Solved(instead, solve(instead), sentence)
 
     @cached_property
     @np.errstate(all="ignore")
@@ -280,8 +287,8 @@ class NetworkVerdict:
         are a snap's own, which drives the points on before what grows more slowly is felt."""
         if not snaps and self.dies_out:
             return None
-        solution = self.solved[1]
-        if self.solved[2]:
+        solution = self.solved.solution
+        if self.solved.instead:
             return None
         if math.isnan(solution.spectral_radius):
             return Shaking(math.inf, "")

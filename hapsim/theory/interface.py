@@ -42,15 +42,13 @@ class Sampling(NamedTuple):
         return 0.5 * self.window
 
 
-IDEAL = Sampling(terms=(Term(1.0, 0.0, 0),), window=0.0)
-"""The computer reads the position at the instant of the sample."""
-
-AVERAGE = Sampling(terms=(Term(1.0, 0.0, 1), Term(-1.0, 1.0, 1)), window=1.0)
-"""It reads the mean position over the sample period that has just ended: the paper's "1 sample integrator at input"
-(Florens et al., §6.2)."""
-
-SAMPLINGS: dict[str, Sampling] = {"ideal": IDEAL, "average": AVERAGE}
-
+SAMPLINGS: dict[str, Sampling] = {
+    # The computer reads the position at the instant of the sample.
+    "ideal": Sampling(terms=(Term(1.0, 0.0, 0),), window=0.0),
+    # It reads the mean position over the sample period that has just ended: the paper's "1 sample integrator at input"
+    # (Florens et al., §6.2).
+    "average": Sampling(terms=(Term(1.0, 0.0, 1), Term(-1.0, 1.0, 1)), window=1.0),
+}
 
 ROUNDING = 1e-12  # sample periods
 
@@ -74,20 +72,15 @@ def hold_segments(hold: str, fraction: float) -> list[Piece]:
         if min(abs(change - end) for end in ends) > ROUNDING:
             ends.append(change)
     ends.sort()
-    ages = range(math.floor(fraction + max(term.lag for term in terms)) + 1)
-    return [
-        Piece(end - begin, *(_weights(terms, order, begin, [fraction - age for age in ages]) for order in range(3)))
-        for begin, end in itertools.pairwise(ends)
-    ]
-
-
-def _weights(terms: tuple[Term, ...], order: int, time: float, starts: list[float]) -> tuple[float, ...]:
-    """What forces that act from ``starts`` on, by age, contribute at ``time``; nothing is written of those that are
-    over."""
-    weights = [_weight(terms, order, time, start) for start in starts]
-    while weights and abs(weights[-1]) < ROUNDING:
-        weights.pop()
-    return tuple(weights)
+    starts = [fraction - age for age in range(math.floor(fraction + max(term.lag for term in terms)) + 1)]
+    found = []
+    for begin, end in itertools.pairwise(ends):
+        weights = [[_weight(terms, order, begin, start) for start in starts] for order in range(3)]
+        for of_ages in weights:
+            while of_ages and abs(of_ages[-1]) < ROUNDING:  # nothing is written of forces that are over
+                of_ages.pop()
+        found.append(Piece(end - begin, *map(tuple, weights)))
+    return found
 
 
 def _weight(terms: tuple[Term, ...], order: int, time: float, start: float) -> float:

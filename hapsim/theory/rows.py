@@ -104,12 +104,11 @@ class Tick:
         own = np.array([number[damper] for damper in network.damper], dtype=np.intp)
         damps = np.isin(np.arange(links), acting)
         self.senses = 1.0 * (damps & np.array([damper.senses for damper in kinds], dtype=bool)[own])
-        self._of_steps, self._of_velocities = (
-            _padded(list(map(of, kinds)))[own] for of in (of_steps, lambda damper: damper.of_velocities)
-        )
+        steps, velocities = [of_steps(kind) for kind in kinds], [kind.of_velocities for kind in kinds]
+        self._of_steps, self._of_velocities = _padded(steps)[own], _padded(velocities)[own]
         self.older, self.past = (
             [np.flatnonzero(damps & (depth[own] > lag)) for lag in range(depth.max(initial=0))]
-            for depth in (np.array([len(of(kind)) for kind in kinds], int) for of in (_older, _past))
+            for depth in (np.array([len(one) - 1 for one in steps], int), np.array(list(map(len, velocities)), int))
         )
         self.damping = np.where(damps, network.damping, 0.0) * self._rate
         self._unit_force = 1.0 / network.point_mass / self._rate**2
@@ -215,14 +214,6 @@ class Tick:
 def of_steps(damper: DamperModel) -> tuple[float, ...]:
     """The weights of y[n] - y[n-1], y[n-1] - y[n-2], ...: those of positions add up to 0."""
     return tuple(np.cumsum(damper.of_positions)[:-1].tolist())
-
-
-def _older(damper: DamperModel) -> tuple[float, ...]:
-    return of_steps(damper)[1:]
-
-
-def _past(damper: DamperModel) -> tuple[float, ...]:
-    return damper.of_velocities
 
 
 def _padded(lists: Sequence[tuple[float, ...]]) -> Floats:

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
-from hapsim.prediction.any_hand import AnyHand, any_hands
+from hapsim.prediction.any_hand import AnyHand
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import poles_of
@@ -63,9 +63,8 @@ def random_network(rng: np.random.Generator, hands: int = 1, **more: Any) -> Net
 def whole(of: Network) -> AnyHand:
     """Of a network whose points all belong together."""
     hands, masses = of.channel_mass.size, of.point_mass.size
-    points = [f"hand_{i}" for i in range(hands)] + [f"mass_{i}.x" for i in range(masses)]
-    (found,) = any_hands(of, points, {f"hand_{i}": i for i in range(hands)}, "")
-    return found
+    names = tuple(f"hand_{i}" for i in range(hands))
+    return AnyHand(names, tuple(range(hands)), "", of, (*names, *(f"mass_{i}.x" for i in range(masses))))
 
 
 def with_friction(one: AnyHand, friction: Any) -> AnyHand:

@@ -194,19 +194,12 @@ class TestReasons:
 
     def test_where_there_is_an_equivalent_nothing_is_said(self) -> None:
         assert self.c.why_no_equivalent(2000.0, 5.0) == ""
-        assert self.c.why_not_simulated(2000.0, 3.0) == ""
 
     def test_each_nan_has_its_words(self) -> None:
         K, B = np.array([2000.0, 10.0, np.nan, 1e7]), np.array([5.0, 140.0, 1.0, 1.0])
         said = self.c.why_no_equivalent(K, B)
         assert (np.isnan(self.c.equivalent(K, B)[0]) == (said != "")).all()
         assert "not finite" in said[2]
-        k, b = np.array([2000.0, 1e8, np.inf, 0.9 * STIFFNESS_UNIT]), np.array([3.0, 1.0, 1.0, 1.0])
-        said = self.c.why_not_simulated(k, b)
-        assert (np.isnan(self.c.simulated(k, b)[0]) == (said != "")).all()
-        assert "Nyquist" in said[1]
-        assert "not finite" in said[2]
-        assert "further pole" in said[3]
 
     def test_a_creep_and_an_alternation_are_distinguished(self) -> None:
         ideal = configuration(delay=0.0, hold="impulse")

@@ -8,7 +8,6 @@ two poles, can be put where the continuous scene has it. The prediction shows wh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from hapsim.prediction.correction.kind import Port, shared_out, with_modules
 from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.scene import Scene
 from hapsim.scene.choices import DamperScheme
+from hapsim.scene.modules import Module
 from hapsim.theory import Network
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import ContinuousMode, continuous_modes, poles_of, state_size
@@ -30,22 +30,22 @@ _LEAST, _MOST = 1e-3, 10.0  # times what the scene has, between which the neares
 _SOLVED = 1e-9  # of the distance of the poles from z = 1
 
 
-class Matched(NamedTuple):
-    """(K, B) for each port in N/m and N·s/m; ``reached``: whether they put the modes in place, or only near it."""
-
-    elements: list[tuple[float, float]]
-    reached: bool
+Matched = tuple[list[tuple[float, float]], bool]
+"""(K, B) for each port in N/m and N·s/m, and whether they put the modes in place, or only near it."""
 
 
 def is_small(scene: Scene) -> bool:
     """Whether the modes of this scene are searched."""
-    network, _ = network_of(scene, linear_scene(scene))
-    return state_size(network) <= MOST_STATES
+    return state_size(_network(scene)) <= MOST_STATES
 
 
 def is_stable(scene: Scene) -> bool:
     """Whether every motion of the scene dies out or stays as it is."""
-    return _is_stable(poles_of(network_of(scene, linear_scene(scene))[0]))
+    return _is_stable(poles_of(_network(scene)))
+
+
+def _network(scene: Scene) -> Network:
+    return network_of(scene, linear_scene(scene))[0]
 
 
 def match_modes(
@@ -70,7 +70,10 @@ def match_modes(
     unit = np.array([[abs(1.0 - pair[0]), abs(1.0 - pair[0]) ** 2] for pair in pairs])
 
     def poles_with(elements: Floats) -> Complexes:
-        return poles_of(_with_elements(as_seen, ports, elements, damper))
+        changed: dict[str, Module] = {}
+        for port, (K, B) in zip(ports, elements.tolist(), strict=True):
+            changed |= shared_out(port, K, B, damper)
+        return poles_of(_network(with_modules(as_seen, changed)))
 
     def off(x: Floats) -> Floats:
         found = _nearest_pairs(poles_with(x.reshape(-1, 2) * scale), pairs)
@@ -81,7 +84,7 @@ def match_modes(
     def stable(x: Floats, reached: bool) -> Matched | None:
         elements = x.reshape(-1, 2) * scale
         is_one = (elements >= 0.0).all() and _is_stable(poles_with(elements))
-        return Matched([(float(K), float(B)) for K, B in elements], reached) if is_one else None
+        return ([(float(K), float(B)) for K, B in elements], reached) if is_one else None
 
     begins = [np.array(begin).ravel() / scale.ravel() for begin in starts]
     for begin in begins:
@@ -93,16 +96,6 @@ def match_modes(
 
 def _is_stable(poles: Complexes) -> bool:
     return bool(np.abs(poles).max(initial=0.0) <= 1.0 + _ON_THE_CIRCLE)
-
-
-def _with_elements(scene: Scene, ports: Sequence[Port], elements: Floats, damper: DamperScheme | None) -> Network:
-    changed = {
-        name: link
-        for port, (K, B) in zip(ports, elements, strict=True)
-        for name, link in shared_out(port, float(K), float(B), damper).items()
-    }
-    rendered = with_modules(scene, changed)
-    return network_of(rendered, linear_scene(rendered))[0]
 
 
 def _targets(modes: list[ContinuousMode], hands: Sequence[int], rate: float) -> list[tuple[complex, complex]]:

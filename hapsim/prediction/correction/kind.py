@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hapsim.scene import Buffer, Damper, Scene, Spring, ViscoElastic
-from hapsim.scene.choices import CorrectionName, DamperScheme
+from hapsim.scene.choices import DamperScheme
 from hapsim.scene.modules import Link, Module
 from hapsim.scene.part import Table
 from hapsim.theory import Configuration
@@ -57,7 +57,7 @@ class Observer(NamedTuple):
 class CorrectionKind(NamedTuple):
     """One of ``device.correction``."""
 
-    name: CorrectionName
+    name: str
     with_damper: DamperScheme | None
     """Where the dampers at the device take their velocity from; None: as the scene says."""
     predicts: bool
@@ -164,11 +164,6 @@ def without_delay(declared: Configuration) -> Configuration:
     return replace(declared, delay=0.0, sampling="ideal", damper="sensed", cutoff=None, spring_lag=0.0)
 
 
-def predicted(true: Configuration, declared: Configuration, observer: Observer) -> ClosedLoop:
-    """The loop of a mass that may be another than the declared one."""
-    return PredictedLoop(true, predictor_for(declared, observer), observer.static)
-
-
 def predictor_for(declared: Configuration, observer: Observer) -> StatePredictor:
     """What the loop runs."""
     return state_predictor(declared, observer.senses, observer.pole).for_compliance(observer.compliance)
@@ -204,7 +199,7 @@ PREDICTOR = CorrectionKind(
     predicts=True,
     adapts=False,
     seen_by_theory=without_delay,
-    closed=predicted,
+    closed=lambda true, declared, observer: PredictedLoop(true, predictor_for(declared, observer), observer.static),
 )
 ADAPTIVE = PREDICTOR._replace(name="adaptive", adapts=True)
 

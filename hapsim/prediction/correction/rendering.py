@@ -23,12 +23,14 @@ from hapsim.prediction.correction.kind import (
     with_modules,
     without_delay,
 )
-from hapsim.prediction.linear import configuration_of, dampers_of, linear_scene, why_coupled, with_device
+from hapsim.prediction.linear import configuration_of, hand_of, linear_scene, why_coupled, with_device
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
 from hapsim.theory import Configuration
 from hapsim.theory.correction import StatePredictor
+
+_WHY_LEFT = "a force that is no spring and damper everywhere has no stiffness and damping to correct"
 
 
 class Corrected(NamedTuple):
@@ -96,13 +98,8 @@ class Rendering:
             return {}
         scene = self.desired
         # Where no link ends yet, the least mass's: what may come there while it runs is simulated for that one.
-        made = {
-            point.channel: (
-                scene.device.mass_spans(scene.channels)[point.channel][0],
-                Observer(senses=bool(scene.sensed_links)),
-            )
-            for point in scene.device_points.values()
-        }
+        spans, observer = scene.device.mass_spans(scene.channels), Observer(senses=bool(scene.sensed_links))
+        made = {point.channel: (spans[point.channel][0], observer) for point in scene.device_points.values()}
         for port in self.ports:
             element = port.element if port.schedule is None else port.schedule.elements[0]
             made[port.channel] = element.made_for, element.observer
@@ -115,11 +112,9 @@ class Rendering:
 def rendered(scene: Scene) -> Rendering:
     """What runs in place of `scene` so that the hand feels it, by its ``device.correction``."""
     kind = CORRECTIONS.get(scene.device.correction)
-    return (
-        Rendering(scene, scene, on_wire(scene), None, (), ())
-        if kind is None
-        else _Correction(kind, on_wire(scene)).rendering()
-    )
+    if kind is None:
+        return Rendering(scene, scene, on_wire(scene), None, (), ())
+    return _Correction(kind, on_wire(scene)).rendering()
 
 
 class _Correction:
@@ -129,6 +124,7 @@ class _Correction:
         self.kind, self.scene = kind, scene
         self.linear, self.ports = linear_scene(scene), ports_of(scene)
         self.spans = scene.device.mass_spans(scene.channels)
+        self.declared = {port.name: hand_of(scene, self.linear, port.name)[0] for port in self.ports}
         self.why_coupled = {port.name: why_coupled(scene, self.linear, port.name) for port in self.ports}
 
     def rendering(self) -> Rendering:
@@ -151,31 +147,38 @@ class _Correction:
         if self.kind.predicts:
             for port in (one for one in self.ports if one.name in elements and one.name not in schedules):
                 element = elements[port.name]
-                model = replace(self.declared(port), mass=element.made_for)
+                model = replace(self.declared[port.name], mass=element.made_for)
                 elements[port.name] = element._replace(observer=self.observer(port, model, element))
         settled = dict(elements)
         for port in self.ports:
             if port.name in schedules:
-                settled[port.name] = schedules[port.name].settled(self.declared(port).mass)
+                settled[port.name] = schedules[port.name].settled(self.declared[port.name].mass)
             notes += [f"{name} is left as it is: {_WHY_LEFT}" for name in port.others]
         run, seen = self.with_elements(elements), self.as_seen(self.with_elements(settled))
-        corrected = tuple(
-            self.corrected(port, settled[port.name], schedules.get(port.name))
+        corrected = [
+            Corrected(
+                name=port.name,
+                channel=port.channel,
+                desired=(math.nan, math.nan) if self.why_coupled[port.name] else self.desired(port),
+                written=(port.stiffness, port.damping),
+                element=settled[port.name],
+                declared=self.declared[port.name],
+                schedule=schedules.get(port.name),
+                rest=self.rest(port),
+            )
             for port in self.ports
             if port.name in elements
-        )
-        return Rendering(self.scene, run, seen, self.kind, corrected, tuple(notes))
-
-    def declared(self, port: Port) -> Configuration:
-        """Returns the device at this port as the scene declares it."""
-        damper, cutoff = next(iter(dampers_of(self.linear, port.name)), ("backward", None))
-        return configuration_of(self.scene, port.channel, damper, cutoff)
+        ]
+        return Rendering(self.scene, run, seen, self.kind, tuple(corrected), tuple(notes))
 
     def as_seen(self, scene: Scene) -> Scene:
-        """Before the device that the loop seems to have."""
-        if not self.kind.predicts:
-            return scene
-        return with_device(scene, delay=0.0, sampling="ideal")
+        """The scene before the device that the loop seems to have."""
+        return with_device(scene, delay=0.0, sampling="ideal") if self.kind.predicts else scene
+
+    def desired(self, port: Port, K: float = 0.0, B: float = 0.0) -> tuple[float, float]:
+        """(k, b) at this port, what is real included; `K`, `B`: of a contact that is touched."""
+        declared = self.declared[port.name]
+        return port.stiffness + K + declared.stiffness, port.damping + B + declared.friction
 
     def with_elements(self, elements: Mapping[str, Element]) -> Scene:
         """Returns the scene with its links at each named port replaced by that port's element."""
@@ -189,45 +192,43 @@ class _Correction:
 
     def lone(self, port: Port, more: tuple[float, float] = (0.0, 0.0)) -> Element:
         """The element of a port whose neighbours stand still; `more`: K and B of a contact that is touched."""
-        stiffness, damping = port.stiffness + more[0], port.damping + more[1]
-        declared, span = self.declared(port), self.spans[port.channel]
-        if stiffness == 0.0 and damping == 0.0:
+        declared, span = self.declared[port.name], self.spans[port.channel]
+        if port.stiffness + more[0] == 0.0 and port.damping + more[1] == 0.0:
             # What a contact adds is searched for a predictor of the least mass, as that of links is.
             return Element(0.0, 0.0, span[0] if self.kind.predicts else declared.mass, True)
-        return element_for(self.kind, declared, span, (stiffness + declared.stiffness, damping + declared.friction))
+        return element_for(self.kind, declared, span, self.desired(port, *more))
 
     def touched(self, port: Port, contact: Buffer) -> Element:
         """The element of a port while this contact is touched. A contact takes the difference of positions: where a
         predictor hands it those of the mass, that of a loop without delay. Beside links, which get velocities, it is
         taken to get them too."""
-        declared, (least, most) = self.declared(port), self.spans[port.channel]
-        if not self.kind.predicts or port.linear or least < most:
-            return self.lone(port, (contact.stiffness, contact.damping))
-        desired = contact.stiffness + declared.stiffness, contact.damping + declared.friction
-        return element_for(POLES, replace(without_delay(declared), damper="backward"), (least, most), desired)
+        added, span = (contact.stiffness, contact.damping), self.spans[port.channel]
+        if not self.kind.predicts or port.linear or span[0] < span[1]:
+            return self.lone(port, added)
+        device = replace(without_delay(self.declared[port.name]), damper="backward")
+        return element_for(POLES, device, span, self.desired(port, *added))
 
     def schedule(self, port: Port) -> Schedule | None:
         """None where there is nothing to adapt, or no span to adapt in."""
-        declared, span = self.declared(port), self.spans[port.channel]
+        span = self.spans[port.channel]
         if span[0] == span[1] or port.stiffness == port.damping == 0.0:
             return None
         contacts = [(contact.stiffness, contact.damping) for contact in port.contacts.values()]
         if len(contacts) > 1:
             contacts.append((math.fsum(K for K, _ in contacts), math.fsum(B for _, B in contacts)))
-        desired = port.stiffness + declared.stiffness, port.damping + declared.friction
-        return schedule_for(declared, span, desired, contacts, partial(self.observer, port))
+        observed = partial(self.observer, port)
+        return schedule_for(self.declared[port.name], span, self.desired(port), contacts, observed)
 
     def observer(self, port: Port, model: Configuration, element: Element) -> Observer:
         """The observer of the element and of each contact that may come to it; without a compliance beside a link of
         any other kind, whose stiffness is not known."""
-        k, b = port.stiffness + model.stiffness, port.damping + model.friction
-        given = [((k, b), (element.stiffness, element.damping))]
+        given = [(self.desired(port), (element.stiffness, element.damping))]
         changed = self.contacts(port, element)
         for name, contact in port.contacts.items():
             simulated = changed.get(name, contact)
             moving = simulated.damping if port.linear else 0.0  # at rest the difference of positions is 0
             both = element.stiffness + simulated.stiffness, element.damping + moving
-            given.append(((k + contact.stiffness, b + contact.damping), both))
+            given.append((self.desired(port, contact.stiffness, contact.damping), both))
         observer, senses = observer_of(model, given), bool(self.scene.sensed_links)
         return observer._replace(compliance=0.0 if port.others else observer.compliance, senses=senses)
 
@@ -258,10 +259,11 @@ class _Correction:
             why = f"no stiffness and damping at {names} gives the slowest mode its place: corrected as if it held alone"
             return [why, *self.over_the_spans(ports, elements)]
         masses = self.scene.device.masses(self.scene.channels)
-        for port, (K, B) in zip(ports, matched.elements, strict=True):
-            elements[port.name] = Element(K, B, masses[port.channel], matched.reached)
+        found, is_reached = matched
+        for port, (K, B) in zip(ports, found, strict=True):
+            elements[port.name] = Element(K, B, masses[port.channel], is_reached)
         near = f"no stiffness and damping at {names} gives the slowest modes exactly their place: these come nearest"
-        return [*([] if matched.reached else [near]), *self.over_the_spans(ports, elements)]
+        return [*([] if is_reached else [near]), *self.over_the_spans(ports, elements)]
 
     def over_the_spans(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
         """What to say of hands that move more than themselves, and whose mass is not known: the modes are placed for
@@ -275,9 +277,7 @@ class _Correction:
         )
         placed = f"the modes are placed for {middle}, the middle of the span"
         if self.kind.predicts:
-            follows = (
-                ", which no estimate follows where a hand moves a mass or another hand" if self.kind.adapts else ""
-            )
+            follows = ", which no estimate follows where a hand moves a mass or another hand" * self.kind.adapts
             return [f"{placed}{follows}; what another mass makes of them is predicted with correction: poles alone"]
         run = self.with_elements({port.name: elements[port.name] for port in ports})
         for end, words in enumerate(("least", "most")):
@@ -286,10 +286,8 @@ class _Correction:
                 return [f"{placed}: with the {words} mass of the span the scene is unstable"]
         return [f"{placed}; stable with the least and with the most mass, too"]
 
-    def corrected(self, port: Port, element: Element, schedule: Schedule | None) -> Corrected:
-        """Returns what the correction with this element does at this port."""
-        declared = self.declared(port)
-        k, b = port.stiffness + declared.stiffness, port.damping + declared.friction
+    def rest(self, port: Port) -> float:
+        """m: where the linear links together have no force."""
         grounds = [
             (link.stiffness, self.scene.grounds[end].position)
             for link in port.linear.values()
@@ -297,16 +295,4 @@ class _Correction:
             if end in self.scene.grounds
         ]
         whole = math.fsum(stiffness for stiffness, _ in grounds)
-        return Corrected(
-            name=port.name,
-            channel=port.channel,
-            desired=(math.nan, math.nan) if self.why_coupled[port.name] else (k, b),
-            written=(port.stiffness, port.damping),
-            element=element,
-            declared=declared,
-            schedule=schedule,
-            rest=math.fsum(stiffness * at for stiffness, at in grounds) / whole if whole > 0.0 else 0.0,
-        )
-
-
-_WHY_LEFT = "a force that is no spring and damper everywhere has no stiffness and damping to correct"
+        return math.fsum(stiffness * at for stiffness, at in grounds) / whole if whole > 0.0 else 0.0

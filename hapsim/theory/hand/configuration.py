@@ -22,7 +22,7 @@ from hapsim.theory.hand.inverse_map import (
     undamped_curve,
 )
 from hapsim.theory.hand.lone_hand import LoneHand, characteristic, lone_hand
-from hapsim.theory.hand.passivity import Wall, needed_friction
+from hapsim.theory.hand.passivity import needed_friction
 from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.poles import (
     OWN_ABOVE_NYQUIST,
@@ -30,7 +30,6 @@ from hapsim.theory.hand.poles import (
     all_poles,
     all_within,
     quietly_in_blocks,
-    why_not_attained,
     why_not_dominant,
 )
 from hapsim.theory.interface import SAMPLINGS, damper_gain, damper_named, hold_lag, late_and_held
@@ -219,8 +218,8 @@ class Configuration:
             )
         K, B = np.broadcast_arrays(np.asarray(K, dtype=float), np.asarray(B, dtype=float))
         damping = B - self.spring_lag * self.period * K
-        wall = Wall(self.period * K.ravel(), damping.ravel(), self.delay, self.normalised_loop.damper)
-        return needed_friction(wall).reshape(K.shape)[()]
+        needed = needed_friction(self.period * K.ravel(), damping.ravel(), self.delay, self.normalised_loop.damper)
+        return needed.reshape(K.shape)[()]
 
     @_quietly
     def stability_limit(self, frequency: ArrayLike) -> tuple[Floats, Floats]:
@@ -289,14 +288,6 @@ class Configuration:
         words = why_not_dominant(poles, lead.dominant)
         return words if self._own_swing_is_seen else np.full(words.shape, OWN_ABOVE_NYQUIST)
 
-    @quietly_in_blocks
-    def why_not_simulated(self, k: ArrayLike, b: ArrayLike) -> NDArray[np.str_]:
-        """Why ``simulated`` is NaN, in words; "" where it is not."""
-        K, B, pair, any_had = self._element(k, b)
-        kappa, sigma = self._normalised(k, b)
-        had = any_had & leads(self.normalised_loop, K, B, pair), any_had
-        return why_not_attained(had, np.isfinite(kappa + sigma), is_attainable(sigma, kappa))
-
     @_quietly
     def characteristic(self, K: ArrayLike, B: ArrayLike) -> Floats:
         """Coefficients (..., N + 1) of the monic characteristic polynomial in z, highest power first.
@@ -340,8 +331,8 @@ class Configuration:
 
     def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
         """The leading pair and all poles for (n,) stiffnesses and dampings."""
-        one, other = np.asarray(K), np.asarray(B)
-        return _solved_at(self, float(one[0]), float(other[0])) if one.size == 1 else self._solve(one, other)
+        K, B = np.asarray(K), np.asarray(B)
+        return _solved_at(self, float(K[0]), float(B[0])) if K.size == 1 else self._solve(K, B)
 
     def _solve(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
         lead, poles = all_poles(self.normalised_loop, *self._normalised(K, B))

@@ -20,7 +20,6 @@ K T (delay + 1/2) (Gil et al., "Stability analysis of a 1 DOF haptic interface",
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -34,33 +33,27 @@ SLOWEST = 1e-7  # of theta: the demand is smooth and even at 0
 ROWS_AT_ONCE = 1024
 
 
-class Wall(NamedTuple):
-    """n walls: K T and B of each in N·s/m, (n,), and how their loop is late."""
-
-    elastic: Floats
-    viscous: Floats
-    delay: float
-    damper: DamperModel
-
-    def part(self, rows: slice) -> Wall:
-        """Some of them."""
-        return Wall(self.elastic[rows], self.viscous[rows], self.delay, self.damper)
+def needed_friction(elastic: Floats, viscous: Floats, delay: float, damper: DamperModel) -> Floats:
+    """(n,): the least upper bound, over theta, of the friction that each wall demands, N·s/m; of n walls K T and B in
+    N·s/m."""
+    parts = (slice(i, i + ROWS_AT_ONCE) for i in range(0, elastic.size, ROWS_AT_ONCE))
+    found = [_upper_bound(elastic[rows, None], viscous[rows, None], delay, damper) for rows in parts]
+    return np.concatenate(found) if found else np.empty(0)
 
 
-def needed_friction(wall: Wall) -> Floats:
-    """(n,): the least upper bound, over theta, of the friction that each wall demands, N·s/m."""
-    parts = [wall.part(slice(i, i + ROWS_AT_ONCE)) for i in range(0, wall.elastic.size, ROWS_AT_ONCE)]
-    return np.concatenate([_upper_bound(part) for part in parts]) if parts else np.empty(0)
-
-
-def _upper_bound(wall: Wall) -> Floats:
+def _upper_bound(elastic: Floats, viscous: Floats, delay: float, damper: DamperModel) -> Floats:
     """The best point of a grid, then parabolas through three points about it."""
-    late = wall.delay + len(wall.damper.of_positions) - len(wall.damper.of_velocities)
+
+    def demand_at(theta: Floats) -> Floats:
+        theta = np.maximum(np.abs(theta), SLOWEST)
+        return _demand(elastic + viscous * velocity_read(damper, theta), theta, delay)
+
+    late = delay + len(damper.of_positions) - len(damper.of_velocities)
     count = math.ceil(POINTS_PER_SWING * late)
     spacing = math.pi / count
     # One point beyond either end, where the demand goes on smoothly.
     theta = spacing * np.arange(-1.0, count + 2.0, dtype=np.float64)
-    demand = _demand(wall, theta[None, :])
+    demand = demand_at(theta[None, :])
     rise, bend = _slope_and_bend(demand[:, :-2], demand[:, 1:-1], demand[:, 2:])
     summit = demand[:, 1:-1] + np.where(np.abs(rise) < -bend, -0.5 * rise**2 / np.minimum(bend, -1e-300), 0.0)
     best = np.argmax(np.nan_to_num(summit, nan=-np.inf), axis=-1)
@@ -69,11 +62,11 @@ def _upper_bound(wall: Wall) -> Floats:
 
     for fraction in REFINED_SPACING:
         step = fraction * spacing
-        three = _demand(wall, at[:, None] + np.array([-step, 0.0, step]))
+        three = demand_at(at[:, None] + np.array([-step, 0.0, step]))
         rise, bend = _slope_and_bend(three[:, 0], three[:, 1], three[:, 2])
         move = np.divide(-rise, bend, out=np.zeros_like(rise), where=bend < 0.0)
         at = np.clip(at + step * np.clip(move, -1.0, 1.0), 0.0, math.pi)
-        bound = np.maximum(bound, _demand(wall, at[:, None])[:, 0])
+        bound = np.maximum(bound, demand_at(at[:, None])[:, 0])
     return bound
 
 
@@ -81,19 +74,16 @@ def _slope_and_bend(before: Floats, here: Floats, after: Floats) -> tuple[Floats
     return 0.5 * (after - before), after - 2.0 * here + before
 
 
-def _demand(wall: Wall, theta: Floats) -> Floats:
-    """What is demanded at theta, (1 or n, points): (n, points)."""
-    theta = np.maximum(np.abs(theta), SLOWEST)
-    reaction = wall.elastic[:, None] + wall.viscous[:, None] * velocity_read(wall.damper, theta)
-    whole, fraction = whole_and_fraction(wall.delay)
-    on_time = _at_whole_delay(reaction, theta, whole)
+def _demand(reaction: Complexes, theta: Floats, delay: float) -> Floats:
+    """What walls that react so demand at theta, (1 or n, points): (n, points)."""
+
+    def at_whole(late: int) -> Floats:
+        """h_D, with (1 - exp(-j theta))/(2 (1 - cos theta)) = (1 + j cot(theta/2))/2."""
+        turned = reaction * np.exp(-1j * late * theta)
+        return np.asarray(0.5 * (turned.real - turned.imag / np.tan(0.5 * theta)))
+
+    whole, fraction = whole_and_fraction(delay)
     if fraction == 0.0:
-        return on_time
-    between = (1.0 - fraction) * on_time + fraction * _at_whole_delay(reaction, theta, whole + 1)
+        return at_whole(whole)
+    between = (1.0 - fraction) * at_whole(whole) + fraction * at_whole(whole + 1)
     return 0.5 * (between + np.sqrt(between**2 + fraction * (1.0 - fraction) * np.abs(reaction) ** 2))
-
-
-def _at_whole_delay(reaction: Complexes, theta: Floats, delay: int) -> Floats:
-    """h_D, with (1 - exp(-j theta))/(2 (1 - cos theta)) = (1 + j cot(theta/2))/2."""
-    late = reaction * np.exp(-1j * delay * theta)
-    return np.asarray(0.5 * (late.real - late.imag / np.tan(0.5 * theta)))

@@ -32,21 +32,11 @@ class PolePair(NamedTuple):
         return LinearOnPair(0.0, 1.0, self)
 
     @property
-    def swings(self) -> Bools:
-        """Whether they are conjugates."""
-        return np.asarray(0.25 * self.p * self.p < self.q)
-
-    @property
-    def larger_modulus(self) -> Floats:
-        """The modulus |1 + w| of the slower of the two."""
-        bend = 0.25 * self.p * self.p - self.q
-        swinging = np.sqrt(np.abs(1.0 - self.p + self.q))
-        return np.where(bend < 0.0, swinging, np.abs(1.0 - 0.5 * self.p) + np.sqrt(np.maximum(bend, 0.0)))
-
-    @property
     def smaller_modulus(self) -> Floats:
         """The modulus |1 + w| of the faster of the two."""
-        return np.abs(1.0 - self.p + self.q) / self.larger_modulus
+        bend, product = 0.25 * self.p * self.p - self.q, np.abs(1.0 - self.p + self.q)
+        real = np.abs(1.0 - 0.5 * self.p) + np.sqrt(np.maximum(bend, 0.0))
+        return product / np.where(bend < 0.0, np.sqrt(product), real)
 
     @property
     def poles(self) -> Complexes:
@@ -108,23 +98,14 @@ def total(functions: list[LinearOnPair]) -> LinearOnPair:
     return LinearOnPair(sum(constants), sum(slopes), pairs[0])
 
 
-class RealRoots(NamedTuple):
-    """Roots of x² + p x + q without complex numbers: -p/2 ± j spread where it ``swings``, else ``near`` and ``far``."""
-
-    swings: Bools
-    spread: Floats
-    near: Floats
-    """The one closer to zero, to all its digits."""
-    far: Floats
-
-
-def roots_of_quadratic(p: Floats, q: Floats) -> RealRoots:
-    """Of many at once."""
+def roots_of_quadratic(p: Floats, q: Floats) -> tuple[Bools, Floats, Floats, Floats]:
+    """(swings, spread, near, far): the roots of x² + p x + q are -p/2 ± j spread where it swings, else near and far;
+    near is the one closer to zero, to all its digits."""
     half = 0.5 * p
     bend = half * half - q
     spread = np.sqrt(np.abs(bend))
     far = -(half + np.copysign(spread, half))
-    return RealRoots(bend < 0.0, spread, np.divide(q, far, out=np.zeros_like(far), where=far != 0.0), far)
+    return bend < 0.0, spread, np.divide(q, far, out=np.zeros_like(far), where=far != 0.0), far
 
 
 def pair_of_oscillator(sigma: Floats, kappa: Floats) -> PolePair:

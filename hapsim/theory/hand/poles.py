@@ -167,9 +167,7 @@ NOT_FINITE = "a number that is asked about is not finite, or beyond what can be 
 NEGATIVE = "the slowest motion changes its sign with every sample, which no spring and damper does"
 SINGLE = "the slowest motion is a single creep, and what follows it swings: no spring and damper does both"
 FURTHER = "a further pole of the loop decays no faster than the pair that would move the hand"
-ABOVE_NYQUIST = "the motion asked for swings at or above the Nyquist frequency, half the rate"
 OWN_ABOVE_NYQUIST = "mass and spring of the device swing by themselves at or above the Nyquist frequency, half the rate"
-LATE = "with these stiffness and damping a further pole of the loop decays no faster than the motion asked for"
 
 
 def why_not_dominant(poles: Complexes, dominant: Bools) -> NDArray[np.str_]:
@@ -186,9 +184,3 @@ def why_not_dominant(poles: Complexes, dominant: Bools) -> NDArray[np.str_]:
         (real, SINGLE),
     ]
     return np.select([case for case, _ in cases], [words for _, words in cases], FURTHER)
-
-
-def why_not_attained(had: tuple[Bools, Bools], finite: Bools, below_nyquist: Bools) -> NDArray[np.str_]:
-    """``had``: whether there is an answer, and whether there would be one if further poles did not count."""
-    cases = [(had[0], ""), (~finite, NOT_FINITE), (~below_nyquist, ABOVE_NYQUIST), (had[1], LATE)]
-    return np.select([np.asarray(case) for case, _ in cases], [words for _, words in cases], NOT_FINITE)

@@ -17,6 +17,7 @@ the margin of a loop that is stable as it stands. Each place costs one factorisa
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -33,6 +34,12 @@ OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and 
 REAL = 1e-6  # of |y|: an imaginary part below this is rounding, or two crossings that nearly meet
 SHIFTS = (-0.011, -0.037, -0.13, -0.41)
 AT_ONCE = 4_000_000  # complex numbers in memory
+
+
+def in_blocks(count: int, size: int) -> Iterator[slice]:
+    """Yields parts of so many places, for each of which systems of this size are in memory at once."""
+    step = max(1, AT_ONCE // max(1, size) ** 2)
+    yield from (slice(start, start + step) for start in range(0, count, step))
 
 
 class LinkChanges(NamedTuple):
@@ -83,10 +90,9 @@ class Crossings:
             y = self._shift - 1.0 / np.linalg.eigvals(self._common - change)
             real = (np.abs(y.imag) <= REAL * np.abs(y)) & (y.real > 0.0) & (y.real < 4.0)
             angles = np.append(angles, 2.0 * np.arcsin(0.5 * np.sqrt(y.real[real])))
-        w, step = on_circle(angles, OUTSIDE), max(1, AT_ONCE // u.size**2)
-        parts = [w[start : start + step, None, None] for start in range(0, w.size, step)]
-        states = np.concatenate([_solved(part * np.eye(u.size) - self._links.change, u) for part in parts])
-        factors = 1.0 + (1.0 / (states @ v)).real
+        w, one = on_circle(angles, OUTSIDE)[:, None, None], np.eye(u.size)
+        states = [_solved(w[part] * one - self._links.change, u) for part in in_blocks(w.size, u.size)]
+        factors = 1.0 + (1.0 / (np.concatenate(states) @ v)).real
         return np.sort(factors[np.isfinite(factors) & (factors > 0.0)])
 
 

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Complexes
 from hapsim.theory.interface import late_and_held
-from hapsim.theory.network.crossings import AT_ONCE, on_circle
+from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.felt import matrices
 from hapsim.theory.network.large_loop import PIVOTS, factorised, sparse_transition
 from hapsim.theory.network.network import Network, is_centred
@@ -113,8 +113,7 @@ def _answers(network: Network, w: Complexes) -> Complexes:
     if not sparse:
         still, moving = np.block([[-change, -push], [points, np.zeros((channels, channels))]]), np.eye(size + channels)
         moving[size:] = 0.0
-        step = max(1, AT_ONCE // max(1, len(still)) ** 2)
-        for part in (slice(start, start + step) for start in range(0, w.size, step)):
+        for part in in_blocks(w.size, len(still)):
             state = np.linalg.solve(w[part, None, None] * moving + still, right)
             found[:, part] = -asked @ state[:, :size], state[:, size:]
         return found

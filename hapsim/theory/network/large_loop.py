@@ -111,8 +111,12 @@ class SparseTransition:
         if self._implicit is not None:
             by, rate, left = self._implicit
             whole = bmat([[whole, by], [rate, -left]])
-        solve = factorised(whole, permc_spec="MMD_AT_PLUS_A")
-        return None if solve is None else lambda state: solve(_padded(state, whole.shape[0]))[: self.size]
+        solve, more = factorised(whole, permc_spec="MMD_AT_PLUS_A"), whole.shape[0] - self.size
+        if solve is None or not more:
+            return solve
+        return lambda state: solve(np.concatenate([state, np.zeros((more, *state.shape[1:]), state.dtype)]))[
+            : self.size
+        ]
 
 
 class LiftedTransition:
@@ -207,10 +211,6 @@ class LiftedTransition:
 
 
 Transition = SparseTransition | LiftedTransition
-
-
-def _padded(state: NDArray, size: int) -> NDArray:
-    return np.concatenate([state, np.zeros((size - len(state), *state.shape[1:]), state.dtype)])
 
 
 def sparse_transition(network: Network) -> Transition:

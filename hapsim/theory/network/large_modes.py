@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from hapsim.theory.interface import damper_answer
 from hapsim.theory.network.impedance import device_forces
 from hapsim.theory.network.large_loop import LiftedTransition, Transition, sparse_transition
 from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
-from hapsim.theory.network.network import Network, acting_links, damping_links, is_centred
+from hapsim.theory.network.network import Network, acting_links, damping_links, is_centred, part_of
 from hapsim.theory.network.rest_poles import poles_at_rest
 from hapsim.theory.rows import stretches_of
 from hapsim.theory.sample import is_large
@@ -73,7 +74,10 @@ def _some_modes(network: Network) -> Solution:
     if not matrix.is_finite:
         return not_finite(matrix.size)
     searches = [(search, *_nearest(matrix, search)) for search in _searches(network)]
-    *grown, growth = _growing(matrix)
+    steps = int(min(MOST_STEPS, STATE_STEPS / matrix.work))
+    *grown, growth = _growing(matrix, steps)
+    # A random motion has to outgrow all the others before its end.
+    least_seen = max(4.0 * math.log(GREW), math.log(matrix.size) / 1.5) / steps
     places = [search.where for search, poles, _ in searches if poles.size]
     found = [*(one[1:] for one in searches), tuple(grown)]
     if isinstance(matrix, LiftedTransition):
@@ -83,7 +87,7 @@ def _some_modes(network: Network) -> Solution:
     motions = matrix.points @ states
     every, kept = _once_each(network, refined(network, poles, motions), motions)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
-    others = f"no other that grows by more than {_least_seen(matrix):.1g} of itself in a sample period was seen"
+    others = f"no other that grows by more than {least_seen:.1g} of itself in a sample period was seen"
     if grown[0].size or growth:
         others = "and those that grow" if grown[0].size else "a random motion grew, whose pole was not found"
     listed = " and to ".join(filter(None, [", to ".join(places[:-1]), *places[-1:]]))
@@ -171,7 +175,7 @@ def _followed(matrix: LiftedTransition, pole: complex, held: NDArray) -> tuple[c
     return pole, motion
 
 
-def _growing(matrix: Transition) -> tuple[Complexes, NDArray, float]:
+def _growing(matrix: Transition, samples: int) -> tuple[Complexes, NDArray, float]:
     """The poles of the greatest modulus and their motions, where a random motion grows by more than a free one would.
 
     And by how much it grows in a sample period, where no pole was found that does.
@@ -180,7 +184,7 @@ def _growing(matrix: Transition) -> tuple[Complexes, NDArray, float]:
 
     none = np.zeros(0, complex), np.zeros((matrix.size, 0))
     motion = np.random.default_rng(1).standard_normal(matrix.size)
-    breaths = _steps(matrix) // BREATH
+    breaths = samples // BREATH
     logarithm = np.zeros(breaths + 1)
     power, steps = matrix.power(BREATH)
     for n in range(breaths):
@@ -200,15 +204,6 @@ def _growing(matrix: Transition) -> tuple[Complexes, NDArray, float]:
     poles, motions = _trusted(matrix, *_largest(step, 8, 200, motion))
     found = bool((np.abs(poles) > 1.0).any())
     return poles, motions, 0.0 if found else math.exp(last / (quarter * BREATH))
-
-
-def _steps(matrix: Transition) -> int:
-    return int(min(MOST_STEPS, STATE_STEPS / matrix.work))
-
-
-def _least_seen(matrix: Transition) -> float:
-    """The growth in a sample period that a random motion shows: it has to outgrow all the others before its end."""
-    return max(4.0 * math.log(GREW), math.log(matrix.size) / 1.5) / _steps(matrix)
 
 
 def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> tuple[Complexes, NDArray]:
@@ -254,23 +249,8 @@ def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Co
 
 def _hand_alone(network: Network, channel: int) -> complex:
     """The slowest pole, on or above the real axis, of a channel whose neighbours are held still."""
-    touching = np.flatnonzero((network.ends == channel).any(axis=1))
-    alone = Network(
-        network.rate,
-        network.channel_mass[[channel]],
-        network.channel_friction[[channel]],
-        network.delay,
-        network.hold,
-        network.sampling,
-        np.zeros(0),
-        np.where(network.ends[touching] == channel, 0, -1),
-        network.stiffness[touching],
-        network.damping[touching],
-        network.channel_stiffness[[channel]],
-        tuple(network.damper[link] for link in touching.tolist()),
-        substeps=network.substeps,
-        decimation=network.decimation,
-    )
+    still = replace(network, ends=np.where(network.ends == channel, channel, -1), scheme="cordis", outside=())
+    alone = part_of(still, np.array([channel]))
     if is_large(alone):
         return 1.0 + 2.0 * BESIDE
     pole = all_modes(alone).poles[0]

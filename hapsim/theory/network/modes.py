@@ -158,7 +158,13 @@ def modes_of(network: Network, poles: Complexes, motions: NDArray, states: NDArr
         turned, moving = _steps_of_motions(network, poles, states)
         turns = np.nan_to_num(np.round((turned - np.angle(poles)) / (2.0 * np.pi)))
         energy = np.where(moving.sum(axis=0) > NO_MOTION**2 * energy.sum(axis=0), moving, energy)
-    return [_mode(complex(poles[i]), float(turns[i]), network.rate, energy[:, i] / energy[:, i].sum()) for i in kept]
+    modes = []
+    for i in kept:
+        pole = complex(poles[i])
+        s = network.rate * (cmath.log(pole) + 2j * math.pi * float(turns[i]))  # whole turns beside the pole's angle
+        ratio = -s.real / abs(s) if s else math.nan
+        modes.append(Mode(pole, abs(s) / (2.0 * math.pi), ratio, energy[:, i] / energy[:, i].sum()))
+    return modes
 
 
 def _steps_of_motions(network: Network, poles: Complexes, states: NDArray) -> tuple[Floats, Floats]:
@@ -180,10 +186,3 @@ def _steps_of_motions(network: Network, poles: Complexes, states: NDArray) -> tu
         energy += mass * np.abs(ways[-1]) ** 2
         motion = after
     return turned + np.angle((mass * ways[-1].conj() * poles * ways[0]).sum(axis=0)), energy
-
-
-def _mode(pole: complex, turns: float, rate: float, participation: Floats) -> Mode:
-    """``turns``: whole ones in a sample period, beside the pole's angle."""
-    s = rate * (cmath.log(pole) + 2j * math.pi * turns)
-    ratio = -s.real / abs(s) if s else math.nan
-    return Mode(pole, abs(s) / (2.0 * math.pi), ratio, participation)

@@ -31,7 +31,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.interface import late_and_held, whole_and_fraction
-from hapsim.theory.network.crossings import AT_ONCE, on_circle
+from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.network import Network
 from hapsim.theory.sample import is_large, loop, sizes_of
 
@@ -125,8 +125,7 @@ class HeldScene:
         own, driven, felt, at_once = self._rows
         given, size = self._given(w), len(own)
         found = np.full((w.size, len(felt), len(felt)), np.nan, dtype=complex)
-        step = max(1, AT_ONCE // max(1, size) ** 2)
-        for part in (slice(start, start + step) for start in range(0, w.size if size <= most else 0, step)):
+        for part in in_blocks(w.size if size <= most else 0, size):
             moved = np.linalg.solve(w[part, None, None] * np.eye(size) - own, driven @ given[part])
             found[part] = -(at_once @ given[part] + felt @ moved)
         return found

@@ -17,7 +17,7 @@ free bar of 100 masses whose stiffnesses span twelve decades.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
@@ -83,7 +83,7 @@ def _counted(network: Network, points: Indices, links: Indices) -> int:
     rigid = null_space(stiffness, points.size)
     braked = [[sum(v * motion[i] for i, v in row.items()) % PRIME for row in damping] for motion in rigid]
     form = [[sum(a * f for a, f in zip(motion, force, strict=True)) % PRIME for force in braked] for motion in rigid]
-    return 2 * len(rigid) - rank(form)
+    return 2 * len(rigid) - len(_echelon({i: value for i, value in enumerate(row) if value} for row in form))
 
 
 def _matrix(ends: list[list[int]], of_links: Floats, of_points: Floats) -> list[Row]:
@@ -120,11 +120,6 @@ def null_space(rows: Iterable[Row], columns: int) -> list[list[int]]:
             vector[first] = -sum(value * vector[column] for column, value in echelon[first].items()) % PRIME
         basis.append(vector)
     return basis
-
-
-def rank(matrix: Sequence[Sequence[int]]) -> int:
-    """The rank of a small matrix of residues."""
-    return len(_echelon({i: value for i, value in enumerate(row) if value} for row in matrix))
 
 
 def _echelon(rows: Iterable[Row]) -> dict[int, Row]:
