@@ -18,7 +18,6 @@ Otherwise all goes as one dense matrix (`ExactDense`): with w = T v, z = (x, w),
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,19 +25,16 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import fma, reassociated
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, Scheme, Taken
+from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.schemes.linear_subsystem import (
     LinearSubsystem,
     Ties,
     add_tie_forces,
-    external_parts,
-    inside,
-    linear_subsystem,
+    matrix_scheme,
     require_finite,
 )
 from hapsim.errors import UsageError
-from hapsim.scene import Scene
 
 MOST_MODES = 4000  # whose shapes take some 15 s to be worked out
 MOST_POINTS = 1000  # whose matrix is 32 MB, and some milliseconds a tick
@@ -256,7 +252,7 @@ def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Mod
     return Modes(shape, np.maximum(stiffness, 0.0), np.maximum(damping, 0.0))
 
 
-def modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> Part:
+def _modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> Part:
     """The part of the program that moves these modes."""
     momentum, column = modes.shape.T * inner.mass, context.column
     hidden = np.setdiff1d(np.arange(inner.point.size, dtype=np.uint32), inner.loaded)
@@ -327,11 +323,7 @@ def _slow_lag(k: Reals, b: Reals) -> Reals:
     return (one + np.expm1(-fast) / fast) / rates
 
 
-def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
-    inner = linear_subsystem(scene, context)
-    parts = external_parts(context, taken)
-    if inner is None:
-        return parts
+def _part(inner: LinearSubsystem, context: BuildContext) -> Part:
     if inner.point.size > MOST_MODES:
         raise UsageError(
             f"scheme: exact is for {MOST_MODES} masses at most, and this scene moves {inner.point.size}: take "
@@ -340,7 +332,7 @@ def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple
     scale = 1.0 / np.sqrt(inner.mass) / context.rate
     require_finite(scale, inner.links.stiffness * scale.max() ** 2, inner.links.damping * scale.max() ** 2)
     modes = modes_of(inner, context)
-    return (*parts, _dense_part(inner, context) if modes is None else modes_part(inner, modes, context))
+    return _dense_part(inner, context) if modes is None else _modes_part(inner, modes, context)
 
 
-EXACT = Scheme(_parts, inside)
+EXACT = matrix_scheme(_part)

@@ -7,14 +7,14 @@ else. Everything else pulls from outside, and so does the place of a ground, whi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiling import inlined
-from hapsim.cordis.build_context import BuildContext, Taken, masses_of
+from hapsim.cordis.build_context import BuildContext, Scheme, Taken, masses_of
 from hapsim.cordis.dispatch import Column, Part
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
@@ -88,12 +88,18 @@ def inside(scene: Scene) -> frozenset[str]:
     return frozenset([*points, *scene.structures, *_inner_links(scene)])
 
 
-def external_parts(context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
-    """The parts of what is not inside."""
-    return tuple(one.build(context) for one in taken if not one.kind.moves_points)
+def matrix_scheme(part_of: Callable[[LinearSubsystem, BuildContext], Part]) -> Scheme:
+    """The scheme that works the linear subsystem into matrices: `part_of` makes the part that moves it."""
+
+    def parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
+        outside = tuple(one.build(context) for one in taken if not one.kind.moves_points)
+        inner = _linear_subsystem(scene, context)
+        return outside if inner is None else (*outside, part_of(inner, context))
+
+    return Scheme(parts, inside)
 
 
-def linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | None:
+def _linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | None:
     """The subsystem of `scene`, which begins where the program's points are; None where the scene moves nothing."""
     mass = {context.number[name]: kilograms for name, kilograms in masses_of(scene)}
     if not mass:

@@ -13,7 +13,6 @@ sample n all the way to n + 1.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,19 +20,16 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, Scheme, Taken
+from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.schemes.linear_subsystem import (
     LinearSubsystem,
     Ties,
     add_tie_forces,
-    external_parts,
-    inside,
-    linear_subsystem,
+    matrix_scheme,
     require_finite,
 )
 from hapsim.errors import UsageError
-from hapsim.scene import Scene
 
 MOST_NUMBERS = 20_000_000  # in the factor: 160 MB, and some ten milliseconds a tick
 
@@ -183,16 +179,7 @@ def _solve(factor, padded):
             above[d] -= row[d] * here
 
 
-def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
-    inner = linear_subsystem(scene, context)
-    parts = external_parts(context, taken)
-    return parts if inner is None else (*parts, Part(_midpoint(inner, context), integrate=integrate))
-
-
-MIDPOINT = Scheme(_parts, inside)
-
-
-def _midpoint(inner: LinearSubsystem, context: BuildContext) -> Midpoint:
+def _part(inner: LinearSubsystem, context: BuildContext) -> Part:
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     square = context.rate * context.rate
@@ -208,7 +195,7 @@ def _midpoint(inner: LinearSubsystem, context: BuildContext) -> Midpoint:
     factor = _factor(mass, stiffness / 4.0 + damping / 2.0, context)
     loaded = np.argsort(order)[inner.loaded]
     middle, step = np.zeros((2, mass.size), context.real)
-    return Midpoint(
+    numbers = Midpoint(
         point=inner.point[order],
         in_row=np.uint64(np.all(np.diff(inner.point[order].astype(np.int64)) == 1)),
         force=context.column(inner.force[order] / square),
@@ -222,6 +209,7 @@ def _midpoint(inner: LinearSubsystem, context: BuildContext) -> Midpoint:
         step=step,
         change=np.zeros(mass.size + 2 * factor.columns.shape[1], context.real),
     )
+    return Part(numbers, integrate=integrate)
 
 
 def _lower(matrix: Any) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
@@ -262,3 +250,6 @@ def _factor(mass: NDArray[np.float64], matrix: Any, context: BuildContext) -> Fa
     for d in range(1, band + 1):
         columns[: size - d, d - 1] = rows[d:, band - d] = root[d, : size - d] / root[0, : size - d]
     return Factor(*map(context.column, (root[0] ** -2.0, columns, rows)))
+
+
+MIDPOINT = matrix_scheme(_part)
