@@ -248,9 +248,9 @@ class Tank:
 class StoredEnergy:
     """Computes the energy of a program; what that needs is kept in the program's PARAMETERS from then on."""
 
-    def __init__(self, program: Any, scene: Scene, tank: Tank, force_limit: float) -> None:
+    def __init__(self, program: Any, scene: Scene, tank: Any, force_limit: float) -> None:
         """`program`: a Program, which is not imported here: the loop would be compiled anew with every module.
-        `force_limit`: N, of the hands."""
+        `tank`: a TANK; `force_limit`: N, of the hands."""
         self._program, self._scene, self._force_limit = program, scene, force_limit
         self._kept: list[Any] = []
         connected = _connected(scene)

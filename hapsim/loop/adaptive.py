@@ -33,9 +33,9 @@ import numpy as np
 
 from firmware_protocol import schema
 from hapsim.compiling import helper
-from hapsim.compiling.native import array_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.predictor import ADD, IN_ALL, PREDICT, PREDICTOR, look_ahead, observe, set_numbers, take_posted
+from hapsim.compiling.native import array_at, record_at
+from hapsim.loop.hooks import hook, io_at, tick_at
+from hapsim.loop.predictor import IN_ALL, PREDICTOR, look_ahead, observe, set_numbers, take_posted
 
 MOST_SPAN, MOST_SLOW_SPAN = 24, 12  # samples, L and D
 BLOCKS, FEWEST_BLOCKS = 8, 3
@@ -253,25 +253,26 @@ ADAPTIVE = np.dtype(
     align=True,
 )
 
-_predictor_at, _io_at, _doubles_at = record_at(PREDICTOR), record_at(IO_BUFFER), array_at(np.float64)
+_predictor_at, _doubles_at = record_at(PREDICTOR), array_at(np.float64)
 _adaptive_at = record_at(ADAPTIVE)
 
 ADDED = 3
 """The last of a channel's numbers: N/m, N·s/m and N, which are added to the scene's force."""
 
 
-@native(PREDICT.return_type, *PREDICT.args)
-def predict_adaptively(predictor, io, gap, late, age):
+@hook
+def predict_adaptively(predictor, tick):
     """As `predict`, with the numbers for the estimated mass."""
-    predictor, io = _predictor_at(predictor), _io_at(io)
+    predictor, tick = _predictor_at(predictor), tick_at(tick)
+    io = io_at(tick.io)
     adaptive = _adaptive_at(predictor.adaptive)
     forces = _doubles_at(predictor.forces, (predictor.mask + 1) * 2 * _ROW)
-    observe(predictor, io, gap, late, age)
+    observe(predictor, io, tick.gap, tick.late, tick.age)
     if take_posted(predictor):
         take_spans(adaptive.estimate)
     follows = predictor.left > 0
     predictor.left -= follows
-    note_sample(adaptive.estimate, gap, late)
+    note_sample(adaptive.estimate, tick.gap, tick.late)
     for c in range(io.channels):
         if adaptive.adapts[c]:
             step = estimate_mass(adaptive.estimate, predictor, forces, c, io.measured[c]) - adaptive.log_mass[c]
@@ -281,13 +282,15 @@ def predict_adaptively(predictor, io, gap, late, age):
         elif follows:
             set_numbers(predictor, c, 0.0)
     look_ahead(predictor, io)
+    return 0
 
 
-@native(ADD.return_type, *ADD.args)
-def add_difference(predictor, io):
+@hook
+def add_difference(predictor, tick):
     """Adds to the scene's force: the scene's links are those for the least mass."""
-    predictor, io = _predictor_at(predictor), _io_at(io)
+    predictor, io = _predictor_at(predictor), io_at(tick_at(tick).io)
     numbers = _doubles_at(predictor.numbers, _ROW * predictor.width)
     for c in range(io.channels):
         dK = (c + 1) * predictor.width - ADDED
         io.asked[c] += numbers[dK + 2] - numbers[dK] * io.measured[c] - numbers[dK + 1] * io.velocity[c]
+    return 0

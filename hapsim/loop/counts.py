@@ -53,7 +53,7 @@ class Counts:
     """Ticks whose force the slew limit or the soft start brought closer to the one before."""
     slowed_ticks: int = _counter("ticks in which changes were slowed", "with changes slowed")
     """Ticks that slowed a change of the running scene, which would have given the hand too much energy."""
-    faded_ticks: int = _counter("ticks outside the travel, force faded", "outside the travel", at="state")
+    faded_ticks: int = _counter("ticks outside the travel, force faded", "outside the travel", at="travel.faded_ticks")
     """Ticks outside the device's travel, whose force faded."""
     sensor_tests: int = _counter("force lowered to test a sensor", at="frozen_sensor.tests")
     """Times that a channel's force was lowered, to see whether a position that stood still still answers."""

@@ -1,6 +1,6 @@
 """The result of a wait for a position, and why a loop ends: one set of codes, passed on unchanged.
 
-Where bytes are read a positive number is their count.
+Where bytes are read a positive number is their count. Guards have codes of their own, from -20 on (hapsim.loop.guards).
 """
 
 from __future__ import annotations
@@ -14,16 +14,9 @@ HUNG_UP = -1  # the other side of the port is gone
 FAILED = -2  # the system refused, and a retry will not help
 DEVICE_STOPPED = -3  # the device reported that it stopped
 NOT_FINITE = -4  # the scene's force is not a number
-WRONG_RATE = -5  # the device does not sample at the rate that it declares
-POSITION_LEAPT = -6  # a position is where no hand can have moved the device
-ENERGY_EXCEEDED = -7  # the energy guard tripped
-WRONG_SIGN = -8  # a motor pushes the wrong way
-OUT_OF_TRAVEL = -9  # the device is farther outside its travel than the force reaches
 SILENT = -10  # the device has sent no position for too long
 DONE = -11
 STOPPED = -12
-TOO_LATE = -14  # most of the first forces were late, and at that delay the scene is unstable
-STAIRCASE = -15  # a position stands still and jumps: its sensor is refreshed too rarely
 RING_FULL = -13  # the reader has to make room; the device stays armed, and the loop is called again
 
 IN_WORDS = {
@@ -33,16 +26,9 @@ IN_WORDS = {
     HUNG_UP: "device gone",
     NOT_FINITE: "force not finite",
     DEVICE_STOPPED: "device stopped",
-    WRONG_RATE: "wrong rate",
-    POSITION_LEAPT: "position leapt",
-    ENERGY_EXCEEDED: "scene diverging",
     FAILED: "port failed",
-    OUT_OF_TRAVEL: "out of travel",
-    TOO_LATE: "forces late",
-    WRONG_SIGN: "sign wrong",
-    STAIRCASE: "position a staircase",
 }
-"""The `ending` of a report."""
+"""The `ending` of a report where no guard ended the run."""
 
 
 @inlined

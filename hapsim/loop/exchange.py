@@ -28,18 +28,14 @@ from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
 from hapsim.loop.buffers import IO_BUFFER, clip, next_place
 from hapsim.loop.counts import words_at
-from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, call_keep
-from hapsim.loop.guards.energy_guard import ENERGY_GUARD, call_judge_energy
-from hapsim.loop.guards.frozen_sensor import FROZEN_SENSOR, call_judge_sensor, lower
-from hapsim.loop.guards.leap import LEAP, is_leap
-from hapsim.loop.guards.rate import WATCH, is_off_rate
-from hapsim.loop.guards.sign import SIGN, call_judge, release
-from hapsim.loop.guards.slew import SLEW, call_shape, hold_zero
-from hapsim.loop.guards.travel import BEYOND, TRAVEL, WITHIN, call_fade
-from hapsim.loop.guide import GUIDE, call_lead
+from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL
+from hapsim.loop.guards import GUARDS
+from hapsim.loop.guards.slew import hold_zero
+from hapsim.loop.guide import GUIDE
 from hapsim.loop.histogram import HISTOGRAM, note
+from hapsim.loop.hooks import HOOKS, TICK, call_hooks
 from hapsim.loop.posted import POSTED, note_taken, take_posted
-from hapsim.loop.predictor import PREDICTOR, call_add, call_predict
+from hapsim.loop.predictor import PREDICTOR
 from hapsim.loop.ring import RING, mark_last, publish, push, withhold_last
 from hapsim.loop.sound import SOUND_RING
 from hapsim.loop.sound import publish as publish_sound
@@ -67,7 +63,6 @@ CONTROL = np.dtype(
         ("pulse_channel", np.int64),
         ("pulse_force", np.float64),  # N at most, with alternating sign
         ("wire_samples", np.int64),  # from a position to its force on a wire that makes every force late; else 1
-        ("first_ticks", np.int64),  # after arming; where most of their forces are late, the scene would shake the hand
         ("periodic", np.uint64),  # or a periodic excitation on that channel: address of forces in N, one per sample,
         ("periodic_length", np.int64),  # and their count (0: none)
     ],
@@ -132,14 +127,10 @@ LOOP = np.dtype(
         ("guide", GUIDE),
         ("state", STATE),
         ("wait", WAIT),
-        ("watch", WATCH),
-        ("leap", LEAP),
-        ("travel", TRAVEL),
-        ("slew", SLEW),
+        ("tick", TICK),
+        ("hooks", HOOKS),
+        *((guard.name, guard.record) for guard in GUARDS),
         ("history", FORCE_HISTORY),
-        ("energy_guard", ENERGY_GUARD),
-        ("sign", SIGN),
-        ("frozen_sensor", FROZEN_SENSOR),
         ("tank", TANK),
         ("posted", POSTED),
         ("histograms", HISTOGRAMS),
@@ -158,7 +149,7 @@ def take_frame(loop, decoder, now):
     frames of other types: TIMED_OUT.
     """
     compact()
-    state, io, control = loop.state, loop.io, loop.control
+    state, io, tick = loop.state, loop.io, loop.tick
     if decoder.type == schema.STATUS:
         state.fault = (decoder.counts[0] >> 8) & 0xFF
         state.device_state = decoder.counts[0] & 0xFF
@@ -178,38 +169,40 @@ def take_frame(loop, decoder, now):
     _read_position(io, decoder, is_first)
     if is_first:
         start(program_at(loop.slot.program), io.measured)
-        loop.energy_guard.held = stored_energy(program_at(loop.slot.program), io.measured)
+        tick.held = stored_energy(program_at(loop.slot.program), io.measured)
         state.sample = decoder.number - 1
         state.first_ns = state.due_ns = now
-    leapt = is_leap(loop.leap, io, state, gap, now, control.period_ns)
-    late = decoder.type == schema.POSITION_HELD
-    state.deadline_misses += late
-    state.age = min(state.age + 1, control.time_to_live + 2) if late else 1
-    note(loop.histograms.age, state.age)
-    missed = late and control.wire_samples == 1  # else the loop is made for that delay
-    state.lost_frames += gap - 1
-    flags = (ring.LATE_FORCE if late else 0) | (ring.BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
+    _begin_tick(loop, gap, decoder.type == schema.POSITION_HELD, now)
     change = take_posted(loop.posted)
-    predictor = loop.predictor
-    if predictor.predict != 0:
-        call_predict(predictor.predict, (predictor.address, io.address, gap, np.int64(missed), state.age))
+    call_hooks(loop.hooks.before_scene, tick)
     move_scene(loop.slot, io, gap)
     publish_sound(loop.sound, now)
-    if predictor.add != 0:
-        call_add(predictor.add, (predictor.address, io.address))
+    call_hooks(loop.hooks.after_scene, tick)
+    note_taken(loop.posted, change, state.ticks)
+    return _answer(loop)
+
+
+@inlined
+def _begin_tick(loop, gap, is_held, now):
+    """Counts a position, `gap` samples after the last, and fills the TICK. `is_held`: no force arrived in time."""
+    state, control, tick = loop.state, loop.control, loop.tick
+    state.deadline_misses += is_held
+    state.age = min(state.age + 1, control.time_to_live + 2) if is_held else 1
+    note(loop.histograms.age, state.age)
+    state.lost_frames += gap - 1
+    flags = (ring.LATE_FORCE if is_held else 0) | (ring.BRIDGED if gap > 1 else 0) | _note_time(loop, now, gap)
     state.gap = gap
     state.sample += gap
-    note_taken(loop.posted, change, state.ticks)
-    sound, stops = _answer(loop, gap, missed, flags, now)
-    if not sound:
-        return endings.NOT_FINITE
-    if leapt:
-        return endings.POSITION_LEAPT
-    if stops != 0:
-        return stops
-    if state.ticks <= control.first_ticks and 2 * state.deadline_misses > control.first_ticks:
-        return endings.TOO_LATE
-    return endings.WRONG_RATE if is_off_rate(loop.watch, state.sample, now, control.period_ns) else endings.HEARD
+    since = state.sent_ns if control.clock == HOST_CLOCK else state.newest_ns
+    state.since_sent = gap + (state.since_sent if state.unanswered else 0)
+    is_over = state.since_sent > control.time_to_live + 1 or now - since > control.stale_ns
+    tick.number, tick.sample, tick.gap, tick.age = state.ticks, state.sample, gap, state.age
+    tick.now_ns, tick.before_ns, tick.sent_ns = now, state.newest_ns, state.sent_ns
+    tick.late = is_held and control.wire_samples == 1  # else the loop is made for that delay
+    tick.missed, tick.unsent = state.deadline_misses, state.unanswered
+    tick.expired = state.ticks > 0 and is_over
+    tick.withheld = flags & ring.WITHHELD != 0
+    tick.flags, tick.ending, tick.push = flags, 0, 0.0
 
 
 @inlined
@@ -232,72 +225,27 @@ def _read_position(io, decoder, is_first):
 
 
 @inlined
-def _answer(loop, gap, late, flags, now):
-    """Makes the scene's force what is to leave, and counts the tick. Returns (whether it is a number, the code of the
-    guard that stops the loop before it leaves, else 0). `flags`: of the row so far."""
+def _answer(loop):
+    """Makes the scene's force what is to leave, and counts the tick. Returns HEARD, or the code that ends the loop
+    before that force leaves."""
     compact()
-    state, io = loop.state, loop.io
-    guided = call_lead(loop.guide.lead, (loop.guide.address, io.address)) if loop.guide.lead != 0 else 0.0
-    sound, limited = _set_force(io, loop.control, state, guided)
-    if flags & ring.WITHHELD:
+    state, io, tick = loop.state, loop.io, loop.tick
+    is_finite, limited = _set_force(io, loop.control, state, tick.push)
+    if tick.withheld:
         state.withheld_forces += 1
         _take_force_away(io)
         limited = False  # nothing is sent of it
-    stops, released = 0, 0
-    if sound and loop.travel.fade != 0:
-        found = call_fade(loop.travel.fade, (loop.travel.address, io.address))
-        if found != WITHIN:
-            state.faded_ticks += 1
-            flags |= ring.FADED
-        if found == BEYOND:
-            stops = endings.OUT_OF_TRAVEL
-    if loop.frozen_sensor.lowers != 0:
-        lower(loop.frozen_sensor, io)
-        flags |= ring.FADED
-    if loop.sign.releases != 0:
-        released = release(loop.sign, io)
-    if sound and (loop.slew.shape | loop.history.keep) != 0:
-        slewed, verdict = _apply_sent_force_guards(loop, gap, late, flags & ring.WITHHELD != 0, now)
-        slewed |= released
-        state.slewed_ticks += slewed
-        flags |= ring.SLEWED if slewed else 0
-        if verdict != 0:
-            stops = verdict
-    state.newest_ns = now
+    if is_finite:
+        call_hooks(loop.hooks.after_limit, tick)
+    state.slewed_ticks += 1 if tick.flags & ring.SLEWED else 0
+    state.newest_ns = tick.now_ns
     state.limited_ticks += limited
-    push(loop.ring, state, now, flags | ring.LIMITED if limited else flags, io)
+    push(loop.ring, state, tick.now_ns, tick.flags | ring.LIMITED if limited else tick.flags, io)
     state.ticks += 1
     state.unanswered = 1
-    return sound, stops
-
-
-@inlined
-def _apply_sent_force_guards(loop, gap, late, withheld, now):
-    """Applies the guards that compare forces: (whether its counts changed, the code that stops the loop or 0)."""
-    compact()
-    state, io, history = loop.state, loop.io, loop.history
-    since = state.sent_ns if loop.control.clock == HOST_CLOCK else state.newest_ns
-    state.since_sent = gap + (state.since_sent if state.unanswered else 0)
-    is_over = state.since_sent > loop.control.time_to_live + 1 or now - since > loop.control.stale_ns
-    expired = state.ticks > 0 and is_over
-    happened = (np.int64(gap), np.int64(state.unanswered), np.int64(late), np.int64(expired), np.int64(withheld))
-    slewed, exceeded, wrong, jumps = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
-    if loop.slew.shape != 0:
-        slewed = call_shape(loop.slew.shape, (loop.slew.address, io.address, *happened))
-    if history.keep != 0:
-        call_keep(history.keep, (history.address, io.address, *happened))
-    moved = (history.address, io.address, np.int64(gap))
-    if loop.energy_guard.judge != 0:
-        exceeded = call_judge_energy(loop.energy_guard.judge, (loop.energy_guard.address, *moved))
-    if loop.frozen_sensor.judge != 0:
-        jumps = call_judge_sensor(loop.frozen_sensor.judge, (loop.frozen_sensor.address, *moved))
-    if loop.sign.judge != 0:
-        wrong = call_judge(loop.sign.judge, (loop.sign.address, *moved))
-        if (loop.sign.judge | loop.energy_guard.judge | loop.frozen_sensor.judge) == 0:  # nobody needs the history
-            history.keep = 0
-    if wrong != 0:
-        return slewed, endings.WRONG_SIGN
-    return slewed, endings.ENERGY_EXCEEDED if exceeded != 0 else endings.STAIRCASE if jumps != 0 else 0
+    if not is_finite:
+        return endings.NOT_FINITE
+    return tick.ending if tick.ending != 0 else endings.HEARD
 
 
 @inlined

@@ -5,8 +5,6 @@ rounded and with every push. Instead of one that never left, or that the device 
 once its time to live is over, none. The history also keeps the scene's part as it would have acted in time: for every
 sample the force that answers it, sent or not, and over lost positions the forces along the line between the two that
 are known. What an excitation adds is the hand's force, and so is what the limit clips because of it.
-
-A loop whose guards need no history never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations
@@ -15,12 +13,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import types
 
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
-from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER, clip
+from hapsim.compiling.native import address_of, array_at, record_at
+from hapsim.loop.buffers import clip
+from hapsim.loop.hooks import Hook, Stage, hook, io_at, tick_at
 
 # The first columns of the scene's part of a force, of all of it, and of the scene's part in time.
 OF_SCENE, IN_ALL, IN_TIME = 0, schema.MAX_CHANNELS, 2 * schema.MAX_CHANNELS
@@ -28,8 +26,6 @@ _COLUMNS = 3 * schema.MAX_CHANNELS
 
 FORCE_HISTORY = np.dtype(
     [
-        ("address", np.uint64),  # of all this
-        ("keep", np.uint64),  # of `keep`; 0: no guard needs it
         ("forces", np.uint64),  # of (rows, 3 MAX_CHANNELS): N, the last samples
         ("mask", np.int64),  # rows - 1, and rows is a power of two
         ("newest", np.int64),  # the row of the last sample
@@ -44,30 +40,26 @@ FORCE_HISTORY = np.dtype(
     align=True,
 )
 
-KEEP = types.void(*[types.uint64] * 2, *[types.int64] * 5)
-call_keep = function_at(KEEP)
-"""Calls `keep`, with its arguments."""
-
-_history_at, _io_at, _doubles_at = record_at(FORCE_HISTORY), record_at(IO_BUFFER), array_at(np.float64)
+history_at, _doubles_at = record_at(FORCE_HISTORY), array_at(np.float64)
 
 
-@native(KEEP.return_type, *KEEP.args)
-def keep(history, io, gap, unsent, late, expired, withheld):
-    """Keeps the forces of the last `gap` samples, and the one that answers this sample. `unsent`: the force before
-    never left; `late`: the device reports it as late; `expired`: its time to live is over; `withheld`: the counts are
-    zero because no force may be sent."""
-    history, io = _history_at(history), _io_at(io)
+@hook
+def keep(history, tick):
+    """Keeps the forces of the last `gap` samples, and the one that answers this sample."""
+    history, tick = history_at(history), tick_at(tick)
+    io, gap, withheld = io_at(tick.io), tick.gap, tick.withheld
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     for c in range(io.channels):
         in_all = io.force_counts[c] * io.force_scale[c]
         alone = clip(io.asked[c], io.force_limit[c])
         of_scene = in_all - clip(io.asked[c] + io.excitation[c], io.force_limit[c]) + alone
         _keep_in_time(history, forces, c, alone if withheld else of_scene, gap)
-        _keep_column(history, forces, OF_SCENE + c, 0.0 if withheld else of_scene, gap, unsent, late, expired)
-        _keep_column(history, forces, IN_ALL + c, in_all, gap, unsent, late, expired)
-    history.late = history.late + gap if late else 0
+        _keep_column(history, forces, OF_SCENE + c, 0.0 if withheld else of_scene, tick)
+        _keep_column(history, forces, IN_ALL + c, in_all, tick)
+    history.late = history.late + gap if tick.late else 0
     history.newest = (history.newest + gap) & history.mask if history.begun else history.newest
     history.begun = 1
+    return 0
 
 
 @helper
@@ -80,16 +72,17 @@ def _keep_in_time(history, forces, c, decided, gap):
 
 
 @helper
-def _keep_column(history, forces, c, decided, gap, unsent, late, expired):
+def _keep_column(history, forces, c, decided, tick):
     """Keeps the forces that acted, and the new one. A late force after lost positions is the one of the last of these:
     that says nothing of the one before them."""
     if history.begun:
+        gap = tick.gap
         held = history.sent[c] if history.keeps_last_force else 0.0
-        acted = held if unsent or (late and gap == 1) else history.decided[c]
-        if not unsent:
+        acted = held if tick.unsent or (tick.late and gap == 1) else history.decided[c]
+        if not tick.unsent:
             history.sent[c] = history.decided[c]
-        held = history.sent[c] if history.keeps_last_force and not expired else 0.0
-        forces[history.newest * _COLUMNS + c] = 0.0 if expired else acted
+        held = history.sent[c] if history.keeps_last_force and not tick.expired else 0.0
+        forces[history.newest * _COLUMNS + c] = 0.0 if tick.expired else acted
         for i in range(1, gap):
             forces[((history.newest + i) & history.mask) * _COLUMNS + c] = held
         forces[((history.newest + gap) & history.mask) * _COLUMNS + c] = decided
@@ -107,16 +100,12 @@ def acting_force(history, column, before):
     return (1.0 - history.share) * newer + history.share * forces[((row - 1) & history.mask) * _COLUMNS + column]
 
 
-class ForceHistory:
-    """Fills a FORCE_HISTORY, and keeps its forces."""
-
-    def __init__(self, record: Any, *, delay: float, keeps_last_force: bool) -> None:
-        """`delay`: samples from the mean instant of the position to that of the force, -1/2 or more;
-        `keeps_last_force`: the device holds a force until the next one."""
-        whole = math.floor(delay)
-        rows = 2 << (whole + 3).bit_length()
-        self.forces = np.zeros((rows, _COLUMNS))
-        record.address, record.forces = address_of(record), address_of(self.forces)
-        record.mask, record.keeps_last_force = rows - 1, keeps_last_force
-        record.lag, record.share = whole + 1, delay - whole
-        record.keep = keep.address()
+def history_hook(record: Any, *, delay: float, keeps_last_force: bool) -> Hook:
+    """Fills a FORCE_HISTORY, and returns the hook that keeps it. `delay`: samples from the mean instant of the position
+    to that of the force, -1/2 or more; `keeps_last_force`: the device holds a force until the next one."""
+    whole = math.floor(delay)
+    rows = 2 << (whole + 3).bit_length()
+    forces = np.zeros((rows, _COLUMNS))
+    record.forces, record.mask, record.keeps_last_force = address_of(forces), rows - 1, keeps_last_force
+    record.lag, record.share = whole + 1, delay - whole
+    return Hook(Stage.KEEP, keep, record, forces)

@@ -5,8 +5,6 @@ to the target, or where the scene has dry friction, a little beyond it and back,
 integrator makes up for the scene's force, gravity and the device's friction, so that no model of them is needed. It
 stops after the settling time; the mean of the guide's force over the time that follows is the bias. The guide then
 crossfades to this bias, which stays until the run ends: the hand rests, and feels the scene alone.
-
-A run without a guide never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations
@@ -16,19 +14,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import types
 
 from hapsim.compiling import helper
-from hapsim.compiling.native import address_of, function_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER, clip
+from hapsim.compiling.native import record_at
+from hapsim.loop.buffers import clip
+from hapsim.loop.hooks import Hook, Stage, hook, io_at, tick_at
 
 _SMOOTHED = 5.0  # times the spring's eigenfrequency: the low-pass of its damper, which would be loud on a noisy device
 _SUMMED = 3.0  # radians of the spring's eigenfrequency, in which the integrator adds as much as the spring has
 
 GUIDE = np.dtype(
     [
-        ("address", np.uint64),  # of all this
-        ("lead", np.uint64),  # of `lead`; 0: no guide
         ("channel", np.uint64),
         ("target", np.float64),  # m
         ("beyond", np.float64),  # m, how far the path goes beyond it before
@@ -50,17 +46,19 @@ GUIDE = np.dtype(
     align=True,
 )
 
-LEAD = types.float64(types.uint64, types.uint64)
-call_lead = function_at(LEAD)
-"""Calls `lead`, with its arguments."""
-
-_guide_at, _io_at = record_at(GUIDE), record_at(IO_BUFFER)
+_guide_at = record_at(GUIDE)
 
 
-@native(LEAD.return_type, *LEAD.args)
-def lead(guide, io):
-    """Returns the guide's force in N, one tick on."""
-    guide, io = _guide_at(guide), _io_at(io)
+@hook
+def lead(guide, tick):
+    """Sets the push to the guide's force in N, one tick on."""
+    guide, tick = _guide_at(guide), tick_at(tick)
+    tick.push = _force(guide, io_at(tick.io))
+    return 0
+
+
+@helper
+def _force(guide, io):
     x = io.measured[guide.channel]
     tick, settled = guide.tick, guide.ramp + guide.settling
     guide.tick += 1
@@ -95,7 +93,7 @@ def _way(share):
     return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
-def set_guide(
+def guide_hook(
     record: Any,
     *,
     channel: int,
@@ -105,14 +103,14 @@ def set_guide(
     rate_hz: float,
     stiffness: float,
     mass: float,
-) -> None:
-    """Fills a GUIDE. `target`: m; `beyond`: m, how far the path goes farther before; `ticks`: of the path, of the
-    integrator beyond it, of the mean and of the crossfade; `stiffness`: N/m, of the spring; `mass`: kg, which it
-    leads."""
+) -> Hook:
+    """Fills a GUIDE, and returns the hook that leads. `target`: m; `beyond`: m, how far the path goes farther before;
+    `ticks`: of the path, of the integrator beyond it, of the mean and of the crossfade; `stiffness`: N/m, of the
+    spring; `mass`: kg, which it leads."""
     angular = math.sqrt(stiffness / mass)
     record.channel, record.target, record.beyond, record.stiffness = channel, target, beyond, stiffness
     record.ramp, record.settling, record.mean, record.fade = ticks
     record.damping = 2.0 * mass * angular * rate_hz
     record.follows = -math.expm1(-_SMOOTHED * angular / rate_hz)
     record.summing = stiffness * angular / (_SUMMED * rate_hz)
-    record.address, record.lead = address_of(record), lead.address()
+    return Hook(Stage.LEAD, lead, record)

@@ -7,28 +7,24 @@ does not know it, and observes it.
 
 It keeps its forces itself, unlike the guards (force_history.py): it needs them before the scene moves, and follows the
 device's own count of late samples. The observer's numbers come as a table, so that they change with the scene and with
-an estimate of the mass. A scene without a predictor never compiles this: its address is 0 then.
+an estimate of the mass.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
 from firmware_protocol import schema
 from hapsim.compiling import entry, helper
-from hapsim.compiling.native import array_at, function_at, native, record_at
+from hapsim.compiling.native import array_at, record_at
 from hapsim.cordis.tick import tick
-from hapsim.loop.buffers import IO_BUFFER
+from hapsim.loop.hooks import call_hooks, hook, io_at, tick_at
 
 POSITION, VELOCITY, PUSH, STATES = 0, 1, 2, 3
 
 PREDICTOR = np.dtype(
     [
-        ("address", np.uint64),  # of all this
-        ("predict", np.uint64),  # of the function that predicts; 0: the scene gets what was read
-        ("add", np.uint64),  # of the one that adds to the scene's force; 0: none
-        ("adaptive", np.uint64),  # of an ADAPTIVE, for these two
+        ("adaptive", np.uint64),  # address of an ADAPTIVE; 0: no mass is estimated
         ("lags", np.int64),  # how many past forces count
         ("readings", np.int64),  # 2: the velocity is read too
         ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes,
@@ -53,33 +49,30 @@ PREDICTOR = np.dtype(
     align=True,
 )
 
-PREDICT = types.void(types.uint64, types.uint64, types.int64, types.int64, types.int64)
-ADD = types.void(types.uint64, types.uint64)
-call_predict, call_add = function_at(PREDICT), function_at(ADD)
-"""Call what predicts, with `predict`'s arguments, and what adds a force, with the first two of them."""
-
-_predictor_at, _io_at, _doubles_at = record_at(PREDICTOR), record_at(IO_BUFFER), array_at(np.float64)
+_predictor_at, _doubles_at = record_at(PREDICTOR), array_at(np.float64)
 _ROW = 2 * schema.MAX_CHANNELS
 IN_ALL = schema.MAX_CHANNELS
 
 
-@native(PREDICT.return_type, *PREDICT.args)
-def predict(predictor, io, gap, late, age):
-    """Replaces what was read, `gap` samples after the last, by the expected state. `late`: the last force did not act
-    in time; `age`: samples from the position that the acting force answers."""
-    predictor, io = _predictor_at(predictor), _io_at(io)
+@hook
+def predict(predictor, tick):
+    """Replaces what was read, `gap` samples after the last, by the expected state."""
+    predictor, tick = _predictor_at(predictor), tick_at(tick)
+    io = io_at(tick.io)
     take_posted(predictor)
     if predictor.left > 0:
         predictor.left -= 1
         for c in range(io.channels):
             set_numbers(predictor, c, 0.0)
-    observe(predictor, io, gap, late, age)
+    observe(predictor, io, tick.gap, tick.late, tick.age)
     look_ahead(predictor, io)
+    return 0
 
 
 @helper
 def observe(predictor, io, gap, late, age):
-    """Advances the state of every channel to this sample, and corrects it by what was read."""
+    """Advances the state of every channel to this sample, and corrects it by what was read. `late`: the last force did
+    not act in time; `age`: samples from the position that the acting force answers."""
     forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     if predictor.begun:
@@ -210,12 +203,11 @@ def set_numbers(predictor, c, at):
 def corrected_ticks(loop, program, measured, samples):
     """Ticks of a program behind the predictor of a LOOP, without a device: to time them. `program`: its record;
     `measured`: (rows, channels) m, the hands' positions, over and over."""
-    predictor, io = loop.predictor, loop.io
+    io = loop.io
     for n in range(samples):
         row = n % measured.shape[0]
         for c in range(io.channels):
             io.measured[c] = measured[row, c]
-        call_predict(predictor.predict, (predictor.address, io.address, 1, 0, 1))
+        call_hooks(loop.hooks.before_scene, loop.tick)
         tick(program, io.measured, io.velocity, io.asked)
-        if predictor.add != 0:
-            call_add(predictor.add, (predictor.address, io.address))
+        call_hooks(loop.hooks.after_scene, loop.tick)

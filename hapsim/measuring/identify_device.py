@@ -14,7 +14,8 @@ import numpy as np
 from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.counts import Progress
-from hapsim.loop.endings import IN_WORDS, OUT_OF_TRAVEL, STOPPED
+from hapsim.loop.endings import IN_WORDS, STOPPED
+from hapsim.loop.guards import travel
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_diagnosis import (
     LOUD,
@@ -343,7 +344,7 @@ class _Pusher:
     def _pushed(self, drive: Drive, duration: float, bounds: Bounds) -> Trace:
         """A run under this drive. GuardError where the device moved farther than it may."""
         trace = self._run(drive, bounds, duration)
-        if trace.report.ending == IN_WORDS[OUT_OF_TRAVEL]:
+        if trace.report.ending == travel.GUARD.words:
             error = why_too_far(self._fit([trace]), self._seen(drive, trace, bounds))
             error.trace = trace
             raise error
@@ -359,7 +360,7 @@ class _Pusher:
         try:
             trace = self._run_scene(scene, duration=duration, excitation=excitation)
         except GuardError as error:
-            if error.trace is None or error.trace.report.ending != IN_WORDS[OUT_OF_TRAVEL]:
+            if error.trace is None or error.trace.report.ending != travel.GUARD.words:
                 raise
             trace = error.trace
         self._stopped = trace.report.ending == IN_WORDS[STOPPED]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,21 +15,22 @@ from hapsim.compiling.native import address_of
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.cordis.stored_energy import StoredEnergy
 from hapsim.device.connection import Connection
+from hapsim.holds import HOLDS
+from hapsim.loop import guards
 from hapsim.loop.crossfade import cross_fade
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
-from hapsim.loop.force_history import ForceHistory
-from hapsim.loop.guards.energy_guard import EnergyGuard
-from hapsim.loop.guards.sign import judge_signs
-from hapsim.loop.guide import set_guide
+from hapsim.loop.force_history import history_hook
+from hapsim.loop.guards.energy_guard import follow_scene
+from hapsim.loop.guide import guide_hook
+from hapsim.loop.hooks import Hook, Setting, set_hooks
 from hapsim.loop.posted import Posts
 from hapsim.loop.ring import Ring, row_type
 from hapsim.loop.sound import SoundRing, hear
 from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
-from hapsim.prediction.force_bounds import SIGN_RATE_HZ, force_bounds
+from hapsim.prediction.force_bounds import force_bounds
 from hapsim.running.correction import LoopCorrection
-from hapsim.running.guard_setup import energy_guard_of, history_of, set_frozen_sensor, set_leap, set_slew, set_travel
 from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 from hapsim.sound.play import SoundOutput
@@ -57,12 +59,15 @@ class LoopMemory:
         self.ring = Ring(self.record.ring, rows, _RING_ROWS, waits=clock == "lockstep")
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)
-        self.record.io.address = address_of(self.record.io)
+        tick = self.record.tick
+        tick.address, tick.io = address_of(tick), address_of(self.record.io)
+        self.record.io.address = tick.io
+        tick.history = address_of(self.record.history)
         self.record.framing = framing_of(self.wire, to_device=True)
         self.watchdog_samples = 0
         """Samples without a force after which the device releases."""
-        self.first_late = ""
-        """How late the first forces may be, and why, if most of them are and the scene is unstable then."""
+        self.setting: Setting
+        """What the guards are set up by."""
         self.rendered_scene: Scene
         """The scene that the loop moves: the newest one, corrected."""
         self.correction: LoopCorrection | None = None
@@ -73,10 +78,8 @@ class LoopMemory:
         """What becomes of it; None where it goes nowhere."""
         self.excitation: Excitation | PeriodicExcitation | None = None
         """Kept here because the loop reads the forces of a periodic one."""
-        self.history: ForceHistory | None = None
-        """The forces that acted; None if no guard needs them."""
-        self.energy_guard: EnergyGuard | None = None
-        """None where it is off."""
+        self.hooks: list[Hook] = []
+        """What the exchange calls."""
         self.hand: LiveHand | None = None
         """The hand that holds the mock; None where the device is no mock of this process."""
         self._programs: list[Program] = []
@@ -89,9 +92,19 @@ class LoopMemory:
 
     def account_for(self, program: Program, scene: Scene) -> None:
         """Accounts for the energy of live changes to `program`, of `scene`, if the energy guard is on."""
-        if self.energy_guard is not None:
+        if self.counts_energy:
             limit = float(self.record.io.force_limit[: self.wire.channels].max())
-            program.stored = StoredEnergy(program, scene, self.energy_guard.tank, limit)
+            program.stored = StoredEnergy(program, scene, self.record.tank, limit)
+
+    @property
+    def counts_energy(self) -> bool:
+        """Whether the energy guard is on."""
+        return bool(self.record.tank.address)
+
+    def set_hooks(self, hooks: Iterable[Hook]) -> None:
+        """Sets what the exchange calls."""
+        self.hooks = list(hooks)
+        self._calls = set_hooks(self.record.hooks, self.hooks)
 
     def begin_with(self, program: Program) -> None:
         """Sets the program that the loop moves from the first tick on."""
@@ -157,11 +170,11 @@ def assemble_loop(
     _set_io(loop.record.io, scene, description)
     _set_control(loop.control, scene, options.duration)
     loop.excitation = options.excitation
-    if options.excitation is not None:
-        _set_excitation(loop.record, options.excitation, scene)
+    guide = [] if options.excitation is None else _set_excitation(loop.record, options.excitation, scene)
     loop.correction = LoopCorrection(loop.record, rendering, description)
     loop.watchdog_samples = timing.watchdog_samples(scene.rate, description.max_watchdog_samples)
-    _set_guards(loop, scene, connection, description, options)
+    loop.setting = _setting_of(loop, scene, connection, description, options)
+    loop.set_hooks([*guide, *loop.correction.hooks, *_guard_hooks(loop, options)])
     if connection.mock is not None:
         from hapsim.device.mock.stand_ins import LiveHand
 
@@ -170,30 +183,43 @@ def assemble_loop(
     return loop
 
 
-def _set_guards(
+def _setting_of(
     loop: LoopMemory, scene: Scene, connection: Connection, description: Description, options: RunOptions
-) -> None:
-    record = loop.record
-    record.watch.judges = scene.device.clock == "device" and connection.behind_port
-    set_leap(record.leap, scene, description)
-    set_travel(record.travel, scene, description)
-    limit = float(record.io.force_limit[: description.channels].max())
+) -> Setting:
+    limit = float(loop.record.io.force_limit[: description.channels].max())
     in_hand = connection.behind_port and scene.device.clock != "lockstep"  # no hand lives in virtual time
-    bounds = force_bounds(scene, in_hand=in_hand, judges_energy=options.judges_energy, force_limit=limit)
-    set_slew(record, scene, description, bounds)
-    loop.energy_guard = energy_guard_of(record, scene, bounds)
-    if options.unstable and loop.energy_guard is not None:
-        loop.energy_guard.follow(unstable=surely_shaken_by(scene) is not None)
     samples = timing.samples_if_late(scene, connection.round_trip_s)
-    if options.unstable is False and surely_shaken_by(timing.with_wire_delay(scene, samples)) is not None:
-        loop.control.first_ticks = timing.FIRST_SAMPLES
-        loop.first_late = timing.why_late(scene, samples, connection.round_trip_s)
-    if (in_hand or options.judges_sign) and scene.rate >= SIGN_RATE_HZ:
-        judge_signs(record.sign, rate_hz=scene.rate, masses=scene.device.mass_spans(description.channels))
-    if in_hand or options.judges_energy:
-        set_frozen_sensor(record, scene, description, bounds)
-    if loop.energy_guard is not None or record.sign.judge or record.frozen_sensor.judge:
-        loop.history = history_of(record, scene)
+    late = options.unstable is False and surely_shaken_by(timing.with_wire_delay(scene, samples)) is not None
+    return Setting(
+        scene,
+        description,
+        force_bounds(scene, in_hand=in_hand, judges_energy=options.judges_energy, force_limit=limit),
+        in_hand=in_hand,
+        behind_port=connection.behind_port,
+        judges_energy=options.judges_energy,
+        judges_sign=options.judges_sign,
+        first_late=timing.why_late(scene, samples, connection.round_trip_s) if late else "",
+    )
+
+
+def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
+    """Sets up the guards that the scene needs; returns their hooks."""
+    hooks, reads_history, scene = [], False, loop.setting.scene
+    for guard in guards.GUARDS:
+        record = guard.set_up(loop.record, loop.setting)
+        if record is not None:
+            hooks += [Hook(stage, function, record) for stage, function in guard.hooks.items()]
+            reads_history = reads_history or guard.reads_history
+    if options.unstable and loop.counts_energy:
+        follow_scene(loop.record.energy_guard, unstable=surely_shaken_by(scene) is not None)
+    if reads_history:
+        device = timing.on_wire(scene).device
+        hold = HOLDS[device.hold]
+        # The mean instant of a position that is averaged is half a sample earlier.
+        shift = (0.5 if device.sampling == "average" else 0.0) + hold.mean_delay - 0.5
+        history = loop.record.history
+        hooks.append(history_hook(history, delay=device.delay + shift, keeps_last_force=hold.keeps_last_force))
+    return hooks
 
 
 def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
@@ -217,19 +243,20 @@ def _stale_ns(scene: Scene, control: Any) -> int:
     return _FOREVER_NS if scene.device.clock == "lockstep" else (int(control.time_to_live) + 1) * int(control.period_ns)
 
 
-def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, scene: Scene) -> None:
+def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, scene: Scene) -> list[Hook]:
+    """Returns the hook of the guide, if there is one."""
     control = record.control
     control.pulse_channel = excitation.channel
     if isinstance(excitation, PeriodicExcitation):
         control.periodic, control.periodic_length = address_of(excitation.forces), excitation.forces.size
-        return
+        return []
     control.pulse_force, control.pulse_ticks = excitation.force, excitation.ticks
     control.pulse_every, control.pulse_from, control.pulse_first = excitation.every, excitation.start, excitation.first
     if (guide := excitation.guide) is not None:
         channel, ticks = excitation.channel, guide.ticks(scene.rate)
         control.pulse_begin = excitation.ticks_before(scene.rate)
         mass = scene.device.masses(scene.channels)[channel]
-        set_guide(
+        guided = guide_hook(
             record.guide,
             channel=channel,
             target=guide.target,
@@ -239,6 +266,8 @@ def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, sc
             stiffness=guide.stiffness,
             mass=mass,
         )
+        return [guided]
+    return []
 
 
 def _set_io(io: Any, scene: Scene, description: Description) -> None:

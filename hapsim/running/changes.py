@@ -24,6 +24,7 @@ from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
 from hapsim.loop.beside import Beside
+from hapsim.loop.guards.energy_guard import follow_scene
 from hapsim.loop.posted import Posts
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
@@ -197,12 +198,12 @@ class LiveScene:
 
     def _is_shaken_by(self, scene: Scene) -> bool:
         """Whether the scene is predicted unstable and may run, with the energy guard on."""
-        return bool(self._unstable) and self._loop.energy_guard is not None and surely_shaken_by(scene) is not None
+        return bool(self._unstable) and self._loop.counts_energy and surely_shaken_by(scene) is not None
 
     def _announce(self, samples: int, is_shaken: bool) -> None:
         """Informs the energy guard, before a change acts, whether the scene will be predicted unstable."""
-        if self._loop.energy_guard is not None:
-            self._loop.energy_guard.follow(unstable=is_shaken, samples=samples)
+        if self._loop.counts_energy:
+            follow_scene(self._loop.record.energy_guard, unstable=is_shaken, samples=samples)
 
     def _correct_as(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:

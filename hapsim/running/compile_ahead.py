@@ -104,24 +104,21 @@ def _compile_modules(precision: str) -> None:
         take_over_from(program, scene, following, scene)
 
 
-_GUARDS = (
-    "loop.guards.slew:shape_force",
-    "loop.guards.travel:fade",
-    "loop.guards.energy_guard:judge_energy",
-    "loop.guards.sign:judge",
-    "loop.guards.frozen_sensor:judge_sensor",
-    "loop.force_history:keep",
-    "loop.guide:lead",
-    "cordis.stored_energy:evaluate",
-)
 _FIRMWARE = ("device.mock.firmware:FUNCTIONS", "device.mock.motion:move_gliding")
 
 UNITS: dict[str, CompileUnit] = {
-    "loop": CompileUnit(48, entries=_entry("loop.run:run_loop", "loop.exchange:LOOP"), calls_system=True),
+    "loop": CompileUnit(
+        48,
+        ("loop.guards.leap:find_leap",),
+        _entry("loop.run:run_loop", "loop.exchange:LOOP"),
+        calls_system=True,
+    ),
     "port": CompileUnit(
         3, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
     ),
-    "guards": CompileUnit(12, _GUARDS),  # a run compiles only those that its scene sets up
+    "guards": CompileUnit(  # a run compiles only those that its scene sets up
+        12, ("loop.guards:HOOKS", "loop.force_history:keep", "loop.guide:lead", "cordis.stored_energy:evaluate")
+    ),
     "mock": CompileUnit(
         45,
         (*_FIRMWARE, "device.mock.wire:receive_at_once", "device.mock.wire:send_at_once"),

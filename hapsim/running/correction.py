@@ -26,6 +26,7 @@ from hapsim.loop.adaptive import (
     add_difference,
     predict_adaptively,
 )
+from hapsim.loop.hooks import Hook, Stage
 from hapsim.loop.posted import Posts
 from hapsim.loop.predictor import STATES, predict
 from hapsim.prediction.correction import Corrected, Rendering
@@ -45,6 +46,8 @@ class LoopCorrection:
         """`loop`: a LOOP with its control set."""
         self._ports = {port.channel: port for port in rendering.ports if port.schedule is not None}
         """By channel, what adapts; none is added while the scene runs."""
+        self.hooks: list[Hook] = []
+        """What the exchange calls."""
         predictors = rendering.predictors()
         self._predicts = bool(predictors)
         if not predictors:
@@ -54,7 +57,7 @@ class LoopCorrection:
         record.lags, record.readings = self._lags, 1 + any(one.senses for one in predictors.values())
         rows = 2 << max(self._lags, 1).bit_length()
         self._forces = np.zeros((rows, 2, schema.MAX_CHANNELS))
-        record.address, record.forces, record.mask = address_of(record), address_of(self._forces), rows - 1
+        record.forces, record.mask = address_of(self._forces), rows - 1
         record.keeps_last_force = HOLDS[device.hold].keeps_last_force
         record.lives = loop.control.time_to_live
         tables = self._channel_tables(rendering)
@@ -65,9 +68,10 @@ class LoopCorrection:
         record.numbers = address_of(self._numbers)
         record.table = record.before = address_of(self._tables[0])
         record.samples = 1
-        record.predict = predict.address()
         if self._ports:
             self._adapt(rendering, description)
+            self.hooks.append(Hook(Stage.ADD, add_difference, record))
+        self.hooks.append(Hook(Stage.PREDICT, predict_adaptively if self._ports else predict, record))
 
     def _adapt(self, rendering: Rendering, description: Description) -> None:
         """Fills an ADAPTIVE."""
@@ -92,7 +96,6 @@ class LoopCorrection:
         estimate.span[:] = estimate.next_span
         estimate.slow_span[:] = np.minimum(estimate.span, MOST_SLOW_SPAN)
         self._record.adaptive = address_of(record)
-        self._record.predict, self._record.add = predict_adaptively.address(), add_difference.address()
 
     def _spans(self, rendering: Rendering) -> Iterator[tuple[int, int]]:
         """Yields channels, and the samples of the spans with which their estimates begin."""

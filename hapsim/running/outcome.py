@@ -14,10 +14,13 @@ from hapsim.errors import DeviceError, GuardError, RecordError, RunError
 from hapsim.loop import endings
 from hapsim.loop.counts import Progress, words_at
 from hapsim.loop.exchange import HOST_CLOCK
-from hapsim.loop.guards.energy_guard import GIVEN, LATE, SHAKING, SWINGING
-from hapsim.loop.guards.slew import NO_LIMIT
+from hapsim.loop.guards import guard_that_ended, in_words
+from hapsim.loop.guards.energy_guard import STEADIER
+from hapsim.loop.guards.frozen_sensor import standing_still
+from hapsim.loop.guards.leap import at_end_of_counts
 from hapsim.loop.histogram import histogram_of
-from hapsim.number_format import duration, plural, rounded_down, rounded_up
+from hapsim.loop.hooks import Ended
+from hapsim.number_format import duration, plural
 from hapsim.prediction import unlikely
 from hapsim.prediction.timing import host_silence
 from hapsim.recording.background_file import BackgroundFile
@@ -25,10 +28,6 @@ from hapsim.recording.recorder import Recorder
 from hapsim.recording.trace import Report, Statistics, Trace, columns_of
 from hapsim.running.assemble import LoopMemory
 from hapsim.scene import Scene
-
-_MUCH_SLEWED = 0.1  # of all ticks
-_COUNTS, _NEAR_END = 2.0**31, 0.99  # to either side; a device that wraps round was nearer in the sample before
-_STEADIER = "`hapsim doctor` reports what would help this machine, and `--realtime` requests it"
 
 
 def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) -> Trace:
@@ -39,7 +38,7 @@ def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) ->
         position_scale=loop.record.io.position_scale[: loop.wire.channels].copy(),
         force_scale=loop.record.io.force_scale[: loop.wire.channels].copy(),
         statistics=statistics_of(loop),
-        report=report_of(scene, loop, endings.IN_WORDS[ending]),
+        report=report_of(scene, loop, in_words(ending)),
     )
 
 
@@ -66,7 +65,7 @@ def progress_of(loop: LoopMemory) -> Progress:
         force=tuple((io.force_counts * io.force_scale)[used].tolist()),
         position=tuple(io.measured[used].tolist()),
         age_samples=int(state.age),
-        frozen=_frozen_sensor(loop, int(np.argmax(now_s)), float(now_s.max())),
+        frozen=standing_still(loop.rendered_scene, int(np.argmax(now_s)), float(now_s.max())),
         **counters_of(loop),
     )
 
@@ -104,13 +103,13 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
         nominal_rate_hz=scene.rate,
-        frozen=_frozen_sensor(loop, int(sensor.channel), float(sensor.longest / scene.rate)),
+        frozen=standing_still(loop.rendered_scene, int(sensor.channel), float(sensor.longest / scene.rate)),
         lateness_s=statistics.lateness.spread(),
         exchange_s=statistics.exchange.spread(),
         age_samples=statistics.age.spread(),
         virtual_time=virtual,
         motion=scene.device.motions(scene.channels),
-        timed_by_device=bool(loop.record.watch.judges),
+        timed_by_device=bool(loop.record.watch.period_ns),
         released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _says_released(loop) else None,
         **counters_of(loop),
     )
@@ -127,14 +126,21 @@ def _says_released(loop: LoopMemory) -> bool:
 def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: int) -> RunError | None:
     """Returns the error, with the trace, of a run that did not end as asked or whose device did not release."""
     report = trace.report
-    kind, sentence = _FAILURES.get(ending, (DeviceError, None))
-    if sentence is None and report.released:
+    guard, advice = guard_that_ended(ending), ""
+    kind: type[RunError]
+    if guard is not None:
+        run = Ended(loop.record, report, loop.rendered_scene, loop.setting)
+        kind, what, advice = GuardError, guard.sentence(run), guard.advice(run)
+    elif ending in _FAILURES:
+        kind, sentence = _FAILURES[ending]
+        what = sentence(loop, report) if callable(sentence) else sentence.format(report=report)
+    elif report.released:
         return None
-    sentence = sentence or "the run ended as asked after {report.ticks} ticks"
-    what = sentence(loop, report) if callable(sentence) else sentence.format(loop=loop.record, report=report)
-    hints = " ".join(unlikely(scene)).removesuffix(".") if kind is GuardError else ""
-    if advice := f"A likely mistake: {hints}" if hints else _stability_advice(loop, report, ending):
-        what = f"{what}. {advice}"
+    else:
+        kind, what = DeviceError, f"the run ended as asked after {report.ticks} ticks"
+    if kind is GuardError and (hints := " ".join(unlikely(scene)).removesuffix(".")):
+        advice = f"A likely mistake: {hints}"
+    what = f"{what}. {advice}" if advice else what
     what = f"{what}; {_where_the_force_is(scene, loop, bool(report.released))}"
     return _with_trace(kind(f"{name}: {what}"), trace)
 
@@ -171,107 +177,6 @@ def _device_stopped(loop: LoopMemory, report: Report) -> str:
     return f"the device stopped after {report.ticks} ticks: {_stop_reason(loop, report)}"
 
 
-def _hand_on(loop: LoopMemory, channel: int) -> str:
-    return next(name for name, one in loop.rendered_scene.device_points.items() if one.channel == channel)
-
-
-def _frozen_sensor(loop: LoopMemory, channel: int, still_s: float) -> str:
-    """Returns what a position that does not answer may be, without a full stop; "" where it did not stand still."""
-    if still_s == 0.0:
-        return ""
-    return (
-        f"the position of {_hand_on(loop, channel)} has not changed by one count for {duration(still_s)} although "
-        "force acted: sensor or cable? Its force is zero until it changes. For a handle at a stop declare "
-        "device.travel, and for one with dry friction mock.coulomb"
-    )
-
-
-def _staircase(loop: LoopMemory, report: Report) -> str:
-    return (
-        f"the position of {_hand_on(loop, int(loop.record.frozen_sensor.jumps_on))} stands still and jumps, again and "
-        f"again, the last time at tick {report.ticks}: its sensor is refreshed more rarely than device.rate says, or "
-        "its cable is loose; the last force was not sent (hapsim/STABILITY.md)"
-    )
-
-
-def _out_of_travel(loop: LoopMemory, report: Report) -> str:
-    travel, c = loop.record.travel, int(loop.record.travel.channel)
-    units = loop.rendered_scene.units_of(c)
-    return (
-        f"channel {c} is out of its travel at tick {report.ticks}: at {units(travel.position, 'm', '.6g')}, where "
-        f"device.travel goes from {units.number(travel.low[c], 'm', 'g')} to {units(travel.high[c], 'm', 'g')} and the "
-        "force fades within "
-        f"{units(travel.margin[c], 'm', 'g')} outside; its force was not sent. Something drives the device outward, or "
-        "its zero is "
-        "not where the scene has it: a motor or an encoder with the wrong sign, a wrong device.origin, a device that "
-        "restarted elsewhere, or limits that are not the device's. Move it back within its travel before the next run"
-    )
-
-
-def _too_late(loop: LoopMemory, report: Report) -> str:
-    return (
-        f"{report.deadline_misses} of the first {report.ticks} forces were late: the scene is unstable on a wire that "
-        f"takes {loop.first_late} Use a faster wire, a lower rate or less stiffness; --unstable runs it all the same"
-    )
-
-
-def _position_leapt(loop: LoopMemory, report: Report) -> str:
-    leap = loop.record.leap
-    units = loop.rendered_scene.units_of(int(leap.channel))
-    bound = units(rounded_down(units.scaled(leap.bound_m, "m")), "m")
-    return (
-        f"the position of channel {leap.channel} leapt at tick {report.ticks}: {units(leap.leapt_m, 'm', '.4g')} away "
-        "from "
-        f"where its motion led, where no hand gets farther than {bound} (hapsim/STABILITY.md); "
-        "its force was not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a "
-        f"force_limit that is not the device's{_at_end_of_counts(loop, _NEAR_END)}"
-    )
-
-
-def _at_end_of_counts(loop: LoopMemory, near: float) -> str:
-    """A sentence where a channel's position is beyond this share of what its counts can say; else ""."""
-    io, n = loop.record.io, loop.wire.channels
-    counts = [abs(int(io.position_counts[c]) + int(io.origin_counts[c])) for c in range(n)]
-    c = max(range(n), key=lambda one: counts[one])
-    if counts[c] < near * _COUNTS:
-        return ""
-    scale, units = float(io.position_scale[c]), loop.rendered_scene.units_of(c)
-    return (
-        f". The position's count is at its end on channel {c} (±{units(_COUNTS * scale, 'm', '.4g')} at "
-        f"{units(scale, 'm', 'g')} per count): the "
-        "device went as far as 32 bits reach. Keep it within by a spring, a stop or device.travel, or make its counts "
-        "larger: mock.quantum, or the position scale of a device's firmware"
-    )
-
-
-def _diverging(loop: LoopMemory, report: Report) -> str:
-    """Returns what the energy guard found, and what to do about late forces."""
-    energy = loop.record.energy_guard
-    why, account = int(energy.why), int(energy.account)
-    is_unstable = loop.energy_guard is not None and loop.energy_guard.is_unstable
-    alike = "each time as far, by late forces" if account == LATE else "faster than any hand moves"
-    on_what = "on a scene that is predicted unstable" if is_unstable else ""
-    if why == SWINGING:
-        found = (
-            f"the force swung {on_what or 'at its limit'}: {energy.swings[account]} times in a row, the last at tick "
-            f"{report.ticks}, and gave the hand {rounded_up(energy.work[account])} J over these, above the limit of "
-            f"{rounded_down(energy.swing_limit[account])} J and no less than the declared friction takes"
-        )
-    elif why == SHAKING:
-        found = (
-            f"the force shook at its limit: from one side to the other {energy.shakes} times in a row, the last at "
-            f"tick {report.ticks}, {on_what or alike}"
-        )
-    else:
-        found = (
-            f"by tick {report.ticks} {'late forces' if account == LATE else 'the scene'} had given the hand "
-            f"{rounded_up(energy.given[account])} J that it had not got from it, above the limit of "
-            f"{rounded_down(energy.limit[account])} J"
-        )
-    late = f". {_late_force_advice(report)}" if account == LATE else ""
-    return f"{found}; the last force was not sent{late}"
-
-
 _FAILURES: dict[int, tuple[type[RunError], str | Callable[[LoopMemory, Report], str]]] = {
     endings.SILENT: (DeviceError, _silent),
     endings.HUNG_UP: (DeviceError, "the device went away after {report.ticks} ticks (unplugged, or its port closed)"),
@@ -286,59 +191,9 @@ _FAILURES: dict[int, tuple[type[RunError], str | Callable[[LoopMemory, Report], 
         "without bounds, or a stiffness or a damping is beyond what floating point holds at this rate: `hapsim check` "
         "reports what is stable",
     ),
-    endings.WRONG_RATE: (
-        GuardError,
-        "the device samples at {loop.watch.rate_hz:.4g} Hz, where it declares {report.nominal_rate_hz:g} Hz; stopped "
-        "after {report.ticks} ticks. At another rate than the scene's, stiffness and damping feel different: set the "
-        "device's timer right",
-    ),
-    endings.TOO_LATE: (GuardError, _too_late),
-    endings.POSITION_LEAPT: (GuardError, _position_leapt),
-    endings.OUT_OF_TRAVEL: (GuardError, _out_of_travel),
-    endings.STAIRCASE: (GuardError, _staircase),
-    endings.WRONG_SIGN: (
-        GuardError,
-        "motor and position of channel {loop.sign.channel} disagree in sign: the device accelerated against its force, "
-        "and a release of the force confirmed it (tick {report.ticks}). Swap the motor's two wires; or reverse the "
-        "encoder, if the position falls when the hand moves the positive way (hapsim/STABILITY.md)",
-    ),
-    endings.ENERGY_EXCEEDED: (GuardError, _diverging),
 }
-"""By ending: the kind of error, and its sentence without a full stop, or a function that returns it."""
-
-
-def _late_force_advice(report: Report) -> str:
-    late_s = ((report.age_samples.max or 1.0) - 1.0) / report.nominal_rate_hz
-    lost = f", and {report.lost_frames} positions were lost" if report.lost_frames else ""
-    return (
-        f"{report.deadline_misses} forces were up to {duration(late_s)} late{lost}; in time the scene would have given "
-        f"no more than it may. {_STEADIER} (hapsim/STABILITY.md)"
-    )
-
-
-def _stability_advice(loop: LoopMemory, report: Report, ending: int) -> str:
-    """Returns what to change in a scene in which no value is unlikely; first the slew limit, where it held the force
-    back in many ticks. "" where it was not the scene's motion that ended the run."""
-    energy = loop.record.energy_guard
-    if ending != endings.ENERGY_EXCEEDED or int(energy.account) == LATE:
-        return ""
-    advice = "" if loop.energy_guard is not None and loop.energy_guard.is_unstable else "No passive object does that. "
-    if report.slewed_ticks > _MUCH_SLEWED * report.ticks:
-        slew, limited = loop.record.slew, int(loop.record.slew.step[0]) < NO_LIMIT
-        by = " or ".join(["device.slew_limit"] * limited + ["device.soft_start"] * (float(slew.soft_samples) > 0.0))
-        advice = (
-            f"{by} held the force back in {report.slewed_ticks} of {report.ticks} ticks, which predictions ignore: "
-            f"a force that comes late can shake what is stable otherwise. Change it first. {advice}"
-        )
-    limit = (
-        "For a scene that is meant to give energy, set device.energy_limit"
-        if int(energy.why) == GIVEN
-        else "A larger device.energy_limit does not change that"
-    )
-    return (
-        f"{advice}`hapsim check` reports what would make the scene stable; less stiffness, more real friction, a "
-        f"higher rate or a shorter delay. {limit} (hapsim/STABILITY.md)"
-    )
+"""By ending where no guard ended the run: the kind of error, and its sentence without a full stop, or a function that
+returns it."""
 
 
 def _useless_input(loop: LoopMemory, report: Report) -> str:
@@ -360,7 +215,9 @@ def _stop_reason(loop: LoopMemory, report: Report) -> str:
             "it is idle or latched (PROTOCOL.md, section 7)"
         )
     if fault != schema.HOST_QUIET:
-        return fault_text(fault) + (_at_end_of_counts(loop, 0.0) if fault == schema.POSITION_OUT_OF_RANGE else "")
+        return fault_text(fault) + (
+            at_end_of_counts(loop.record.io, loop.rendered_scene) if fault == schema.POSITION_OUT_OF_RANGE else ""
+        )
     watchdog_s = 1e-9 * loop.watchdog_samples * int(loop.control.period_ns)
     position_s, force_s = (1e-9 * (int(state.stopped_ns) - int(ns)) for ns in (state.newest_ns, state.sent_ns))
     useless = _useless_input(loop, report)
@@ -373,7 +230,7 @@ def _stop_reason(loop: LoopMemory, report: Report) -> str:
     held_up_s = force_s if report.ticks and position_s < 0.5 * watchdog_s else 0.0
     if int(loop.control.clock) == HOST_CLOCK:
         held_up_s = report.lateness_s.max or 0.0
-    held_up = f". This program, or its port, was held up for {duration(held_up_s)}. {_STEADIER}"
+    held_up = f". This program, or its port, was held up for {duration(held_up_s)}. {STEADIER}"
     return (
         f"{fault_text(fault)} ({loop.watchdog_samples} samples): {', '.join(before)}"
         f"{held_up if held_up_s > watchdog_s else ''}"

@@ -23,6 +23,7 @@ from hapsim.cordis.schemes import SCHEMES
 from hapsim.device.mock.assemble import describe_mock
 from hapsim.errors import UsageError
 from hapsim.loop.exchange import LOOP
+from hapsim.loop.hooks import set_hooks
 from hapsim.loop.predictor import corrected_ticks
 from hapsim.prediction.correction import rendered
 from hapsim.running.correction import LoopCorrection
@@ -49,8 +50,11 @@ class Running:
         self._loop: Any = None
         if rendering.predictors():
             self._loop = new_record(LOOP)
-            self._loop.io.address, self._loop.io.channels = address_of(self._loop.io), scene.channels
+            tick = self._loop.tick
+            tick.address, tick.io, tick.gap, tick.age = address_of(tick), address_of(self._loop.io), 1, 1
+            self._loop.io.channels = scene.channels
             self._kept = LoopCorrection(self._loop, rendering, describe_mock(scene))
+            self._calls = set_hooks(self._loop.hooks, self._kept.hooks)
 
     def advance(self, samples: int) -> None:
         """Simulates samples."""

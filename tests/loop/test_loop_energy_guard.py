@@ -16,10 +16,11 @@ from loop_rig import served
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
+from hapsim.compiling.native import address_of
 from hapsim.cordis.stored_energy import TANK, Tank
 from hapsim.errors import DeviceError, GuardError
 from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, call_keep
+from hapsim.loop.force_history import FORCE_HISTORY, history_hook, keep
 from hapsim.loop.guards.energy_guard import (
     ENERGY_GUARD,
     GIVEN,
@@ -29,9 +30,12 @@ from hapsim.loop.guards.energy_guard import (
     SHAKING,
     SWINGING,
     SWINGS,
-    EnergyGuard,
-    call_judge_energy,
+    follow_scene,
+    is_strict,
+    judge_energy,
+    watch_energy,
 )
+from hapsim.loop.hooks import TICK, call_hook
 from hapsim.running import Excitation, PeriodicExcitation, run, start
 from hapsim.scene import Scene, parse_scene
 
@@ -157,7 +161,7 @@ def test_it_is_the_default_before_a_port_but_in_virtual_time(clock: str, judges:
 
     def note(session: Any) -> None:
         energy = session._loop.record.energy_guard
-        limits.append(float(energy.limit[SCENE]) if energy.judge else None)
+        limits.append(float(energy.limit[SCENE]) if energy.tank else None)
         session.stop()
 
     with (
@@ -198,7 +202,7 @@ def test_what_it_counts_is_the_energy_of_the_hand(hold: str, sampling: str) -> N
 
 
 @entry
-def first_trip(energy, history, io, positions, stiffness, damping, limit, gap, late):
+def first_trip(hooks, energy, tick, io, positions, stiffness, damping, limit):
     """At which sample the guard trips, of a spring and a backward damper at these positions (m); -1 if never. Also the
     most energy that it counts."""
     before, most = positions[0], -1e300
@@ -208,8 +212,8 @@ def first_trip(energy, history, io, positions, stiffness, damping, limit, gap, l
         before = positions[n]
         io.asked[0] = asked
         io.force_counts[0] = max(min(asked, limit), -limit)
-        call_keep(history.keep, (history.address, io.address, gap, 0, late, 0, 0))
-        if call_judge_energy(energy.judge, (energy.address, history.address, io.address, gap)) != 0:
+        call_hook(hooks[0], (hooks[1], tick.address))
+        if call_hook(hooks[2], (hooks[3], tick.address)) != 0:
             return n, most
         most = max(most, energy.given[0])
     return -1, most
@@ -231,10 +235,12 @@ def judge(
     """(the sample at which it trips, the most energy that the scene's account has, why, by which account). Counts are
     of 1 m and 1 N."""
     record, history, io = new_record(ENERGY_GUARD), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
-    io.channels, io.address = 1, io.__array_interface__["data"][0]
+    tick = new_record(TICK)
+    io.channels, tick.gap, tick.late = 1, gap, late
+    tick.address, tick.io, tick.history = address_of(tick), address_of(io), address_of(history)
     io.position_scale[0] = io.force_scale[0] = 1.0
     io.force_limit[0] = limit
-    kept = EnergyGuard(
+    watch_energy(
         record,
         Tank(new_record(TANK), capacity_j=0.0, refill_j=0.0),
         rate_hz=1.0 / T,
@@ -244,11 +250,12 @@ def judge(
         credit_j=1e15,
     )
     record.limit[:] = energy
-    kept.follow(unstable=unstable)
-    forces = ForceHistory(history, delay=delay, keeps_last_force=True)
-    told = np.asarray(positions, np.int64), stiffness, damping, limit, gap, int(late)
-    row, most = first_trip(record, history, io, *told)
-    del kept, forces
+    follow_scene(record, unstable=unstable)
+    kept = history_hook(history, delay=delay, keeps_last_force=True)
+    hooks = [keep.address(), address_of(history), judge_energy.address(), address_of(record)]
+    told = np.asarray(positions, np.int64), stiffness, damping, limit
+    row, most = first_trip(np.array(hooks, np.uint64), record, tick, io, *told)
+    del kept
     return int(row), float(most), int(record.why), int(record.account)
 
 
@@ -367,6 +374,6 @@ def test_what_a_change_makes_unstable_is_judged_so_too() -> None:
         for stiffness, over in ((1000.0, 0.0), (10_000.0, 0.0), (1000.0, 3600.0), (1000.0, 0.0)):
             session.set({"touch": {"stiffness": stiffness + 1.0 - over / 3600.0}}, over=over)
             session.wait(0.05)
-            judged_as.append(session._loop.energy_guard.is_unstable)
+            judged_as.append(is_strict(session._loop.record.energy_guard))
         session.stop()
     assert judged_as == [False, True, True, False]

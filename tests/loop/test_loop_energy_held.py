@@ -61,7 +61,7 @@ def judged(scene: Scene, duration: float) -> tuple[str, int, float]:
         trace = run(scene, duration=duration, judges_energy=True, unstable=True, on_start=sessions.append)
     except GuardError as error:
         trace = error.trace  # type: ignore[assignment]
-    return trace.report.ending, trace.report.ticks, float(sessions[0]._loop.record.energy_guard.held)
+    return trace.report.ending, trace.report.ticks, float(sessions[0]._loop.record.tick.held)
 
 
 @pytest.mark.parametrize("many", [1, 5])

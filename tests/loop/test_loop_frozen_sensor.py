@@ -219,10 +219,10 @@ def test_knocks_are_no_staircase() -> None:
 
 def test_it_is_on_behind_a_port_and_in_a_run_that_judges_energy() -> None:
     """And not in virtual time otherwise: there is no hand."""
-    assert assembled(scene_of()).record.frozen_sensor.judge == 0
-    assert assembled(scene_of(), options=RunOptions(judges_energy=True)).record.frozen_sensor.judge != 0
+    assert assembled(scene_of()).record.frozen_sensor.rate == 0
+    assert assembled(scene_of(), options=RunOptions(judges_energy=True)).record.frozen_sensor.rate != 0
     with served(scene_of(device={"clock": "device"})) as (scene, _), start(scene, duration=0.01) as session:
-        assert session._loop.record.frozen_sensor.judge != 0
+        assert session._loop.record.frozen_sensor.rate != 0
 
 
 def test_while_it_runs_its_progress_says_so() -> None:

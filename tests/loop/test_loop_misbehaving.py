@@ -16,7 +16,7 @@ from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.errors import DeviceError, GuardError
 from hapsim.loop import endings
 from hapsim.loop.endings import DEVICE_STOPPED
-from hapsim.loop.guards.energy_guard import GIVEN, SHAKING, SWINGING
+from hapsim.loop.guards.energy_guard import ENERGY_EXCEEDED, GIVEN, SHAKING, SWINGING
 from hapsim.loop.histogram import note
 from hapsim.recording.recorder import Recorder
 from hapsim.running import run
@@ -160,14 +160,14 @@ def test_what_is_above_a_limit_is_reported_above_it(found: float, told: str) -> 
         return str(failure_of("test", scene, loop, trace_of(scene, loop, Recorder(loop.ring, True), ending), ending))
 
     energy.why = SWINGING
-    assert f"gave the hand {told} J over these, above the limit of 0.2 J" in sentence(endings.ENERGY_EXCEEDED)
+    assert f"gave the hand {told} J over these, above the limit of 0.2 J" in sentence(ENERGY_EXCEEDED)
     energy.why = GIVEN
     assert f"had given the hand {told} J that it had not got from it, above the limit of 0.2 J;" in sentence(
-        endings.ENERGY_EXCEEDED
+        ENERGY_EXCEEDED
     )
     energy.why, energy.shakes = SHAKING, 17
     shook = "the force shook at its limit: from one side to the other 17 times in a row, the last at tick 0,"
-    assert shook in sentence(endings.ENERGY_EXCEEDED)
+    assert shook in sentence(ENERGY_EXCEEDED)
 
 
 def test_a_status_that_says_neither_idle_nor_latched_is_told_as_it_came() -> None:

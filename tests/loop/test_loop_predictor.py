@@ -12,7 +12,7 @@ from hapsim.compiling import entry
 from hapsim.compiling.native import address_of
 from hapsim.device.mock.assemble import describe_mock
 from hapsim.loop.exchange import LOOP
-from hapsim.loop.predictor import call_predict
+from hapsim.loop.hooks import call_hooks, set_hooks
 from hapsim.prediction.correction import rendered
 from hapsim.running.correction import LoopCorrection
 from hapsim.scene import Device, DevicePoint, Ground, Scene, ViscoElastic
@@ -22,8 +22,8 @@ OF_VELOCITY, OF_PUSH = 7.0 / 8.0, 1.0 / 4.0  # with which the poles are 1/2 twic
 
 
 @entry
-def read(predictor, io, gap, late, age):  # type: ignore[no-untyped-def]
-    call_predict(predictor.predict, (predictor.address, io.address, gap, late, age))
+def read(loop):  # type: ignore[no-untyped-def]
+    call_hooks(loop.hooks.before_scene, loop.tick)
 
 
 class Observer:
@@ -73,11 +73,13 @@ def test_whatever_is_lost_or_late_it_is_the_observer_that_is_written_out(seed: i
     device = Device(clock="lockstep", mass=MASS, correction="predictor")
     scene = Scene(version=1, rate=1.0 / T, device=device, modules=modules)
     loop: Any = new_record(LOOP)
-    io = loop.io
-    io.address, io.channels, io.force_scale[0] = address_of(io), 1, 1e-3
+    io, tick = loop.io, loop.tick
+    io.channels, io.force_scale[0] = 1, 1e-3
+    tick.address, tick.io = address_of(tick), address_of(io)
     loop.control.time_to_live = LIVES
     kept = LoopCorrection(loop, rendered(scene), describe_mock(scene))
-    assert kept is not None
+    hooks = set_hooks(loop.hooks, kept.hooks)
+    assert hooks
     random = np.random.default_rng(seed)
     observer, age = Observer(), 1
     for sample in range(400):
@@ -86,7 +88,8 @@ def test_whatever_is_lost_or_late_it_is_the_observer_that_is_written_out(seed: i
         age = min(age + 1, LIVES + 2) if late else 1
         y = float(random.normal(scale=1e-3))
         io.measured[0] = y
-        read(loop.predictor, io, gap, int(late), age)
+        tick.gap, tick.late, tick.age = gap, late, age
+        read(loop)
         x, v = observer.read(y, gap, late, age > LIVES)
         assert io.measured[0] == pytest.approx(x, rel=1e-9, abs=1e-15), sample
         assert io.velocity[0] == pytest.approx(v, rel=1e-9, abs=1e-12), sample

@@ -18,8 +18,9 @@ from hapsim.bringup.faults.injector import parse_script
 from hapsim.compiling.native import address_of
 from hapsim.errors import GuardError
 from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, keep
-from hapsim.loop.guards.sign import RELEASE_S, SIGN, judge, judge_signs
+from hapsim.loop.force_history import FORCE_HISTORY, history_hook, keep
+from hapsim.loop.guards.sign import RELEASE_S, SIGN, judge_signs, watch_signs
+from hapsim.loop.hooks import TICK
 from hapsim.loop.ring import SLEWED
 from hapsim.recording.trace import Trace
 from hapsim.running import run, start
@@ -105,8 +106,7 @@ def test_a_motor_that_is_right_is_judged_no_more_and_its_forces_are_as_without()
     loops: list[Any] = []
     with start(touch(), duration=0.3, judges_sign=True, on_arming=lambda one: loops.append(one._loop)) as session:
         session.wait()
-    assert (loops[0].record.sign.is_right[0], loops[0].record.sign.judge) == (1, 0)
-    assert loops[0].record.history.keep == 0
+    assert (loops[0].record.sign.is_right[0], loops[0].record.sign.is_over) == (1, 1)
     assert session.trace.report.sign_tests == 0
     np.testing.assert_array_equal(session.trace.force_counts, run(touch(), duration=0.3).force_counts)
 
@@ -157,19 +157,21 @@ def judged(
     makes `side` of a force. `lost`: positions that never arrive; `late`: forces that come too late to act; `push`: the
     hand's, N, by sample and position (m)."""
     record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
-    io.channels, io.address = 1, address_of(io)
+    tick, io.channels = new_record(TICK), 1
+    tick.io, tick.history = address_of(io), address_of(past)
     io.position_scale[0] = io.force_scale[0] = 1e-6
     io.force_limit[0] = 10.0
-    history = ForceHistory(past, delay=1.0, keeps_last_force=True)
-    judge_signs(record, rate_hz=1.0 / T, masses=[(MASS, MASS)])
+    history = history_hook(past, delay=1.0, keeps_last_force=True)
+    watch_signs(record, rate_hz=1.0 / T, masses=[(MASS, MASS)])
     x, v, acts, gap, in_time = 0.0, velocity, 0.0, 1, True
     for n in range(samples):
         answer = acts
         if n not in lost:
             force = 0.0 if 0 <= record.since[0] < record.release else min(max(-stiffness * x, -10.0), 10.0)
             io.position_counts[0], io.force_counts[0] = round(x * 1e6), round(force * 1e6)
-            keep(past.address, io.address, gap, 0, int(not in_time), 0, 0)
-            if judge(record.address, past.address, io.address, gap):
+            tick.gap, tick.late = gap, not in_time
+            keep(address_of(past), address_of(tick))
+            if judge_signs(address_of(record), address_of(tick)):
                 return n, int(record.tests)
             answer = force
         gap = gap + 1 if n in lost else 1
@@ -205,15 +207,17 @@ def test_a_hand_that_swings_with_the_spring_s_own_rate_is_found_out_by_a_release
 
 def test_after_a_long_gap_the_sums_begin_anew_and_lost_positions_count_as_time() -> None:
     record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
-    io.channels, io.address = 1, address_of(io)
+    tick, io.channels = new_record(TICK), 1
+    tick.io, tick.history = address_of(io), address_of(past)
     io.position_scale[0] = io.force_scale[0] = 1.0
-    history = ForceHistory(past, delay=1.0, keeps_last_force=True)
-    judge_signs(record, rate_hz=1000.0, masses=[(MASS, MASS)])
+    history = history_hook(past, delay=1.0, keeps_last_force=True)
+    watch_signs(record, rate_hz=1000.0, masses=[(MASS, MASS)])
     kept, since = [], []
     record.since[0] = 0  # a test has just begun
     for gap in (1, 1, 1, 1, 2, 3, 4, 1):
-        keep(past.address, io.address, gap, 0, 0, 0, 0)
-        judge(record.address, past.address, io.address, gap)
+        tick.gap = gap
+        keep(address_of(past), address_of(tick))
+        judge_signs(address_of(record), address_of(tick))
         kept.append(int(record.kept[0]))
         since.append(int(record.since[0]))
     assert kept == [0, 0, 1, 2, 3, 4, 1, 2]
@@ -227,5 +231,5 @@ def test_below_a_tenth_of_the_force_limit_nothing_is_tested() -> None:
 
 def test_a_release_lasts_for_its_time_where_nothing_comes_of_it() -> None:
     record = new_record(SIGN)
-    judge_signs(record, rate_hz=2000.0, masses=[(MASS, MASS)])
+    watch_signs(record, rate_hz=2000.0, masses=[(MASS, MASS)])
     assert record.release == round(RELEASE_S * 2000.0) == 24

@@ -10,7 +10,8 @@ from loop_rig import arrive, assembled, frame, scene_of
 from numpy.typing import NDArray
 
 from hapsim.errors import DescriptionError, GuardError, UsageError
-from hapsim.loop.endings import HEARD, OUT_OF_TRAVEL
+from hapsim.loop.endings import HEARD
+from hapsim.loop.guards.travel import OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED, LIMITED
 from hapsim.measuring.measure import pushes
 from hapsim.prediction.force_bounds import fade_stiffness, refused_travel
@@ -149,7 +150,7 @@ def test_after_lost_positions_the_newest_one_counts() -> None:
         asked = -100.0 * counts * 1e-6
         sent = int(loop.record.io.force_counts[0])
         assert sent == round(round(asked * 1e3) * float(left(np.array(counts * 1e-6))))
-    assert int(loop.state.faded_ticks) == 2
+    assert int(loop.record.travel.faded_ticks) == 2
     assert int(loop.state.lost_frames) == 5 + 4
 
 

@@ -9,26 +9,28 @@ import pytest
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
+from hapsim.compiling.native import address_of
 from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.exchange import STATE
-from hapsim.loop.guards.leap import LEAP, is_leap, watch_for_leaps
+from hapsim.loop.guards.leap import LEAP, find_leap, watch_for_leaps
+from hapsim.loop.hooks import TICK, call_hook
 from hapsim.scales import SCALES, Scale
 
 SCALE = SCALES["linear"]
 
 
 @entry
-def first_leap(leap, io, state, samples, arrived, positions, period_ns):
+def first_leap(function, leap, tick, io, samples, arrived, positions, period_ns):
     """The guard as the loop has it: at which row it says that the position leapt; -1 if it never does."""
     for row in range(samples.size):
-        gap = samples[row] - samples[row - 1] if row > 0 else 1
+        tick.gap = samples[row] - samples[row - 1] if row > 0 else 1
         io.before[0] = io.measured[0]
         io.measured[0] = positions[row]
-        if is_leap(leap, io, state, gap, arrived[row] * period_ns, period_ns):
+        tick.now_ns = arrived[row] * period_ns
+        if call_hook(function, (leap, tick.address)) != 0:
             return row
-        state.newest_ns = arrived[row] * period_ns
-        state.sent_ns = arrived[row] * period_ns + 1000
-        state.ticks += 1
+        tick.before_ns = arrived[row] * period_ns
+        tick.sent_ns = arrived[row] * period_ns + 1000
+        tick.number += 1
     return -1
 
 
@@ -49,7 +51,8 @@ def judged(
 ) -> int | None:
     """The row at which the guard finds a leap in `positions` (m); None where it finds none. `arrived`: in periods, by
     the host's clock, where that is not when they were sampled."""
-    leap, io, state = new_record(LEAP), new_record(IO_BUFFER), new_record(STATE)
+    leap, io, tick = new_record(LEAP), new_record(IO_BUFFER), new_record(TICK)
+    tick.address, tick.io = address_of(tick), address_of(io)
     each = {"mass": mass, "friction": friction, "stiffness": stiffness, "force": force, "count_m": quantum}
     arrays = {key: np.array([value]) for key, value in each.items()}
     watch_for_leaps(leap, rate_hz=rate, by_host=by_host, noise_m=noise, scales=[scale], **arrays)
@@ -57,7 +60,8 @@ def judged(
     at = np.asarray(positions, float)
     times = numbers if arrived is None else arrived
     period_ns = np.int64(round(1e9 / rate))
-    row = int(first_leap(leap, io, state, numbers.astype(np.int64), times.astype(np.int64), at, period_ns))
+    judge = np.uint64(find_leap.address()), np.uint64(address_of(leap))
+    row = int(first_leap(*judge, tick, io, numbers.astype(np.int64), times.astype(np.int64), at, period_ns))
     return None if row < 0 else row
 
 

@@ -17,12 +17,14 @@ import pytest
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
+from hapsim.compiling.native import address_of
 from hapsim.device.connection import Connection
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.mock.wire import loopback_transport
 from hapsim.errors import GuardError
-from hapsim.loop.guards.rate import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, is_off_rate
+from hapsim.loop.guards.rate import MOST_OFF, WATCH, WINDOW_NS, WINDOW_SAMPLES, WINDOWS, judge_rate
+from hapsim.loop.hooks import TICK, call_hook
 from hapsim.measuring.measure_trace import measure_trace
 from hapsim.running import run
 from hapsim.running import session as session_module
@@ -94,19 +96,21 @@ def test_the_limit_of_stiffness_is_that_of_the_true_rate(figures: Any) -> None:
 
 
 @entry
-def first_off(watch, arrivals_ns, period_ns):
+def first_off(function, watch, tick, arrivals_ns):
     """The guard as the loop has it: at which position it says that the rate is off; -1 if it never does."""
     for sample in range(arrivals_ns.size):
-        if is_off_rate(watch, sample, np.int64(arrivals_ns[sample]) + 1, period_ns):
+        tick.sample, tick.now_ns = sample, np.int64(arrivals_ns[sample]) + 1
+        if call_hook(function, (watch, tick.address)) != 0:
             return sample
     return -1
 
 
-def watched(arrivals_ns: np.ndarray, period_ns: int, judges: bool = True) -> int | None:
+def watched(arrivals_ns: np.ndarray, period_ns: int) -> int | None:
     """At which position the guard says that the rate is off; None if it never does."""
-    watch = new_record(WATCH)
-    watch.judges = judges
-    sample = int(first_off(watch, arrivals_ns, period_ns))
+    watch, tick = new_record(WATCH), new_record(TICK)
+    watch.period_ns, tick.address = period_ns, address_of(tick)
+    judge = np.uint64(judge_rate.address()), np.uint64(address_of(watch))
+    sample = int(first_off(*judge, tick, arrivals_ns))
     return None if sample < 0 else sample
 
 
@@ -135,7 +139,7 @@ def test_a_host_that_is_held_up_is_no_device_at_another_rate(rate: float) -> Non
 
 def test_what_has_no_timer_is_not_judged() -> None:
     assert watched(np.arange(10_000) * 1e9, 1_000_000) == WINDOWS * 250
-    assert watched(np.arange(10_000) * 1e9, 1_000_000, judges=False) is None
+    assert not run(scene_of(500.0, 2.0), duration=0.1).report.timed_by_device
 
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0])

@@ -29,8 +29,9 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry, helper
 from hapsim.compiling.native import address_of
 from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.force_history import FORCE_HISTORY, ForceHistory, call_keep
-from hapsim.loop.guards.frozen_sensor import FLOOR, FROZEN_SENSOR, call_judge_sensor, lower, watch_sensor
+from hapsim.loop.force_history import FORCE_HISTORY, history_hook, keep
+from hapsim.loop.guards.frozen_sensor import FLOOR, FROZEN_SENSOR, judge_sensor, lower, watch_sensor
+from hapsim.loop.hooks import TICK, call_hook
 from hapsim.scales import SCALES
 
 RATE, STEPS, MASS, SCALE = 1000.0, 5, 0.2, 1e-4  # Hz, steps of a hand in a sample, kg declared, N per count
@@ -89,7 +90,7 @@ def _moved(run, now, h, force, x, v, hand_x, hand_v):
 
 
 @entry
-def simulate(run, io, history, sensor, guarded, found):
+def simulate(run, io, hooks, tick, sensor, guarded, found):
     """Runs one hand on one device."""
     period, h = 1.0 / RATE, 1.0 / RATE / STEPS
     x, v, hand_x, hand_v, acting, before, read = run.position, run.velocity, run.position, run.velocity, 0.0, 0, 0
@@ -107,12 +108,11 @@ def simulate(run, io, history, sensor, guarded, found):
         force = _asked(run, at, speed, now)
         force = min(max(force, -run.limit), run.limit)
         io.position_counts[0], io.asked[0], io.force_counts[0] = read, force, np.int64(np.rint(force / SCALE))
-        if sensor.lowers != 0:
-            lower(sensor, io)
-        call_keep(history.keep, (history.address, io.address, 1, 0, 0, 0, 0))
+        call_hook(hooks[0], (hooks[1], tick.address))
+        call_hook(hooks[2], (hooks[3], tick.address))
         if guarded and found.ends == 0:
             was = sensor.asked[0] >= 0
-            found.ends = call_judge_sensor(sensor.judge, (sensor.address, history.address, io.address, 1))
+            found.ends = call_hook(hooks[4], (hooks[5], tick.address)) != 0
             if sensor.asked[0] >= 0 and not was:
                 asked_at = x
         sent = io.force_counts[0] * SCALE if found.ends == 0 else 0.0
@@ -141,9 +141,11 @@ def simulated(drawn: dict[str, float], *, declared: dict[str, Any] | None = None
     for name in RUN.names:
         run[name] = drawn.get(name, 0.0)
     io, history, sensor = (new_record(one) for one in (IO_BUFFER, FORCE_HISTORY, FROZEN_SENSOR))
-    io.channels, io.address = 1, address_of(io)
+    tick = new_record(TICK)
+    io.channels, tick.gap = 1, 1
+    tick.address, tick.io, tick.history = address_of(tick), address_of(io), address_of(history)
     io.position_scale[0], io.force_scale[0], io.force_limit[0] = run.count, SCALE, run.limit
-    kept = ForceHistory(history, delay=1.0, keeps_last_force=True)
+    kept = history_hook(history, delay=1.0, keeps_last_force=True)
     watch_sensor(
         sensor,
         rate_hz=RATE,
@@ -155,8 +157,10 @@ def simulated(drawn: dict[str, float], *, declared: dict[str, Any] | None = None
         travel=np.array([[declared.get("low", -math.inf)], [declared.get("high", math.inf)]]),
         soft_start_s=0.05,
     )
-    simulate(run, io, history, sensor, guarded, found)
-    assert kept.forces.size  # the history has but its address
+    calls = ((lower, sensor), (keep, history), (judge_sensor, sensor))
+    hooks = [word for function, record in calls for word in (function.address(), address_of(record))]
+    simulate(run, io, np.array(hooks, np.uint64), tick, sensor, guarded, found)
+    assert kept.kept.size  # the history has but its address
     return found, int(sensor.tests), int(sensor.frozen_ticks)
 
 

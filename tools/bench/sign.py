@@ -32,7 +32,7 @@ from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.firmware import call_event, mock_at
 from hapsim.device.mock.motion import BODY
 from hapsim.device.mock.wire import loopback_transport
-from hapsim.loop import endings
+from hapsim.loop.guards import in_words
 from hapsim.loop.run import run_loop
 from hapsim.running.assemble import assemble_loop
 from hapsim.running.options import RunOptions
@@ -178,7 +178,7 @@ class Bench:
         self._loop = assemble_loop(scene, self._connection, description, options)
         arm(self._connection, description, PACING["lockstep"], self._loop.watchdog_samples, False)
         self._hands = np.zeros(scene.channels, HAND)
-        forces = self._loop.history.forces  # type: ignore[union-attr]
+        (forces,) = (hook.kept for hook in self._loop.hooks if hook.kept is not None)
         self._memory = [
             (address_of(one), one.nbytes) for one in (self._loop.record, mock, self._connection.inbox, forces)
         ]
@@ -209,8 +209,8 @@ class Bench:
             stall.argument = stall.number + max(2, int(self.scene.rate * chance.uniform(0.002, 0.047)))
         record.control.go = 1
         if not judged:
-            record.sign.judge = 0
-        ending = endings.IN_WORDS[run_loop(record)]
+            record.sign.is_over = 1
+        ending = in_words(run_loop(record))
         far, fast = self._hands["most_m"].max(), self._hands["most_m_per_s"].max()
         sign = record.sign
         return Outcome(

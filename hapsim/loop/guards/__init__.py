@@ -1,1 +1,36 @@
-"""The guards between scene and device, one a file: what ends a run, or changes a force, before it reaches a hand."""
+"""Guards: what ends a run or changes a force for the hand's sake, a file each; and the list of them.
+
+To add one: write its file, with a `Guard` at its end, and name it here.
+"""
+
+from __future__ import annotations
+
+from hapsim.loop import endings
+from hapsim.loop.guards import energy_guard, frozen_sensor, leap, rate, sign, slew, travel
+from hapsim.loop.hooks import Guard
+
+GUARDS: tuple[Guard, ...] = (
+    leap.GUARD,
+    travel.GUARD,
+    slew.GUARD,
+    energy_guard.GUARD,
+    frozen_sensor.GUARD,
+    sign.GUARD,
+    rate.GUARD,
+    rate.FIRST_FORCES,
+)
+"""In this order those of one stage act."""
+
+HOOKS = {hook.function.__name__: hook for guard in GUARDS for hook in guard.hooks.values()}
+"""What an exchange calls of them."""
+
+
+def guard_that_ended(code: int) -> Guard | None:
+    """Returns the guard whose code ended a run, None where it was none."""
+    return next((guard for guard in GUARDS if guard.code == code), None)
+
+
+def in_words(code: int) -> str:
+    """Returns the `ending` of a report for a code that ended a run."""
+    guard = guard_that_ended(code)
+    return endings.IN_WORDS[code] if guard is None else guard.words

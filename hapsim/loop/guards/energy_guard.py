@@ -56,8 +56,6 @@ two turns before, within ALIKE of it: a loop repeats itself so, a hand does not.
 **A scene that is predicted unstable**, and runs at its user's request, is judged more strictly. Episodes count from LOW
 of the limit on, to find a contact that bounces below it; friction may take more than the work by NEARLY of it; and
 every turn from limit to limit within GAP_S is shaking, of which SWINGS are enough.
-
-A scene without this guard never compiles it: its address is 0 then.
 """
 
 from __future__ import annotations
@@ -66,16 +64,21 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.compiling import helper
-from hapsim.compiling.native import address_of, function_at, native, record_at
+from hapsim.compiling.native import record_at
 from hapsim.cordis.stored_energy import Tank, tank_at
-from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.force_history import FORCE_HISTORY, IN_TIME, OF_SCENE, acting_force
+from hapsim.loop.force_history import IN_TIME, OF_SCENE, acting_force, history_at
+from hapsim.loop.guards.slew import NO_LIMIT
+from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.number_format import duration, rounded_down, rounded_up
 
+ENERGY_EXCEEDED = -22
+STEADIER = "`hapsim doctor` reports what would help this machine, and `--realtime` requests it"
+REFILL_S = 10.0  # the tank of live changes fills within this time
+_MUCH_SLEWED = 0.1  # of all ticks
 MOST_HELD = 40.0  # credits: the guard would wait for ever for an energy without bounds
 LATE_GIVES, LATE_SWINGS = 5.0, 64  # times the usual limit
 SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
@@ -91,8 +94,6 @@ _EACH, _ACCOUNTS = (schema.MAX_CHANNELS,), (2,)
 
 ENERGY_GUARD = np.dtype(
     [
-        ("address", np.uint64),  # of all this
-        ("judge", np.uint64),  # and of what judges; 0: nothing does
         ("braked", np.float64, _EACH),  # b0/T, N/m
         ("limit", np.float64, _ACCOUNTS),  # J
         ("swing_limit", np.float64, _ACCOUNTS),  # J, of the work over episodes
@@ -101,8 +102,7 @@ ENERGY_GUARD = np.dtype(
         ("taken", np.float64),  # J, of what these spent
         ("changed_ticks", np.int64),  # of that TANK, at the last sample
         ("begun", np.int64),  # 1: there was a sample
-        ("held", np.float64),  # J, what the scene holds at the first sample,
-        ("most_held", np.float64),  # J, and as much as counts of that
+        ("most_held", np.float64),  # J, as much as counts of what the scene holds at the first sample
         ("given", np.float64, _ACCOUNTS),  # S, J
         ("clipped", np.float64, _ACCOUNTS),  # J, of the credit of the hand
         ("position", np.float64, _EACH),  # m, of the last sample
@@ -129,23 +129,20 @@ ENERGY_GUARD = np.dtype(
     align=True,
 )
 
-JUDGE_ENERGY = types.int64(*[types.uint64] * 3, types.int64)
-call_judge_energy = function_at(JUDGE_ENERGY)
-"""Calls `judge_energy`, with its arguments."""
-
-_energy_at, _history_at, _io_at = record_at(ENERGY_GUARD), record_at(FORCE_HISTORY), record_at(IO_BUFFER)
+_energy_at = record_at(ENERGY_GUARD)
 
 
-@native(JUDGE_ENERGY.return_type, *JUDGE_ENERGY.args)
-def judge_energy(energy, history, io, gap):
-    """Adds the energy of the last `gap` samples. Returns why the loop has to stop, or 0."""
-    energy, history, io = _energy_at(energy), _history_at(history), _io_at(io)
+@hook
+def judge_energy(energy, tick):
+    """Adds the energy of the last `gap` samples."""
+    energy, tick = _energy_at(energy), tick_at(tick)
+    history, io, gap = history_at(tick.history), io_at(tick.io), tick.gap
     has_begun = energy.begun != 0
     if has_begun:
         energy.elapsed += gap
     else:
         energy.begun = 1
-        energy.given[:] = -(energy.held if energy.held < energy.most_held else energy.most_held)  # also NaN
+        energy.given[:] = -(tick.held if tick.held < energy.most_held else energy.most_held)  # also NaN
     begins = _follow_sides(energy, history, io, gap) and gap == 1 and has_begun
     energy.gap += gap
     follows = energy.gap <= energy.most_gap
@@ -173,7 +170,7 @@ def judge_energy(energy, history, io, gap):
             energy.why, energy.account, energy.shakes = SHAKING, LATE, energy.alike[c]
     if energy.why == 0 and energy.shakes >= (SWINGS if _is_unstable(energy) else SHAKES):
         energy.why = SHAKING
-    return energy.why
+    return ENERGY_EXCEEDED if energy.why != 0 else 0
 
 
 @helper
@@ -268,41 +265,127 @@ def _count_turn(energy, c, limit, late):
     energy.shakes = max(energy.shakes, energy.turns[c])
 
 
-class EnergyGuard:
-    """Fills an ENERGY_GUARD."""
+def watch_energy(
+    energy: Any,
+    tank: Tank,
+    *,
+    rate_hz: float,
+    friction: NDArray[np.float64],
+    limit_j: float,
+    usual_j: float,
+    credit_j: float,
+) -> None:
+    """Fills an ENERGY_GUARD. `tank`: of live changes; `friction`: (channels,) N·s/m; `limit_j`: the energy that the
+    scene may give; `usual_j`: that of a scene that declares none; `credit_j`: the most that a hand is credited with."""
+    energy.tank = tank.address
+    energy.braked[: friction.size] = friction * rate_hz
+    late_j = max(limit_j, LATE_GIVES * usual_j)
+    energy.limit[:], energy.swing_limit[:] = (limit_j, late_j), (min(limit_j, usual_j), late_j)
+    energy.credit, energy.most_held = credit_j, MOST_HELD * credit_j
+    energy.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
+    energy.most_turn = round(SHAKE_S * rate_hz)
+    energy.least_peak[:] = math.inf
 
-    def __init__(
-        self,
-        record: Any,
-        tank: Tank,
-        *,
-        rate_hz: float,
-        friction: NDArray[np.float64],
-        limit_j: float,
-        usual_j: float,
-        credit_j: float,
-    ) -> None:
-        """`tank`: of live changes; `friction`: (channels,) N·s/m; `limit_j`: the energy that the scene may give;
-        `usual_j`: that of a scene that declares none; `credit_j`: the most that a hand is credited with."""
-        self._record, self.tank = record, tank
-        record.address, record.tank, record.judge = address_of(record), tank.address, judge_energy.address()
-        record.braked[: friction.size] = friction * rate_hz
-        late_j = max(limit_j, LATE_GIVES * usual_j)
-        record.limit[:], record.swing_limit[:] = (limit_j, late_j), (min(limit_j, usual_j), late_j)
-        record.credit, record.most_held = credit_j, MOST_HELD * credit_j
-        record.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
-        record.most_turn = round(SHAKE_S * rate_hz)
-        record.least_peak[:] = math.inf
 
-    def follow(self, unstable: bool, samples: int = 0) -> None:
-        """Sets whether the scene, as it will be in `samples`, is predicted unstable and runs by request. On the way to
-        such a scene, and away from one, the stricter rules apply."""
-        if unstable:
-            self._record.unstable_until = _FOREVER
-        elif self.is_unstable:
-            self._record.unstable_until = self._record.elapsed + samples
+def follow_scene(energy: Any, unstable: bool, samples: int = 0) -> None:
+    """Sets whether the scene, as it will be in `samples`, is predicted unstable and runs by request. On the way to such
+    a scene, and away from one, the stricter rules apply."""
+    if unstable:
+        energy.unstable_until = _FOREVER
+    elif is_strict(energy):
+        energy.unstable_until = energy.elapsed + samples
 
-    @property
-    def is_unstable(self) -> bool:
-        """Whether the rules for a scene that is predicted unstable apply now."""
-        return bool(self._record.elapsed < self._record.unstable_until)
+
+def is_strict(energy: Any) -> bool:
+    """Returns whether the rules for a scene that is predicted unstable apply now."""
+    return bool(energy.elapsed < energy.unstable_until)
+
+
+def _set_up(loop: Any, setting: Setting) -> Any:
+    scene, limit_j = setting.scene, setting.bounds.energy_limit
+    if not math.isfinite(limit_j):
+        return None
+    force_limit, scales = scene.device.force_limit, scene.device.scales(scene.channels)
+    watch_energy(
+        loop.energy_guard,
+        Tank(loop.tank, capacity_j=limit_j, refill_j=limit_j / (REFILL_S * scene.rate)),
+        rate_hz=scene.rate,
+        friction=np.array(scene.device.frictions(scene.channels)),
+        limit_j=limit_j,
+        usual_j=force_limit * min(one.energy for one in scales),
+        credit_j=force_limit * max(one.credit for one in scales),
+    )
+    return loop.energy_guard
+
+
+def _sentence(run: Ended) -> str:
+    """Returns what was found, and what to do about late forces."""
+    energy, report = run.loop.energy_guard, run.report
+    why, account = int(energy.why), int(energy.account)
+    alike = "each time as far, by late forces" if account == LATE else "faster than any hand moves"
+    on_what = "on a scene that is predicted unstable" if is_strict(energy) else ""
+    if why == SWINGING:
+        found = (
+            f"the force swung {on_what or 'at its limit'}: {energy.swings[account]} times in a row, the last at tick "
+            f"{report.ticks}, and gave the hand {rounded_up(energy.work[account])} J over these, above the limit of "
+            f"{rounded_down(energy.swing_limit[account])} J and no less than the declared friction takes"
+        )
+    elif why == SHAKING:
+        found = (
+            f"the force shook at its limit: from one side to the other {energy.shakes} times in a row, the last at "
+            f"tick {report.ticks}, {on_what or alike}"
+        )
+    else:
+        found = (
+            f"by tick {report.ticks} {'late forces' if account == LATE else 'the scene'} had given the hand "
+            f"{rounded_up(energy.given[account])} J that it had not got from it, above the limit of "
+            f"{rounded_down(energy.limit[account])} J"
+        )
+    return f"{found}; the last force was not sent{_late_advice(report) if account == LATE else ''}"
+
+
+def _late_advice(report: Any) -> str:
+    late_s = ((report.age_samples.max or 1.0) - 1.0) / report.nominal_rate_hz
+    lost = f", and {report.lost_frames} positions were lost" if report.lost_frames else ""
+    return (
+        f". {report.deadline_misses} forces were up to {duration(late_s)} late{lost}; in time the scene would have "
+        f"given no more than it may. {STEADIER} (hapsim/STABILITY.md)"
+    )
+
+
+def _advice(run: Ended) -> str:
+    """Returns what to change; first the slew limit, where it held the force back in many ticks. "" where it was not the
+    scene's motion that ended the run."""
+    energy, report, slew = run.loop.energy_guard, run.report, run.loop.slew
+    if int(energy.account) == LATE:
+        return ""
+    advice = "" if is_strict(energy) else "No passive object does that. "
+    if report.slewed_ticks > _MUCH_SLEWED * report.ticks:
+        limited, soft = int(slew.step[0]) < NO_LIMIT, float(slew.soft_samples) > 0.0
+        by = " or ".join(["device.slew_limit"] * limited + ["device.soft_start"] * soft)
+        advice = (
+            f"{by} held the force back in {report.slewed_ticks} of {report.ticks} ticks, which predictions ignore: "
+            f"a force that comes late can shake what is stable otherwise. Change it first. {advice}"
+        )
+    limit = (
+        "For a scene that is meant to give energy, set device.energy_limit"
+        if int(energy.why) == GIVEN
+        else "A larger device.energy_limit does not change that"
+    )
+    return (
+        f"{advice}`hapsim check` reports what would make the scene stable; less stiffness, more real friction, a "
+        f"higher rate or a shorter delay. {limit} (hapsim/STABILITY.md)"
+    )
+
+
+GUARD = Guard(
+    "energy_guard",
+    ENERGY_GUARD,
+    {Stage.JUDGE: judge_energy},
+    _set_up,
+    ENERGY_EXCEEDED,
+    "scene diverging",
+    _sentence,
+    _advice,
+    reads_history=True,
+)

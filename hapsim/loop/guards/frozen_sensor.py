@@ -23,8 +23,6 @@ towards which the force presses. There nothing is integrated.
 is a stair if it is COUNTS counts and more, and farther than the force limit and a hand take the handle from rest in a
 sample. STAIRS of them while force acts, with nothing but standing still between them, end the run: a handle that a hand
 or a blow moves so fast moves on in the next sample.
-
-A scene without this guard never compiles it: its address is 0 then.
 """
 
 from __future__ import annotations
@@ -33,16 +31,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import types
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from hapsim.compiling import helper, inlined
-from hapsim.compiling.native import address_of, function_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, acting_force
+from hapsim.compiling import helper
+from hapsim.compiling.native import record_at
+from hapsim.loop.force_history import IN_ALL, acting_force, history_at
+from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.ring import FADED
+from hapsim.number_format import duration
 from hapsim.scales import Scale
+from hapsim.scene import Scene
 
+STAIRCASE = -23
 TRUST, MOST_TRUST = 2.0, 8.0  # a hand that keeps pressing at one place is asked less often
 COUNTS = 4  # a hand that holds still between two counts moves by one or two
 LIVE, MOST_WAIT_S = 3.0, 0.5  # what a hand that trembles seldom exceeds; what it takes a weak force to go too far
@@ -56,8 +57,6 @@ _EACH = (schema.MAX_CHANNELS,)
 
 FROZEN_SENSOR = np.dtype(
     [
-        ("address", np.uint64),  # of all this
-        ("judge", np.uint64),  # and of what judges; 0: nothing does
         ("lowers", np.int64),  # channels whose force is lowered now
         ("tests", np.int64),  # questions so far
         ("frozen_ticks", np.int64),  # samples in which a channel had no force because its position stands still
@@ -92,29 +91,32 @@ FROZEN_SENSOR = np.dtype(
     align=True,
 )
 
-JUDGE = types.int64(*[types.uint64] * 3, types.int64)
-call_judge_sensor = function_at(JUDGE)
-"""Calls `judge_sensor`, with its arguments."""
-
-_sensor_at, _history_at, _io_at = record_at(FROZEN_SENSOR), record_at(FORCE_HISTORY), record_at(IO_BUFFER)
+_sensor_at = record_at(FROZEN_SENSOR)
 
 
-@inlined
-def lower(sensor, io):
+@hook
+def lower(sensor, tick):
     """Lowers forces and excitation on the channels that are asked or frozen."""
+    sensor, tick = _sensor_at(sensor), tick_at(tick)
+    if sensor.lowers == 0:
+        return 0
+    io = io_at(tick.io)
     for c in range(np.uint64(io.channels)):
         share = sensor.share[c]
         io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * share))
         io.excitation[c] *= share
         io.as_hand[c] *= share
+    tick.flags |= FADED
+    return 0
 
 
-@native(JUDGE.return_type, *JUDGE.args)
-def judge_sensor(sensor, history, io, gap):
-    """Judges the positions of the last `gap` samples, and the force that leaves. Returns 1 if one is a
-    staircase, that of `sensor.jumps_on`; else 0."""
-    sensor, history, io = _sensor_at(sensor), _history_at(history), _io_at(io)
-    ends, frozen = 0, 0
+@hook
+def judge_sensor(sensor, tick):
+    """Judges the positions of the last `gap` samples, and the force that leaves. A staircase is on the channel
+    `sensor.jumps_on`."""
+    sensor, tick = _sensor_at(sensor), tick_at(tick)
+    history, io, gap = history_at(tick.history), io_at(tick.io), tick.gap
+    code, frozen = 0, 0
     sensor.lowers = 0
     for c in range(io.channels):
         counts = io.position_counts[c]
@@ -127,7 +129,7 @@ def judge_sensor(sensor, history, io, gap):
         says = abs(force) > sensor.floor[c] and not at_end
         if counts != sensor.counts[c]:
             if _has_moved(sensor, c, counts, gap, io.position_scale[c], says):
-                sensor.jumps_on, ends = c, 1
+                sensor.jumps_on, code = c, STAIRCASE
         else:
             sensor.still[c] += gap
             for before in range(gap - 1 if says else -1, -1, -1):
@@ -139,7 +141,7 @@ def judge_sensor(sensor, history, io, gap):
         sensor.lowers += sensor.share[c] < 1.0
     sensor.frozen_ticks += frozen
     sensor.begun = 1
-    return ends
+    return code
 
 
 @helper
@@ -212,4 +214,63 @@ def watch_sensor(
     sensor.stair[used] = np.maximum((force_limit + hand) * one_sample / count, COUNTS)
     sensor.rate, sensor.soft_start = rate_hz, soft_start_s * rate_hz
     sensor.asked[:], sensor.share[:], sensor.trust[:] = -1, 1.0, 1.0
-    sensor.address, sensor.judge = address_of(sensor), judge_sensor.address()
+
+
+def _set_up(loop: Any, setting: Setting) -> Any:
+    from hapsim.prediction.force_bounds import SOFT_START_S
+
+    if not (setting.in_hand or setting.judges_energy):
+        return None
+    scene, channels = setting.scene, setting.scene.channels
+    device, used = scene.device, slice(channels)
+    low, high = np.transpose(device.travels(channels))
+    margin = np.array(device.travel_margins(channels)) if device.travel is not None else 0.0
+    watch_sensor(
+        loop.frozen_sensor,
+        rate_hz=scene.rate,
+        scales=device.scales(channels),
+        mass=np.array([least for least, _ in device.mass_spans(channels)]),
+        dry_friction=scene.mock_device.coulomb,
+        force_limit=loop.io.force_limit[used],
+        count=np.array(setting.description.position_scale[used]),
+        travel=np.array([low + margin, high - margin]),
+        soft_start_s=setting.bounds.soft_start_s or SOFT_START_S,
+    )
+    return loop.frozen_sensor
+
+
+def name_of_hand(scene: Scene, channel: int) -> str:
+    """Returns the name of the device point of a channel."""
+    return next(name for name, one in scene.device_points.items() if one.channel == channel)
+
+
+def standing_still(scene: Scene, channel: int, still_s: float) -> str:
+    """Returns what a position that does not answer may be, without a full stop; "" where it did not stand still."""
+    if still_s == 0.0:
+        return ""
+    return (
+        f"the position of {name_of_hand(scene, channel)} has not changed by one count for {duration(still_s)} although "
+        "force acted: sensor or cable? Its force is zero until it changes. For a handle at a stop declare "
+        "device.travel, and for one with dry friction mock.coulomb"
+    )
+
+
+def _sentence(run: Ended) -> str:
+    hand = name_of_hand(run.scene, int(run.loop.frozen_sensor.jumps_on))
+    return (
+        f"the position of {hand} stands still and jumps, again and "
+        f"again, the last time at tick {run.report.ticks}: its sensor is refreshed more rarely than device.rate says, "
+        "or its cable is loose; the last force was not sent (hapsim/STABILITY.md)"
+    )
+
+
+GUARD = Guard(
+    "frozen_sensor",
+    FROZEN_SENSOR,
+    {Stage.LOWER: lower, Stage.JUDGE: judge_sensor},
+    _set_up,
+    STAIRCASE,
+    "position a staircase",
+    _sentence,
+    reads_history=True,
+)

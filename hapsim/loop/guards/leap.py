@@ -11,10 +11,16 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.compiling import inlined
+from hapsim.compiling.native import record_at
+from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.number_format import rounded_down
 from hapsim.scales import Scale
+from hapsim.scene import Scene
+
+POSITION_LEAPT = -20
 
 LEAST_MASS = 0.1  # of the declared one, where the hand lets go. It also allows blows of ten times a hand's force
+_COUNTS, _NEAR_END = 2.0**31, 0.99  # to either side; a device that wraps round was nearer in the sample before
 NOISE_RMS = 20.0  # of the noise; one sample in 1e15 has more than 8 (a second difference has 2.45 rms)
 
 _EACH = (schema.MAX_CHANNELS,)
@@ -23,6 +29,7 @@ LEAP = np.dtype(
     [
         ("channels", np.int64),  # that are judged
         ("by_host", np.int64),  # 1: the host paces, and samples last as long as it takes
+        ("period_ns", np.int64),
         ("last", np.float64, _EACH),  # m, the last position that was read
         ("span", np.float64),  # sample periods from the position before the last to the last
         ("pace", np.float64, _EACH),  # m per sample period, of the last step,
@@ -41,20 +48,24 @@ LEAP = np.dtype(
 )
 
 
-@inlined
-def is_leap(leap, io, state, gap, now, period_ns):
-    """Whether the position in `io.measured`, which arrived at `now` (ns), `gap` samples after the last one, is a leap.
-    `state`: of the last one. The first two positions begin a motion at any speed."""
-    periods = np.float64(gap)
+_leap_at = record_at(LEAP)
+
+
+@hook
+def find_leap(leap, tick):
+    """Judges the position in `io.measured`. The first two positions begin a motion at any speed."""
+    leap, tick = _leap_at(leap), tick_at(tick)
+    io = io_at(tick.io)
+    periods = np.float64(tick.gap)
     if leap.by_host:
         # The device samples on request. The longer of the two times counts: either may be delayed.
-        asked, heard = state.sent_ns - leap.sent_ns, now - state.newest_ns
-        elapsed = np.float64(asked if asked > heard else heard) / period_ns
-        leap.sent_ns = state.sent_ns
+        asked, heard = tick.sent_ns - leap.sent_ns, tick.now_ns - tick.before_ns
+        elapsed = np.float64(asked if asked > heard else heard) / leap.period_ns
+        leap.sent_ns = tick.sent_ns
         periods = elapsed if elapsed > periods else periods
     mean = 0.5 * (periods + leap.span)
     leap.span = periods
-    found = False
+    code = 0
     for c in range(np.uint64(leap.channels)):
         last = leap.last[c]
         leap.last[c] = io.measured[c]
@@ -72,10 +83,10 @@ def is_leap(leap, io, state, gap, now, period_ns):
             + (braked if braked < 1.0 else 1.0) * speed
             + mean * (leap.accelerated[c] + leap.sprung[c] * (abs(last) + speed * mean))
         )
-        if off > bound and state.ticks > 1:
+        if off > bound and tick.number > 1:
             leap.leapt_m, leap.bound_m, leap.channel = off, bound, c
-            found = True
-    return found
+            code = POSITION_LEAPT
+    return code
 
 
 def watch_for_leaps(
@@ -106,10 +117,59 @@ def watch_for_leaps(
     least = LEAST_MASS * mass
     hand_force, speed, sensor = np.transpose([(one.hand_force, one.hand_speed, one.sensor) for one in scales])
     with np.errstate(over="ignore"):
-        leap.channels, leap.by_host, leap.span = channels, by_host, 1.0
+        leap.channels, leap.by_host, leap.span, leap.period_ns = channels, by_host, 1.0, round(1e9 * period)
         leap.accelerated[:channels] = (force + hand_force) / least * period**2
         leap.sprung[:channels] = stiffness / least * period**2
         # Where the host paces, the length of a sample is uncertain: a whole step may be wrong.
         leap.braked[:channels] = 1.0 if by_host else friction / least * period
         leap.reversed[:channels] = speed * period
         leap.sensed[:channels] = sensor + NOISE_RMS * noise_m + 4.0 * count_m
+
+
+def _set_up(loop: Any, setting: Setting) -> Any:
+    """By the scene's device or, where the mock lets a position go farther, by the mock."""
+    scene, channels = setting.scene, setting.scene.channels
+    device, mock = scene.device, scene.mock_device
+    watch_for_leaps(
+        loop.leap,
+        rate_hz=scene.rate,
+        by_host=device.clock == "host",
+        mass=np.minimum([least for least, _ in device.mass_spans(channels)], mock.mass),
+        friction=np.maximum(device.frictions(channels), mock.friction),
+        stiffness=np.maximum(device.stiffnesses(channels), mock.stiffness),
+        force=np.full(channels, device.force_limit + mock.coulomb),
+        noise_m=mock.noise,
+        count_m=np.array(setting.description.position_scale[:channels]),
+        scales=device.scales(channels),
+    )
+    return loop.leap
+
+
+def _sentence(run: Ended) -> str:
+    leap = run.loop.leap
+    units = run.scene.units_of(int(leap.channel))
+    bound = units(rounded_down(units.scaled(leap.bound_m, "m")), "m")
+    return (
+        f"the position of channel {leap.channel} leapt at tick {run.report.ticks}: {units(leap.leapt_m, 'm', '.4g')} "
+        f"away from where its motion led, where no hand gets farther than {bound} (hapsim/STABILITY.md); its force was "
+        "not sent. A loose cable, a sensor or counter that jumps, or a position scale, a mass or a force_limit that is "
+        f"not the device's{at_end_of_counts(run.loop.io, run.scene, _NEAR_END)}"
+    )
+
+
+def at_end_of_counts(io: Any, scene: Scene, near: float = 0.0) -> str:
+    """Returns a sentence where a channel's position is beyond this share of what its counts can say; else "".
+    `io`: IO_BUFFER."""
+    counts = [abs(int(io.position_counts[c]) + int(io.origin_counts[c])) for c in range(io.channels)]
+    c = max(range(io.channels), key=lambda one: counts[one])
+    if counts[c] < near * _COUNTS:
+        return ""
+    scale, units = float(io.position_scale[c]), scene.units_of(c)
+    return (
+        f". The position's count is at its end on channel {c} (±{units(_COUNTS * scale, 'm', '.4g')} at "
+        f"{units(scale, 'm', 'g')} per count): the device went as far as 32 bits reach. Keep it within by a spring, a "
+        "stop or device.travel, or make its counts larger: mock.quantum, or the position scale of a device's firmware"
+    )
+
+
+GUARD = Guard("leap", LEAP, {Stage.READ: find_leap}, _set_up, POSITION_LEAPT, "position leapt", _sentence)

@@ -9,9 +9,15 @@ one short. It judges nothing where the host paces, in virtual time, and where th
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from hapsim.compiling import inlined
+from hapsim.compiling.native import record_at
+from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, tick_at
+from hapsim.prediction.timing import FIRST_SAMPLES
+
+TOO_LATE, WRONG_RATE = -25, -26
 
 WINDOW_NS = 250_000_000  # by the declared rate
 WINDOW_SAMPLES = 64  # at least
@@ -20,7 +26,7 @@ MOST_OFF = 1.5
 
 WATCH = np.dtype(
     [
-        ("judges", np.int64),  # 1: the device has a timer of its own that is to be judged
+        ("period_ns", np.int64),  # 0: the device has no timer of its own that is to be judged
         ("opened_ns", np.int64),  # when this window's first position arrived; 0: before the first window
         ("opened_sample", np.int64),  # and which one it was
         ("long", np.int64),  # windows in a row that lasted too long,
@@ -31,21 +37,73 @@ WATCH = np.dtype(
 )
 
 
-@inlined
-def is_off_rate(watch, sample, now, period_ns):
-    """Whether the positions, of which number `sample` arrived at `now` (ns), have come at another rate for long."""
-    if watch.judges == 0:
-        return False
-    samples = sample - watch.opened_sample
+_watch_at = record_at(WATCH)
+
+
+@hook
+def judge_rate(watch, tick):
+    """Judges with every window."""
+    watch, tick = _watch_at(watch), tick_at(tick)
+    samples = tick.sample - watch.opened_sample
     if watch.opened_ns != 0:
-        if samples < WINDOW_SAMPLES or samples * period_ns < WINDOW_NS:
-            return False
-        lasted = now - watch.opened_ns
-        nominal = samples * period_ns
+        if samples < WINDOW_SAMPLES or samples * watch.period_ns < WINDOW_NS:
+            return 0
+        lasted = tick.now_ns - watch.opened_ns
+        nominal = samples * watch.period_ns
         watch.long = watch.long + 1 if lasted > MOST_OFF * nominal else 0
         watch.short = watch.short + 1 if lasted * MOST_OFF < nominal else 0
         if watch.long + watch.short > 0:
             watch.rate_hz = samples * 1e9 / (lasted if lasted > 0 else 1)
-    watch.opened_ns = now
-    watch.opened_sample = sample
-    return watch.long >= WINDOWS or watch.short >= WINDOWS
+    watch.opened_ns = tick.now_ns
+    watch.opened_sample = tick.sample
+    return WRONG_RATE if watch.long >= WINDOWS or watch.short >= WINDOWS else 0
+
+
+def _set_up(loop: Any, setting: Setting) -> Any:
+    if setting.scene.device.clock != "device" or not setting.behind_port:
+        return None
+    loop.watch.period_ns = loop.control.period_ns
+    return loop.watch
+
+
+def _sentence(run: Ended) -> str:
+    return (
+        f"the device samples at {run.loop.watch.rate_hz:.4g} Hz, where it declares {run.report.nominal_rate_hz:g} Hz; "
+        f"stopped after {run.report.ticks} ticks. At another rate than the scene's, stiffness and damping feel "
+        "different: set the device's timer right"
+    )
+
+
+GUARD = Guard("watch", WATCH, {Stage.JUDGE: judge_rate}, _set_up, WRONG_RATE, "wrong rate", _sentence)
+
+# The first forces: if most of them are late, the wire is slower than was known before the run.
+
+FIRST = np.dtype([("ticks", np.int64)], align=True)
+"""How many ticks after arming are judged. Where most of their forces are late, the scene would shake the hand."""
+
+_first_at = record_at(FIRST)
+
+
+@hook
+def judge_first_forces(first, tick):
+    """Judges until there were enough."""
+    first, tick = _first_at(first), tick_at(tick)
+    return TOO_LATE if tick.number < first.ticks and 2 * tick.missed > first.ticks else 0
+
+
+def _set_up_first(loop: Any, setting: Setting) -> Any:
+    loop.first.ticks = FIRST_SAMPLES
+    return loop.first if setting.first_late else None
+
+
+def _sentence_of_first(run: Ended) -> str:
+    return (
+        f"{run.report.deadline_misses} of the first {run.report.ticks} forces were late: the scene is unstable on a "
+        f"wire that takes {run.setting.first_late} Use a faster wire, a lower rate or less stiffness; --unstable runs "
+        "it all the same"
+    )
+
+
+FIRST_FORCES = Guard(
+    "first", FIRST, {Stage.JUDGE: judge_first_forces}, _set_up_first, TOO_LATE, "forces late", _sentence_of_first
+)

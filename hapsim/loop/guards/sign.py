@@ -21,8 +21,6 @@ and its channel is judged no more.
 
 The guard misses a motor whose force changes little, or moves the device less than the hand does: soft springs, heavy
 hands, small limits. tools/bench/README.md has the figures.
-
-A scene without this guard never compiles it: its address is 0 then.
 """
 
 from __future__ import annotations
@@ -32,13 +30,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import types
 
 from firmware_protocol import schema
-from hapsim.compiling import helper, inlined
-from hapsim.compiling.native import address_of, function_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER
-from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL, acting_force
+from hapsim.compiling import helper
+from hapsim.compiling.native import record_at
+from hapsim.loop.force_history import IN_ALL, acting_force, history_at
+from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.ring import SLEWED
+
+WRONG_SIGN = -21
 
 FILTER_S, SUMS_S, LEAST_SUMS_S = 0.002, 0.005, 0.007  # below the last, sums are of too little
 SUSPECT_S, RELEASE_S, VERDICT_S = 0.003, 0.012, 0.028
@@ -52,8 +52,7 @@ _STAGES = (4 * schema.MAX_CHANNELS,)
 
 SIGN = np.dtype(
     [
-        ("address", np.uint64),  # of all this
-        ("judge", np.uint64),  # and of what judges; 0: nothing does, or no more
+        ("is_over", np.int64),  # 1: every motor is right
         ("releases", np.int64),  # channels whose force is released now
         ("tests", np.int64),  # releases so far
         ("channel", np.int64),  # the one that is wrong
@@ -84,27 +83,31 @@ SIGN = np.dtype(
     align=True,
 )
 
-JUDGE = types.int64(*[types.uint64] * 3, types.int64)
-call_judge = function_at(JUDGE)
-"""Calls `judge`, with its arguments."""
-
-_sign_at, _history_at, _io_at = record_at(SIGN), record_at(FORCE_HISTORY), record_at(IO_BUFFER)
+_sign_at = record_at(SIGN)
 
 
-@inlined
-def release(sign, io):
-    """Makes the force of the tested channels zero; returns 1."""
+@hook
+def release(sign, tick):
+    """Makes the force of the tested channels zero."""
+    sign, tick = _sign_at(sign), tick_at(tick)
+    if sign.releases == 0:
+        return 0
+    io = io_at(tick.io)
     for c in range(np.uint64(io.channels)):
         if 0 <= sign.since[c] < sign.release:
             io.force_counts[c] = 0
-    return 1
+    tick.flags |= SLEWED
+    return 0
 
 
-@native(JUDGE.return_type, *JUDGE.args)
-def judge(sign, history, io, gap):
-    """Judges the motion of the last `gap` samples. Returns 1 if a motor, that of `sign.channel`, is wrong; else 0."""
-    sign, history, io = _sign_at(sign), _history_at(history), _io_at(io)
-    wrong, judged = 0, 0
+@hook
+def judge_signs(sign, tick):
+    """Judges the motion of the last `gap` samples. A motor that is wrong is that of `sign.channel`."""
+    sign, tick = _sign_at(sign), tick_at(tick)
+    if sign.is_over:
+        return 0
+    history, io, gap = history_at(tick.history), io_at(tick.io), tick.gap
+    code, judged = 0, 0
     sign.releases = 0
     for c in range(io.channels):
         if sign.is_right[c]:
@@ -122,16 +125,15 @@ def judge(sign, history, io, gap):
             sign.is_right[c], sign.since[c] = 1, -1
         elif sign.since[c] >= 0:
             if against > SURE:
-                sign.channel, wrong = c, 1
+                sign.channel, code = c, WRONG_SIGN
             sign.since[c] = sign.since[c] + gap if sign.since[c] + gap <= sign.verdict else -1
         else:
             sign.against[c] = sign.against[c] + 1 if against > SUSPICION else 0
             _begin_test(sign, history, io, c)
         sign.releases += 0 <= sign.since[c] < sign.release
     sign.seen += 1
-    if judged == 0:
-        sign.judge = 0
-    return wrong
+    sign.is_over = judged == 0
+    return code
 
 
 @helper
@@ -188,7 +190,7 @@ def _residual(sign, c, bounds):
     return sign.motion_motion[c] - 2.0 * best * both + best * best * pushed
 
 
-def judge_signs(sign: Any, *, rate_hz: float, masses: Sequence[tuple[float, float]]) -> None:
+def watch_signs(sign: Any, *, rate_hz: float, masses: Sequence[tuple[float, float]]) -> None:
     """Fills a SIGN. `masses`: kg, the least and the most of each channel."""
     for c, (least, most) in enumerate(masses):
         sign.right[2 * c : 2 * c + 2] = RIGHT[0] / most, RIGHT[1] / least
@@ -198,4 +200,33 @@ def judge_signs(sign: Any, *, rate_hz: float, masses: Sequence[tuple[float, floa
     sign.least, sign.row = round(LEAST_SUMS_S * rate_hz), round(SUSPECT_S * rate_hz)
     sign.release, sign.verdict = round(RELEASE_S * rate_hz), round(VERDICT_S * rate_hz)
     sign.since[:] = -1
-    sign.address, sign.judge = address_of(sign), judge.address()
+
+
+def _set_up(loop: Any, setting: Setting) -> Any:
+    from hapsim.prediction.force_bounds import SIGN_RATE_HZ
+
+    rate_hz, device = setting.scene.rate, setting.scene.device
+    if rate_hz < SIGN_RATE_HZ or not (setting.in_hand or setting.judges_sign):
+        return None
+    watch_signs(loop.sign, rate_hz=rate_hz, masses=device.mass_spans(setting.description.channels))
+    return loop.sign
+
+
+def _sentence(run: Ended) -> str:
+    return (
+        f"motor and position of channel {run.loop.sign.channel} disagree in sign: the device accelerated against its "
+        f"force, and a release of the force confirmed it (tick {run.report.ticks}). Swap the motor's two wires; or "
+        "reverse the encoder, if the position falls when the hand moves the positive way (hapsim/STABILITY.md)"
+    )
+
+
+GUARD = Guard(
+    "sign",
+    SIGN,
+    {Stage.LOWER: release, Stage.JUDGE: judge_signs},
+    _set_up,
+    WRONG_SIGN,
+    "sign wrong",
+    _sentence,
+    reads_history=True,
+)

@@ -22,19 +22,22 @@ leaves, but never less than zero and never more than F, to the side of F. Withou
 a spring would be pulled back, and one that moves to its other side pushed beyond what is asked.
 
 Zero force by a guard, by disarming or by the device's watchdog is immediate.
-
-A scene without either never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
-from numba import types
 
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
-from hapsim.compiling.native import function_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER, clip
+from hapsim.compiling.native import record_at
+from hapsim.errors import UsageError
+from hapsim.loop.buffers import clip
+from hapsim.loop.hooks import Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.ring import SLEWED
 
 LATE = 4  # forces, on a wire on which every one is late, of which the device may hold one
 NO_LIMIT = 1 << 40  # counts: farther than 32 bits go
@@ -43,8 +46,6 @@ _EACH, _ROW = (schema.MAX_CHANNELS,), schema.MAX_CHANNELS
 
 SLEW = np.dtype(
     [
-        ("address", np.uint64),  # of all this
-        ("shape", np.uint64),  # and of what shapes the force; 0: it leaves as it is
         ("step", np.int64, _EACH),  # counts, by which a force may differ from the one before
         ("soft_samples", np.float64),  # how long the soft start lasts; 0: none
         ("begun", np.int64),  # 1: there was a sample
@@ -62,31 +63,23 @@ SLEW = np.dtype(
     align=True,
 )
 
-SHAPE = types.int64(*[types.uint64] * 2, *[types.int64] * 5)
-call_shape = function_at(SHAPE)
-"""Calls `shape_force`, with its arguments."""
-
-_slew_at, _io_at = record_at(SLEW), record_at(IO_BUFFER)
+_slew_at = record_at(SLEW)
 
 
-@native(SHAPE.return_type, *SHAPE.args)
-def shape_force(slew, io, gap, unsent, late, expired, withheld):
-    """Brings `io.force_counts` within a step of what the device holds; whether that changed them.
-
-    `gap`: samples since the last; `unsent`: the force of then never left; `late`: the device says that it came too
-    late; `expired`: its time to live is over; `withheld`: the counts are zero because no force may be sent.
-    """
-    slew, io = _slew_at(slew), _io_at(io)
-    has_left = slew.begun != 0 and unsent == 0
-    _note_what_is_held(slew, io.channels, gap, has_left, late != 0 or gap > 1)
-    if slew.begun == 0 or expired or withheld:
+@hook
+def shape_force(slew, tick):
+    """Brings `io.force_counts` within a step of what the device holds."""
+    slew, tick = _slew_at(slew), tick_at(tick)
+    io, gap = io_at(tick.io), tick.gap
+    has_left = slew.begun != 0 and tick.unsent == 0
+    _note_what_is_held(slew, io.channels, gap, has_left, tick.late != 0 or gap > 1)
+    if slew.begun == 0 or tick.expired or tick.withheld:
         hold_zero(slew, io.channels)
     slew.elapsed += gap if slew.begun else 0
     left = 0.0
     if slew.elapsed < slew.soft_samples:
         u = slew.elapsed / slew.soft_samples
         left = 1.0 - u * u * (3.0 - 2.0 * u)
-    changed = 0
     for c in range(io.channels):
         if slew.begun == 0:
             slew.first[c] = clip(io.asked[c], io.force_limit[c]) / io.force_scale[c]
@@ -96,12 +89,12 @@ def shape_force(slew, io, gap, unsent, late, expired, withheld):
             less = counts - taken_off
             counts = max(min(less, counts), 0) if counts > 0 else min(max(less, counts), 0)
         counts = _within_a_step(slew, c, counts)
-        if withheld == 0 and counts != io.force_counts[c]:
+        if tick.withheld == 0 and counts != io.force_counts[c]:
             io.force_counts[c] = counts
-            changed = 1
+            tick.flags |= SLEWED
         slew.decided[c] = io.force_counts[c]
     slew.begun = 1
-    return changed
+    return 0
 
 
 @helper
@@ -150,3 +143,24 @@ def _within_a_step(slew, channel, counts):
     """The counts, or what is next to them within a step of all that the device may hold; zero where nothing is."""
     low, high, step = slew.low[channel], slew.high[channel], slew.step[channel]
     return 0 if high - low > 2 * step else max(min(counts, low + step), high - step)
+
+
+def _set_up(loop: Any, setting: Setting) -> Any:
+    """Raises UsageError where a step would be less than a count."""
+    from hapsim.prediction.force_bounds import ONE_PERIOD, below_a_count
+
+    slew, scene, description, bounds = loop.slew, setting.scene, setting.description, setting.bounds
+    is_limited = math.isfinite(bounds.slew_limit)
+    if not is_limited and bounds.soft_start_s <= 0.0:
+        return None
+    if is_limited and (why := below_a_count(scene, description.force_scale)):
+        raise UsageError(why)
+    with np.errstate(over="ignore"):
+        counts = np.floor(bounds.slew_limit * scene.period / np.array(description.force_scale) * ONE_PERIOD)
+    least = 1 if scene.device.slew_limit is None else 0  # a device of few counts has no finer step
+    slew.step[: description.channels] = np.clip(counts, least, NO_LIMIT)
+    slew.soft_samples, slew.lives = bounds.soft_start_s * scene.rate, loop.control.time_to_live
+    return slew
+
+
+GUARD = Guard("slew", SLEW, {Stage.SHAPE: shape_force}, _set_up)

@@ -7,29 +7,27 @@ which is judged as a stiffness before a run. A device that rests at its own stop
 Beyond the margin a motor has the wrong sign, or the zero is not where the scene has it. The loop stops as soon as noise
 and counts do not explain the position. A device that is armed outside may stay there: until it comes within its travel,
 the margin begins where it was armed.
-
-A scene without a travel never compiles this: its address is 0 then.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numba import types
 
 from firmware_protocol import schema
-from hapsim.compiling.native import function_at, native, record_at
-from hapsim.loop.buffers import IO_BUFFER
+from hapsim.compiling.native import record_at
+from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.ring import FADED
+
+OUT_OF_TRAVEL = -24
 
 NOISE_RMS = 8.0  # of the sensor's noise, where it is known: one sample in 1e15 has more
-
-WITHIN, OUTSIDE, BEYOND = 0, 1, 2  # the device is within its travel, outside, where the force fades, or too far
 
 _EACH = (schema.MAX_CHANNELS,)
 
 TRAVEL = np.dtype(
     [
-        ("address", np.uint64),  # of all this
-        ("fade", np.uint64),  # and of what fades the force; 0: it leaves as it is
         ("low", np.float64, _EACH),  # m, the limits; infinite: none
         ("high", np.float64, _EACH),
         ("margin", np.float64, _EACH),  # m, the width of the band outside them
@@ -38,22 +36,20 @@ TRAVEL = np.dtype(
         ("armed", np.float64, _EACH),  # m, how far outside it was armed; 0 once it was within
         ("channel", np.int64),  # which one was found beyond,
         ("position", np.float64),  # and where, m
+        ("faded_ticks", np.int64),
     ],
     align=True,
 )
 
-FADE = types.int64(types.uint64, types.uint64)
-call_fade = function_at(FADE)
-"""Calls `fade`, with its arguments."""
-
-_travel_at, _io_at = record_at(TRAVEL), record_at(IO_BUFFER)
+_travel_at = record_at(TRAVEL)
 
 
-@native(FADE.return_type, *FADE.args)
-def fade(travel, io):
-    """Fades forces and excitation on every channel that is outside. Returns the worst of WITHIN, OUTSIDE, BEYOND."""
-    travel, io = _travel_at(travel), _io_at(io)
-    most = WITHIN
+@hook
+def fade(travel, tick):
+    """Fades forces and excitation on every channel that is outside."""
+    travel, tick = _travel_at(travel), tick_at(tick)
+    io = io_at(tick.io)
+    is_outside, code = False, 0
     for c in range(io.channels):
         x = io.position_counts[c] * io.position_scale[c]
         outside = max(travel.low[c] - x, x - travel.high[c])
@@ -66,8 +62,47 @@ def fade(travel, io):
         io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * left))
         io.excitation[c] *= left
         io.as_hand[c] *= left
-        most = max(most, OUTSIDE)
+        is_outside = True
         if outside > travel.armed[c] + travel.margin[c] + travel.unsure[c]:
-            travel.channel, travel.position, most = c, x, BEYOND
+            travel.channel, travel.position, code = c, x, OUT_OF_TRAVEL
     travel.begun = 1
-    return most
+    if is_outside:
+        travel.faded_ticks += 1
+        tick.flags |= FADED
+    return code
+
+
+def _set_up(loop: Any, setting: Setting) -> Any:
+    travel, scene, used = loop.travel, setting.scene, slice(setting.scene.channels)
+    if scene.device.travel is None:
+        return None
+    travel.low[:], travel.high[:] = -np.inf, np.inf
+    travel.low[used], travel.high[used] = np.transpose(scene.device.travels(scene.channels))
+    travel.margin[used] = scene.device.travel_margins(scene.channels)
+    count_m = np.array(setting.description.position_scale[used])
+    travel.unsure[used] = NOISE_RMS * scene.mock_device.noise + count_m
+    return travel
+
+
+def _sentence(run: Ended) -> str:
+    travel, c = run.loop.travel, int(run.loop.travel.channel)
+    units = run.scene.units_of(c)
+    return (
+        f"channel {c} is out of its travel at tick {run.report.ticks}: at "
+        f"{units(travel.position, 'm', '.6g')}, where device.travel goes from {units.number(travel.low[c], 'm', 'g')} "
+        f"to {units(travel.high[c], 'm', 'g')} and the force fades within {units(travel.margin[c], 'm', 'g')} outside; "
+        "its force was not sent. Something drives the device outward, or its zero is not where the scene has it: a "
+        "motor or an encoder with the wrong sign, a wrong device.origin, a device that restarted elsewhere, or limits "
+        "that are not the device's. Move it back within its travel before the next run"
+    )
+
+
+GUARD = Guard(
+    "travel",
+    TRAVEL,
+    {Stage.LOWER: fade},
+    _set_up,
+    OUT_OF_TRAVEL,
+    "out of travel",
+    _sentence,
+)

@@ -1,0 +1,168 @@
+"""What an exchange calls by address: hooks, each compiled by itself, all with one signature, in three lists of calls.
+
+An exchange knows no hook. It fills a TICK and calls a list of hooks before the scene moves, one after it, and one once
+the force is limited; within a list they stand in the order of Stage. A hook reads the TICK and what that has addresses
+of, remembers in a record of its own, and returns 0 or the code that ends the run. A hook that a scene lacks costs
+nothing and is never compiled; one that it has is compiled once, whatever other hooks the scene has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from firmware_protocol.compiled import ONE, compact
+from firmware_protocol.description import Description
+from hapsim.compiling import inlined
+from hapsim.compiling.native import PlainNative, address_of, array_at, function_at, native, record_at
+from hapsim.cordis.dispatch import CALLS
+from hapsim.loop.buffers import IO_BUFFER
+from hapsim.scene import Scene
+
+if TYPE_CHECKING:
+    from hapsim.prediction.force_bounds import ForceBounds
+
+TICK = np.dtype(
+    [
+        ("address", np.uint64),  # of all this
+        ("io", np.uint64),  # address of the IO_BUFFER: positions and forces
+        ("history", np.uint64),  # address of the FORCE_HISTORY
+        ("number", np.int64),  # of this tick; the first one is 0
+        ("sample", np.int64),  # number of the newest position, counted from arming,
+        ("gap", np.int64),  # and samples from the one before to it
+        ("now_ns", np.int64),  # when it arrived,
+        ("before_ns", np.int64),  # when the one before arrived,
+        ("sent_ns", np.int64),  # and when the last force had left
+        ("age", np.int64),  # samples from the position that the acting force answers
+        ("late", np.int64),  # 1: the device says that no force came in time, and the loop is not made for that
+        ("missed", np.int64),  # deadline misses up to now
+        ("unsent", np.int64),  # 1: the force of the tick before never left
+        ("expired", np.int64),  # 1: the time to live of the last force that left is over
+        ("withheld", np.int64),  # 1: the position is older than a force may live, so that zero leaves
+        ("flags", np.int64),  # of the row (ring.py); a hook that changes the force adds its own
+        ("ending", np.int64),  # the code that ends the run, 0: none
+        ("push", np.float64),  # N, which a hook adds to the excitation
+        ("held", np.float64),  # J, what the scene holds at the first sample
+    ],
+    align=True,
+)
+"""The newest position, as hooks see it. The exchange fills it once for each."""
+
+HOOK = types.int64(types.uint64, types.uint64)
+hook = native(HOOK.return_type, *HOOK.args)
+"""Decorates a hook (own, tick): addresses of a record of its own and of a TICK, so that it begins with
+`own, tick = _own_at(own), tick_at(tick)`. Returns 0, or the code that ends the run before its force leaves."""
+
+call_hook = function_at(HOOK)
+tick_at, io_at, _words_at = record_at(TICK), record_at(IO_BUFFER), array_at(np.uint64)
+
+
+class Stage(IntEnum):
+    """When a hook is called. A list of calls has several stages, in this order."""
+
+    READ = 0  # the position as it was read
+    PREDICT = 1  # may replace it
+    ADD = 2  # the scene has moved: may add to its force
+    LEAD = 3  # may set `push`
+    LOWER = 4  # the force is limited and in counts: may make it less
+    SHAPE = 5  # may keep it near the one before
+    KEEP = 6  # the force is what will leave
+    JUDGE = 7
+
+
+_LISTS = {
+    "before_scene": {Stage.READ, Stage.PREDICT},
+    "after_scene": {Stage.ADD, Stage.LEAD},
+    "after_limit": {Stage.LOWER, Stage.SHAPE, Stage.KEEP, Stage.JUDGE},
+}
+
+HOOKS = np.dtype([(name, CALLS) for name in _LISTS], align=True)
+
+
+@inlined
+def call_hooks(calls, tick):
+    """Calls the hooks of a list, in order. Of several endings the code nearest to 0 is what ends the run."""
+    compact()
+    pairs = _words_at(calls.pairs, 2 * calls.count)
+    for i in range(np.uint64(calls.count)):
+        code = call_hook(pairs[i + i], (pairs[i + i + ONE], tick.address))
+        if code != 0 and (tick.ending == 0 or code > tick.ending):
+            tick.ending = code
+
+
+class Hook(NamedTuple):
+    """A hook of a loop."""
+
+    stage: Stage
+    function: PlainNative
+    record: Any
+    """Its own."""
+    kept: Any = None
+    """What has to stay in memory with it."""
+
+
+def set_hooks(hooks: Any, chosen: Iterable[Hook]) -> list[Any]:
+    """Fills HOOKS: those of a stage are called in the order of `chosen`. Returns the lists of calls, which have to stay
+    in memory, as `chosen` has."""
+    ordered, lists = sorted(chosen, key=lambda one: one.stage), []
+    for name, stages in _LISTS.items():
+        pairs = [(one.function.address(), address_of(one.record)) for one in ordered if one.stage in stages]
+        lists.append(np.array(pairs, np.uint64).reshape(-1, 2))
+        hooks[name].pairs, hooks[name].count = address_of(lists[-1]), len(pairs)
+    return lists
+
+
+class Setting(NamedTuple):
+    """What guards are set up by."""
+
+    scene: Scene
+    description: Description
+    bounds: ForceBounds
+    in_hand: bool
+    """Whether a hand may hold the device: it is behind a port, and does not run in virtual time."""
+    behind_port: bool = False
+    judges_energy: bool = False
+    judges_sign: bool = False
+    acting_delay: float = 0.0
+    """Samples from a position to the change of its force, on the device's wire."""
+    first_late: str = ""
+    """How late the first forces may be, and why, if most of them are and the scene is unstable then."""
+
+
+class Ended(NamedTuple):
+    """A run that a guard ended, for its sentence."""
+
+    loop: Any
+    """LOOP."""
+    report: Any
+    """Report of hapsim.recording."""
+    scene: Scene
+    """The scene that the loop moved."""
+    setting: Setting
+
+
+class Guard(NamedTuple):
+    """A guard: all that set-up, exchange and report have to know of it."""
+
+    name: str
+    """Of its field of LOOP."""
+    record: np.dtype[Any]
+    """What it remembers, in that field."""
+    hooks: Mapping[Stage, PlainNative]
+    """What an exchange calls."""
+    set_up: Callable[[Any, Setting], Any]
+    """Fills the record of a LOOP, and returns it for the hooks; None where the scene does not need the guard."""
+    code: int = 0
+    """Ends a run; 0: the guard ends none. Where two guards end a run in one tick, the code nearest to 0 is reported."""
+    words: str = ""
+    """The `ending` of a report."""
+    sentence: Callable[[Ended], str] = lambda _: ""
+    """What it found and what to do, without a full stop."""
+    advice: Callable[[Ended], str] = lambda _: ""
+    """More to do where no value of the scene is unlikely, without a full stop."""
+    reads_history: bool = False
+    """Whether it judges by the forces that acted (force_history.py)."""
