@@ -21,7 +21,7 @@ from websockets.http11 import Request, Response
 import hapsim
 from hapsim.errors import HapsimError, UsageError
 from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, new_token, why_refused
-from hapsim.live.hub import Hub
+from hapsim.live.hub import Hub, predicted
 from hapsim.live.messages import (
     LONGEST,
     Adopt,
@@ -303,8 +303,6 @@ class Viewer:
             case Record():
                 file = await view.beside(lambda: hub.record(request.on))
             case Predict():
-                from hapsim.live.plane import predicted
-
                 scene, parameters = hub.scene, hub.parameters
                 found = await view.beside(
                     lambda: predicted(scene, parameters, request),

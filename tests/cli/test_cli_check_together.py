@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from hapsim import load_scene, predict
+from hapsim.live.hub import predicted
 from hapsim.live.messages import Predict
-from hapsim.live.plane import predicted
 from hapsim.sweeping.quantities import Task
 
 FREE = """
