@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
-from hapsim.cli.check_regions import show_hand
+from hapsim.cli.check_hands import hand_lines
 from hapsim.cli.options import (
     Json,
     PictureOptions,
@@ -20,7 +20,7 @@ from hapsim.cli.options import (
     require_positive,
     scene_name,
 )
-from hapsim.cli.output import document, say, speak_of, spoken, stdout, table
+from hapsim.cli.output import document, say, show, speak_of, spoken, stdout, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import between, number, percent
@@ -320,7 +320,7 @@ def force(
     chart = force_chart(loaded, name, speed)
     output.write(lambda: columns_of(chart), lambda path: draw_force(chart, path))
     if not output.json:
-        show_hand(stdout(), name, chart.regions)
+        show(stdout(), hand_lines(name, chart.regions))
     output.close({"scene": scene, "name": name, "speed_m_s": speed, "regions": chart.regions})
 
 

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
 from hapsim.cli import check_details as details
-from hapsim.cli.check_any_hand import any_hands_document, hand_ranges, worst_hand_sentences
-from hapsim.cli.check_correction import reached_sentence, tolerance_sentences
-from hapsim.cli.check_regions import show_regions, show_states
-from hapsim.cli.check_together import show_together, together_document
+from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
+from hapsim.cli.check_hands import (
+    any_hand_sentences,
+    any_hands_document,
+    hand_ranges,
+    region_lines,
+    state_lines,
+    together_document,
+    together_lines,
+    worst_hand_sentences,
+)
 from hapsim.cli.live import at_work
 from hapsim.cli.options import At, Json, SceneFile, flag, load, option, position, scene_name
-from hapsim.cli.output import Table, document, stderr, stdout, table
+from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.documents import pick
 from hapsim.errors import GuardError, UsageError
 from hapsim.holds import HOLDS
@@ -85,20 +92,10 @@ def check(
     out = stdout()
     _show_verdict(out, scene_name(scene), _stability(prediction, bool(of_slew)), prediction.rate)
     out.print(_predicted_for(loaded))
-    (details.show_details if explain else _show_summary)(out, loaded, prediction, on_wire)
-    if explanation is not None:
-        details.show_explanation(out, explanation)
-    for sentence in details.partials_sentences(partials):
-        out.print(sentence)
-    if explanation is not None:
-        for sentence in details.sound_sentences(loaded, peaks):
-            out.print(sentence)
+    show(out, check_lines(loaded, prediction, on_wire, explanation, explain=explain, partials=partials, peaks=peaks))
     with at_work(stderr(), "trying hands"):
         of_hands = [*worst_hand_sentences(prediction, hands)]
-    for sentence in of_hands:
-        out.print(sentence)
-    for warning in warnings:
-        out.print(f"[yellow]Warning:[/yellow] {escape(warning)}")
+    show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
 
 
 def _explanation(scene: Scene) -> Explanation:
@@ -181,48 +178,78 @@ def _one_hand(span: tuple[float, float], friction: float, stiffness: float, unit
     return f"{mass}, friction {units(friction, 'N·s/m', 'g')}{spring}"
 
 
-def _show_summary(out: Console, scene: Scene, prediction: Prediction, on_wire: Prediction | None) -> None:
-    """Prints the answer in about ten lines."""
-    if prediction.felt:
-        out.print(_felt_summary(prediction))
-    for felt in prediction.felt:
-        if felt.reason:
-            out.print(f"[bold]{escape(felt.name)}[/bold]: no spring and damper is equivalent: {felt.reason}")
-    show_together(out, prediction)
-    show_regions(out, scene, prediction)
-    show_states(out, prediction)
-    out.print(_margin_summary(prediction))
-    if prediction.poles_method:
-        out.print(f"A large scene: {prediction.poles_method}.")
-    details.show_wire(out, prediction, on_wire, explain=False)
+BRIEF, EXPLAIN, BOTH = {False}, {True}, {False, True}
+"""Levels of a line: by whether all is explained."""
+
+
+def check_lines(
+    scene: Scene,
+    prediction: Prediction,
+    on_wire: Prediction | None,
+    explanation: Explanation | None = None,
+    *,
+    explain: bool,
+    partials: dict[str, tuple[float, ...]] | None = None,
+    peaks: dict[str, float] | None = None,
+) -> Iterator[Line]:
+    """Yields what is predicted: the answer in about ten lines, or all with `explain`. `on_wire`: as `predict_on_wire`
+    returned it. What is not printed is not worked out."""
+    every: tuple[tuple[set[bool], Iterable[Line]], ...] = (
+        (BRIEF, _felt_summary(prediction)),
+        (EXPLAIN, details.assumption_lines(prediction.assumptions)),
+        (EXPLAIN, details.felt_lines(prediction)),
+        (BRIEF, together_lines(prediction)),
+        (BOTH, region_lines(scene, prediction)),
+        (BOTH, state_lines(prediction)),
+        (EXPLAIN, correction_lines(prediction)),
+        (EXPLAIN, together_lines(prediction)),
+        (EXPLAIN, any_hand_sentences(prediction)),
+        (EXPLAIN, details.mode_lines(prediction)),
+        (BRIEF, [_margin_summary(prediction)]),
+        (BOTH, [f"A large scene: {prediction.poles_method}."] if prediction.poles_method else []),
+        (EXPLAIN, details.margin_lines(prediction)),
+        (EXPLAIN, [""]),
+        (BOTH, details.wire_lines(prediction, on_wire, explain)),
+        (BRIEF, _guards(scene, prediction)),
+        (EXPLAIN, details.force_sentences(scene, prediction)),
+        (BOTH, details.travel_sentences(scene)),
+        (BOTH, details.count_sentences(scene, prediction)),
+        (EXPLAIN, details.device_sentences(scene, prediction)),
+        (BRIEF, tolerance_sentences(prediction, SHARES[:1])),
+        (BRIEF, unreached_sentences(prediction)),
+        (BRIEF, details.assumption_lines(prediction.assumptions)),
+        (EXPLAIN, details.explanation_lines(explanation) if explanation else []),
+        (BOTH, details.partials_sentences(partials or {})),
+        (EXPLAIN, details.sound_sentences(scene, peaks or {})),
+    )
+    return (line for level, lines in every if explain in level for line in lines)
+
+
+def _guards(scene: Scene, prediction: Prediction) -> Iterator[str]:
     bounds = run_bounds(scene)
     slew = f", slew {scene.units(bounds.slew_limit, 'N/s', 'g')}" if math.isfinite(bounds.slew_limit) else ""
     soft = f", soft start {duration(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else ""
     silence = duration(host_silence(prediction.rate).zero_force_after_s)
-    out.print(
+    yield (
         f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy {bounds.energy_limit:g} "
         "J; zero force "
         f"{silence} after the host dies"
     )
-    for sentence in (*details.travel_sentences(scene), *details.count_sentences(scene, prediction)):
-        out.print(sentence)
-    for sentence in tolerance_sentences(prediction, SHARES[:1]):
-        out.print(sentence)
-    for desired in prediction.desired:
-        if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:
-            out.print(reached_sentence(desired, prediction.rendering.kind.name, prediction))
-    details.show_assumptions(out, prediction.assumptions)
 
 
-def _felt_summary(prediction: Prediction) -> Table:
-    """Returns k, b and static stiffness of each hand, beside what was asked for."""
+def _felt_summary(prediction: Prediction) -> Iterator[Line]:
+    """Yields k, b and static stiffness of each hand, beside what was asked for."""
     rows = []
     for felt in prediction.felt:
         k, b = prediction.asked_for(felt)
         static, units = number(robustness_of(felt).steady_stiffness), prediction.scene.units_of(felt.channel)
         rows.append((f"{escape(felt.name)}: k", number(k), number(felt.k), static, units.name("N/m")))
         rows.append((f"{escape(felt.name)}: b", number(b), number(felt.b), "", units.name("N·s/m")))
-    return table("", ("", "asked for", "felt", "static", ""), rows, box=None)
+    if rows:
+        yield table("", ("", "asked for", "felt", "static", ""), rows, box=None)
+    for felt in prediction.felt:
+        if felt.reason:
+            yield f"[bold]{escape(felt.name)}[/bold]: no spring and damper is equivalent: {felt.reason}"
 
 
 def _margin_summary(prediction: Prediction) -> str:

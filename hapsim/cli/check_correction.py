@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from hapsim.cli.output import table
+from hapsim.cli.output import Line, table
 from hapsim.number_format import between, rounded_up
 from hapsim.prediction import Desired, Prediction, predict
 from hapsim.prediction.felt import SHARES
@@ -16,8 +16,6 @@ from hapsim.prediction.linear import with_device
 from hapsim.units import Units
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from hapsim.prediction.correction import Remedies
 
 _ROWS = 12  # of a table
@@ -41,32 +39,39 @@ def _within(least: float, most: float) -> str:
     return f"{rounded_up(least)} or more" if math.isinf(most) else between(least, most)
 
 
-def show_correction(out: Console, prediction: Prediction) -> None:
-    """Prints what a correction reaches, and the modes that it aims at; nothing without one."""
+def correction_lines(prediction: Prediction) -> Iterator[Line]:
+    """Yields what a correction reaches, and the modes that it aims at; nothing without one."""
     rendering = prediction.rendering
     if rendering is None or rendering.kind is None:
         return
     for desired in prediction.desired:
-        out.print(reached_sentence(desired, rendering.kind.name, prediction))
+        yield _reached_sentence(desired, rendering.kind.name, prediction)
     if prediction.coupled and prediction.desired_modes:
         modes = prediction.desired_modes
         more = f"and {len(modes) - _ROWS} more; --json has them all" if len(modes) > _ROWS else ""
         rows = [(f"{mode.frequency_hz:.6g}", f"{mode.damping_ratio:.6g}") for mode in modes[:_ROWS]]
         title = "Desired modes (the scene in continuous time)"
-        out.print("", table(title, ("Hz", "damping ratio"), rows, more))
-    for sentence in tolerance_sentences(prediction, SHARES):
-        out.print(sentence)
+        yield ""
+        yield table(title, ("Hz", "damping ratio"), rows, more)
+    yield from tolerance_sentences(prediction, SHARES)
     if rendering.kind.name == "predictor":
         poles = predict(with_device(prediction.scene, correction="poles"), with_margins=False)
         for felt in prediction.felt:
             for one in poles.tolerances(felt.name, SHARES[:1]):
                 mass = prediction.scene.units_of(felt.channel)(_within(*one.mass), "kg")
-                out.print(f"With correction: poles {escape(felt.name)} would feel it within {one.share:.0%} for {mass}")
+                yield f"With correction: poles {escape(felt.name)} would feel it within {one.share:.0%} for {mass}"
     for note in rendering.notes:
-        out.print(f"[yellow]Of the correction:[/yellow] {escape(note)}.")
+        yield f"[yellow]Of the correction:[/yellow] {escape(note)}."
 
 
-def reached_sentence(desired: Desired, name: str, prediction: Prediction) -> str:
+def unreached_sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields of each hand at which a correction does not reach what is desired, how close it comes."""
+    for desired in prediction.desired:
+        if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:
+            yield _reached_sentence(desired, prediction.rendering.kind.name, prediction)
+
+
+def _reached_sentence(desired: Desired, name: str, prediction: Prediction) -> str:
     """Returns how close a correction comes to what is desired at one hand, and what would bring it closer."""
     steady, units = "", prediction.scene.units_of(desired.channel)
     if abs(desired.steady_stiffness - desired.k) > _EXACT * abs(desired.k):

@@ -1,4 +1,4 @@
-"""What `hapsim check --explain` prints: the hands, modes and gain margins, the wire, and what bounds the force."""
+"""What `hapsim check` prints of hands, modes and gain margins, the wire, and what bounds the force."""
 
 from __future__ import annotations
 
@@ -8,11 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from hapsim.cli.check_any_hand import any_hand_sentences
-from hapsim.cli.check_correction import show_correction
-from hapsim.cli.check_regions import show_regions, show_states
-from hapsim.cli.check_together import show_together
-from hapsim.cli.output import Table, spoken, table
+from hapsim.cli.output import Line, Table, spoken, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import (
     Desired,
@@ -30,8 +26,6 @@ from hapsim.theory.interface import damper_named
 from hapsim.theory.network import SURELY
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from hapsim.cordis.offline import Explanation
     from hapsim.scene import Scene
 
@@ -42,33 +36,8 @@ _FAINT = 1e-9  # of m/T²: hardly a spring
 _NO_FACTOR, _UNKNOWN = "–", "?"
 
 
-def show_details(out: Console, scene: Scene, prediction: Prediction, on_wire: Prediction | None) -> None:
-    """Prints all that is predicted. `on_wire`: as `predict_on_wire` returned it."""
-    show_assumptions(out, prediction.assumptions)
-    for felt in prediction.felt:
-        _show_felt(out, prediction, felt)
-    show_regions(out, scene, prediction)
-    show_states(out, prediction)
-    show_correction(out, prediction)
-    show_together(out, prediction)
-    for sentence in any_hand_sentences(prediction):
-        out.print(sentence)
-    if prediction.modes:
-        out.print("", _modes(prediction))
-    if prediction.poles_method:
-        out.print(f"A large scene: {prediction.poles_method}.")
-    if prediction.margins:
-        out.print("", _margins(prediction))
-        if prediction.margins_method:
-            out.print(f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}.")
-    out.print()
-    show_wire(out, prediction, on_wire, explain=True)
-    for sentence in _bounds(scene, prediction):
-        out.print(sentence)
-
-
-def show_assumptions(out: Console, assumptions: Iterable[str]) -> None:
-    """Prints what the prediction assumes; sentences that differ in their first word alone become one."""
+def assumption_lines(assumptions: Iterable[str]) -> Iterator[Line]:
+    """Yields what the prediction assumes; sentences that differ in their first word alone become one."""
     alike: dict[str, list[str]] = {}
     for sentence in assumptions:
         name, _, rest = sentence.partition(" ")
@@ -76,21 +45,27 @@ def show_assumptions(out: Console, assumptions: Iterable[str]) -> None:
     for rest, (first, *others) in alike.items():
         more = f" and {len(others) - _NAMES} more" if len(others) > _NAMES else ""
         same = f" The same holds for {', '.join(others[:_NAMES])}{more}." if others else ""
-        out.print(f"[yellow]Assumed:[/yellow] {escape(f'{first} {rest}.{same}')}")
+        yield f"[yellow]Assumed:[/yellow] {escape(f'{first} {rest}.{same}')}"
 
 
-def _show_felt(out: Console, prediction: Prediction, felt: Felt) -> None:
-    """Prints what one hand feels, and what that means."""
+def felt_lines(prediction: Prediction) -> Iterator[Line]:
+    """Yields what each hand feels, and what that means."""
+    for felt in prediction.felt:
+        yield from _felt_lines(prediction, felt)
+
+
+def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
     desired = next((one for one in prediction.desired if one.name == felt.name), None)
-    out.print("", _felt_table(felt, desired))
+    yield ""
+    yield _felt_table(felt, desired)
     if desired is None and (name := correction_for(felt)):
         k, b = felt.stiffness + felt.configuration.stiffness, felt.damping + felt.configuration.friction
-        out.print(f"With `correction: {name}` under `device` the hand would feel k = {k:.6g}, b = {b:.6g}.")
+        yield f"With `correction: {name}` under `device` the hand would feel k = {k:.6g}, b = {b:.6g}."
     if felt.reason:
-        out.print(f"No spring and damper is equivalent: {felt.reason}.")
+        yield f"No spring and damper is equivalent: {felt.reason}."
     is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction))
     if not (is_in_table and felt.stable and math.isfinite(felt.stiffness_factor)):
-        out.print(margin_sentence(felt))
+        yield margin_sentence(felt)
 
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:
@@ -144,7 +119,10 @@ def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
     return f"{becomes} where the damping is between {span}"
 
 
-def _modes(prediction: Prediction) -> Table:
+def mode_lines(prediction: Prediction) -> Iterator[Line]:
+    """Yields the modes, slowest first; nothing where there are none."""
+    if not prediction.modes:
+        return
     rows = []
     for mode in prediction.modes[:_ROWS]:
         shares: dict[str, float] = {}  # a structure's points together
@@ -163,7 +141,8 @@ def _modes(prediction: Prediction) -> Table:
         # Close to the circle, what is missing from 1 or beyond it.
         size = f"1{modulus - 1.0:+.1e}" if 0.0 < abs(modulus - 1.0) < 1e-5 else f"{modulus:{digits}}"
         rows.append([pole, "1" if modulus == 1.0 else size, *oscillation, names or f"many, most {moving[0][0]}"])
-    return table("Modes", ("pole", "|pole|", "Hz", "damping ratio", "<moves"), rows, _more(len(prediction.modes)))
+    yield ""
+    yield table("Modes", ("pole", "|pole|", "Hz", "damping ratio", "<moves"), rows, _more(len(prediction.modes)))
 
 
 def _more(count: int) -> str:
@@ -185,7 +164,10 @@ def change_to_limit(margin: LinkMargin) -> float:
     return min((abs(math.log(factor)) for factor in factors), default=math.inf)
 
 
-def _margins(prediction: Prediction) -> Table:
+def margin_lines(prediction: Prediction) -> Iterator[Line]:
+    """Yields the gain margins of the links, and how they were worked out; nothing without links."""
+    if not prediction.margins:
+        return
     links = tightest(prediction)
     if prediction.stable_as_taken or prediction.at_limit:
         rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
@@ -198,7 +180,10 @@ def _margins(prediction: Prediction) -> Table:
         others = "need a larger change"
     left_out = len(prediction.margins) - len(links)
     caption = f"and {left_out} links that were not worked out, or {others}; --json has all that are known"
-    return table(title, ("<link", "stiffness times", "damping times"), rows, caption if left_out else "")
+    yield ""
+    yield table(title, ("<link", "stiffness times", "damping times"), rows, caption if left_out else "")
+    if prediction.margins_method:
+        yield f"{prediction.margins_method[0].upper()}{prediction.margins_method[1:]}."
 
 
 def _factor(value: float) -> str:
@@ -214,8 +199,8 @@ def _ranges(ranges: tuple[tuple[float, float], ...] | None) -> str:
     return _UNKNOWN if ranges is None else " or ".join(words) or _NO_FACTOR
 
 
-def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None, explain: bool) -> None:
-    """Prints what an exchange takes, and what that makes of the delay and of what the hand feels.
+def wire_lines(prediction: Prediction, on_wire: Prediction | None, explain: bool) -> Iterator[Line]:
+    """Yields what an exchange takes, and what that makes of the delay and of what the hand feels.
 
     `on_wire`: as `predict_on_wire` returned it. `explain`: with its parts.
     """
@@ -226,14 +211,14 @@ def show_wire(out: Console, prediction: Prediction, on_wire: Prediction | None, 
     if is_real:
         on = "on a UART an" if prediction.wire_of == "unknown" else "an"
         verdict = "fits" if budget.fits else f"[red]does not fit[/red]: {what_helps(budget)}"
-        out.print(f"Wire: {on} exchange takes {whole}: {verdict}. {_delay(budget)}")
+        yield f"Wire: {on} exchange takes {whole}: {verdict}. {_delay(budget)}"
     else:
         fits = f"A UART at {budget.baud} baud would {'fit' if budget.fits else '[yellow]not fit[/yellow]'}"
-        out.print(f"Wire: none (the mock). {fits}: {whole}.{f' {_delay(budget)}' if explain else ''}")
+        yield f"Wire: none (the mock). {fits}: {whole}.{f' {_delay(budget)}' if explain else ''}"
     if on_wire is not None and (is_real or explain):
-        out.print(_felt_on_wire(prediction, on_wire))
+        yield _felt_on_wire(prediction, on_wire)
     if explain and prediction.wire_of in ("port", "unknown"):
-        out.print(
+        yield (
             "This is counted for a UART. A device with USB of its own (CDC) ignores the baud rate and answers within a "
             "polling interval, 0.125 or 1 ms; the latency timer of a USB converter comes on top and is not counted. "
             "Where most forces of the first 64 samples are late, and the scene is unstable at that delay, a run ends."
@@ -273,8 +258,8 @@ def _felt_on_wire(prediction: Prediction, on_wire: Prediction) -> str:
     return " ".join([*sentences, f"The scene is then {verdict} (spectral radius {on_wire.spectral_radius:.9g})."])
 
 
-def _bounds(scene: Scene, prediction: Prediction) -> Iterator[str]:
-    """Yields what bounds the force: when the host dies, in `hapsim run`, and outside the travel."""
+def force_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
+    """Yields what bounds the force when the host dies, and in `hapsim run`."""
     silence = host_silence(prediction.rate)
     yield (
         f"If the host dies: the last force acts for at most {duration(silence.zero_force_after_s)} "
@@ -292,8 +277,10 @@ def _bounds(scene: Scene, prediction: Prediction) -> Iterator[str]:
         f"than {bounds.energy_limit:g} J, or goes on swinging or shaking at the force limit (hapsim/STABILITY.md says "
         "what counts as that)."
     )
-    yield from travel_sentences(scene)
-    yield from count_sentences(scene, prediction)
+
+
+def device_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
+    """Yields what bounds the force with a device in place of the mock, and what the mock does not show of one."""
     if scene.device.port is None and scene.device.clock != "lockstep":
         bounds = force_bounds(scene, in_hand=True)
         yield (
@@ -380,8 +367,8 @@ def sound_sentences(scene: Scene, peaks: dict[str, float]) -> Iterator[str]:
             yield f"Sound: {name} peaks at {level} in {RENDERED_S:g} s on the mock; gain: {gain:.3g} makes it -6 dB."
 
 
-def show_explanation(out: Console, explanation: Explanation) -> None:
-    """Prints what the scene was compiled to, and what its parts take."""
+def explanation_lines(explanation: Explanation) -> Iterator[Line]:
+    """Yields what the scene was compiled to, and what its parts take."""
     rows = [
         (
             part.name,
@@ -393,9 +380,10 @@ def show_explanation(out: Console, explanation: Explanation) -> None:
         for part in explanation.parts
     ]
     headings = ("<part", "how many", "<as", "bytes", "ns alone")
-    out.print("", table("What the scene was compiled to", headings, rows))
+    yield ""
+    yield table("What the scene was compiled to", headings, rows)
     steps = "" if explanation.substeps == 1 else f", {explanation.substeps} of them in a sample"
-    out.print(
+    yield (
         f"A tick takes {explanation.seconds * 1e9:.3g} ns{steps}, {explanation.share:.2g} of the "
         f"sample period, here and now; {explanation.points} points, {explanation.bytes} bytes, "
         f"{explanation.precision} precision."
@@ -403,5 +391,5 @@ def show_explanation(out: Console, explanation: Explanation) -> None:
     most = explanation.most_substeps
     if explanation.substeps > max(most, 1):
         fits = f"at most {most} substeps fit" if most else "not even one fits"
-        out.print(f"[red]That is too long[/red]: {fits} beside an exchange.")
-    out.print(f"Of these the scene has none, and nothing was compiled: {', '.join(explanation.absent)}.")
+        yield f"[red]That is too long[/red]: {fits} beside an exchange."
+    yield f"Of these the scene has none, and nothing was compiled: {', '.join(explanation.absent)}."

@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 
 from hapsim.cli.check import felt_on, prediction_document
-from hapsim.cli.check_details import show_assumptions, show_wire
+from hapsim.cli.check_details import assumption_lines, wire_lines
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_remarks import (
     attempts,
@@ -34,7 +34,7 @@ from hapsim.cli.options import (
     require_positive,
     say_written,
 )
-from hapsim.cli.output import Table, complain, document, failure_document, speak_of, spoken, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, failure_document, show, speak_of, spoken, stderr, stdout, table
 from hapsim.cli.run import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
@@ -143,7 +143,7 @@ def _measure_pair(
             stdout().print(weight_sentence(weight, channel))
         (show_report if explain else show_run)(stdout(), measurement.trace.report)
         if on_wire is not None or prediction.wire_delay:
-            show_wire(stdout(), prediction, on_wire, explain=True)
+            show(stdout(), wire_lines(prediction, on_wire, explain=True))
         picture.say_written()
         say_written("Trace", record.record)
     if measurement.failure is not None:
@@ -236,7 +236,7 @@ def show_measurement(
         f"Read from {measurement.samples} samples; the fit leaves {units(measurement.residual_m, 'm', '.2g')}, in "
         f"{measurement.order} poles."
     )
-    show_assumptions(out, prediction.assumptions)
+    show(out, assumption_lines(prediction.assumptions))
     if others := ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel):
         out.print(f"Other hands of this scene: {others}.")
 

@@ -10,10 +10,10 @@ import numpy as np
 import typer
 from rich.markup import escape
 
-from hapsim.cli.check_details import show_assumptions
+from hapsim.cli.check_details import assumption_lines
 from hapsim.cli.live import live_line
 from hapsim.cli.options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions, say_written
-from hapsim.cli.output import Table, complain, document, spoken, stderr, stdout, table
+from hapsim.cli.output import Table, complain, document, show, spoken, stderr, stdout, table
 from hapsim.cli.run import predict_before_arming, print_warnings, require_stable, with_mock
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -78,7 +78,7 @@ def measure_hands(
     rows = [row for i in range(len(one.names)) for j in range(len(one.names)) for row in _rows(one, found, i, j)]
     title = f"What {' and '.join(map(escape, one.names))} feel, of the scene and of each other"
     stdout().print(table(title, ("", "predicted", "measured", "±", "off by"), rows))
-    show_assumptions(stdout(), prediction.assumptions)
+    show(stdout(), assumption_lines(prediction.assumptions))
     if one.felt.reason:
         stdout().print(f"No pair is predicted, for {one.felt.reason}; measured are the motions with most energy.")
     stdout().print(
@@ -227,7 +227,7 @@ def show_impedance(out: Console, predicted: PredictedImpedance, measured: Measur
             out.print("", _table(predicted, measured, i, name, words))
         out.print("", _springs(predicted, measured, i))
     out.print()
-    show_assumptions(out, predicted.assumptions)
+    show(out, assumption_lines(predicted.assumptions))
     for sentence in _sentences(predicted, measured):
         out.print(sentence)
 

@@ -157,6 +157,16 @@ def _unbroken(cell: str) -> list[str]:
     return [cell] if len(cell) <= _PHRASE and any(one.isdigit() for one in cell) else cell.split()
 
 
+Line = str | Table
+"""What is printed in a line of its own."""
+
+
+def show(out: Console, lines: Iterable[Line]) -> None:
+    """Prints these lines."""
+    for line in lines:
+        out.print(line)
+
+
 def table(
     title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "", **options: Any
 ) -> Table:

@@ -12,7 +12,8 @@ import pytest
 from rich.console import Console
 
 from hapsim import predict, run, start
-from hapsim.cli.check_details import show_details
+from hapsim.cli.check import check_lines
+from hapsim.cli.output import show
 from hapsim.errors import DeviceError
 from hapsim.prediction import robustness_of
 from hapsim.prediction.correction import rendered
@@ -130,7 +131,7 @@ def test_check_tells_static_stiffness_noise_and_masses_in_eighty_columns() -> No
     scene = pushed(touch(20000.0, 40.0))
     prediction = predict(scene)
     out = Console(file=io.StringIO(), width=80)
-    show_details(out, scene, prediction, None)
+    show(out, check_lines(scene, prediction, None, explain=True))
     told = out.file.getvalue()  # type: ignore[attr-defined]
     rows = {row.split("│")[1].strip(): row.split("│")[-2].strip() for row in told.splitlines() if row.count("│") > 3}
     assert rows["static stiffness  N/m"] == "20000"

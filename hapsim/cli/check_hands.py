@@ -1,0 +1,431 @@
+"""What `hapsim check` prints of hands: by region, of those that move masses or each other, and of any others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.markup import escape
+
+from hapsim.cli.output import Line, Table, spoken, table
+from hapsim.documents import pick
+from hapsim.errors import UsageError
+from hapsim.number_format import duration, number, rounded_down, rounded_up
+from hapsim.units import Units
+
+if TYPE_CHECKING:
+    from hapsim.prediction import AnyHand, FeltTogether, Prediction, Region, Weight, WorstHand
+    from hapsim.scene import Scene
+
+
+_ROWS = 10  # of a table; of more regions those that are alike share a row, and of these the others are summed up
+_ALIKE = 6  # digits
+_NOISY = 20  # regions below a count; nobody designs more
+_GROWING = 3  # states of contacts in which something grows
+
+
+@dataclass(frozen=True)
+class _Row:
+    region: Region
+    alike: int
+    is_here: bool
+    """Whether the hand is taken to be in it, or in one like it."""
+
+
+def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
+    """Yields a table for each hand with regions; hands that feel the same share one."""
+    from hapsim.scene import Detent
+
+    shared: dict[tuple[tuple[tuple[str, ...], ...], tuple[str, ...]], list[str]] = {}
+    for name, regions in prediction.regions.items():
+        rows, others = _rows(regions, prediction.region_here[name])
+        key = tuple(map(_cells, rows)), (others, _narrow(regions), _bounces(regions), regions[0].hand.units.name("m"))
+        shared.setdefault(key, []).append(name)
+    for (cells, (*sentences, _unit)), names in shared.items():
+        yield _table(", ".join(names), cells, prediction.regions[names[0]][0].hand.units)
+        yield from filter(None, sentences)
+    for name, swing in prediction.judge.swings.items():
+        if swing is not None:
+            unnoticed = ": less than a count" if swing.is_unnoticed else ""
+            ways = swing.sentence(scene.units_of(scene.device_points[name].channel))
+            yield f"Where it is unstable, {escape(name)} swings by {ways}{unnoticed}"
+    for name, link in scene.links.items():
+        if isinstance(link, Detent) and scene.device.travel is None and prediction.regions.keys() & set(link.between):
+            yield f"{escape(name)} repeats every {scene.units(link.pitch, 'mm', 4)}; --at X shows others."
+
+
+def hand_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:
+    """Yields the table of one hand."""
+    rows, others = _rows(regions)
+    yield _table(name, [_cells(row) for row in rows], regions[0].hand.units)
+    if others:
+        yield others
+
+
+def _bounces(regions: tuple[Region, ...]) -> str:
+    """Returns that bounces can grow though each region is stable, and what would be enough, in a sentence; "" where
+    passivity forbids it, or where it is not derived."""
+    held = [one.felt for one in regions if one.kind == "held"]
+    needed = max((one.needed_friction for one in held), default=0.0)
+    has, unit = regions[0].felt.configuration.friction, regions[0].hand.units.name("N·s/m")
+    if not all(one.is_stable for one in regions) or not needed > has:
+        return ""
+    return f"Not passive: bounces can grow below {rounded_up(needed)} {unit} of friction (declared: {number(has)})"
+
+
+def _narrow(regions: tuple[Region, ...]) -> str:
+    """Returns how many regions are narrower than a count, in a sentence; "" where none is."""
+    places = {(one.piece.low, one.piece.high): one.hand.count for one in regions}
+    narrow = sum(high - low < count for (low, high), count in places.items())
+    if not narrow:
+        return ""
+    count = regions[0].hand.units(regions[0].hand.count, "µm", 3)
+    noise = ": noise of the recording?" if narrow > _NOISY else ""
+    return f"{narrow} of {len(places)} regions are narrower than a count of the mock ({count}){noise}"
+
+
+def _table(names: str, rows: Sequence[tuple[str, ...]], units: Units) -> Table:
+    headings = (f"<position  {units.name('mm')}", f"K  {units.name('N/m')}", "B", "felt k", "felt b", "<")
+    caption = "← where the table above holds" if any("←" in row[-1] for row in rows) else ""
+    return table(f"By region, {escape(names)}", headings, rows, caption, box=None)
+
+
+def _rows(regions: tuple[Region, ...], here: Region | None = None) -> tuple[list[_Row], str]:
+    """All regions, or one of each kind, that nearest to position 0, with how many there are; of more kinds than fit the
+    most telling, and what the others are, in a sentence."""
+    if len(regions) <= _ROWS:
+        return [_Row(one, 1, one is here) for one in regions], ""
+    alike: dict[tuple[object, ...], list[Region]] = {}
+    for one in regions:
+        piece = one.piece
+        values = (piece.stiffness, piece.damping, piece.high - piece.low, one.force if one.kind == "free" else 0.0)
+        end = piece.low if math.isinf(piece.high - piece.low) else 0.0  # what has no other end is like nothing else
+        alike.setdefault((end, *(number(value, _ALIKE) for value in values), piece.sliding, one.kind), []).append(one)
+    rows = [
+        _Row(min(group, key=lambda one: abs(one.piece.place)), len(group), any(one is here for one in group))
+        for group in alike.values()
+    ]
+    rows.sort(key=lambda row: (not row.is_here, -row.region.growth, row.region.piece.low - row.region.piece.high))
+    shown = sorted(rows[:_ROWS], key=lambda row: row.region.piece.low)
+    return shown, _summed_up([row.region for row in rows[_ROWS:]], sum(row.alike for row in rows[_ROWS:]))
+
+
+def _summed_up(kinds: list[Region], count: int) -> str:
+    """Returns what these regions are, `count` in all, in a sentence; "" where there are none."""
+    if not kinds:
+        return ""
+    low, high = (number(of(one.piece.stiffness for one in kinds), 4) for of in (min, max))
+    unstable, snaps = sum(not one.is_stable for one in kinds), sum(one.kind == "snap" for one in kinds)
+    words = f"{f', {unstable} unstable' if unstable else ''}{f', {snaps} snaps' if snaps else ''}"
+    return f"and {count} others with K from {low} to {high}{words} (--json lists them)"
+
+
+def _cells(row: _Row) -> tuple[str, ...]:
+    region, piece = row.region, row.region.piece
+    felt = ("", "") if region.kind != "held" else (number(region.felt.k), number(region.felt.b, 5))
+    alike = f", {row.alike} of these" if row.alike > 1 else ""
+    here = " ←" if row.is_here else ""
+    return (
+        _range(piece.low, piece.high, region.hand.units),
+        number(piece.stiffness),
+        number(piece.damping),
+        *felt,
+        _verdict(region) + alike + here,
+    )
+
+
+def _range(low: float, high: float, units: Units) -> str:
+    ends = units.number(low, "mm", 4), units.number(high, "mm", 4)
+    if math.isfinite(low) and math.isfinite(high):
+        return " to ".join(ends)
+    if math.isfinite(low):
+        return f"above {ends[0]}"
+    return f"below {ends[1]}" if math.isfinite(high) else "everywhere"
+
+
+def _verdict(region: Region) -> str:
+    """Returns whether it is stable and passive, or a snap, in a few words."""
+    slides = "sliding, " if region.piece.sliding else ""
+    if not region.is_stable:
+        return f"{slides}[red]unstable: buzzes[/red]"
+    if region.kind == "snap":
+        return f"{slides}[yellow]snap[/yellow] {number(1e3 * region.snap_energy, 3)} mJ"
+    if region.kind == "free":
+        return f"{slides}no spring" + (f", {region.hand.units(abs(region.force), 'N', 3)}" if region.force else "")
+    return f"{slides}stable{', passive' if region.felt.passive else ''}"
+
+
+def state_lines(prediction: Prediction) -> Iterator[Line]:
+    """Yields in how many states the scene's other contacts can be, and what grows in which."""
+    states = prediction.states
+    for one in sorted(states.growing, key=lambda one: -one.growth)[:_GROWING]:
+        whose = f"the motion of {escape(one.module)}" if one.module else "a motion"
+        fast = f"e-fold in {duration(1.0 / (prediction.rate * math.log(one.growth)))}"
+        yield f"[red]Unstable[/red] while {escape(one.state)}: {whose} grows {fast} by itself"
+    if len(states.growing) > _GROWING:
+        yield f"and in {len(states.growing) - _GROWING} other ways (--json lists them)"
+    if states.unjudged:
+        which = f"{states.unjudged} of {states.count}" if states.is_complete else "some of more than 1000"
+        yield f"[yellow]Not judged[/yellow]: {which} states of its contacts"
+    elif states.count > 1 and prediction.stable:
+        yield f"Stable {states.words}"
+
+
+_FREQUENCIES = 5  # of a sentence
+
+
+def together_lines(prediction: Prediction) -> Iterator[Line]:
+    """Yields k, b and static stiffness of these hands beside what was asked for, and what they are of."""
+    rows = [row for one in prediction.together for row in _pair_rows(one)]
+    if rows:
+        yield table("", ("", "asked for", "felt", "static", ""), rows, box=None)
+    yield from _sentences(prediction)
+
+
+def _pair_rows(together: FeltTogether) -> Iterator[tuple[str, str, str, str, str]]:
+    """Yields rows for each hand, and for each pair of hands: what the first feels of the second."""
+    felt, asked, static = together.felt, together.asked_for, together.static_stiffness
+    if felt.reason:
+        return
+    names = [escape(name) for name in together.names]
+    for i, name in enumerate(names):
+        others = [(j, 1.0, name) if j == i else (j, -1.0, f"{name} of {names[j]}") for j in range(len(names))]
+        for j, sign, who in sorted(others, key=lambda one: one[0] != i):
+            unit = spoken(together.channels[i])
+            k, b = (number(sign * float(one[i, j])) for one in (felt.k, felt.b))
+            wanted_k, wanted_b = (number(sign * float(one[i, j])) for one in (asked.k, asked.b))
+            yield f"{who}: k", wanted_k, k, number(sign * float(static[i, j])), unit.name("N/m")
+            yield f"{who}: b", wanted_b, b, "", unit.name("N·s/m")
+
+
+def _sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields what the rows are of, or what is felt where there are none."""
+    for one in prediction.together:
+        whys = "; ".join(f"[bold]{escape(name)}[/bold] {escape(prediction.coupled[name])}" for name in one.names)
+        felt = one.felt
+        if not felt.reason:
+            held = " (of another hand: as of a spring and damper between them)" if len(one.names) > 1 else ""
+            yield (
+                f"{whys}. Felt are the spring and damper that it swings on{held}; asked for are the same without "
+                "sampling and delay"
+            )
+        else:
+            yield f"{whys}: no single k and b say what it feels, for {felt.reason}{_modes(felt.frequencies_hz)}"
+            yield from (_at_frequencies(one, i, spoken(channel)) for i, channel in enumerate(one.channels))
+        if (weight := _weight_of(prediction, one)) is not None:
+            yield _weight(weight)
+
+
+def _weight_of(prediction: Prediction, one: FeltTogether) -> Weight | None:
+    """Return its weight; None for rotary motion, for which `HAND_STIFFNESS` is no hand's."""
+    motions = prediction.scene.device.motions(prediction.scene.channels)
+    return one.weight if motions[one.channels[0]] == "linear" else None
+
+
+def _modes(frequencies: tuple[float, ...]) -> str:
+    if not frequencies:
+        return ""
+    shown = [number(one, 3) for one in sorted(frequencies[:_FREQUENCIES])]
+    *first, last = shown
+    return f" (modes of {', '.join(first)} and {last} Hz)" if first else f" (a mode of {last} Hz)"
+
+
+def _at_frequencies(one: FeltTogether, i: int, units: Units) -> str:
+    from hapsim.prediction import HAND_HZ
+
+    static, (k_moved, b_moved) = float(one.static_stiffness[i, i]), one.at_frequencies
+    pairs = zip(HAND_HZ, k_moved[i].tolist(), b_moved[i].tolist(), strict=True)
+    moved = [f"at {hz:g} Hz {units(k, 'N/m', 4)} and {units(b, 'N·s/m', 3)}" for hz, k, b in pairs if math.isfinite(k)]
+    inertia = " (below 0: there it feels a mass, no spring)" if any(k < 0.0 for k in k_moved[i]) else ""
+    on, it = "", ", the hand"
+    if len(one.names) > 1:
+        on, it = f" on {escape(one.names[i])}", " while the others are held, it"
+    steady = f"A steady push{on} meets {units(static, 'N/m', 4)}"
+    return f"{steady}; moved to and fro{it} meets {', '.join(moved)}{inertia}"
+
+
+def _weight(weight: Weight) -> str:
+    """Returns what a linear hand feels of masses."""
+    from hapsim.prediction import HAND_STIFFNESS
+
+    told = f"The free masses weigh {number(weight.mass, 4)} kg. Shaken by a hand of {HAND_STIFFNESS:g} N/m they feel "
+    told += f"like {number(weight.felt, 4)} kg (without sampling and delay: {number(weight.continuous, 4)} kg)"
+    if math.isfinite(weight.within_10_percent_hz):
+        told += f". Up to {number(weight.within_10_percent_hz, 2)} Hz they feel like themselves, within 10 %"
+    if math.isfinite(weight.to_simulate):
+        told += f". Simulate {number(weight.to_simulate, 4)} kg to feel {number(weight.mass, 4)}"
+    return told
+
+
+def together_document(prediction: Prediction) -> list[dict[str, Any]]:
+    """Returns the same as a JSON document."""
+    from hapsim.prediction import HAND_HZ
+
+    return [
+        {
+            "device_points": one.names,
+            "k": _matrix(one.felt.k),
+            "b": _matrix(one.felt.b),
+            "continuous": {"k": _matrix(one.asked_for.k), "b": _matrix(one.asked_for.b)},
+            "static_stiffness": _matrix(one.static_stiffness),
+            **pick(one.felt, "kinetic_share=share other_motions=others frequencies_hz reason"),
+            "weight": _weight_of(prediction, one),
+            "moved": [
+                {"frequency_hz": hz, "k": k, "b": b}
+                for hz, k, b in zip(HAND_HZ, *(part[0].tolist() for part in one.at_frequencies), strict=True)
+            ],
+        }
+        for one in prediction.together
+    ]
+
+
+def _matrix(values: np.ndarray[Any, Any]) -> Any:
+    return values if np.isfinite(values).all() else None
+
+
+Range = tuple[float, float]
+
+_ORDINARY = (0.0, 2.0), (0.0, 3000.0)  # kg and N/m that a hand and its arm add
+_CLAMP = 2e4  # N/m: no hand is as stiff
+
+
+def hand_ranges(mass: str | None, stiffness: str | None) -> tuple[Range, Range] | None:
+    """Returns the ranges of mass and stiffness that hands add; None where none is asked for. Raises UsageError."""
+    if mass is None and stiffness is None:
+        return None
+    return _range_of("--hand-mass", mass or "0"), _range_of("--hand-stiffness", stiffness or "0")
+
+
+def _range_of(option: str, text: str) -> Range:
+    try:
+        low, *high = (float(part) for part in text.split(":"))
+    except ValueError:
+        low, high = -1.0, []
+    if len(high) > 1 or not 0.0 <= low <= (high or [low])[0] < math.inf:
+        raise UsageError(f"{option}: found {text}, expected LOW:HIGH or one number, from 0 on, such as 0.1:2")
+    return low, (high or [low])[0]
+
+
+def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields for each part of the scene from which friction on it is stable in any hands, and in which it is not, and
+    whether ordinary hands shake it; what is alike once."""
+    alike: dict[str, list[str]] = {}
+    for one in prediction.any_hands:
+        told = f"{_passive(prediction, one)}{_ordinary(prediction, one)}"
+        alike.setdefault(told, []).append(_who(one))
+    for sentence, whose in alike.items():
+        yield f"{', '.join(whose)}: {sentence}"
+
+
+def _passive(prediction: Prediction, one: AnyHand) -> str:
+    is_taken = prediction.assumptions or any(name in prediction.regions for name in one.names)
+    taken = " (as it is taken)" if is_taken else ""
+    if one.is_passive is None:
+        return f"whether it is passive is not known, for {one.not_derived or 'its numbers are out of range'}"
+    if one.lasting:
+        held = "the hands are" if len(one.names) > 1 else "the hand is"
+        return (
+            f"not passive{taken}, whatever the friction, for while {held} held a motion of {escape(one.lasting)} at "
+            f"{number(one.frequency_hz, 4)} Hz does not die out"
+        )
+    if one.pushes_away:
+        return f"not passive{taken}, whatever the friction: at rest the scene pushes the hand on"
+    friction = (
+        f"{_needed(one, prediction.scene.units_of(one.channels[0]))} of friction (declared: {_numbers(one.friction)})"
+    )
+    if one.is_passive:
+        return f"passive{taken}, which is stable in any hands (Colgate and Schenkel): that needs {friction}"
+    return f"not passive{taken}: it is stable in any hands only with {friction}{_shaken(prediction, one)}"
+
+
+def _ordinary(prediction: Prediction, one: AnyHand) -> str:
+    """Returns whether ordinary hands shake it, where that is a question, and worked out."""
+    is_linear = prediction.scene.device.motions(prediction.scene.channels)[one.channels[0]] == "linear"
+    if one.is_passive or not is_linear or not prediction.stable_as_taken:
+        return ""
+    worst = one.worst_hand(*_ORDINARY)
+    if worst is None:
+        return ""
+    if worst.is_stable:
+        return f". Hands of up to {_ORDINARY[0][1]:g} kg and {_ORDINARY[1][1]:g} N/m more do not shake it"
+    units = prediction.scene.units_of(one.channels[0])
+    return f". [red]An ordinary hand shakes it[/red]: {_hands(one, worst, units)} more"
+
+
+def _hands(one: AnyHand, worst: WorstHand, units: Units) -> str:
+    """Returns what they add; of several what those add that add something."""
+    each = zip(one.names, worst.masses, worst.stiffnesses, strict=True)
+    several = len(one.names) > 1
+    told = [
+        f"{units(mass, 'kg', 3)}, {units(stiffness, 'N/m', 3)}{f' on {escape(name)}' if several else ''}"
+        for name, mass, stiffness in each
+        if mass or stiffness or not several
+    ]
+    return " and ".join(told) or "nothing"
+
+
+def _who(one: AnyHand) -> str:
+    first, *others = [f"[bold]{escape(name)}[/bold]" for name in one.names]
+    return f"{', '.join([first, *others[:-1]])} and {others[-1]}" if others else first
+
+
+def _needed(one: AnyHand, units: Units) -> str:
+    shown = [rounded_up(max(0.0, float(needed))) for needed in one.needed]
+    alike = len({*shown}) == 1
+    if alike:
+        return f"{units(shown[0], 'N·s/m')}{' each' if len(shown) > 1 else ''}"
+    return f"{units(' and '.join(shown), 'N·s/m')}, in these proportions,"
+
+
+def _numbers(friction: Any) -> str:
+    return " and ".join(dict.fromkeys(number(float(one)) for one in friction))
+
+
+def _shaken(prediction: Prediction, one: AnyHand) -> str:
+    """Returns below which friction a single hand is shaken, and which, unless the declared one is already."""
+    least, hand = one.needed_for_one, one.shaking if prediction.stable_as_taken else None
+    below = f"; below {rounded_down(least)} a mass or a spring shakes it" if least > 0.0 else ""
+    if hand is None:
+        return below
+    units = prediction.scene.units_of(one.channels[0])
+    holds = units(hand.mass, "kg", 3) if hand.mass else units(hand.stiffness, "N/m", 3)
+    holds = f"a clamp of {holds}" if hand.stiffness > _CLAMP else f"{holds} more"
+    on = f" on [bold]{escape(hand.name)}[/bold]" if len(one.names) > 1 else ""
+    growth, hertz = number(hand.growth, 7), number(hand.frequency_hz, 4)
+    return f"{below}; with {holds}{on} it grows {growth}-fold a sample, at {hertz} Hz"
+
+
+def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | None) -> Iterator[str]:
+    """Yields for each part of the scene whether some hand of these ranges of mass and stiffness is shaken, and the
+    worst."""
+    if ranges is None:
+        return
+    for one in prediction.any_hands:
+        units, worst = prediction.scene.units_of(one.channels[0]), one.worst_hand(*ranges)
+        if worst is None:
+            yield f"Hands on {_who(one)}: not worked out, because the loop has too many masses or too long a delay"
+            continue
+        verdict = "[green]stable with all that were tried[/green]" if worst.is_stable else "[red]some are shaken[/red]"
+        of = f"{units(_low_to_high(ranges[0]), 'kg')} and {units(_low_to_high(ranges[1]), 'N/m')} more"
+        yield (
+            f"Hands on {_who(one)} of {of}: {verdict}; the worst, {_hands(one, worst, units)}, has a spectral radius "
+            "of "
+            f"{number(worst.spectral_radius, 9)}"
+        )
+
+
+def _low_to_high(values: Range) -> str:
+    low, high = values
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
+def any_hands_document(prediction: Prediction, ranges: tuple[Range, Range] | None = None) -> list[dict[str, Any]]:
+    """Returns the same as a JSON document. `ranges`: of mass and stiffness."""
+    found = []
+    for one in prediction.any_hands:
+        worst = one.worst_hand(*ranges) if ranges else None
+        found.append(pick(one, one.DOCUMENT) | {"worst_hand": worst and pick(worst, "* stable=is_stable")})
+    return found
