@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from firmware_protocol import schema
-from hapsim.bringup.probe.wire import Sample, Session, Wire, arm
+from hapsim.bringup.probe.probing import Sample, Session, Wire, arm
 from hapsim.device.connection import describe
 from hapsim.device.ports import open_serial_port
 

@@ -19,7 +19,7 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.client import Received
-from hapsim.bringup.probe.wire import Wire
+from hapsim.bringup.probe.probing import Wire
 from hapsim.device.connection import arm, describe, disarm, read_register
 from hapsim.device.ports import open_serial_port
 from hapsim.errors import DeviceError

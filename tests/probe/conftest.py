@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hapsim.bringup.probe.wire import Wire
+from hapsim.bringup.probe.probing import Wire
 from hapsim.device.connection import Connection
 from hapsim.loop.endings import HUNG_UP, TIMED_OUT
 

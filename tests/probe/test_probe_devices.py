@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from hapsim.bringup.probe import CHECKS, STEPS, Check, Leave, judge, steps_of
-from hapsim.bringup.probe.checks import SECTIONS
+from hapsim.bringup.probe.probing import SECTIONS
 
 PROTOCOL = Path(__file__).resolve().parents[2] / "firmware_protocol" / "PROTOCOL.md"
 NewBench = Callable[..., Any]

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 
 from firmware_protocol.description import Description
 from hapsim.bringup.probe.armed_steps import probe_arming, probe_forces
-from hapsim.bringup.probe.checks import CHECKS, STEPS, Check, Leave, Probing
 from hapsim.bringup.probe.host_steps import probe_blocked, probe_host_paced, probe_watchdog
+from hapsim.bringup.probe.probing import CHECKS, STEPS, Check, Leave, Probing, StoppedError, Wire
 from hapsim.bringup.probe.pushed_limits import probe_lives
 from hapsim.bringup.probe.pushing import probe_pushing, what_will_be_done
 from hapsim.bringup.probe.set_up_steps import probe_conversation, probe_refusals, probe_registers
-from hapsim.bringup.probe.wire import StoppedError, Wire
 from hapsim.device.ports import open_portable_port, open_serial_port
 from hapsim.errors import DeviceError, UsageError
 from hapsim.scales import SCALES

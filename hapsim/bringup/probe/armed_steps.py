@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP
-from hapsim.bringup.probe.checks import Probing
-from hapsim.bringup.probe.wire import Session, in_words
+from hapsim.bringup.probe.probing import Probing, Session, in_words
 
 _TOLERANCE = 0.01  # of the rate; the force of a damper is off by as much
 _WINDOWS = 24

@@ -12,8 +12,7 @@ import numpy as np
 from firmware_protocol import schema
 from firmware_protocol.client import Received
 from firmware_protocol.frames import SETUP
-from hapsim.bringup.probe.checks import Probing
-from hapsim.bringup.probe.wire import LONG_LIFE, Session, in_words
+from hapsim.bringup.probe.probing import LONG_LIFE, Probing, Session, in_words
 
 _WATCHDOG = 40  # samples
 _TOO_LATE = 3  # samples after it

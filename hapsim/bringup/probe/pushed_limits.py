@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.bringup.probe.checks import Leave, Probing
+from hapsim.bringup.probe.probing import Leave, Probing
 from hapsim.bringup.probe.pushing import STEP, Estimate, Pusher, TravelledError, estimate
 
 _LIFE = 6  # samples that a force acts, with a time to live of one less

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from hapsim.bringup.probe.checks import Leave, Probing
-from hapsim.bringup.probe.wire import Sample, Session, in_words
+from hapsim.bringup.probe.probing import Leave, Probing, Sample, Session, in_words
 
 STEP = "push"
 _LAGS = 5

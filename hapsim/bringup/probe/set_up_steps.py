@@ -11,8 +11,7 @@ from firmware_protocol import schema
 from firmware_protocol.client import ANSWER_S, FIRST_TRIES, Received, disarm_in_every_format
 from firmware_protocol.description import from_registers, registers_of_a_description
 from firmware_protocol.frames import SETUP, frame_to_device
-from hapsim.bringup.probe.checks import Probing
-from hapsim.bringup.probe.wire import Wire, in_words
+from hapsim.bringup.probe.probing import Probing, Wire, in_words
 
 _QUIET_S = 0.2
 _NOISE = bytes(1 + (7 * i) % 255 for i in range(300))
