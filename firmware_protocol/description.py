@@ -65,12 +65,6 @@ _WORDS = {
     "rotary": schema.REG_ROTARY,
     "bridge": schema.REG_BRIDGE,
 }
-_PER_CHANNEL = {
-    "position_scale": schema.REG_POSITION_SCALE,
-    "force_scale": schema.REG_FORCE_SCALE,
-    "force_limit": schema.REG_FORCE_LIMIT,
-    "velocity_scale": schema.REG_VELOCITY_SCALE,
-}
 _NAME = slice(schema.REG_NAME, schema.REG_NAME + schema.NAME_WORDS)
 _NAME_BYTES = 4 * schema.NAME_WORDS
 
@@ -92,7 +86,7 @@ def to_registers(description: Description) -> NDArray[np.int64]:
         registers[register] = getattr(description, name)
     doubles, per_channel = _doubles_of(registers)
     doubles[schema.REG_RATE // 2] = description.rate_hz
-    for name, register in _PER_CHANNEL.items():
+    for name, register in schema.CHANNEL_REGISTERS.items():
         per_channel[:channels, register // 2] = getattr(description, name) or 0.0
     characters = _printable(description.name).encode("ascii")[:_NAME_BYTES]
     registers[_NAME] = np.frombuffer(characters.ljust(_NAME_BYTES, b"\0"), "<u4")
@@ -118,7 +112,8 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
     held = registers.astype("<u4")
     doubles, per_channel = _doubles_of(held)
     scales: dict[str, Any] = {
-        name: tuple(per_channel[:channels, register // 2].tolist()) for name, register in _PER_CHANNEL.items()
+        name: tuple(per_channel[:channels, register // 2].tolist())
+        for name, register in schema.CHANNEL_REGISTERS.items()
     }
     if not any(scales["velocity_scale"]):
         scales["velocity_scale"] = ()

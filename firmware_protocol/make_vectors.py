@@ -11,7 +11,7 @@ import re
 import struct
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from firmware_protocol import schema
 from firmware_protocol.schema import BITS_PER_BYTE, HOST_WORK_S
@@ -25,20 +25,15 @@ VECTORS, SESSIONS, DOCUMENT, PORTING = (
 def made_text(path: Path) -> str:
     """Returns the up-to-date text of one of the four files."""
     if path in (VECTORS, SESSIONS):
-        return _by_lines(vectors() if path == VECTORS else sessions())
-    return with_blocks(path.read_text("utf-8"), _document_blocks() if path == DOCUMENT else _porting_blocks())
-
-
-def _by_lines(document: dict[str, Any]) -> str:
-    """JSON with each vector on a line of its own, so that a difference can be read."""
-    members = [f"{json.dumps(name)}: {_member(value)}" for name, value in document.items()]
-    return "{\n" + ",\n".join(members) + "\n}\n"
-
-
-def _member(value: Any) -> str:
-    if not isinstance(value, list):
-        return json.dumps(value)
-    return "[\n" + ",\n".join(json.dumps(entry) for entry in value) + "\n]"
+        document = vectors() if path == VECTORS else sessions()
+        # Each vector on a line of its own, so that a difference can be read.
+        members = []
+        for name, value in document.items():
+            lines = ",\n".join(map(json.dumps, value)) if isinstance(value, list) else ""
+            members.append(f"{json.dumps(name)}: " + (f"[\n{lines}\n]" if lines else json.dumps(value)))
+        return "{\n" + ",\n".join(members) + "\n}\n"
+    porting = {"baud and rate": _baud_and_rate(), "words of doubles": _words_of_doubles()}
+    return with_blocks(path.read_text("utf-8"), _document_blocks() if path == DOCUMENT else porting)
 
 
 def with_blocks(document: str, blocks: dict[str, str]) -> str:
@@ -56,10 +51,6 @@ def _table(head: Iterable[str], align: str, rows: Iterable[Iterable[str]]) -> st
     """A Markdown table. `align`: "r" for each right-aligned column, "l" for each other one."""
     rule = "".join({"r": "---:|", "l": "---|"}[each] for each in align)
     return "\n".join([f"| {' | '.join(head)} |", f"|{rule}", *(f"| {' | '.join(row)} |" for row in rows)])
-
-
-def _exchange_s(exchange_bytes: int, baud: int) -> float:
-    return exchange_bytes * BITS_PER_BYTE / baud
 
 
 # PROTOCOL.md.
@@ -129,7 +120,7 @@ def _wire_time(velocity: bool) -> str:
     rows = []
     for channels in range(1, schema.MAX_CHANNELS + 1):
         host, device = (schema.frame_bytes(channels, to_device, velocity) for to_device in (False, True))
-        times = (f"{1e3 * _exchange_s(host + device, baud):.3f} ms" for baud in bauds)
+        times = (f"{1e3 * (host + device) * BITS_PER_BYTE / baud:.3f} ms" for baud in bauds)
         rows.append((f"{channels}", f"{host} B", f"{device} B", f"{host + device} B", *times))
     return _table(("channels", "to host", "to device", "exchange", *(f"{baud} baud" for baud in bauds)), "r" * 7, rows)
 
@@ -177,17 +168,13 @@ _DOUBLES = {
 }
 
 
-def _porting_blocks() -> dict[str, str]:
-    return {"baud and rate": _baud_and_rate(), "words of doubles": _words_of_doubles()}
-
-
 def _baud_and_rate() -> str:
     """The highest rates whose force comes within one sample period, and within two."""
     channels = (1, 2, 3, 6)
     rows = []
     for baud in (115_200, 250_000, 500_000, 921_600, 1_000_000, 2_000_000):
         exchanges = (sum(schema.frame_bytes(n, to_device) for to_device in (False, True)) for n in channels)
-        seconds = [_exchange_s(exchange, baud) + HOST_WORK_S for exchange in exchanges]
+        seconds = [exchange * BITS_PER_BYTE / baud + HOST_WORK_S for exchange in exchanges]
         rows.append((f"{baud}", *(f"{_rate(1.0 / each)} / {_rate(2.0 / each)}" for each in seconds)))
     return _table(("baud", *(f"{n} channel{'s' if n > 1 else ''}" for n in channels)), "r" * 5, rows)
 

@@ -63,6 +63,12 @@ REG_BRIDGE = 14  # 1: guards end at a bridge to another protocol; not in SCHEMA 
 REG_NAME, NAME_WORDS = 16, 4
 REG_CHANNEL, CHANNEL_WORDS = 32, 8  # CHANNEL_WORDS of them for each channel, with these inside:
 REG_POSITION_SCALE, REG_FORCE_SCALE, REG_FORCE_LIMIT, REG_VELOCITY_SCALE = range(0, CHANNEL_WORDS, 2)
+CHANNEL_REGISTERS = {
+    "position_scale": REG_POSITION_SCALE,
+    "force_scale": REG_FORCE_SCALE,
+    "force_limit": REG_FORCE_LIMIT,
+    "velocity_scale": REG_VELOCITY_SCALE,
+}
 REGISTERS = REG_CHANNEL + MAX_CHANNELS * CHANNEL_WORDS
 
 SCHEMA = f"""hapsim wire {VERSION}

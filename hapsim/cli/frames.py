@@ -228,7 +228,7 @@ def _of_port(path: str, connection: Connection, duration: float | None, stopped:
 _NAMED = "version schema channels pacings rate max_watchdog fault accepted rejected held expired limited rotary bridge"
 _REGISTERS: dict[int, str] = {getattr(schema, f"REG_{name.upper()}"): name for name in _NAMED.split(" ")}
 _REGISTERS[schema.REG_RATE + 1] = "rate, high word"
-_OF_CHANNEL = ("position_scale", "force_scale", "force_limit", "velocity_scale")
+_OF_CHANNEL = tuple(schema.CHANNEL_REGISTERS)
 
 
 def _format_name(wire: Format) -> str:

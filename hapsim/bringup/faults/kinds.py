@@ -252,12 +252,6 @@ _WHOLE = {
     "max_watchdog": schema.REG_MAX_WATCHDOG,
     "schema": schema.REG_SCHEMA,
 }
-_OF_CHANNEL = {
-    "position_scale": schema.REG_POSITION_SCALE,
-    "force_scale": schema.REG_FORCE_SCALE,
-    "force_limit": schema.REG_FORCE_LIMIT,
-    "velocity_scale": schema.REG_VELOCITY_SCALE,
-}
 _REALS = {"nan": math.nan, "zero": 0.0, "negative": -1.0, "huge": 1e300}
 _INTEGERS = {"zero": 0, "negative": -1, "huge": 2**31 - 1}
 
@@ -322,7 +316,7 @@ class Nonsense(_Description):
         low, high = struct.unpack("<ii", struct.pack("<d", _REALS[self.what]))
         places = [schema.REG_RATE]
         if self.register_ != "rate":
-            first = schema.REG_CHANNEL + _OF_CHANNEL[self.register_]
+            first = schema.REG_CHANNEL + schema.CHANNEL_REGISTERS[self.register_]
             places = [first + channel * schema.CHANNEL_WORDS for channel in range(schema.MAX_CHANNELS)]
         return {at + k: word for at in places for k, word in enumerate((low, high))}
 
