@@ -52,8 +52,8 @@ LiveColumn = dict[tuple[str, str], float]
 def live_values(module: Module, rate: float) -> list[float]:
     """A module's values that may change while the scene runs, in the order of its `live`, as a tick at `rate` Hz works
     with them: dampings and frictions, in N·s/m, over the sample period."""
-    read_from = {"static": "break_away", "sharpness": "steepness"}  # with their defaults
     per_sample = {"damping": rate, "friction": rate}
+    read_from = module.with_default
     return [float(getattr(module, read_from.get(field, field))) * per_sample.get(field, 1.0) for field in module.live]
 
 

@@ -68,6 +68,8 @@ class Module(Part):
     can_move: ClassVar[bool] = True
     #: The fields that may change while the scene runs.
     live: ClassVar[tuple[str, ...]] = ()
+    #: Those of them that a file may omit, each with the property that has its value, or its default.
+    with_default: ClassVar[Mapping[str, str]] = {}
     #: Further ones that may change then; they are no numbers that could ramp one by one: the scene crossfades, or a
     #: table ramps to another.
     crossfaded: ClassVar[tuple[str, ...]] = ()

@@ -100,12 +100,12 @@ def _dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
         )
     inertia = 1.0 / (inner.mass * context.rate * context.rate)
     # Steps are measured in units of the fastest motion, so that no part of the matrix dwarfs the others.
-    stiffness = inertia[:, None] * inner.matrix_of(inner.links.stiffness).toarray()
+    stiffness = inertia[:, None] * inner.matrix_of(inner.stiffness).toarray()
     scale = max(1.0, float(np.sqrt(np.abs(stiffness).sum(axis=1).max(initial=0.0))))
     a = np.zeros((2 * n + h + 1, 2 * n + h + 1))
     a[:n, n : 2 * n] = scale * np.eye(n)
     a[n : 2 * n, :n] = -stiffness / scale
-    a[n : 2 * n, n : 2 * n] = -inertia[:, None] * inner.matrix_of(inner.links.damping).toarray() * context.rate
+    a[n : 2 * n, n : 2 * n] = -inertia[:, None] * inner.matrix_of(inner.damping).toarray() * context.rate
     a[n + inner.loaded, 2 * n + np.arange(h)] = inertia[inner.loaded] / scale
     a[n : 2 * n, -1] = inertia * inner.force / scale
     require_finite(a)
@@ -231,8 +231,8 @@ def _sum(shape, motion):
 def modes_of(inner: LinearSubsystem, context: BuildContext) -> Modes | None:
     """The modes of the subsystem; None where damping couples them."""
     root = 1.0 / (np.sqrt(inner.mass) * context.rate)
-    stiffness = root[:, None] * inner.matrix_of(inner.links.stiffness).toarray() * root
-    damping = root[:, None] * inner.matrix_of(inner.links.damping).toarray() * root * context.rate
+    stiffness = root[:, None] * inner.matrix_of(inner.stiffness).toarray() * root
+    damping = root[:, None] * inner.matrix_of(inner.damping).toarray() * root * context.rate
     require_finite(stiffness, damping)
     scaled = [matrix / (float(np.abs(matrix).max(initial=0.0)) or 1.0) for matrix in (stiffness, damping)]
     for share in (0.0, 0.5, 0.3819660112501051):  # where K alone leaves open which, B says so together with it
@@ -247,8 +247,8 @@ def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Mod
     """Each mode's k and b as the sum over all links of what it stretches them: a slow mode's are then as accurate as a
     fast one's, which those that eigenvalues come with are not."""
     squares = (inner.stretches() @ shape) ** 2
-    stiffness = inner.links.stiffness @ squares / (context.rate * context.rate)
-    damping = inner.links.damping @ squares / context.rate
+    stiffness = inner.stiffness @ squares / (context.rate * context.rate)
+    damping = inner.damping @ squares / context.rate
     return Modes(shape, np.maximum(stiffness, 0.0), np.maximum(damping, 0.0))
 
 
@@ -330,7 +330,7 @@ def _part(inner: LinearSubsystem, context: BuildContext) -> Part:
             "midpoint, which is stable whatever the stiffness too"
         )
     scale = 1.0 / np.sqrt(inner.mass) / context.rate
-    require_finite(scale, inner.links.stiffness * scale.max() ** 2, inner.links.damping * scale.max() ** 2)
+    require_finite(scale, inner.stiffness * scale.max() ** 2, inner.damping * scale.max() ** 2)
     modes = modes_of(inner, context)
     return _dense_part(inner, context) if modes is None else _modes_part(inner, modes, context)
 

@@ -22,14 +22,6 @@ from hapsim.scene import Scene
 STAYS = -1
 
 
-class InnerLinks(NamedTuple):
-    """L springs and dampers: ends (L, 2), places among the inner points or STAYS; N/m; N·s/m."""
-
-    ends: NDArray[np.intp]
-    stiffness: NDArray[np.float64]
-    damping: NDArray[np.float64]
-
-
 class Ties(NamedTuple):
     """L inner links to grounds: point and ground by number, K and B/T in N/m. What moves the ground pulls the point."""
 
@@ -40,10 +32,12 @@ class Ties(NamedTuple):
 
 
 class LinearSubsystem(NamedTuple):
-    """n points.
+    """n points, and L springs and dampers that join them.
 
     Attributes:
         point, mass: (n,) by number, rising; kg.
+        ends: (L, 2) places among the points, or STAYS.
+        stiffness, damping: (L,) N/m and N·s/m.
         force: (n,) N, of what stays where structures are at rest.
         loaded: (P,) places of the points that something from outside pulls.
         position, velocity: (n,) m and m/s at the first sample.
@@ -51,7 +45,9 @@ class LinearSubsystem(NamedTuple):
 
     point: NDArray[np.uint32]
     mass: NDArray[np.float64]
-    links: InnerLinks
+    ends: NDArray[np.intp]
+    stiffness: NDArray[np.float64]
+    damping: NDArray[np.float64]
     force: NDArray[np.float64]
     ties: Ties
     loaded: NDArray[np.uint32]
@@ -62,9 +58,9 @@ class LinearSubsystem(NamedTuple):
         """Sparse (L, n): what takes positions to the links' stretches."""
         from scipy.sparse import coo_array
 
-        link, end = np.nonzero(self.links.ends != STAYS)
-        place = self.links.ends[link, end]
-        return coo_array((1.0 - 2.0 * end, (link, place)), (len(self.links.ends), self.point.size)).tocsr()
+        link, end = np.nonzero(self.ends != STAYS)
+        place = self.ends[link, end]
+        return coo_array((1.0 - 2.0 * end, (link, place)), (len(self.ends), self.point.size)).tocsr()
 
     def matrix_of(self, values: NDArray[np.float64]) -> Any:
         """K in N/m, or B in N·s/m, a sparse (n, n), of a stiffness or a damping for each link."""
@@ -125,7 +121,9 @@ def _linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | 
     return LinearSubsystem(
         point=point,
         mass=np.array([mass[int(number)] for number in point]),
-        links=InnerLinks(ends, stiffness, damping),
+        ends=ends,
+        stiffness=stiffness,
+        damping=damping,
         force=force,
         ties=ties,
         loaded=np.array(sorted(place[number] for number in loaded if number in place), np.uint32),

@@ -183,8 +183,8 @@ def _part(inner: LinearSubsystem, context: BuildContext) -> Part:
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     square = context.rate * context.rate
-    stiffness = inner.matrix_of(inner.links.stiffness) / square
-    damping = inner.matrix_of(inner.links.damping) / context.rate
+    stiffness = inner.matrix_of(inner.stiffness) / square
+    damping = inner.matrix_of(inner.damping) / context.rate
     require_finite(stiffness.data, damping.data, inner.mass)
     pattern = abs(stiffness) + abs(damping)
     order = reverse_cuthill_mckee(pattern, symmetric_mode=True)

@@ -213,6 +213,7 @@ class Friction(Link):
     """Dry friction between two points: a bristle that holds like a spring, and slides where it is pulled too hard."""
 
     live: ClassVar[tuple[str, ...]] = ("force", "static", "stiffness", "damping")
+    with_default: ClassVar[Mapping[str, str]] = {"static": "break_away"}
 
     type: Literal["friction"] = Field(default="friction", description="Dry friction: sticks, and slides")
     force: Annotated[float, quantity("Friction while it slides", "N", least=0)]
@@ -263,6 +264,7 @@ class Detent(Link):
     """Rests at every multiple of its pitch: between two rests its ends are pulled to the nearer one."""
 
     live: ClassVar[tuple[str, ...]] = ("pitch", "depth", "damping", "sharpness")
+    with_default: ClassVar[Mapping[str, str]] = {"sharpness": "steepness"}
     crossfaded: ClassVar[tuple[str, ...]] = ("shape",)
 
     type: Literal["detent"] = Field(default="detent", description="Detents: a place to rest at every pitch")
@@ -357,6 +359,7 @@ class PickUp(Part):
 
     #: As of a module.
     live: ClassVar[tuple[str, ...]] = ("gain",)
+    with_default: ClassVar[Mapping[str, str]] = {}
     crossfaded: ClassVar[tuple[str, ...]] = ("from", "of")
     type: ClassVar[str] = "pick-up"
 
