@@ -18,9 +18,9 @@ from hapsim.cli.run import predict_before_arming, print_warnings, require_stable
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring import measure_hands as rings
-from hapsim.measuring.limits import require_device_point
 from hapsim.measuring.measure_impedance import StoppedError, walls_in_place
 from hapsim.measuring.measure_impedance import measure_impedance as measure
+from hapsim.measuring.options import require_device_point
 from hapsim.number_format import number, percent, plural, relative_difference, rounded
 from hapsim.prediction import predict
 from hapsim.prediction.impedance import (

@@ -136,19 +136,17 @@ class SampledMotion(NamedTuple):
 
     def answer_to(self, forces: Sequence[Floats]) -> Floats:
         """Positions along the last axis, the first one sample after rest at 0, under f[n - D - age] for each age."""
-        return np.asarray(sum(self._acting(force, gain) for force, gain in zip(forces, self.gains, strict=True)))
+        each = zip(forces, self.gains, strict=True)
+        return np.asarray(sum(self._filtered(force, gain, float(gain[self.seen])) for force, gain in each))
 
     def answer_at_once(self, force: Floats) -> Floats:
         """Positions along the last axis under forces that each act for one sample, the first one sample after rest."""
-        return self._acting(force, self.steady)
+        return self._filtered(force, self.steady, float(self.steady[self.seen]))
 
     def free(self, samples: int) -> Floats:
         """(samples, states) positions without a force, from each unit state on, the first one sample after it."""
         start = np.eye(1, samples)[0]
         return np.column_stack([self._filtered(start, unit, 0.0, ahead=1) for unit in np.eye(self.row.size)])
-
-    def _acting(self, force: Floats, gain: Floats) -> Floats:
-        return self._filtered(force, gain, float(gain[self.seen]))
 
     def _filtered(self, force: Floats, gain: Floats, seen: float, ahead: int = 0) -> Floats:
         """y[n + 1] = [row (zI - step)^-1 gain + seen] force[n], as one filter; `ahead`: samples sooner."""

@@ -64,7 +64,8 @@ def diagnose(prediction: Prediction, measurement: Measurement, channel: int = 0)
     felt = next((one for one in prediction.felt if one.channel == channel), None)
     second, extra, mode = measurement.second_mode, gives(prediction, measurement), None
     if second is not None:
-        mode = Mode(*_oscillation(measurement, second.pole), second.share, not extra)
+        s = cmath.log(second.pole) * measurement.trace.rate
+        mode = Mode(abs(s) / (2.0 * math.pi), -s.real / abs(s), second.share, not extra)
     disturbed = extra or bool(measurement.left_region)
     mass = None if disturbed else probable_mass(felt, measurement)
     is_other = felt is not None and not disturbed and mass is None and not math.isnan(measurement.dry_friction_n)
@@ -130,9 +131,3 @@ def _is_undisturbed(measurement: Measurement) -> bool:
     report, seen = measurement.trace.report, measurement.seen_rate
     late = report.deadline_misses / report.ticks > _FEW
     return not late and (seen is None or not seen.differs_from(measurement.trace.rate))
-
-
-def _oscillation(measurement: Measurement, pole: complex) -> tuple[float, float]:
-    """Returns (eigenfrequency in Hz, damping ratio) of a pole in the z-plane."""
-    s = cmath.log(pole) * measurement.trace.rate
-    return abs(s) / (2.0 * math.pi), -s.real / abs(s)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
-from hapsim.device.open_connection import TransportKind
 from hapsim.errors import GuardError, UsageError
-from hapsim.loop.counts import Progress
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.loop.guards import travel
 from hapsim.measuring.converters import Converters
@@ -30,8 +27,10 @@ from hapsim.measuring.device_diagnosis import (
 from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, peak_per_newton, scene_of
 from hapsim.measuring.device_fit import DeviceFit, Shape, fit_device, hands_on
 from hapsim.measuring.device_motion import Motion, Swing, motion_of, pieces_of, swings_of
-from hapsim.measuring.limits import (
+from hapsim.measuring.options import (
     SHARE_OF_LIMIT,
+    Run,
+    RunOptions,
     force_limit,
     require_above_zero,
     require_device_point,
@@ -40,7 +39,7 @@ from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, silenc
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
 from hapsim.running.options import PeriodicExcitation
-from hapsim.running.run import run_to_end as run
+from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 
@@ -124,9 +123,8 @@ def identify_device(
     force: float | None = None,
     travel: float | None = None,
     duration: float | None = None,
-    transport: TransportKind = "auto",
-    on_progress: Callable[[Progress], None] | None = None,
-    stop_on_signals: bool = False,
+    run: Run = run_to_end,
+    **options: Unpack[RunOptions],
 ) -> DeviceIdentification:
     """Pushes the device of `scene` on `channel`, whatever the scene simulates, and identifies what it is.
 
@@ -136,20 +134,17 @@ def identify_device(
     need, and pushes harder as it learns how far the device gets. Mass, friction and delay may be declared wrong by a
     factor of three.
 
-    Raises what `hapsim.running.run` raises, GuardError where the device moved farther than `travel`, and UsageError
-    where too little moves to identify anything, or what moves does not answer to the force.
+    `run`: what runs the scene, with these `options` of `hapsim.run`, but `unstable`. Raises what `hapsim.running.run`
+    raises, GuardError where the device moved farther than `travel`, and UsageError where too little moves to identify
+    anything, or what moves does not answer to the force.
     """
     scene = as_scene(scene)
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
-    run_scene = partial(
-        run,
-        transport=transport,
-        on_progress=on_progress,
-        stop_on_signals=stop_on_signals,
-        unstable=True,  # the band in which the force fades may be narrow: nothing is held there for long
+    # unstable: the band in which the force fades may be narrow, and nothing is held there for long
+    pusher = _Pusher(
+        scene, channel, bounds_of(scene, channel, force, travel), partial(run, **{**options, "unstable": True})
     )
-    pusher = _Pusher(scene, channel, bounds_of(scene, channel, force, travel), run_scene)
     with one_thread():
         pusher.find_home()
         rough = pusher.grow()
@@ -160,8 +155,8 @@ def identify_device(
 class _Pusher:
     """A device that is pushed within bounds, run after run, and the records of it."""
 
-    def __init__(self, scene: Scene, channel: int, bounds: Bounds, run_scene: Callable[..., Trace]) -> None:
-        self._scene, self._channel, self._bounds, self._run_scene = scene, channel, bounds, run_scene
+    def __init__(self, scene: Scene, channel: int, bounds: Bounds, run: Run) -> None:
+        self._scene, self._channel, self._bounds, self._run_scene = scene, channel, bounds, run
         self._converters = Converters(scene.device.hold, scene.device.sampling)
         self._most_delay = max(_LEAST_DELAY, _MANY_TIMES_DECLARED * scene.device.delay + 1.0)
         self._home_counts = self._noise_counts = 0.0

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Unpack
 
-from hapsim.device.open_connection import TransportKind
 from hapsim.errors import DeviceError, GuardError, UsageError
-from hapsim.loop.counts import Progress
-from hapsim.measuring.limits import SHARE_OF_LIMIT, require_above_zero, require_device_point
 from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
+from hapsim.measuring.options import (
+    Run,
+    RunOptions,
+    largest_push,
+    require_above_zero,
+    require_device_point,
+)
 from hapsim.measuring.place import Place, place_of
 from hapsim.measuring.trace_quality import silence
 from hapsim.recording.trace import Trace
@@ -40,10 +44,8 @@ def measure(
     at: float | None = None,
     duration: float | None = None,
     push: float | None = None,
-    transport: TransportKind = "auto",
-    on_progress: Callable[[Progress], None] | None = None,
-    stop_on_signals: bool = False,
-    unstable: bool | None = None,
+    run: Run = run_to_end,
+    **options: Unpack[RunOptions],
 ) -> Measurement:
     """Rings the hand on `channel` and identifies what it feels.
 
@@ -58,25 +60,12 @@ def measure(
     clear of the noise: in up to 5 runs, the next one with larger pushes for less uncertainty, or with half the push
     where the hand left its region. With `push` there is one run. The measurement's `attempts` list them.
 
-    `unstable`: as of `start`. Raises what `hapsim.running.run` raises, and UsageError where too little moves to
-    identify anything, or where no hand can be measured at that position. Where the device fails, or stops by itself,
-    and was recorded for long enough to identify something, the measurement is returned with the error as its `failure`.
+    `run`: what runs the scene, with these `options` of `hapsim.run`. Raises what `hapsim.running.run` raises, and
+    UsageError where too little moves to identify anything, or where no hand can be measured at that position. Where the
+    device fails, or stops by itself, and was recorded for long enough to identify something, the measurement is
+    returned with the error as its `failure`.
     """
-    run = partial(run_to_end, transport=transport, on_progress=on_progress, unstable=unstable)
-    run = partial(run, stop_on_signals=stop_on_signals)
-    return measure_by(run, as_scene(scene), channel=channel, at=at, duration=duration, push=push)
-
-
-def measure_by(
-    run: Callable[..., Trace],
-    scene: Scene,
-    *,
-    channel: int = 0,
-    at: float | None = None,
-    duration: float | None = None,
-    push: float | None = None,
-) -> Measurement:
-    """Does what `measure` does, with `run(scene, duration=…, excitation=…)` for each of its runs."""
+    scene, run = as_scene(scene), partial(run, **options)
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
@@ -89,9 +78,7 @@ def measure_by(
     return _identified(scene, excitation, *_recorded(run, scene, excitation, duration))
 
 
-def _recorded(
-    run: Callable[..., Trace], scene: Scene, excitation: Excitation, duration: float
-) -> tuple[Trace, DeviceError | None]:
+def _recorded(run: Run, scene: Scene, excitation: Excitation, duration: float) -> tuple[Trace, DeviceError | None]:
     """A run that pushes for `duration` seconds, and why it ended early. DeviceError where that was too early."""
     guided = excitation.ticks_before(scene.rate)
     try:
@@ -108,11 +95,18 @@ def _recorded(
 
 
 def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: DeviceError | None) -> Measurement:
-    """What the pushes of this run say. UsageError, or the failure, where that is nothing."""
-    channel, guide = excitation.channel, excitation.guide
+    """What the pushes of this run say, of a correction that adapts once it knew the hand, with the mass that it found.
+    UsageError, or the failure, where that is nothing."""
+    device, channel, guide, half = scene.device, excitation.channel, excitation.guide, trace.sample.size // 2
+    mass = device.masses(scene.channels)[channel]
+    uncertainty = device.mass_uncertainties(scene.channels)[channel]
+    estimated = trace.report.estimated_mass_kg
+    if channel < len(estimated) and (known := estimated[channel]) is not None:
+        mass, uncertainty = known, trace.report.estimated_mass_uncertainty_kg[channel]
+    settled = device.correction == "adaptive" and trace.sample.size - half >= _LEAST_ROWS
     try:
-        mass, uncertainty = _mass_of(scene, trace, channel)
-        found = measure_trace(_settled(scene, trace), mass, channel, uncertainty, pressed=guide is not None)
+        rows = trace.since(half) if settled else trace
+        found = measure_trace(rows, mass, channel, uncertainty, pressed=guide is not None)
     except UsageError as nothing:
         if failure is not None:
             raise failure from nothing
@@ -122,9 +116,7 @@ def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: Dev
     return replace(found, failure=failure, push_n=excitation.force, at_m=None if guide is None else guide.target)
 
 
-def _measure_at(
-    run: Callable[..., Trace], scene: Scene, place: Place, duration: float, push: float | None
-) -> Measurement:
+def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: float | None) -> Measurement:
     """The most certain of the runs in which the hand stayed in its region; with a `push` (N) the only one."""
     swing, most, best, least = place.first_swing(scene), place.largest_swing, None, math.inf
     attempts: list[Attempt] = []
@@ -174,22 +166,6 @@ def _measure_at(
     return replace(best, attempts=tuple(attempts))
 
 
-def _settled(scene: Scene, trace: Trace) -> Trace:
-    """What a correction that adapts did once it knew the hand."""
-    half = trace.sample.size // 2
-    if scene.device.correction != "adaptive" or trace.sample.size - half < _LEAST_ROWS:
-        return trace
-    return trace.since(half)
-
-
-def _mass_of(scene: Scene, trace: Trace, channel: int) -> tuple[float, float | None]:
-    """(kg, its standard uncertainty or None): the mass that was estimated, or declared."""
-    report, device = trace.report, scene.device
-    if channel < len(report.estimated_mass_kg) and (found := report.estimated_mass_kg[channel]) is not None:
-        return found, report.estimated_mass_uncertainty_kg[channel]
-    return device.masses(scene.channels)[channel], device.mass_uncertainties(scene.channels)[channel]
-
-
 def pushes(
     scene: Scene,
     channel: int,
@@ -210,8 +186,7 @@ def pushes(
     kick = mass * device.scales(scene.channels)[channel].kick
     wanted = kick if push is None else max(kick, push / scene.rate)
     impulse = min(wanted, mass * min(0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s)))
-    limit = device.force_limit if device.port is not None else mock.force_limit
-    most = SHARE_OF_LIMIT * limit if push is None else min(push, limit)
+    most = largest_push(scene, push)
     longest = every // 2
     if place is not None:
         eigen = math.sqrt(max(place.stiffness, 0.0) / mass)  # rad/s

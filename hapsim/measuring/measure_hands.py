@@ -10,21 +10,18 @@ off by 0.3 % in place of 2 %, with 10 µm by 1.5 % in place of 50 % (medians).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
-from hapsim.device.open_connection import TransportKind
 from hapsim.errors import UsageError
-from hapsim.loop.counts import Progress
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
-from hapsim.measuring.limits import require_above_zero, require_device_point
 from hapsim.measuring.measure import pushes
+from hapsim.measuring.options import Run, RunOptions, require_above_zero, require_device_point
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
@@ -42,25 +39,15 @@ def measure_hands(
     channels: Sequence[int],
     duration: float | None = None,
     push: float | None = None,
-    transport: TransportKind = "auto",
-    on_progress: Callable[[Progress], None] | None = None,
-    stop_on_signals: bool = False,
-    unstable: bool | None = None,
+    run: Run = run_to_end,
+    **options: Unpack[RunOptions],
 ) -> HandsMeasurement:
     """Rings the hands on these channels, one after the other, and identifies what all of them feel.
 
     `duration`: seconds for each [default: 4]; `push`: N, the largest force. UsageError where their motion does not show
     as many springs and dampers. The rest as of `measure`.
     """
-    run = partial(run_to_end, transport=transport, on_progress=on_progress, unstable=unstable)
-    run = partial(run, stop_on_signals=stop_on_signals)
-    return measure_hands_by(run, as_scene(scene), channels, duration, push)
-
-
-def measure_hands_by(
-    run: Callable[..., Trace], scene: Scene, channels: Sequence[int], duration: float | None, push: float | None
-) -> HandsMeasurement:
-    """Does what `measure_hands` does, with `run(scene, duration=…, excitation=…)` for each hand."""
+    scene = as_scene(scene)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("newton"), push=push)
     traces, segments = [], list[Floats]()
@@ -69,7 +56,7 @@ def measure_hands_by(
         seconds = _SECONDS if duration is None else duration
         every = int(seconds * scene.rate) // _RINGS
         excitation = replace(pushes(scene, channel, seconds, push), start=0, every=every, first=False)
-        trace = run(scene, duration=seconds, excitation=excitation)
+        trace = run(scene, duration=seconds, excitation=excitation, **options)
         begins = np.arange(0, trace.sample[-1] if trace.sample.size else 0, every)
         traces.append(trace)
         quiet = excitation.ticks + _RUN_UP + math.ceil(scene.device.delay)

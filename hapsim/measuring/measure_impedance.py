@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
-from hapsim.device.open_connection import TransportKind
 from hapsim.errors import HapsimError, UsageError
-from hapsim.loop.counts import Progress
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.measuring.converters import Converters, Floats
 from hapsim.measuring.impedance import (
@@ -26,7 +24,7 @@ from hapsim.measuring.impedance import (
     periods_of,
     settling,
 )
-from hapsim.measuring.limits import SHARE_OF_LIMIT, force_limit, require_above_zero
+from hapsim.measuring.options import Run, RunOptions, largest_push, require_above_zero
 from hapsim.measuring.trace_quality import SeenRate, seen_rate, silence
 from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation
@@ -97,10 +95,8 @@ def measure_impedance(
     duration: float | None = None,
     travel: float | None = None,
     push: float | None = None,
-    transport: TransportKind = "auto",
-    on_progress: Callable[[Progress], None] | None = None,
-    stop_on_signals: bool = False,
-    unstable: bool | None = None,
+    run: Run = run_to_end,
+    **options: Unpack[RunOptions],
 ) -> MeasuredImpedance:
     """The driving-point impedances of `scene` at its device points, from 2 Hz to close below the Nyquist frequency.
 
@@ -109,27 +105,20 @@ def measure_impedance(
     most `push` N (None: a quarter of the force limit). `duration`: seconds of each channel's second excitation. Where
     something in the scene is not linear, the impedance is that about the motion to which it was excited.
 
-    `unstable`: as of `start`. Raises what `hapsim.running.run` raises, and UsageError where too little moves, or too
-    little was recorded.
+    `run`: what runs the scene, with these `options` of `hapsim.run`. Raises what `hapsim.running.run` raises, and
+    UsageError where too little moves, or too little was recorded.
     """
-    run = partial(run_to_end, transport=transport, on_progress=on_progress, unstable=unstable)
-    run = partial(run, stop_on_signals=stop_on_signals)
-    return measure_impedance_by(run, as_scene(scene), duration=duration, travel=travel, push=push)
-
-
-def measure_impedance_by(
-    run: Callable[..., Trace],
-    scene: Scene,
-    *,
-    duration: float | None = None,
-    travel: float | None = None,
-    push: float | None = None,
-) -> MeasuredImpedance:
-    """Does what `measure_impedance` does, with `run(scene, duration=…, excitation=…)` for each of its runs."""
+    scene, run = as_scene(scene), partial(run, **options)
     lines = lines_for(scene.rate)
-    periods = _whole_periods(duration, lines)
+    require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("metres"), travel=travel)
     require_above_zero(scene.units.name("newton"), push=push)
+    periods = _PERIODS if duration is None else math.floor(duration / lines.period_s * (1.0 + 1e-9))
+    if duration is not None and periods < (fewest := LEAST_PERIODS + 2):
+        raise UsageError(
+            f"duration: found {duration:g} s, expected {fewest * lines.period_s:g} s or more: {fewest} periods of the "
+            "excitation"
+        )
     rig = _Rig(run, scene, lines, travel, push)
     done = _excite_each(rig, periods, may_repeat=duration is None)
     found = impedance_of([one.periods for one in done], lines.frequency, scene.rate, scene.device.delay, rig.converters)
@@ -153,18 +142,15 @@ class _Rig:
     `run(scene, duration=…, excitation=…)` runs it.
     """
 
-    def __init__(
-        self, run: Callable[..., Trace], scene: Scene, lines: Lines, travel: float | None, push: float | None
-    ) -> None:
+    def __init__(self, run: Run, scene: Scene, lines: Lines, travel: float | None, push: float | None) -> None:
         self.channels = tuple(point.channel for point in scene.device_points.values())
         if not self.channels:
             raise UsageError("the scene has no device point: there is nothing at which an impedance could be measured")
         self.lines, self.converters = lines, Converters(scene.device.hold, scene.device.sampling)
-        limit = force_limit(scene)
-        self._most = SHARE_OF_LIMIT * limit if push is None else min(push, limit)
+        self._most = largest_push(scene, push)
         usual = [one.excited if travel is None else travel for one in scene.device.scales(scene.channels)]
         rooms = [0.5 * (most - least) for least, most in scene.device.travels(scene.channels)]
-        self._travel = np.minimum(usual, min(rooms))
+        self.travel = np.minimum(usual, min(rooms))
         self._run, self.scene = run, scene
 
     def excite(self, channel: int, forces: Floats, count: int) -> _Run:
@@ -181,12 +167,8 @@ class _Rig:
         """By what the device's mass alone would do, as what holds it is not known yet: a share of what it may have."""
         lines, most = self.lines, self._most
         inertia = self.scene.device.masses(self.scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
-        amplitude = np.minimum(lines.each(most), lines.each(0.5 * self._travel[channel]) * inertia)
+        amplitude = np.minimum(lines.each(most), lines.each(0.5 * self.travel[channel]) * inertia)
         return multisine(lines, share * amplitude, share * most)
-
-    def moves_counts(self, channel: int, count_m: float) -> bool:
-        """Returns whether the soft forces move the mass alone by clearly more than a count."""
-        return bool(0.5 * _SOFT * self._travel[channel] > _FEW_COUNTS * count_m)
 
     def forces(self, answer: Periods, excited: int) -> Floats:
         """As strong at each frequency as the travel, and the force, allow: from what the soft excitation moved."""
@@ -200,7 +182,7 @@ class _Rig:
         position = np.max(np.abs(np.mean(last.position, axis=0)), axis=1)
         with np.errstate(divide="ignore"):
             amplitude = np.minimum(
-                lines.each(self._most), lines.each(0.5 * self._travel[self.channels[excited]]) * force / position
+                lines.each(self._most), lines.each(0.5 * self.travel[self.channels[excited]]) * force / position
             )
         return multisine(lines, amplitude, self._most)
 
@@ -219,7 +201,8 @@ def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
         if soft.stopped:
             raise StoppedError(done, enough_s)
         said = silence(soft.trace, channel)
-        if said and rig.moves_counts(channel, float(soft.trace.position_scale[channel])):
+        # where the soft forces move the mass alone by clearly more than a count
+        if said and 0.5 * _SOFT * rig.travel[channel] > _FEW_COUNTS * soft.trace.position_scale[channel]:
             raise UsageError(said)
         forces = rig.soft_forces(channel, share=1.0) if said else rig.forces(soft.periods, place)
         one, is_last = rig.excite(channel, forces, periods), channel == rig.channels[-1]
@@ -235,20 +218,6 @@ def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
             one = one._replace(stopped=True) if longer.stopped else longer
         done.append(one._replace(travel=travel))
     return done
-
-
-def _whole_periods(duration: float | None, lines: Lines) -> int:
-    """How many periods of the excitation there are in `duration` seconds; enough of them for None."""
-    require_above_zero("seconds", duration=duration)
-    if duration is None:
-        return _PERIODS
-    periods, fewest = math.floor(duration / lines.period_s * (1.0 + 1e-9)), LEAST_PERIODS + 2
-    if periods < fewest:
-        raise UsageError(
-            f"duration: found {duration:g} s, expected {fewest * lines.period_s:g} s or more: {fewest} periods of the "
-            "excitation"
-        )
-    return periods
 
 
 def _travel(trace: Trace, lines: Lines, channel: int, peak: float, units: Units) -> float:

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.measuring.converters import Floats
-from hapsim.measuring.dry_friction import noise_of, slides, stands
 from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pairs
-from hapsim.measuring.regression import MOST_ORDER, Fit, Regression, Segment, shaken
+from hapsim.measuring.regression import MOST_ORDER, Fit, Regression, Segment, noise_of, shaken, slides, stands
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
@@ -219,7 +218,12 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
     attempts = [(_SPOILT, loud), (_SPOILT & ~OFF_GRID, loud), *([(_SPOILT, False)] if pressed else [])]
     for spoilt, without_quiet in attempts:
         segments = _segments(trace, channel, spoilt, pressed, without_quiet)
-        if fits := _fits_shaken(segments):
+        fits = _fits(segments, _DRIFTS)
+        # With a force that shakes the hand only where more is left than rounding. Else the more there is to choose
+        # from, the more certain a wrong fit may look.
+        if fits and fits[0][0].residual > _ROUNDED * ROUNDING:
+            fits = _fits(segments, _DRIFTS + _SHAKEN)
+        if fits:
             return _with_dry_friction(segments, fits)
     late, lost, limited = (int(np.count_nonzero(trace.flags & flag)) for flag in (LATE_FORCE, BRIDGED, LIMITED))
     if moved > _FAINT_COUNTS and late + lost > _MOST_SPOILT * rows:
@@ -262,7 +266,7 @@ def _may_have_dry_friction(segments: list[Segment], fit: Fit) -> bool:
     """Returns False where the fit leaves no more than rounding and noise, and a force that changes its sign with the
     velocity makes it no better: that takes a tenth of the time of the fits between two turns."""
     counts = max(ROUNDING, *(noise_of(one.position) for one in segments))
-    whole = Regression(segments, (fit.drift,), _is_pushed(segments), ROUNDING, fit.order, with_slides=True)
+    whole = Regression(segments, (fit.drift,), ROUNDING, fit.order, with_slides=True)
     with_friction = whole.fit(fit.order, 0)
     return with_friction is None or with_friction.dry_clearly > _SUSPECTED or fit.residual > _SPOILT_FIT * counts
 
@@ -273,10 +277,6 @@ def _dry_friction(segments: list[Segment], fit: Fit, sticks: bool) -> float:
         return math.nan if sticks else 0.0
     pushed = max(float(np.max(np.abs(one.surplus))) for one in segments) > _PUSH_NEWTON
     return fit.dry if pushed and fit.dry > 0.0 else math.nan
-
-
-def _is_pushed(segments: list[Segment]) -> bool:
-    return any(np.any(segment.surplus) for segment in segments)
 
 
 def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -355,22 +355,15 @@ def _rest(position: Floats, asked: Floats, following: NDArray[np.bool_]) -> tupl
 
     `following`: for each row but the first, whether it follows the one before without a gap.
     """
-    for memory in (1, 4):  # the two newest positions; or what filters and the device's own sensor look back on
-        rest = _rest_by_law(position, asked, following, memory)
-        if rest is not None:
-            return rest
+    newest = _law(position, asked, following, 1)  # in the two newest positions
+    if newest is None:
+        return 0.0, True, False
+    if newest.obeyed:
+        return newest.rest, True, newest.stands
+    past = _law(position, asked, following, 4)  # what filters and the device's own sensor look back on
+    if past is not None and not past.stands and (past.obeyed or past.uncertainty < _CERTAIN):
+        return past.rest, True, False
     return float(np.median(position)), False, False
-
-
-def _rest_by_law(
-    position: Floats, asked: Floats, following: NDArray[np.bool_], memory: int
-) -> tuple[float, bool, bool] | None:
-    law = _law(position, asked, following, memory)
-    if law is None:
-        return (0.0, True, False) if memory == 1 else None
-    if law.stands:
-        return (0.0, True, True) if memory == 1 and law.obeyed else None
-    return (law.rest, True, False) if law.obeyed or (memory > 1 and law.uncertainty < _CERTAIN) else None
 
 
 class _Law(NamedTuple):
@@ -405,13 +398,6 @@ def _law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: 
     return _Law(obeyed, False, float(-law[-1] / law[0] * size), uncertainty)
 
 
-def _fits_shaken(segments: list[Segment]) -> list[tuple[Fit, Fit | None]]:
-    """As `_fits`: with a force that shakes the hand only where more is left than rounding. Else the more there is to
-    choose from, the more certain a wrong fit may look."""
-    fits = _fits(segments, _DRIFTS)
-    return _fits(segments, _DRIFTS + _SHAKEN) if fits and fits[0][0].residual > _ROUNDED * ROUNDING else fits
-
-
 def _fits(
     segments: list[Segment], drifts: Sequence[complex], with_slides: bool = False
 ) -> list[tuple[Fit, Fit | None]]:
@@ -421,15 +407,14 @@ def _fits(
     Order and p are the criterion's choice. The open loop's p weighs the record; it hardly moves the poles, but it
     decides how certain they look: every p that the record does not distinguish from the best is kept.
     """
-    with_surplus = _is_pushed(segments)
-    regression = Regression(segments, drifts, with_surplus, ROUNDING, with_slides=with_slides)
+    regression = Regression(segments, drifts, ROUNDING, with_slides=with_slides)
     if regression.most_order < _LEAST_ORDER:
         return []
     order = min(range(2, MOST_ORDER), key=regression.least_criterion)
     # Orders are compared with the rows that the largest leaves. Where the motion is over soon, or in short pieces, the
     # first rows say most: the next orders are compared with theirs.
     while True:
-        regression = Regression(segments, drifts, with_surplus, ROUNDING, order + 1, with_slides)
+        regression = Regression(segments, drifts, ROUNDING, order + 1, with_slides)
         least = regression.least_criterion(order)
         if not math.isfinite(least):
             return []

@@ -15,8 +15,8 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.measuring.converters import Floats
-from hapsim.measuring.limits import force_limit
 from hapsim.measuring.measure_trace import Attempt, Measurement, asks_by_one_law
+from hapsim.measuring.options import force_limit
 from hapsim.number_format import percent
 from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, piece_at, starts_at
 from hapsim.recording.trace import Trace
@@ -74,11 +74,6 @@ class Place:
         """Whether the hand feels different springs and dampers from place to place."""
         return self.hand is not None and self.hand.is_regional
 
-    @property
-    def is_curved(self) -> bool:
-        """Whether the stiffness changes within the region."""
-        return self.piece is not None and self.piece.is_curved
-
     def first_swing(self, scene: Scene) -> float:
         """The smallest motion that is likely to be clear of rounding. UsageError where the region has no room for it.
 
@@ -102,7 +97,7 @@ class Place:
 
     def bend(self, swing: float) -> float:
         """By which share of itself the stiffness seems to change where the hand swings by `swing` m on a curve."""
-        if self.hand is None or not self.is_curved:
+        if self.hand is None or self.piece is None or not self.piece.is_curved:
             return 0.0
         below, here, above = (float(self.hand.force(self.at + x)) for x in (-swing, 0.0, swing))
         even = (above - below) / (2.0 * swing) - self.stiffness
@@ -169,7 +164,7 @@ class Place:
         if self.low <= least and most <= self.high and swing <= self.piece.reach:
             if (bend := self.bend(swing)) * swing > _BENT_NOISES * noise_m or bend > 2.0 * _BENT:
                 return f"over {self.units(swing, 'm', 2)} its slope changes, and k by about {percent(bend)}"
-            if self.is_curved or predicts or asks_by_one_law(trace, self.channel):
+            if self.piece.is_curved or predicts or asks_by_one_law(trace, self.channel):
                 return ""
         pieces = self.hand.pieces()
         ends = [self.hand.at(min(max(end, self.hand.low), self.hand.high), pieces) for end in (least, most)]
@@ -251,12 +246,7 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
         piece,
         units,
     )
-    _require_rest(place, abs(float(hand.force(place.at))), force_limit(scene))
-    return place
-
-
-def _require_rest(place: Place, force: float, limit: float) -> None:
-    if force > limit:
+    if (force := abs(float(hand.force(place.at)))) > (limit := force_limit(scene)):
         raise UsageError(
             f"at: {place.words()}, the scene asks for {place.units(force, 'N', 4)}, more than the force limit of "
             f"{place.units(limit, 'N')}: there the force is clipped, and no spring is felt. Choose a position with "
@@ -276,3 +266,4 @@ def _require_rest(place: Place, force: float, limit: float) -> None:
         )
     if place.room < _EDGE * min(place.high - place.low, 1.0):
         raise UsageError(f"at: {place.words()}, the hand is on the edge; expected a position within a region")
+    return place

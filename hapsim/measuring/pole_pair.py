@@ -68,7 +68,11 @@ def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats, stand
     """
     every = _roots([fit for fit, _ in fits])
     seen, energy = _seen_in(motion, every, stands)
-    order = np.argsort(~seen * 1 - _is_hand(every, seen, energy), axis=1, kind="stable")  # then those that are seen
+    # The conjugate pair that has most of the motion's energy is the hand, and what rings longer beside it is a small
+    # disturbance; then come those that are seen. Real poles share their energy.
+    whole = np.sum(energy * seen, axis=1, keepdims=True)
+    is_hand = seen & (every.imag != 0.0) & (np.abs(every) >= _LASTING) & (2.0 * energy > _MOST * whole)
+    order = np.argsort(~seen * 1 - is_hand, axis=1, kind="stable")
     every, energy = np.take_along_axis(every, order, 1), np.take_along_axis(energy, order, 1)
     shown = [(poles[:count], one[:count]) for poles, one, count in zip(every, energy, seen.sum(axis=1), strict=True)]
     reasons = [_why_no_pair(poles) for poles, _ in shown]
@@ -76,13 +80,6 @@ def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats, stand
     found = _pairs([fits[i] for i in paired], every[paired])
     pairs = dict(zip(paired, found, strict=True))
     return [Poles(pairs.get(i), one[0], reasons[i], _second_mode(*one)) for i, one in enumerate(shown)]
-
-
-def _is_hand(every: Complexes, seen: NDArray[np.bool_], energy: Floats) -> NDArray[np.bool_]:
-    """Which poles are the conjugate pair that has most of the motion's energy: what has that is the hand, and what
-    rings longer beside it is a small disturbance. Real poles share theirs."""
-    whole = np.sum(energy * seen, axis=1, keepdims=True)
-    return seen & (every.imag != 0.0) & (np.abs(every) >= _LASTING) & (2.0 * energy > _MOST * whole)
 
 
 def _pairs(fits: Sequence[tuple[Fit, Fit | None]], poles: Complexes) -> list[FittedPair]:

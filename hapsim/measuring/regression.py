@@ -29,6 +29,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hapsim.measuring.converters import Complexes, Floats
 
@@ -37,6 +38,10 @@ _DEPENDENT = 1e-14  # of a column: what the ones before it leave, if it depends 
 _FORGOTTEN = 1e-18  # of itself, beside a double's 1e-16
 _KNOWN = 5.0  # uncertainties: what a surplus does is known well enough to compare dry friction with it
 _MARGIN = 2.0  # rows per unknown below which a regression says nothing
+_REACH = 4  # samples to either side, over which a hand that stands still does not move
+_STILL = 2.0  # counts, or standard deviations of the noise: less than that is no motion
+_FOURTH = 70.0  # the variance of white noise's fourth difference, over its own
+_MEDIAN = 0.6745  # of a normal distribution's absolute value, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,11 @@ class Segment:
     """False where the position may not be counted from rest: a constant force then stays in the record."""
     stands: bool = False
     """Whether the scene has no spring, so that the hand stays where it stops."""
+
+    @property
+    def motions(self) -> int:
+        """How many motions of its own it has: a drift, a slowing one, and what a constant force adds."""
+        return 2 if self.rest_known else 3
 
 
 @dataclass(frozen=True)
@@ -95,7 +105,6 @@ class Regression:
         self,
         segments: Sequence[Segment],
         drifts: Sequence[complex],
-        with_surplus: bool,
         floor: float,
         most_order: int = MOST_ORDER,
         with_slides: bool = False,
@@ -103,6 +112,7 @@ class Regression:
         """`floor`: the least error that rounding leaves, in counts. `most_order`: less where the record is short.
         `with_slides`: with dry friction."""
         self._drifts, self._floor = np.array(drifts, complex), floor
+        with_surplus = any(np.any(segment.surplus) for segment in segments)
         self._signals, self._slides = 2 if with_surplus else 1, 2 * with_slides
         self.most_order = next((one for one in range(most_order, 1, -1) if self._use(segments, one)), 0)
         if self.most_order == 0:
@@ -137,7 +147,7 @@ class Regression:
         return self._slides + order * self._signals
 
     def _unknowns(self, order: Any) -> Any:
-        return self._columns(order) + sum(_motions_of(one) for one in self._segments)
+        return self._columns(order) + sum(one.motions for one in self._segments)
 
     def fit(self, order: int, at: int) -> Fit | None:
         """Returns the fit for one order and the p of this number; None where the record does not tell its unknowns."""
@@ -180,10 +190,6 @@ def _directions(order: int, drift: complex) -> Floats:
     return rows
 
 
-def _motions_of(segment: Segment) -> int:
-    return 2 if segment.rest_known else 3
-
-
 def _factors(segment: Segment, drifts: Complexes, with_surplus: bool, order: int, with_slides: bool) -> Floats:
     """The triangular factors of one segment's equations, for each p: (drifts, rows, columns).
 
@@ -193,7 +199,7 @@ def _factors(segment: Segment, drifts: Complexes, with_surplus: bool, order: int
     known, what a constant force adds to that.
     """
     signals = np.array([segment.position, segment.surplus] if with_surplus else [segment.position])
-    motions, size = _motions_of(segment), segment.position.size
+    motions, size = segment.motions, segment.position.size
     first = motions + 2 * with_slides
     tables = np.empty((len(drifts), first + len(signals) * order + 1, size - order - 1))
     _fill_motions(tables[:, :motions], drifts)
@@ -246,3 +252,30 @@ def _fill_motions(motions: Floats, drifts: Complexes) -> None:
     if motions.shape[1] > 2:
         motions[:, 2] = np.where(slowing[:, None], ramp, ramp**2)
         motions[pairs, 2] = 1.0
+
+
+def slides(position: Floats) -> Floats:
+    """Returns the mean direction, -1 to 1, in which the hand moves from each sample to the next: where it turns round
+    in between, by when a velocity that changes evenly is zero."""
+    velocity = np.gradient(position) if position.size > 1 else np.zeros_like(position)
+    least = np.abs(velocity[:-1]) + np.abs(velocity[1:])
+    return np.append((velocity[:-1] + velocity[1:]) / np.maximum(least, 1e-300), 0.0)
+
+
+def noise_of(position: Floats) -> float:
+    """Returns the standard deviation of what is white in the positions, in counts."""
+    return float(np.median(np.abs(np.diff(position, 4))) / _MEDIAN / np.sqrt(_FOURTH)) if position.size > 4 else 0.0
+
+
+def stands(position: Floats) -> NDArray[np.bool_]:
+    """Returns at which samples the hand stands still, as near as counts and noise tell, or has just begun or ceased to:
+    dry friction then takes just the force that acts."""
+    noise = noise_of(position)
+    padded = np.pad(position, _REACH, mode="edge")
+    still = np.abs(padded[2 * _REACH :] - padded[: -2 * _REACH]) <= _STILL * max(noise, 1.0)
+    hardly = np.abs(np.diff(position, prepend=position[:1])) <= max(noise, 1.0)
+    return _widened(still | (_widened(still, _REACH) & hardly), 1)
+
+
+def _widened(chosen: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
+    return np.convolve(chosen, np.ones(2 * by + 1), "same")[: chosen.size] > 0.5

@@ -28,11 +28,9 @@ from hapsim.loop.predictor import corrected_ticks
 from hapsim.prediction.correction import rendered
 from hapsim.running.correction import LoopCorrection
 from hapsim.scene import Scene
-from hapsim.speed_accuracy.contact import Contact
-from hapsim.speed_accuracy.one_spring import OneSpring
+from hapsim.speed_accuracy.objects import OBJECTS
 from hapsim.speed_accuracy.results import OURS, Found, Object, Row
-from hapsim.speed_accuracy.ringing_string import RingingString
-from hapsim.speed_accuracy.strings import StringOfMasses, Timed, hand_motion
+from hapsim.speed_accuracy.strings import Timed, hand_motion
 
 _ROUND_S = 0.02
 _BLOCK = 1024  # samples of the hand's motion that are ready: few enough to stay in the nearest cache
@@ -84,18 +82,6 @@ class Clocks:
         """Ends the thread."""
         self._apart.shutdown()
 
-
-SHARP = 0.2  # by which bending raises mode 5
-
-OBJECTS: tuple[Object, ...] = (
-    OneSpring(),
-    Contact(),
-    RingingString("string-10", "a string of 10 masses", StringOfMasses.tuned(10)),
-    RingingString("string-100", "a string of 100 masses", StringOfMasses.tuned(100)),
-    RingingString("string-1000", "a string of 1000 masses", StringOfMasses.tuned(1000)),
-    RingingString("stiff-string-100", "a stiff string of 100 masses", StringOfMasses.tuned(100, sharp=SHARP)),
-)
-"""A new one is a file and a line here."""
 
 PRECISIONS = ("double", "single")
 RATES = (500.0, 1000.0, 2000.0, 5000.0, 10_000.0, 20_000.0, 50_000.0)

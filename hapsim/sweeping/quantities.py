@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from hapsim.errors import HapsimError, UsageError
 from hapsim.measuring.impedance import lines_for
-from hapsim.measuring.measure import measure_by
-from hapsim.measuring.measure_impedance import measure_impedance_by
+from hapsim.measuring.measure import measure
+from hapsim.measuring.measure_impedance import measure_impedance
 from hapsim.one_thread import one_thread
 from hapsim.prediction import predict, predict_impedance
 from hapsim.running.run import run_in_memory
@@ -118,12 +118,12 @@ def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
 
 
 def _measured(task: Task, scene: Scene) -> tuple[Values, str]:
-    measurement = measure_by(run_in_memory, scene, channel=task.channel, duration=task.duration)
+    measurement = measure(scene, channel=task.channel, duration=task.duration, run=run_in_memory)
     return {name: one.of(measurement) for name, one in _MEASURED.items()}, measurement.reason
 
 
 def _impedances(task: Task, scene: Scene) -> tuple[Values, str]:
-    measured = measure_impedance_by(run_in_memory, scene, duration=task.duration)
+    measured = measure_impedance(scene, duration=task.duration, run=run_in_memory)
     predicted = predict_impedance(scene, measured.frequency)
     at = measured.channels.index(task.channel)
     found: Values = {}

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.measuring.limits import require_above_zero, require_device_point
+from hapsim.measuring.options import require_above_zero, require_device_point
 from hapsim.running.recorded_run import versions_of_now
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene

@@ -11,7 +11,8 @@ import pytest
 
 from hapsim.chart.speed_accuracy import draw_speed_accuracy, looks_of
 from hapsim.documents import plain
-from hapsim.speed_accuracy.comparison import OBJECTS, objects_named
+from hapsim.speed_accuracy.comparison import objects_named
+from hapsim.speed_accuracy.objects import OBJECTS
 from hapsim.speed_accuracy.results import OURS, Row
 
 Chart = Callable[..., Any]

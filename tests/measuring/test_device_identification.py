@@ -18,6 +18,7 @@ from hapsim.errors import DeviceError, GuardError, HapsimError, UsageError
 from hapsim.loop.endings import TIMED_OUT
 from hapsim.measuring import identify_device as room
 from hapsim.measuring.device_diagnosis import binned
+from hapsim.running.run import run_to_end
 
 # A few in the ordinary suite; HAPSIM_POINTS=50 takes fifty, for longer.
 MANY = "HAPSIM_POINTS" in os.environ
@@ -206,25 +207,24 @@ class Body:
         return float(self._state[1])
 
 
-def identified_on_wire(monkeypatch: pytest.MonkeyPatch, **body: Any) -> tuple[Any, float]:
+def identified_on_wire(**body: Any) -> tuple[Any, float]:
     """(what is found of a device in plain Python, or the error; how far it moved, m), each run from rest."""
-    as_it_is, bodies = room.run, []
+    bodies = []
 
     def run(scene: hapsim.Scene, **options: Any) -> hapsim.Trace:
         bodies.append(Body(**body))
-        return as_it_is(scene, between=lambda _: OnWire(bodies[-1]), **options)
+        return run_to_end(scene, between=lambda _: OnWire(bodies[-1]), **options)
 
-    monkeypatch.setattr(room, "run", run)
     try:
-        found: Any = hapsim.identify_device(ONE.scene(), duration=2.0)
+        found: Any = hapsim.identify_device(ONE.scene(), duration=2.0, run=run)
     except HapsimError as error:
         found = error
     return found, max(one.largest for one in bodies)
 
 
-def test_a_hand_that_is_a_second_mass_is_found_beside_the_handle(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hand_that_is_a_second_mass_is_found_beside_the_handle() -> None:
     hand = (1.0, 2000.0, 10.0)
-    found, largest = identified_on_wire(monkeypatch, hand=hand)
+    found, largest = identified_on_wire(hand=hand)
     assert largest < 0.005
     assert found.mass.value == pytest.approx(0.2, rel=1e-4)
     assert found.delay.value == pytest.approx(1.0, abs=1e-3)
@@ -232,15 +232,15 @@ def test_a_hand_that_is_a_second_mass_is_found_beside_the_handle(monkeypatch: py
     assert values == pytest.approx(hand, rel=1e-3)
 
 
-def test_an_inverted_motor_is_named_before_it_ran_far(monkeypatch: pytest.MonkeyPatch) -> None:
-    found, largest = identified_on_wire(monkeypatch, sign=-1.0)
+def test_an_inverted_motor_is_named_before_it_ran_far() -> None:
+    found, largest = identified_on_wire(sign=-1.0)
     assert isinstance(found, GuardError)
     assert "motor and position disagree in sign" in str(found)
     assert largest < 0.005
 
 
-def test_a_force_of_another_is_named_and_not_the_sign(monkeypatch: pytest.MonkeyPatch) -> None:
-    found, _ = identified_on_wire(monkeypatch, own=lambda t: 0.3 * np.sin(2.0 * np.pi * 2.3 * t) * min(t, 1.0))
+def test_a_force_of_another_is_named_and_not_the_sign() -> None:
+    found, _ = identified_on_wire(own=lambda t: 0.3 * np.sin(2.0 * np.pi * 2.3 * t) * min(t, 1.0))
     assert isinstance(found, DeviceError)
     assert "the forces explain" in str(found)
     assert "sign" not in str(found)
@@ -291,18 +291,17 @@ def test_what_cannot_be_is_refused_before_anything_runs(options: dict[str, Any],
 
 
 def test_an_interrupt_ends_the_recording_and_what_there_is_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    as_it_is, all_swings = room.run, room.swings_of
+    all_swings = room.swings_of
 
     def run(scene: hapsim.Scene, **options: Any) -> hapsim.Trace:
         """The recording, not the short runs before it, is interrupted as soon as it tells how it is doing."""
         if options["duration"] > 1000.0:
             options["on_progress"] = lambda _: signal.raise_signal(signal.SIGINT)
-        return as_it_is(scene, **options)
+        return run_to_end(scene, **options)
 
-    monkeypatch.setattr(room, "run", run)
     monkeypatch.setattr(room, "swings_of", lambda *record: all_swings(*record)[:100])  # enough, of a long record
     device = replace(ONE, coulomb=0.1)
-    found = hapsim.identify_device(device.scene(), duration=6000.0, transport="loopback", stop_on_signals=True)
+    found = hapsim.identify_device(device.scene(), duration=6000.0, transport="loopback", stop_on_signals=True, run=run)
     assert found.stopped
     assert len(found.drives) == 1
     assert found.mass.value == pytest.approx(0.2, rel=1e-3)

@@ -13,7 +13,7 @@ import yaml
 
 from hapsim import load_scene, predict
 from hapsim.errors import UsageError
-from hapsim.measuring.measure_hands import HandsMeasurement, measure_hands_by
+from hapsim.measuring.measure_hands import HandsMeasurement, measure_hands
 from hapsim.prediction import FeltTogether
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
@@ -64,7 +64,7 @@ def random_scene(rng: np.random.Generator) -> Scene:
 
 
 def measured(scene: Scene, one: FeltTogether, **more: Any) -> HandsMeasurement:
-    return measure_hands_by(run_in_memory, scene, one.channels, more.pop("duration", None), None)
+    return measure_hands(scene, channels=one.channels, duration=more.pop("duration", None), run=run_in_memory)
 
 
 class TestMatrices:

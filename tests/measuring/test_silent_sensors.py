@@ -13,9 +13,8 @@ import hapsim
 from hapsim.bringup.faults import Injector, parse_script
 from hapsim.bringup.faults.in_memory import in_memory
 from hapsim.errors import UsageError
-from hapsim.measuring import identify_device as room
-from hapsim.measuring.measure import measure_by
-from hapsim.measuring.measure_impedance import measure_impedance_by
+from hapsim.measuring.measure import measure
+from hapsim.measuring.measure_impedance import measure_impedance
 from hapsim.running import run
 
 Run = Callable[..., hapsim.Trace]
@@ -42,13 +41,11 @@ def farthest(traces: list[hapsim.Trace], mass: float) -> float:
 
 @pytest.mark.parametrize("mass", [0.05, 0.2, 2.0])
 @pytest.mark.parametrize(("force", "travel"), [(1.0, 0.005), (10.0, 0.005), (5.0, 2e-4)])
-def test_identify_moves_the_handle_within_its_travel(
-    monkeypatch: pytest.MonkeyPatch, mass: float, force: float, travel: float
-) -> None:
+def test_identify_moves_the_handle_within_its_travel(mass: float, force: float, travel: float) -> None:
     traces: list[hapsim.Trace] = []
-    monkeypatch.setattr(room, "run", frozen(traces))
+    scene = Device(1000.0, mass, 1.0, 0.0, 1.0, 0.0).scene()
     with pytest.raises(UsageError, match=WORDS):
-        hapsim.identify_device(Device(1000.0, mass, 1.0, 0.0, 1.0, 0.0).scene(), force=force, travel=travel)
+        hapsim.identify_device(scene, force=force, travel=travel, run=frozen(traces))
     assert 0.0 < farthest(traces, mass) < travel
 
 
@@ -60,7 +57,7 @@ def test_measure_names_the_sensor_and_does_not_push_harder(way: str) -> None:
     document = scene.model_dump(mode="json", exclude_none=True)
     document["modules"] = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}, "touch": wall}
     scene = hapsim.Scene.model_validate(document)
-    measures = {"measure": measure_by, "impedance": measure_impedance_by}
+    measures = {"measure": measure, "impedance": measure_impedance}
     with pytest.raises(UsageError, match=WORDS):
-        measures[way](frozen(traces), scene)
+        measures[way](scene, run=frozen(traces))
     assert len(traces) == 1

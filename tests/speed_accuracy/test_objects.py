@@ -13,20 +13,28 @@ from scipy.integrate import solve_ivp
 from hapsim.errors import DeviceError
 from hapsim.measuring.measure import measure
 from hapsim.prediction.correction import rendered
-from hapsim.speed_accuracy import contact
-from hapsim.speed_accuracy.comparison import OBJECTS, SHARP, Running
-from hapsim.speed_accuracy.contact import Contact, contact_felt, contact_of, stay_of
-from hapsim.speed_accuracy.one_spring import (
+from hapsim.speed_accuracy.comparison import Running
+from hapsim.speed_accuracy.objects import (
+    BALL,
+    BUFFER_DAMPING,
+    BUFFER_STIFFNESS,
     DAMPING,
     DELAY_S,
     FRICTION,
     MASS,
+    MODES,
+    OBJECTS,
     ONE_MILLISECOND,
     ONE_SAMPLE,
+    SHARP,
     STIFFNESS,
+    Contact,
     OneSpring,
+    RingingString,
+    contact_felt,
+    contact_of,
+    stay_of,
 )
-from hapsim.speed_accuracy.ringing_string import MODES, RingingString
 from hapsim.speed_accuracy.strings import StringOfMasses, frequencies_of, poles
 from hapsim.theory import Configuration
 
@@ -150,12 +158,12 @@ def test_a_measurement_whose_run_failed_says_so_in_place_of_errors(monkeypatch: 
     def fails(*arguments: Any, **options: Any) -> Any:
         return replace(measure(*arguments, **options), failure=DeviceError("the mock went away"))
 
-    monkeypatch.setattr("hapsim.speed_accuracy.one_spring.measure", fails)
+    monkeypatch.setattr("hapsim.speed_accuracy.objects.measure", fails)
     found = OneSpring().found(ONE_SAMPLE, "double", 1000.0)
     assert (found.errors, found.why_not) == ({}, "the mock went away")
 
 
-K, B = contact.STIFFNESS, contact.DAMPING
+K, B = BUFFER_STIFFNESS, BUFFER_DAMPING
 
 
 def by_solver(k: float, b: float) -> tuple[float, float]:
@@ -166,7 +174,7 @@ def by_solver(k: float, b: float) -> tuple[float, float]:
 
     pulls.terminal, pulls.direction = True, -1.0  # type: ignore[attr-defined]
     found = solve_ivp(
-        lambda _t, state: [state[1], -(k * state[0] + b * state[1]) / contact.MASS],
+        lambda _t, state: [state[1], -(k * state[0] + b * state[1]) / BALL],
         (0.0, 1.0),
         [1e-12, 1.0],
         method="DOP853",

@@ -30,8 +30,8 @@ from hapsim.chart.speed_accuracy import draw_speed_accuracy
 from hapsim.documents import plain
 from hapsim.errors import HapsimError, UsageError
 from hapsim.speed_accuracy.comparison import RATES, Comparison, objects_named
+from hapsim.speed_accuracy.objects import RingingString
 from hapsim.speed_accuracy.results import Row, columns, fronts
-from hapsim.speed_accuracy.ringing_string import RingingString
 from speed.first_tick import cold_and_warm
 from speed.peer_rows import PeerRows
 from speed.ratios import Ratios

@@ -12,7 +12,7 @@ from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene, numbers_of
 from hapsim.scene import Device, DevicePoint, Ground, Mass, Scene, ViscoElastic
 from hapsim.speed_accuracy.comparison import Running
-from hapsim.speed_accuracy.ringing_string import scene_of
+from hapsim.speed_accuracy.objects import scene_of
 from hapsim.speed_accuracy.strings import StringOfMasses, hand_link
 from speed.peers.c_network import Network, RunningNetwork
 from speed.peers.c_spring import CSpring

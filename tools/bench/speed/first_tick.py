@@ -24,7 +24,7 @@ def first_tick() -> dict[str, float]:
 
     from hapsim.cordis.offline import ticks
     from hapsim.cordis.program import compile_scene
-    from hapsim.speed_accuracy.ringing_string import scene_of
+    from hapsim.speed_accuracy.objects import scene_of
     from hapsim.speed_accuracy.strings import StringOfMasses, hand_link
 
     string = StringOfMasses.tuned(1000)

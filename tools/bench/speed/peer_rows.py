@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from hapsim.speed_accuracy.objects import MODES, RingingString
 from hapsim.speed_accuracy.results import Row
-from hapsim.speed_accuracy.ringing_string import MODES, RingingString
 from speed.peers import every_peer
 from speed.peers.c_network import CNetwork
 from speed.peers.c_stencil import CStencil

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from hapsim.speed_accuracy.comparison import Running
-from hapsim.speed_accuracy.ringing_string import scene_of
+from hapsim.speed_accuracy.objects import scene_of
 from hapsim.speed_accuracy.strings import StringOfMasses, Timed, cost_of, hand_link, hand_motion
 from speed.contenders import OURS, RATE, Contest, contests
 from speed.peers.faust_mi import FaustMi

@@ -30,7 +30,7 @@ from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene, numbers_of
 from hapsim.scene import Device, Scene
 from hapsim.speed_accuracy.comparison import Running
-from hapsim.speed_accuracy.ringing_string import scene_of
+from hapsim.speed_accuracy.objects import scene_of
 from hapsim.speed_accuracy.strings import StringOfMasses, Timed, hand_link, hand_motion, held_mass
 from speed.peers.c_stencil import CStencil
 from speed.reference.build import build_c
