@@ -71,10 +71,8 @@ _WORDS = (
 class DesiredPlane:
     """Desired values, the middles of equal cells."""
 
-    kappa: Floats
-    """(n,): K T²/m, the device's own included."""
-    ratio: Floats
-    """(m,): damping ratio, the device's own included."""
+    kappa: Floats  # (n,): K T²/m, the device's own included
+    ratio: Floats  # (m,): damping ratio, the device's own included
 
     @classmethod
     def of_cells(cls, columns: int, rows: int) -> DesiredPlane:
@@ -99,8 +97,7 @@ class FeltPlane:
 
     error: Floats
     """(n, m): as of ``felt_error``; infinite if no spring and damper is equivalent, or none can be simulated."""
-    outcome: Any
-    """(n, m), of Outcome."""
+    outcome: Any  # (n, m), of Outcome
 
     def share(self, within: float) -> float:
         """Returns the part of what can be asked for that is felt within this error; NaN if nothing can."""
@@ -115,15 +112,11 @@ class FeltChart:
     hand: Hand
     plane: DesiredPlane
     felt: dict[str, FeltPlane]
-    mass_ratio: Floats
-    """True mass over the declared one."""
-    against_mass: dict[str, Floats]
-    """Shares within OF_SHARES."""
-    delay: Floats
-    """Samples."""
+    mass_ratio: Floats  # true mass over the declared one
+    against_mass: dict[str, Floats]  # shares within OF_SHARES
+    delay: Floats  # samples
     against_delay: dict[str, Floats]
-    limit: float
-    """The share that any controller could have felt: what swings below half the rate."""
+    limit: float  # the share that any controller could have felt: what swings below half the rate
 
     @property
     def operating_point(self) -> tuple[float, float] | None:
@@ -221,7 +214,19 @@ def draw_felt(chart: FeltChart, title: str, path: Path) -> None:
         for axes, name in zip(panels, chart.felt, strict=True):
             _draw_plane(axes, chart, name)
         panels[0].set_ylabel("desired damping ratio")
-        _add_legend_of_outcomes(above, chart)
+        shown = np.unique([felt.outcome for felt in chart.felt.values()])
+        handles = [
+            Patch(
+                facecolor=style.OUTCOMES[outcome],
+                edgecolor=style.HATCH,
+                linewidth=0.5,
+                hatch=style.OUTCOME_HATCHES.get(Outcome(outcome).name),
+                label=_WORDS[outcome],
+            )
+            for outcome in shown
+        ]
+        # Two rows where one would be wider than the figure.
+        legend_below(above, 4 if len(handles) > 5 else len(handles), handles=handles)
         left, right = below.subplots(1, 2, sharey=True)
         _draw_shares(left, chart.mass_ratio, chart.against_mass, "true mass / declared mass")
         _draw_shares(right, chart.delay, chart.against_delay, "delay  (samples)")
@@ -246,10 +251,8 @@ def _draw_plane(axes: Axes, chart: FeltChart, name: str) -> None:
         if here.any() and min(here.shape) > 1:
             drawn = axes.contourf(plane.kappa, plane.ratio, here, levels=[0.5, 1.5], colors="none", hatches=[hatch])
             drawn.set(edgecolor=style.HATCH, linewidth=0.0)
-    axes.set_xlim(_LEAST, _MOST)
-    axes.set_ylim(0.0, _MOST_RATIO)
-    axes.set_title(f"correction: {name}")
-    axes.set_xlabel("desired $K\\,T^2/m$")
+    axes.set(xlim=(_LEAST, _MOST), ylim=(0.0, _MOST_RATIO))
+    axes.set(title=f"correction: {name}", xlabel="desired $K\\,T^2/m$")
     shares = "\n".join(f"{100.0 * felt.share(within):.0f} % within {100.0 * within:.0f} %" for within in WITHIN)
     axes.text(0.965, 0.96, shares, transform=axes.transAxes, va="top", ha="right", **style.SHARES)
     point = chart.operating_point
@@ -257,28 +260,10 @@ def _draw_plane(axes: Axes, chart: FeltChart, name: str) -> None:
         axes.plot(*point, **style.OPERATING_POINT | {"markersize": 6})
 
 
-def _add_legend_of_outcomes(figure: Any, chart: FeltChart) -> None:
-    shown = np.unique([felt.outcome for felt in chart.felt.values()])
-    handles = [
-        Patch(
-            facecolor=style.OUTCOMES[outcome],
-            edgecolor=style.HATCH,
-            linewidth=0.5,
-            hatch=style.OUTCOME_HATCHES.get(Outcome(outcome).name),
-            label=_WORDS[outcome],
-        )
-        for outcome in shown
-    ]
-    # Two rows where one would be wider than the figure.
-    legend_below(figure, 4 if len(handles) > 5 else len(handles), handles=handles)
-
-
 def _draw_shares(axes: Axes, x: Floats, shares: dict[str, Floats], label: str) -> None:
     for name, share in shares.items():
         axes.plot(x, 100.0 * share, label=name, **style.CORRECTIONS[name])
-    axes.set_xlabel(label)
-    axes.set_xlim(x[0], x[-1])
-    axes.set_ylim(0.0, 108.0)
+    axes.set(xlabel=label, xlim=(x[0], x[-1]), ylim=(0.0, 108.0))
     axes.yaxis.set_major_formatter("{x:.0f} %")
     axes.grid()
 
@@ -299,8 +284,7 @@ class ToleranceChart:
     unstable."""
 
     over: str
-    true: Floats
-    """Of the mass as a share of the declared one."""
+    true: Floats  # of the mass as a share of the declared one
     k_error: dict[str, Floats]
     b_error: dict[str, Floats]
     within: dict[str, tuple[Tolerance | None, ...]]
@@ -313,8 +297,7 @@ class ToleranceChart:
 
     def ends(self, correction: str) -> list[tuple[float, float] | None]:
         """Returns the least and the most of that quantity within each of `SHARES`."""
-        field = self.over.removeprefix("device.")
-        return [one and getattr(one, field) for one in self.within[correction]]
+        return [one and getattr(one, self.over.removeprefix("device.")) for one in self.within[correction]]
 
 
 def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
@@ -322,7 +305,7 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
     `over` is none of `OVER`."""
     if over not in OVER:
         raise UsageError(f"--over: found {over}, expected one of {', '.join(OVER)}")
-    true: Floats = np.zeros(0)
+    field, true = over.removeprefix("device."), np.zeros(0)
     errors: tuple[dict[str, Floats], dict[str, Floats]] = ({}, {})
     within = {}
     for correction in DRAWN:
@@ -330,25 +313,22 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
         prediction = predict(scene.model_copy(update={"device": device}), with_margins=False)
         felt = next(one for one in prediction.felt if one.name == name)
         declared, wanted = felt.configuration, prediction.asked_for(felt)
-        true = _true_values(over, getattr(declared, over.removeprefix("device.")))
+        there_is = getattr(declared, field)
+        true = {
+            "device.mass": np.geomspace(0.4, 4.0, _TRUE_VALUES),
+            "device.friction": np.linspace(0.0, max(4.0 * there_is, 1.0), _TRUE_VALUES),
+            "device.delay": np.linspace(0.0, there_is + 2.0, _TRUE_VALUES),
+        }[over]
         for of_one in errors:
             of_one[correction] = np.full(true.size, np.nan)
         unit = declared.mass if over == "device.mass" else 1.0
         for i, value in enumerate((unit * true).tolist()):
-            there = replace(felt, configuration=replace(declared, **{over.removeprefix("device."): value}))
+            there = replace(felt, configuration=replace(declared, **{field: value}))
             if there.stable:
                 for of_one, found, asked in zip(errors, (there.k, there.b), wanted, strict=True):
                     of_one[correction][i] = found / asked - 1.0
         within[correction] = tuple(tolerance_of(felt, *wanted, share) for share in SHARES)
     return ToleranceChart(over, true, *errors, within)
-
-
-def _true_values(over: str, declared: float) -> Floats:
-    if over == "device.mass":
-        return np.geomspace(0.4, 4.0, _TRUE_VALUES)
-    if over == "device.delay":
-        return np.linspace(0.0, declared + 2.0, _TRUE_VALUES)
-    return np.linspace(0.0, max(4.0 * declared, 1.0), _TRUE_VALUES)
 
 
 def draw_tolerance(chart: ToleranceChart, title: str, path: Path, shares: Sequence[float] = SHARES) -> None:
@@ -361,10 +341,8 @@ def draw_tolerance(chart: ToleranceChart, title: str, path: Path, shares: Sequen
                 axes.axhspan(-100.0 * share, 100.0 * share, **style.WITHIN)
             for name, error in errors.items():
                 axes.plot(chart.true, 100.0 * error, label=name, **style.CORRECTIONS[name])
-            axes.set_title(f"{label} felt beside {label} desired")
-            axes.set_xlabel(drawn_in().filled(_LABELS[chart.over]))
-            axes.set_xlim(chart.true[0], chart.true[-1])
-            axes.set_ylim(-_MOST_PER_CENT, _MOST_PER_CENT)
+            axes.set(title=f"{label} felt beside {label} desired", xlabel=drawn_in().filled(_LABELS[chart.over]))
+            axes.set(xlim=(chart.true[0], chart.true[-1]), ylim=(-_MOST_PER_CENT, _MOST_PER_CENT))
             axes.yaxis.set_major_formatter("{x:+.0f} %")
             axes.grid()
             if chart.over == "device.mass":

@@ -31,19 +31,13 @@ class ForceChart(NamedTuple):
     name: str
     regions: tuple[Region, ...]
     hand: Characteristic
-    drawn: list[Region]
-    """Those within the picture, with all friction stuck."""
-    position: list[Floats]
-    """Of each of these, m."""
-    force: list[Floats]
-    """N, with which a hand at rest pushes, without friction."""
+    drawn: list[Region]  # those within the picture, with all friction stuck
+    position: list[Floats]  # of each of these, m
+    force: list[Floats]  # N, with which a hand at rest pushes, without friction
     pushing: list[Floats]
-    releasing: list[Floats]
-    """N, of a hand that moves up and down."""
-    speed: float
-    """m/s."""
-    what: str
-    """`force`, or of a rotary hand `torque`."""
+    releasing: list[Floats]  # N, of a hand that moves up and down
+    speed: float  # m/s
+    what: str  # `force`, or of a rotary hand `torque`
 
 
 def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
@@ -152,12 +146,14 @@ def draw_force(chart: ForceChart, path: Path) -> None:
         axes.set_ylabel(f"{chart.what} of the hand ({units.name('N')})")
         axes.set_title(f"{chart.name}: {described(chart.drawn[0].felt.configuration)}", fontsize=9)
         axes.margins(x=0.0)
-        figure.colorbar(colours, ax=axes, label="felt k or b, off what is asked for", extend="both", format=_percent)
+        figure.colorbar(
+            colours,
+            ax=axes,
+            label="felt k or b, off what is asked for",
+            extend="both",
+            format=lambda value, _: f"{100.0 * value:g} %",
+        )
         legend_below(figure, 3)
-
-
-def _percent(value: float, _position: int) -> str:
-    return f"{100.0 * value:g} %"
 
 
 def _once(label: str, used: set[str]) -> str:

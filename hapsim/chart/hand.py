@@ -21,13 +21,10 @@ class Hand:
     """A temporary hybrid system (Florens et al., §4), and the element simulated for it."""
 
     name: str
-    channel: int | None
-    """None without a scene."""
+    channel: int | None  # None without a scene
     configuration: Configuration
-    stiffness: float
-    """Simulated K, N/m; NaN if none is."""
-    damping: float
-    """Simulated B, N·s/m; NaN if none is."""
+    stiffness: float  # simulated K, N/m; NaN if none is
+    damping: float  # simulated B, N·s/m; NaN if none is
     masses: tuple[float, ...] = ()
     """kg: the least, the middle and the largest, if the scene gives a span."""
     corrected: tuple[float, float] | None = None

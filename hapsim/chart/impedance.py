@@ -176,10 +176,8 @@ class Transparency:
     continuous impedance, rendered what the sampled, held and late loop presents at the device, the others being held.
     The device's own mass, friction and spring are in neither."""
 
-    rate: float
-    """Hz."""
-    frequency: Floats
-    """Hz, (n,), up to just below the Nyquist frequency."""
+    rate: float  # Hz
+    frequency: Floats  # Hz, (n,), up to just below the Nyquist frequency
     desired: Complexes
     rendered: Complexes
     eigenfrequency: float

@@ -41,8 +41,7 @@ class Point:
     """An operating point: what is simulated for a hand, and what it feels; as drawn."""
 
     name: str
-    mass: float
-    """kg."""
+    mass: float  # kg
     K: float
     B: float
     k: float
@@ -54,12 +53,9 @@ class Point:
 class Plane:
     """The plane of one mass or several; every number in the axes' units."""
 
-    sheets: tuple[Sheet, ...]
-    """One for each mass."""
-    iso: tuple[Curve, ...]
-    """Curves of equal k and of equal b."""
-    boundaries: tuple[Curve, ...]
-    """b = 0, for each mass."""
+    sheets: tuple[Sheet, ...]  # one for each mass
+    iso: tuple[Curve, ...]  # curves of equal k and of equal b
+    boundaries: tuple[Curve, ...]  # b = 0, for each mass
     unstable: tuple[Curve, ...]
     """Outlines of where the loop is unstable with at least one of the masses."""
     points: tuple[Point, ...]
@@ -69,8 +65,7 @@ class Plane:
     """Outlines of where no spring and damper is felt, stable or not; empty if none of it is stable."""
     fold: tuple[Curve, ...] = ()
     linear: tuple[Curve, ...] = ()
-    passive: tuple[Curve, ...] = ()
-    """An outline; empty if the condition is not derived."""
+    passive: tuple[Curve, ...] = ()  # an outline; empty if the condition is not derived
 
     @property
     def masses(self) -> list[float]:
@@ -153,7 +148,14 @@ def draw_plane(data: Plane, title: str, path: Path) -> None:
     with figure_to(path, 6.5, 5.9) as figure:
         axes = figure.add_subplot()
         axes.set_title(title)
-        _set_axes(axes, data)
+        view, scale = data.sheets[0].view, data.scale  # K horizontally, as in the paper
+        axes.set(
+            xlim=(0.0, scale.of_stiffness(view.K_to)), xlabel=scale.axis_labels[0]
+        )  # horizontally, as in the paper
+        axes.set(ylim=(scale.of_simulated(view.B_from), scale.of_simulated(view.B_to)), ylabel=scale.axis_labels[1])
+        if scale.total and scale.offset > 0.0:
+            where: Any = {"xycoords": ("axes fraction", "data"), "va": "center"}
+            axes.annotate("– $B = 0$", (1.0, scale.of_simulated(0.0)), **where)
         unstable = "unstable with one of them at least" if data.is_family else "unstable"
         _fill(axes, data.unstable, unstable, style.UNSTABLE_WITH_SOME_MASS if data.is_family else style.UNSTABLE)
         _fill(axes, data.without_equivalent, "no spring and damper is equivalent", style.NO_EQUIVALENT)
@@ -163,17 +165,6 @@ def draw_plane(data: Plane, title: str, path: Path) -> None:
         legend_below(figure, 2, handlelength=3.2)
         figure.draw_without_rendering()  # from here on it is known where texts are
         _write_numbers(axes, data, _write_at_points(axes, data))
-
-
-def _set_axes(axes: Axes, data: Plane) -> None:
-    """Draws K horizontally and B vertically, as the paper does."""
-    view, scale = data.sheets[0].view, data.scale
-    axes.set_xlim(0.0, scale.of_stiffness(view.K_to))
-    axes.set_ylim(scale.of_simulated(view.B_from), scale.of_simulated(view.B_to))
-    axes.set_xlabel(scale.axis_labels[0])
-    axes.set_ylabel(scale.axis_labels[1])
-    if scale.total and scale.offset > 0.0:
-        axes.annotate("– $B = 0$", (1.0, scale.of_simulated(0.0)), xycoords=("axes fraction", "data"), va="center")
 
 
 def _fill(axes: Axes, outlines: Sequence[Curve], label: str, look: style.Look) -> None:

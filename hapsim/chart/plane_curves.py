@@ -59,12 +59,9 @@ class View:
 class Scale:
     """Converts N/m and N·s/m to the axes' units."""
 
-    stiffness: float
-    """N/m that are drawn as 1."""
-    damping: float
-    """N·s/m that are drawn as 1."""
-    offset: float
-    """N·s/m that are added to B: the real friction, where the axis shows the total."""
+    stiffness: float  # N/m that are drawn as 1
+    damping: float  # N·s/m that are drawn as 1
+    offset: float  # N·s/m that are added to B: the real friction, where the axis shows the total
     normalised: bool
     total: bool
 
@@ -127,13 +124,8 @@ def stable_region(configuration: Configuration) -> tuple[float, float]:
 
 def view_of(hands: Sequence[Hand], *, from_total: bool, K_to: float | None = None, B_to: float | None = None) -> View:
     """Returns the whole stable region with the operating points, or the points' surroundings where the whole is much
-    larger.
-
-    Args:
-        hands: one, or one for each mass.
-        from_total: B begins where B + b0 is 0, otherwise at 0.
-        K_to, B_to: the ends of the axes in N/m and N·s/m, if they are given.
-    """
+    larger. `hands`: one, or one for each mass. `from_total`: B begins where B + b0 is 0, otherwise at 0. `K_to` and
+    `B_to`: the ends of the axes in N/m and N·s/m, if they are given."""
     configuration = hands[0].configuration
     if configuration.delay > _MOST_DELAY:
         found = f"delay: found {configuration.delay:g} sample periods"
@@ -173,14 +165,11 @@ class Curve:
     """A line in the plane, in the axes' units."""
 
     kind: str
-    value: float
-    """The k or b that it is drawn for; NaN if none."""
-    mass: float
-    """Real mass, kg."""
+    value: float  # the k or b that it is drawn for; NaN if none
+    mass: float  # real mass, kg
     K: Floats
     B: Floats
-    k: Floats
-    """What the hand feels there; NaN if it is not worked out."""
+    k: Floats  # what the hand feels there; NaN if it is not worked out
     b: Floats
 
     @property
@@ -331,11 +320,8 @@ def linear_limit(sheet: Sheet) -> Curve:
 def passive(sheet: Sheet) -> Curve:
     """Returns the outline of the passive walls: on its border the device's friction just suffices.
 
-    The friction needed grows in proportion to the wall, so each direction has one such wall.
-
-    Raises:
-        ValueError: the condition is not derived for this configuration.
-    """
+    The friction needed grows in proportion to the wall, so each direction has one such wall. ValueError where the
+    condition is not derived for this configuration."""
     view, configuration = sheet.view, sheet.configuration
     angle = np.linspace(-0.5 * np.pi if view.B_from < 0.0 else 0.0, 0.5 * np.pi, 361)
     K, B = 2.0 * configuration.rate * np.cos(angle), np.sin(angle)  # even over where the limit is expected

@@ -34,8 +34,8 @@ def draw_speed_accuracy(objects: Sequence[Object], rows: Sequence[Row], path: Pa
         panels = figure.subplots(down, across, squeeze=False).ravel()
         for i, (axes, one) in enumerate(zip(panels, objects, strict=False)):
             _draw(axes, one, [row for row in rows if row.object == one.name], ours | peers)
-            axes.set_ylabel("relative error" if i % across == 0 else "")
-            axes.set_xlabel("processor time of a simulated second, s" if i + across >= len(objects) else "")
+            axes.set(ylabel="relative error" if i % across == 0 else "")
+            axes.set(xlabel="processor time of a simulated second, s" if i + across >= len(objects) else "")
         for axes in panels[len(objects) :]:
             axes.set_axis_off()
         named = dict(ours)
@@ -65,9 +65,7 @@ def looks_of(objects: Sequence[Object], rows: Sequence[Row]) -> tuple[dict[str, 
 
 
 def _draw(axes: Axes, one: Object, rows: Sequence[Row], looks: dict[str, style.Look]) -> None:
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_title(one.title)
+    axes.set(xscale="log", yscale="log", title=one.title)
     axes.axvline(1.0, **style.REAL_TIME)
     for front in fronts(rows).values():
         if front:

@@ -25,15 +25,11 @@ if TYPE_CHECKING:
 class Survival:
     """A survival curve: which share of something took longer than a time."""
 
-    what: str
-    """lateness (of wake-ups) or exchange."""
+    what: str  # lateness (of wake-ups) or exchange
     rate_hz: float
-    clock: str
-    """"" for wake-ups without a loop."""
-    time: Floats
-    """s, (n,), rising."""
-    share: Floats
-    """0 to 1: what took longer than every time from the one before up to that."""
+    clock: str  # "" for wake-ups without a loop
+    time: Floats  # s, (n,), rising
+    share: Floats  # 0 to 1: what took longer than every time from the one before up to that
 
 
 def steadiness(examination: Examination) -> list[Survival]:
@@ -81,10 +77,9 @@ def draw_steadiness(curves: list[Survival], title: str, path: Path) -> None:
         left, right = figure.subplots(1, 2, sharey=True)
         _draw(left, [curve for curve in curves if curve.what == "lateness"], shade_of)
         _draw(right, [curve for curve in curves if curve.what == "exchange"], shade_of)
+        left.set(xlabel="wake-up latency above", ylabel="share of ticks")
         left.set_ylim(0.6 * min(curve.share[-1] for curve in curves), 1.5)
-        left.set_xlabel("wake-up latency above")
         right.set_xlabel("exchange takes longer than")
-        left.set_ylabel("share of ticks")
         handles = [
             Line2D([], [], color=color, linestyle=dashes, linewidth=1.3, label=label) for color, dashes, label in looks
         ]
@@ -92,8 +87,7 @@ def draw_steadiness(curves: list[Survival], title: str, path: Path) -> None:
 
 
 def _draw(axes: Axes, curves: list[Survival], shade_of: dict[float, Any]) -> None:
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    axes.set(xscale="log", yscale="log")
     for curve in curves:
         look = {"color": shade_of[curve.rate_hz], "linewidth": 1.3, "linestyle": style.CLOCKS[curve.clock]}
         axes.step(curve.time, curve.share, where="pre", **look)

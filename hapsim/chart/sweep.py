@@ -28,8 +28,7 @@ class SweepChart:
 
     values: xarray.DataArray
     over: tuple[str, ...]
-    is_scattered: bool
-    """Whether the values are those of samples and not of a grid."""
+    is_scattered: bool  # whether the values are those of samples and not of a grid
     title: str
 
     def columns(self) -> dict[str, Any]:
@@ -74,6 +73,8 @@ def sweep_chart(dataset: xarray.Dataset, variable: str, along: Sequence[str]) ->
 
 def draw_sweep(chart: SweepChart, path: Path) -> None:
     """Draws it to a file (.svg, .png or .pdf): a line over one parameter, colours over two."""
+    from matplotlib.colors import LogNorm
+
     values, over = chart.values, chart.over
     label = str(values.attrs.get("description", values.name))
     unit = values.attrs.get("units", "")
@@ -87,7 +88,10 @@ def draw_sweep(chart: SweepChart, path: Path) -> None:
             axes.set_ylabel(label)
             axes.grid(True)
         else:
-            norm = _norm(numbers)
+            known = numbers[np.isfinite(numbers) & (numbers > 0.0)]
+            is_positive = known.size and known.size == np.isfinite(numbers).sum()
+            # logarithmic where the values are above 0 and span much
+            norm = LogNorm() if is_positive and known.max() / known.min() > _LOGARITHMIC else None
             if chart.is_scattered:
                 drawn: Any = axes.scatter(along[0], along[1], c=numbers, s=14, norm=norm)
             else:
@@ -99,12 +103,3 @@ def draw_sweep(chart: SweepChart, path: Path) -> None:
             if one.min() > 0.0 and one.max() / one.min() > _LOGARITHMIC:
                 set_scale("log")
         axes.set_title(chart.title)
-
-
-def _norm(numbers: Any) -> Any:
-    """Logarithmic colours where the values are above 0 and span much."""
-    from matplotlib.colors import LogNorm
-
-    known = numbers[np.isfinite(numbers) & (numbers > 0.0)]
-    is_positive = known.size and known.size == np.isfinite(numbers).sum()
-    return LogNorm() if is_positive and known.max() / known.min() > _LOGARITHMIC else None

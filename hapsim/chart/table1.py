@@ -51,19 +51,15 @@ _REAL = {"I": "I", "II": "I", "III": "III", "IV": "III", "V": "III"}
 class Coupling:
     """A real mass with its springs, SI units."""
 
-    numeral: str
-    """Of Table 1."""
-    configuration: Configuration
-    """Real springs and real dampers are its own stiffness and friction."""
+    numeral: str  # of Table 1
+    configuration: Configuration  # real springs and real dampers are its own stiffness and friction
     K: float
     B: float
     correction: CorrectionName
-    predicted_hz: float
-    """Eigenfrequency."""
+    predicted_hz: float  # eigenfrequency
     measured_hz: float = math.nan
     """Eigenfrequency; NaN if the motion is not that of a spring and damper."""
-    uncertainty_hz: float = math.nan
-    """Standard uncertainty that the identification states for it."""
+    uncertainty_hz: float = math.nan  # standard uncertainty that the identification states for it
 
     @property
     def off_by(self) -> float:
@@ -76,12 +72,9 @@ class Table1:
     """The five couplings, by their numerals."""
 
     couplings: dict[str, Coupling]
-    configuration: Configuration
-    """The loop of all of them, without real springs."""
-    k: float
-    """The real spring, N/m."""
-    K: float
-    """The simulated spring that swings the mass as the real one does, N/m."""
+    configuration: Configuration  # the loop of all of them, without real springs
+    k: float  # the real spring, N/m
+    K: float  # the simulated spring that swings the mass as the real one does, N/m
 
     def relative(self, numeral: str) -> float:
         """Returns the predicted frequency over that of I."""
@@ -238,11 +231,14 @@ def draw_table1(data: Table1, title: str, path: Path) -> None:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1.25, 1.0])
         figure.suptitle(title.replace("; ", "\n"), fontsize=9)  # in one line it is wider than the figure
         bars, dots = ([getattr(one, what) / every[0].predicted_hz for one in every] for what in _FREQUENCIES)
-        _draw_bars(left, bars, dots, [f"{bar:.5f}\n{_off(one.off_by)}" for bar, one in zip(bars, every, strict=True)])
+        off = [
+            f"off by {short(float(f'{one.off_by:.0e}'))}" if math.isfinite(one.off_by) else "not measured"
+            for one in every
+        ]
+        _draw_bars(left, bars, dots, [f"{bar:.5f}\n{by}" for bar, by in zip(bars, off, strict=True)])
         left.set_yticks(range(len(bars)), [f"{one}  {_WORDS[one]}" for one in numerals])
         left.invert_yaxis()
-        left.set_xlim(0.0, 2.1 * max(bars))
-        left.set_xlabel("frequency, relative to I")
+        left.set(xlim=(0.0, 2.1 * max(bars)), xlabel="frequency, relative to I")
         bars, dots = ([100.0 * data.error(one, what) for one in numerals] for what in _FREQUENCIES)
         bars = [bar if abs(bar) > _NOTHING else 0.0 for bar in bars]
         _draw_bars(right, bars, dots, [f"{bar:+.3g}" if bar else "0" for bar in bars])
@@ -260,8 +256,3 @@ def _draw_bars(axes: Axes, predicted: list[float], measured: list[float], words:
     bars = axes.barh(rows, predicted, label="predicted", **style.BAR)
     axes.plot(measured, rows, label="measured on the mock", **style.MEASURED_BAR)
     axes.bar_label(bars, words, padding=9, fontsize=9)
-
-
-def _off(by: float) -> str:
-    """Returns how far the measurement is from the prediction, relative."""
-    return f"off by {short(float(f'{by:.0e}'))}" if math.isfinite(by) else "not measured"

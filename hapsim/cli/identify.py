@@ -17,8 +17,8 @@ from hapsim.scene import Known
 from hapsim.scene.rewrite import require_rewritable, rewrite_device
 
 if TYPE_CHECKING:
-    from hapsim.measuring.device_excitation import Bounds
     from hapsim.measuring.device_fit import Estimate
+    from hapsim.measuring.device_motion import Bounds
     from hapsim.measuring.identify_device import DeviceIdentification
     from hapsim.scene import Scene
 

@@ -59,24 +59,17 @@ class SystemFiles:
 class Machine:
     """A machine in a few words; "" and None if it does not say."""
 
-    cpu: str
-    """Its model."""
-    cores_allowed: int | None
-    """Cores that this process may run on."""
+    cpu: str  # its model
+    cores_allowed: int | None  # cores that this process may run on
     cores_online: int | None
     kernel: str
-    preempt_rt: bool
-    """Whether the kernel is a real-time one (PREEMPT_RT)."""
+    preempt_rt: bool  # whether the kernel is a real-time one (PREEMPT_RT)
     governors: tuple[str, ...]
     """How the cores choose their frequency: performance, powersave, …; none on most virtual machines."""
-    clock_source: str
-    """What the kernel reads the time from."""
-    virtual: str
-    """The hypervisor of a virtual machine, by its name if that is known."""
-    smt: bool | None
-    """Whether two threads share a core."""
-    isolated: str
-    """Cores that the kernel keeps free of other work, such as 2-3."""
+    clock_source: str  # what the kernel reads the time from
+    virtual: str  # the hypervisor of a virtual machine, by its name if that is known
+    smt: bool | None  # whether two threads share a core
+    isolated: str  # cores that the kernel keeps free of other work, such as 2-3
 
 
 def machine_of(tree: SystemFiles) -> Machine:
@@ -84,6 +77,9 @@ def machine_of(tree: SystemFiles) -> Machine:
     cpus, processor = "sys/devices/system/cpu", tree.fields("proc/cpuinfo")
     # x86 has "model name", ARM boards "Model", or nothing here but a name in the device tree.
     model = processor.get("model name") or processor.get("Model") or processor.get("Hardware")
+    hypervisor, names = tree.text("sys/hypervisor/type"), ("sys_vendor", "product_name")
+    made_by = " ".join(filter(None, (tree.text(f"sys/class/dmi/id/{name}") for name in names)))
+    made_by = made_by or hypervisor or "of unknown make"
     return Machine(
         cpu=" ".join((model or tree.text("proc/device-tree/model").strip("\0")).split()),
         cores_allowed=_count(tree.fields("proc/self/status").get("Cpus_allowed_list", "")),
@@ -92,18 +88,10 @@ def machine_of(tree: SystemFiles) -> Machine:
         preempt_rt=tree.text("sys/kernel/realtime") == "1" or "PREEMPT_RT" in tree.text("proc/sys/kernel/version"),
         governors=tuple(sorted(set(tree.texts(f"{cpus}/cpu[0-9]*/cpufreq/scaling_governor")))),
         clock_source=tree.text("sys/devices/system/clocksource/clocksource0/current_clocksource"),
-        virtual=_hypervisor(tree, processor.get("flags", "").split()),
+        virtual=made_by if "hypervisor" in processor.get("flags", "").split() else hypervisor,
         smt={"1": True, "0": False}.get(tree.text(f"{cpus}/smt/active")),
         isolated=tree.text(f"{cpus}/isolated"),
     )
-
-
-def _hypervisor(tree: SystemFiles, flags: list[str]) -> str:
-    kind, made = tree.text("sys/hypervisor/type"), "sys/class/dmi/id"
-    if "hypervisor" not in flags:
-        return kind
-    maker = " ".join(filter(None, (tree.text(f"{made}/sys_vendor"), tree.text(f"{made}/product_name"))))
-    return maker or kind or "of unknown make"
 
 
 def _count(cores: str) -> int | None:
@@ -122,26 +110,19 @@ _TICKS_PER_SECOND = 100.0  # USER_HZ: the unit of /proc's times, fixed on every 
 class CpuTimes:
     """Seconds since some beginning, over all cores."""
 
-    everybody_s: float
-    """Spent working, by any program or the kernel."""
-    ours_s: float
-    """Spent working by this process."""
-    stolen_s: float
-    """In which the host ran something else than this virtual machine."""
-    all_s: float
-    """Of all cores, idle or not."""
+    everybody_s: float  # spent working, by any program or the kernel
+    ours_s: float  # spent working by this process
+    stolen_s: float  # in which the host ran something else than this virtual machine
+    all_s: float  # of all cores, idle or not
 
 
 @dataclass(frozen=True)
 class Load:
     """Of the time between two looks."""
 
-    others_cores: float
-    """Cores that others kept busy: 0.5 is half a core."""
-    stolen_share: float
-    """Of the time of all cores (0 to 1), taken by the host of a virtual machine."""
-    average: float | None
-    """The kernel's load average over a minute: how many tasks run or wait to."""
+    others_cores: float  # cores that others kept busy: 0.5 is half a core
+    stolen_share: float  # of the time of all cores (0 to 1), taken by the host of a virtual machine
+    average: float | None  # the kernel's load average over a minute: how many tasks run or wait to
 
 
 def cpu_times(tree: SystemFiles) -> CpuTimes | None:
@@ -184,8 +165,7 @@ class Advice:
     found: str
     why: str
     do: str
-    commands: tuple[str, ...] = ()
-    """For a shell, if some do it."""
+    commands: tuple[str, ...] = ()  # for a shell, if some do it
 
 
 @dataclass(frozen=True)
@@ -194,15 +174,12 @@ class Situation:
 
     tree: SystemFiles
     machine: Machine
-    port: str | None = None
-    """The device's, if there is one."""
+    port: str | None = None  # the device's, if there is one
     grants: Sequence[PrivilegeResult] | None = None
     """The real-time privileges that were requested; None if none were."""
     worst_wakeup_s: float | None = None
-    keeps_up: bool = True
-    """Whether every rate was a yes."""
-    again: str = "hapsim doctor"
-    """What examines the same again, for a shell."""
+    keeps_up: bool = True  # whether every rate was a yes
+    again: str = "hapsim doctor"  # what examines the same again, for a shell
     load: Load | None = None
     may_open: Callable[[Path], bool] = lambda path: os.access(path, os.R_OK | os.W_OK)
 
@@ -219,8 +196,7 @@ Found = Iterator[tuple[str, dict[str, str]]]
 def advice_on(case: Situation) -> list[Advice]:
     """Returns everything that would help, what helps most first."""
     table = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))
-    about = (_about_load, _about_port, _about_privileges, _about_processor, _about_limits, _about_kernel)
-    applies = dict(itertools.chain.from_iterable(find(case) for find in about))
+    applies = dict(itertools.chain(_about_machine(case), _about_port(case), _about_limits(case)))
     advice = []
     for name in filter(applies.__contains__, table):
         commands = tuple(command.format(**applies[name]) for command in table[name].pop("commands", ()))
@@ -229,23 +205,39 @@ def advice_on(case: Situation) -> list[Advice]:
     return advice
 
 
-def _about_load(case: Situation) -> Found:
-    cores, load = case.machine.cores_online, case.load
-    if load is None or cores is None:
-        return
-    if load.others_cores >= _BUSY_SHARE * cores or (load.average or 0.0) > cores:
+def _about_machine(case: Situation) -> Found:
+    machine, cores, load = case.machine, case.machine.cores_online, case.load
+    if (
+        load is not None
+        and cores is not None
+        and (load.others_cores >= _BUSY_SHARE * cores or (load.average or 0.0) > cores)
+    ):
         average = "" if load.average is None else f", and the load average was {load.average:.3g}"
         yield "busy", {"others": f"{load.others_cores:.2g}", "cores": plural(cores, "core"), "average": average}
+    if case.grants is None and (case.wakes_late or not case.keeps_up):
+        yield "not_asked", {"again": case.again}
+    if denied := [grant for grant in case.grants or () if not grant.granted]:
+        details = "; ".join(f"{grant.privilege}: {grant.detail}" for grant in denied)
+        yield "denied", {"privileges": ", ".join(grant.privilege for grant in denied), "details": details}
+    if slow := [governor for governor in machine.governors if governor != "performance"]:
+        yield "governor", {"governors": " and ".join(slow)}
+    if machine.clock_source not in _QUICK_CLOCKS:
+        yield "clock_source", {"source": machine.clock_source}
+    if machine.cores_allowed == 1:
+        yield "single_core" if (cores or 1) > 1 else "only_core", {}
+    stolen = 0.0 if load is None else load.stolen_share
+    if case.wakes_late and not machine.preempt_rt:
+        yield "kernel", {"late": short_duration(case.worst_wakeup_s)}
+    if machine.virtual and (case.wakes_late or stolen >= _STOLEN_SHARE):
+        taken = f", whose host took {share_in_percent(stolen)} of the time for others"
+        yield "host", {"virtual": machine.virtual, "taken": taken if stolen >= _STOLEN_SHARE else ""}
 
 
 def _about_port(case: Situation) -> Found:
     if case.port is None:
         return
     resolved = case.tree.resolve(case.port)
-    device, path = (
-        resolved.name,
-        case.tree.root / resolved.relative_to("/"),
-    )  # such as ttyUSB0, whatever link leads there
+    device, path = resolved.name, case.tree.root / resolved.relative_to("/")  # ttyUSB0, whatever link leads there
     latency = case.tree.text(f"sys/bus/usb-serial/devices/{device}/latency_timer")
     if path.exists() and not case.may_open(path):
         yield "port_not_permitted", {"port": case.port}
@@ -253,24 +245,6 @@ def _about_port(case: Situation) -> Found:
         yield "ftdi_gathers", {"port": case.port, "device": device, "latency": latency}
     if device.startswith("ttyACM") and "ModemManager" in case.tree.texts("proc/[0-9]*/comm"):
         yield "modem_manager", {"port": case.port}
-
-
-def _about_privileges(case: Situation) -> Found:
-    if case.grants is None and (case.wakes_late or not case.keeps_up):
-        yield "not_asked", {"again": case.again}
-    if denied := [grant for grant in case.grants or () if not grant.granted]:
-        details = "; ".join(f"{grant.privilege}: {grant.detail}" for grant in denied)
-        yield "denied", {"privileges": ", ".join(grant.privilege for grant in denied), "details": details}
-
-
-def _about_processor(case: Situation) -> Found:
-    machine = case.machine
-    if slow := [governor for governor in machine.governors if governor != "performance"]:
-        yield "governor", {"governors": " and ".join(slow)}
-    if machine.clock_source not in _QUICK_CLOCKS:
-        yield "clock_source", {"source": machine.clock_source}
-    if machine.cores_allowed == 1:
-        yield "single_core" if (machine.cores_online or 1) > 1 else "only_core", {}
 
 
 def _about_limits(case: Situation) -> Found:
@@ -303,13 +277,3 @@ def _quotas(tree: SystemFiles) -> Iterator[tuple[int, int]]:
             words = " ".join(tree.text(f"{mount}/{folder}/{file}") for file in files).split()
             if len(words) == 2 and all(word.isdigit() for word in words) and int(words[1]):
                 yield int(words[0]), int(words[1])
-
-
-def _about_kernel(case: Situation) -> Found:
-    stolen = 0.0 if case.load is None else case.load.stolen_share
-    if case.wakes_late and not case.machine.preempt_rt:
-        yield "kernel", {"late": short_duration(case.worst_wakeup_s)}
-    if case.machine.virtual and (case.wakes_late or stolen >= _STOLEN_SHARE):
-        share = share_in_percent(stolen)
-        taken = f", whose host took {share} of the time for others" if stolen >= _STOLEN_SHARE else ""
-        yield "host", {"virtual": case.machine.virtual, "taken": taken}

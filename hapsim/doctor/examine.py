@@ -54,40 +54,30 @@ _SHIPPED = "first_touch.yaml"
 class Step:
     """One measurement of an examination."""
 
-    number: int
-    """From 1 on."""
+    number: int  # from 1 on
     of: int
-    what: str
-    """In words: wake-ups at 4 kHz."""
+    what: str  # in words: wake-ups at 4 kHz
     elapsed_s: float
-    seconds: float
-    """How long it takes in all."""
-    compiling: str
-    """The function that is being compiled before it begins, or ""."""
+    seconds: float  # how long it takes in all
+    compiling: str  # the function that is being compiled before it begins, or ""
 
 
 @dataclass(frozen=True)
 class Examination:
     """A machine, and the rates that it keeps."""
 
-    scene: str
-    """The file of the scene that ran."""
-    rate_hz: float
-    """The scene's own."""
-    seconds: float
-    """How long each measurement took."""
+    scene: str  # the file of the scene that ran
+    rate_hz: float  # the scene's own
+    seconds: float  # how long each measurement took
     machine: Machine
     grants: tuple[PrivilegeResult, ...] | None
     """The real-time privileges that were requested; None if none were."""
-    wakeups: dict[float, Histogram]
-    """By rate (Hz): the wake-up latencies (s) of a thread."""
+    wakeups: dict[float, Histogram]  # by rate (Hz): the wake-up latencies (s) of a thread
     exchanges: tuple[Exchanges, ...]
-    verdicts: tuple[Verdict, ...]
-    """One for each of `exchanges`."""
+    verdicts: tuple[Verdict, ...]  # one for each of `exchanges`
     load: Load | None
     advice: tuple[Advice, ...]
-    steps: int = 0
-    """How many measurements it is made of."""
+    steps: int = 0  # how many measurements it is made of
     stopped_after: int | None = None
     """How many of them were made when an interrupt ended it; None if it was not interrupted."""
 
@@ -134,7 +124,9 @@ def examine(
     before the first result. Raises, before anything is measured, UsageError for rates and times that are impossible
     and for a scene that does not fit its device; DeviceError if no device answers.
     """
-    tree, run, tell = tree or SystemFiles(), run or _hapsim_run(), on_progress or (lambda _: None)
+    from hapsim.running.run import run_to_end
+
+    tree, run, tell = tree or SystemFiles(), run or run_to_end, on_progress or (lambda _: None)
     examined, rates, to_run = _to_measure(scene, seconds, rates, transport)
     (ask or _ask)(to_run[0])
     before = cpu_times(tree)
@@ -233,9 +225,3 @@ def _again(scene: Scene | None, where: str) -> str:
         elif scene.device.port is not None:
             words.append("--mock")
     return shlex.join(words)
-
-
-def _hapsim_run() -> Run:
-    from hapsim.running.run import run_to_end
-
-    return run_to_end

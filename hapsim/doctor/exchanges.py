@@ -141,18 +141,12 @@ class Exchanges:
 
     rate_hz: float
     clock: Clock
-    where: str
-    """The port of the device, or "mock"."""
-    report: Report | None
-    """None if nothing was recorded."""
-    lateness: Histogram | None
-    """s, of the loop's wake-ups."""
-    exchange: Histogram | None
-    """s, of the exchanges."""
-    failure: str = ""
-    """Why the run ended early, in a sentence."""
-    exit_status: int = 0
-    """Of the failure, as in hapsim/errors.py."""
+    where: str  # the port of the device, or "mock"
+    report: Report | None  # None if nothing was recorded
+    lateness: Histogram | None  # s, of the loop's wake-ups
+    exchange: Histogram | None  # s, of the exchanges
+    failure: str = ""  # why the run ended early, in a sentence
+    exit_status: int = 0  # of the failure, as in hapsim/errors.py
 
     @property
     def share_in_time(self) -> float | None:
@@ -271,10 +265,8 @@ class Verdict:
     clock: str
     where: str
     answer: Answer
-    share_in_time: float | None
-    """0 to 1; None if nothing was measured."""
-    why: str = ""
-    """Why there is no better answer, if more is known than the share."""
+    share_in_time: float | None  # 0 to 1; None if nothing was measured
+    why: str = ""  # why there is no better answer, if more is known than the share
 
     @property
     def sentence(self) -> str:

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from hapsim.errors import DeviceError, GuardError, RunError, UsageError
 from hapsim.measuring.converters import Converters, Floats
-from hapsim.measuring.device_excitation import Bounds
 from hapsim.measuring.device_fit import DeviceFit
-from hapsim.measuring.device_motion import Motion
+from hapsim.measuring.device_motion import Bounds, Motion
 from hapsim.measuring.trace_quality import ROUNDING
 from hapsim.units import Units
 
@@ -39,23 +38,15 @@ _SLOW = 1e-4  # periods per sample: a motion that shows hold, delay and sampling
 class ForceResidual:
     """What force the model lacks, and where, in windows of a third of a swing. Arrays (R,), SI units."""
 
-    motion: NDArray[np.int64]
-    """Which run of the record."""
-    row: NDArray[np.int64]
-    """Of that run, at the middle of the window."""
-    position: Floats
-    """m from where the device was found."""
+    motion: NDArray[np.int64]  # which run of the record
+    row: NDArray[np.int64]  # of that run, at the middle of the window
+    position: Floats  # m from where the device was found
     velocity: Floats
-    in_swing: Floats
-    """Share of its swing that has passed, 0 at one reversal to 1 at the next."""
-    force: Floats
-    """N that acted beside the modelled ones, whatever the model's parameters."""
-    modelled: Floats
-    """(R, 6) forces that the parameters are factors of, the last by the delay."""
-    noise: float
-    """N rms that noise and rounding of the positions make of it."""
-    typical_force: float
-    """N rms that was sent."""
+    in_swing: Floats  # share of its swing that has passed, 0 at one reversal to 1 at the next
+    force: Floats  # N that acted beside the modelled ones, whatever the model's parameters
+    modelled: Floats  # (R, 6) forces that the parameters are factors of, the last by the delay
+    noise: float  # N rms that noise and rounding of the positions make of it
+    typical_force: float  # N rms that was sent
 
 
 def force_residual(
@@ -215,13 +206,10 @@ _MORE_TRAVEL = (1.5, 10.0)  # times the travel, where more of it would do
 class Pushed(NamedTuple):
     """How a run pushed the device, and how far it moved."""
 
-    force: float
-    """N."""
-    peak_m: float
-    """From where it was found."""
+    force: float  # N
+    peak_m: float  # from where it was found
     bounds: Bounds
-    noise_m: float
-    """rms, at rest."""
+    noise_m: float  # rms, at rest
     count_m: float
     units: Units
 

@@ -24,9 +24,20 @@ from hapsim.measuring.device_diagnosis import (
     why_not,
     why_too_far,
 )
-from hapsim.measuring.device_excitation import Bounds, Drive, Plant, drive_for, peak_per_newton, scene_of
 from hapsim.measuring.device_fit import DeviceFit, Shape, fit_device, hands_on
-from hapsim.measuring.device_motion import Motion, Swing, motion_of, pieces_of, swings_of
+from hapsim.measuring.device_motion import (
+    Bounds,
+    Drive,
+    Motion,
+    Plant,
+    Swing,
+    drive_for,
+    motion_of,
+    peak_per_newton,
+    pieces_of,
+    scene_of,
+    swings_of,
+)
 from hapsim.measuring.options import (
     SHARE_OF_LIMIT,
     Run,

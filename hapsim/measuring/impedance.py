@@ -92,18 +92,15 @@ class Periods(NamedTuple):
     and N, and the complex variances (C,) of one pair's amplitudes that their scatter does not show, m² and N²."""
 
     position: Complexes
-    scene: Complexes
-    """What the scene's modules asked for."""
+    scene: Complexes  # what the scene's modules asked for
     force: Complexes
     """All that acted, by the loop's count of samples: the scene's, the excitation's, clipped and rounded."""
     rounded_position: Floats
     rounded_scene: Floats
     by_position: bool
     """Whether the scene's forces come of the recorded positions alone: then their rounding is no error of the ratio."""
-    limited: int
-    """Samples whose force was clipped at its limit."""
-    lost: int
-    """Periods that do not count: samples are missing."""
+    limited: int  # samples whose force was clipped at its limit
+    lost: int  # periods that do not count: samples are missing
 
     @property
     def pairs(self) -> int:
@@ -212,8 +209,7 @@ def impedance_of(
 
     `rate` in Hz and `delay` in samples are what the device declares, by which a computed force becomes one that acts.
 
-    Raises:
-        UsageError: too few periods, or motions that do not distinguish the channels.
+    UsageError: too few periods, or motions that do not distinguish the channels.
     """
     settled = [one.after(settling(one, c)[0]) for c, one in enumerate(experiments)]
     position, scene, force = (
@@ -271,10 +267,7 @@ def _quantile(count: int, outside: float) -> float:
 def settling(periods: Periods, channel: int) -> tuple[int, float]:
     """(how many periods at the beginning do not count, for the mean of the rest to be as certain as possible; the
     relative radius of the device's impedance then, in the median) of an experiment that excites this channel.
-
-    Raises:
-        UsageError: there are too few periods.
-    """
+    UsageError where there are too few periods."""
     if periods.pairs < LEAST_PERIODS + 1:
         raise UsageError(
             f"only {periods.pairs} periods of the excitation were recorded whole, expected {LEAST_PERIODS + 1} or "

@@ -83,10 +83,8 @@ class _Run(NamedTuple):
     trace: Trace
     periods: Periods
     stopped: bool
-    peak_force: float
-    """N."""
-    travel: float = math.nan
-    """m, from one end to the other."""
+    peak_force: float  # N
+    travel: float = math.nan  # m, from one end to the other
 
 
 def measure_impedance(

@@ -161,7 +161,13 @@ def measure_trace(
         read = dominant_pairs(fits, _free_motion(segments, fits[0][0].order), segments[0].stands)
     at = next((i for i, one in enumerate(read) if one.pair is not None), 0)
     best, found = fits[at][0], read[at]
-    pair = _with_rivals(found.pair, [one.pair for one in read if one.pair is not None])
+    pair = found.pair or FittedPair()
+    # With the largest uncertainties that the fits beside the best state: the record does not tell them apart. A rival
+    # that is far less certain took the noise for a pole and is none.
+    others = [one.pair for one in read if one.pair is not None]
+    equals = [pair, *(one for one in others if one.pole_uncertainty <= _FAR_OFF * pair.pole_uncertainty)]
+    names = ("pole_uncertainty", "decay_uncertainty", "stiffness_uncertainty")
+    pair = pair._replace(**{name: max(getattr(one, name) for one in equals) for name in names})
     rate, share = trace.rate, 0.0 if mass_uncertainty is None else mass_uncertainty / mass
     k, b = rate**2 * pair.stiffness, -rate * pair.decay  # of 1 kg
     off_k, off_b = rate**2 * pair.stiffness_uncertainty, rate * pair.decay_uncertainty
@@ -248,7 +254,11 @@ def _with_dry_friction(
     Between two turns dry friction is a constant force. Where the pieces between them are explained far better than the
     whole, it is there, too, but sticks in too many samples to be distinguished from a
     spring."""
-    if not _may_have_dry_friction(segments, fits[0][0]):
+    # Where the best fit leaves no more than rounding and noise, and a force that changes its sign with the velocity
+    # makes it no better, there is none: that takes a tenth of the time of the fits between two turns.
+    fit, counts = fits[0][0], max(ROUNDING, *(noise_of(one.position) for one in segments))
+    rubbing = Regression(segments, (fit.drift,), ROUNDING, fit.order, with_slides=True).fit(fit.order, 0)
+    if not (rubbing is None or rubbing.dry_clearly > _SUSPECTED or fit.residual > _SPOILT_FIT * counts):
         return segments, fits, False
     moving = [
         Segment(one.position[first:last], one.surplus[first:last], one.slides[first:last], stands=one.stands)
@@ -259,16 +269,7 @@ def _with_dry_friction(
     rubbed = [one for one in pieces if one[0].dry_clearly > _SEEN]
     if rubbed:
         return moving, rubbed, False
-    return segments, fits, bool(pieces) and pieces[0][0].residual < _FAR_BETTER * fits[0][0].residual
-
-
-def _may_have_dry_friction(segments: list[Segment], fit: Fit) -> bool:
-    """Returns False where the fit leaves no more than rounding and noise, and a force that changes its sign with the
-    velocity makes it no better: that takes a tenth of the time of the fits between two turns."""
-    counts = max(ROUNDING, *(noise_of(one.position) for one in segments))
-    whole = Regression(segments, (fit.drift,), ROUNDING, fit.order, with_slides=True)
-    with_friction = whole.fit(fit.order, 0)
-    return with_friction is None or with_friction.dry_clearly > _SUSPECTED or fit.residual > _SPOILT_FIT * counts
+    return segments, fits, bool(pieces) and pieces[0][0].residual < _FAR_BETTER * fit.residual
 
 
 def _dry_friction(segments: list[Segment], fit: Fit, sticks: bool) -> float:
@@ -283,16 +284,6 @@ def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Index ranges of the runs of True."""
     edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
-def _with_rivals(pair: FittedPair | None, others: list[FittedPair]) -> FittedPair:
-    """The pair of the best fit, with the largest uncertainties that the fits beside it state: the record does not tell
-    them apart. A rival that is far less certain took the noise for a pole and is none."""
-    if pair is None:
-        return FittedPair()
-    equals = [pair, *(one for one in others if one.pole_uncertainty <= _FAR_OFF * pair.pole_uncertainty)]
-    names = ("pole_uncertainty", "decay_uncertainty", "stiffness_uncertainty")
-    return pair._replace(**{name: max(getattr(one, name) for one in equals) for name in names})
 
 
 def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool) -> list[Segment]:
@@ -370,10 +361,8 @@ class _Law(NamedTuple):
     """The scene's force as a linear function of positions."""
 
     obeyed: bool
-    stands: bool
-    """Whether it depends on no position."""
-    rest: float
-    """Counts: where it is zero."""
+    stands: bool  # whether it depends on no position
+    rest: float  # counts: where it is zero
     uncertainty: float
 
 

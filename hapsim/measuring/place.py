@@ -44,16 +44,12 @@ class Place:
 
     name: str
     channel: int
-    at: float
-    """From the scene's position 0."""
+    at: float  # from the scene's position 0
     low: float
-    high: float
-    """The region's edges; infinite where there is none."""
-    mass: float
-    """As declared."""
+    high: float  # the region's edges; infinite where there is none
+    mass: float  # as declared
     stiffness: float
-    damping: float
-    """Of the scene's links and of the device, in the region."""
+    damping: float  # of the scene's links and of the device, in the region
     hand: Characteristic | None
     """None where the hand moves masses or another hand: of its region nothing is known."""
     piece: Piece | None

@@ -37,25 +37,19 @@ class FittedPair(NamedTuple):
 
     pole: complex = complex(math.nan, math.nan)
     """The one with the larger modulus, in the upper half."""
-    pole_uncertainty: float = math.nan
-    """Of the distance in the plane."""
-    decay: float = math.nan
-    """s1 + s2 times the sample period: minus the sum of both decays."""
+    pole_uncertainty: float = math.nan  # of the distance in the plane
+    decay: float = math.nan  # s1 + s2 times the sample period: minus the sum of both decays
     decay_uncertainty: float = math.nan
-    stiffness: float = math.nan
-    """s1 s2 times the sample period squared."""
+    stiffness: float = math.nan  # s1 s2 times the sample period squared
     stiffness_uncertainty: float = math.nan
 
 
 class Poles(NamedTuple):
     """What one fit says of the motion."""
 
-    pair: FittedPair | None
-    """The slowest-decaying one."""
-    poles: Complexes
-    """All that the motion has, by decreasing modulus."""
-    reason: str
-    """Why there is no pair."""
+    pair: FittedPair | None  # the slowest-decaying one
+    poles: Complexes  # all that the motion has, by decreasing modulus
+    reason: str  # why there is no pair
     second: SecondMode | None
 
 

@@ -56,8 +56,7 @@ class Segment:
     the same in all segments, as the place of rest may not be known."""
     rest_known: bool = True
     """False where the position may not be counted from rest: a constant force then stays in the record."""
-    stands: bool = False
-    """Whether the scene has no spring, so that the hand stays where it stops."""
+    stands: bool = False  # whether the scene has no spring, so that the hand stays where it stops
 
     @property
     def motions(self) -> int:
@@ -70,19 +69,15 @@ class Fit:
     """A fitted A(q): coefficients g of G in the basis of `_factors`, their spread, and how well they fit."""
 
     order: int
-    drift: complex
-    """p, the open loop's second pole; complex: of a conjugate pair, in place of both."""
-    g: Floats
-    """The coefficients, shape (order,)."""
+    drift: complex  # p, the open loop's second pole; complex: of a conjugate pair, in place of both
+    g: Floats  # the coefficients, shape (order,)
     spread: Floats
     """A square root of g's covariance, spread @ spread.T: no variance comes out negative."""
-    residual: float
-    """Standard deviation of the equation's error, in counts."""
+    residual: float  # standard deviation of the equation's error, in counts
     rows: int
     dry: float = math.nan
     """Dry friction, N, by what it and the surplus do to a hand in the long run; NaN of a fit without both."""
-    dry_clearly: float = 0.0
-    """How many uncertainties the friction's part is above zero."""
+    dry_clearly: float = 0.0  # how many uncertainties the friction's part is above zero
 
     @property
     def polynomial(self) -> Floats:

@@ -21,21 +21,16 @@ class Found(NamedTuple):
     """The result of a run: how far each quantity is off, relative to the continuous object, with its sign."""
 
     errors: dict[str, float]
-    why_not: str = ""
-    """In words, where there is none."""
+    why_not: str = ""  # in words, where there is none
 
 
 class Object(Protocol):
     """Something with a closed form in continuous time, that hapsim simulates."""
 
-    name: str
-    """As the command's option has it."""
-    title: str
-    """As a picture has it."""
-    quantities: tuple[str, ...]
-    """What can be off."""
-    methods: tuple[str, ...]
-    """By what it is simulated."""
+    name: str  # as the command's option has it
+    title: str  # as a picture has it
+    quantities: tuple[str, ...]  # what can be off
+    methods: tuple[str, ...]  # by what it is simulated
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
         """What is timed: rate in Hz."""
@@ -49,18 +44,15 @@ class Row:
     """One quantity of one object, simulated by one method in one precision at one rate."""
 
     object: str
-    whose: str
-    """`OURS`, or the peer's name."""
+    whose: str  # `OURS`, or the peer's name
     method: str
     precision: str
     rate_hz: float
     quantity: str
-    error: float
-    """Relative to the continuous object, with its sign; NaN where there is none."""
+    error: float  # relative to the continuous object, with its sign; NaN where there is none
     costs: tuple[float, ...] = ()
     """Seconds of processor time for a simulated second, one for each round; none where there is no error."""
-    note: str = ""
-    """Why there is no error, or a remark."""
+    note: str = ""  # why there is no error, or a remark
 
     @property
     def cost(self) -> float:

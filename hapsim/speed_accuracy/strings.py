@@ -34,14 +34,10 @@ class StringOfMasses:
     """
 
     masses: int
-    mass: float
-    """Of each, kg."""
-    stiffness: float
-    """Of each link, K in N/m."""
-    damping: float
-    """Of each link, B in N·s/m."""
-    bending: float = 0.0
-    """S in N/m."""
+    mass: float  # of each, kg
+    stiffness: float  # of each link, K in N/m
+    damping: float  # of each link, B in N·s/m
+    bending: float = 0.0  # S in N/m
 
     @classmethod
     def tuned(

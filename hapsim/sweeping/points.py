@@ -52,10 +52,8 @@ class Range:
 class Points:
     """N points. Grids are in the order of their last dimension."""
 
-    sizes: dict[str, int]
-    """Of each dimension: a grid's are the paths that it varies, else POINT."""
-    columns: dict[str, list[Value]]
-    """The value of each point, by path."""
+    sizes: dict[str, int]  # of each dimension: a grid's are the paths that it varies, else POINT
+    columns: dict[str, list[Value]]  # the value of each point, by path
 
     def __len__(self) -> int:
         return math.prod(self.sizes.values())
@@ -216,34 +214,24 @@ class Varied:
         """Raises UsageError for a path that the scene does not have."""
         for path in paths:
             if path not in self.known:
-                raise UsageError(
-                    f"found '{path}', expected a parameter of {self.name}, such as "
-                    f"{_example(self.known)}{did_you_mean(path, self.known)}"
-                )
+                of_links = (one for one in self.known if not one.startswith(("device", "mock")))
+                example = next((one for one in of_links if one.endswith(".stiffness")), "rate")
+                expected = f"expected a parameter of {self.name}, such as {example}"
+                raise UsageError(f"found '{path}', {expected}{did_you_mean(path, self.known)}")
 
     def scene(self, values: Mapping[str, Value]) -> Scene:
         """Returns the scene with these values, without its `path`. Raises SceneError where it is none."""
         document = self.document
         for path, value in values.items():
             part = document
-            *above, key = self._keys(path)
+            *above, key = path.split(".")
+            if path.partition(".")[0] not in ("device", "mock", *_TOP):  # of a part, whose name may have a point in it
+                name, _, key = path.rpartition(".")
+                above = ["modules" if name in document["modules"] else "sound", name]
             for one in above:
                 part = part.setdefault(one, {})
             part[key] = int(value) if isinstance(value, float) and value.is_integer() else value
         return scene_from_document(document)
-
-    def _keys(self, path: str) -> list[str]:
-        head, *rest = path.split(".")
-        return [head, *rest] if head in ("device", "mock", *_TOP) else self._keys_of_part(path)
-
-    def _keys_of_part(self, path: str) -> list[str]:
-        name, _, key = path.rpartition(".")
-        kind = "modules" if name in self._document["modules"] else "sound"
-        return [kind, name, key]
-
-
-def _example(known: list[str]) -> str:
-    return next((one for one in known if one.endswith(".stiffness") and not one.startswith(("device", "mock"))), "rate")
 
 
 def _paths_of(scene: Scene) -> set[str]:

@@ -75,13 +75,10 @@ KINDS = {"predicted": _OF_HAND | _PASSIVE | _OF_SCENE, "measured": _MEASURED, "i
 class Task:
     """What to work out at each point."""
 
-    document: dict[str, Any]
-    """The scene."""
-    kinds: tuple[str, ...]
-    """Of KINDS."""
+    document: dict[str, Any]  # the scene
+    kinds: tuple[str, ...]  # of KINDS
     channel: int = 0
-    duration: float | None = None
-    """Seconds of each measurement; None: those of `measure`."""
+    duration: float | None = None  # seconds of each measurement; None: those of `measure`
     function: Callable[[Scene], Mapping[str, float]] | None = None
     """Works out further numbers of a scene, by name."""
 
@@ -165,12 +162,9 @@ def work(task: Task, points: Sequence[Mapping[str, Value]]) -> dict[str, NDArray
             found.append(numbers)
             errors.append(error)
     names = dict.fromkeys(name for numbers in found for name in numbers)
-    columns = {name: np.array([numbers.get(name, _none_of(task, name)) for numbers in found], float) for name in names}
+    none = {name: np.full(frequencies(task).size, np.nan) if name in _IMPEDANCE else np.nan for name in names}
+    columns = {name: np.array([numbers.get(name, none[name]) for numbers in found], float) for name in names}
     return columns | {ERROR: np.array(errors)}
-
-
-def _none_of(task: Task, name: str) -> Any:
-    return np.full(frequencies(task).size, np.nan) if name in _IMPEDANCE else np.nan
 
 
 def _truth(value: bool | None) -> float:

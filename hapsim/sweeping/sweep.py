@@ -168,7 +168,11 @@ def sweep(
     named by path; of samples and tables there is one, `point`. Where `out` is this sweep, finished before, it is read.
     Raises UsageError for what cannot be swept, and where `out` is anything else.
     """
-    _require_xarray()
+    try:
+        import h5netcdf  # noqa: F401
+        import xarray  # noqa: F401
+    except ImportError as error:
+        raise UsageError(f"a sweep needs xarray and h5netcdf ({error}); install hapsim[sweep]") from error
     scene = as_scene(scene)
     if not isinstance(points, Points):
         points = grid(points) if isinstance(points, Mapping) else listed(points)
@@ -350,11 +354,3 @@ def write(dataset: xarray.Dataset, out: Path) -> None:
         raise UsageError(
             f"{out}: cannot be written: {error.strerror or error}. The results are in {beside.parent}"
         ) from error
-
-
-def _require_xarray() -> None:
-    try:
-        import h5netcdf  # noqa: F401
-        import xarray  # noqa: F401
-    except ImportError as error:
-        raise UsageError(f"a sweep needs xarray and h5netcdf ({error}); install hapsim[sweep]") from error
