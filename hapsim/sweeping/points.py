@@ -224,14 +224,17 @@ class Varied:
         document = self.document
         for path, value in values.items():
             part = document
-            *above, key = path.split(".")
-            if path.partition(".")[0] not in ("device", "mock", *_TOP):  # of a part, whose name may have a point in it
-                name, _, key = path.rpartition(".")
-                above = ["modules" if name in document["modules"] else "sound", name]
+            *above, key = self._keys(path)
             for one in above:
                 part = part.setdefault(one, {})
             part[key] = int(value) if isinstance(value, float) and value.is_integer() else value
         return scene_from_document(document)
+
+    def _keys(self, path: str) -> list[str]:
+        if path.partition(".")[0] in ("device", "mock", *_TOP):
+            return path.split(".")
+        name, _, key = path.rpartition(".")  # a part's name may have a point in it
+        return ["modules" if name in self._document["modules"] else "sound", name, key]
 
 
 def _paths_of(scene: Scene) -> set[str]:
