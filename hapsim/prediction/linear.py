@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hapsim.errors import UsageError
 from hapsim.laws import Linear, line
 from hapsim.scene import Scene, ViscoElastic
 from hapsim.theory import Configuration, Network, NotWorkedOutError
@@ -43,6 +44,7 @@ class LinearScene(NamedTuple):
     """Sentences: how the theory takes links that are not linear."""
 
 
+_MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
 _FASTEST = {"linear": 1.0, "rotary": 30.0}
 STAYS = "."  # what is inside a structure and stays where it is: no module is called so
 
@@ -220,3 +222,19 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         decimation=device.decimation,
     )
     return network, tuple(points)
+
+
+def require_within_numbers(scene: Scene) -> None:
+    """UsageError where the device is beyond what floating point holds."""
+    if not 1e-9 <= scene.rate <= 1e9:
+        raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
+    device, channels = scene.device, scene.channels
+    each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
+    for channel, ((mass, _), friction, stiffness) in enumerate(each):
+        if friction > _MOST * mass * scene.rate or stiffness > _MOST * mass * scene.rate**2:
+            units = scene.units_of(channel)
+            raise UsageError(
+                f"device: found {units(friction, 'N·s/m', 'g')} of friction and a spring of "
+                f"{units(stiffness, 'N/m', 'g')} on {units(mass, 'kg', 'g')}, which is beyond what is worked out: "
+                "expected a larger mass, or less of them"
+            )

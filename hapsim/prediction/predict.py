@@ -14,11 +14,11 @@ from hapsim.errors import UsageError
 from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
 from hapsim.prediction.any_hand import AnyHand
-from hapsim.prediction.characteristic import Characteristic, Piece, characteristic_of, linear_at, piece_at, scene_at
+from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt import SHARES, Desired, Felt, Tolerance, desired_of, felt_by, swing, tolerance_of
 from hapsim.prediction.felt_together import FeltTogether
-from hapsim.prediction.linear import has_more_than_regions, links_of, network_of, why_coupled
+from hapsim.prediction.linear import has_more_than_regions, links_of, network_of, require_within_numbers, why_coupled
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates
 from hapsim.prediction.swings import Shaking
@@ -32,7 +32,6 @@ from hapsim.theory.arrays import Indices, sort_by_modulus
 from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, part_of, part_of_each
 from hapsim.theory.network.network import is_centred
 
-_MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
 _LETS_GO = (Buffer, Plectrum, Click, Friction)  # what excites a sound, and lets it ring
 _LOWEST_HZ = 20.0  # of a partial
 _MOST_DAMPED = 0.1  # of critical: what is damped more is a thud
@@ -49,7 +48,7 @@ class Prediction:
         self, scene: Scene, at: float | None = None, *, with_margins: bool = True, wherever: bool = False
     ) -> None:
         """`at`, `with_margins`: as of `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
-        _require_within_numbers(scene)
+        require_within_numbers(scene)
         self.scene, self._at, self._with_margins, self._wherever = scene, at, with_margins, wherever
         self._rendering = rendered(scene)
         self._tolerances: dict[object, Tolerance | None] = {}
@@ -87,13 +86,6 @@ class Prediction:
         """One for each device point that is a temporary hybrid system of its own, in the scene's order."""
         return self._lone
 
-    @cached_property
-    def _hands(self) -> dict[str, Characteristic]:
-        """Those that feel different springs and dampers at different places."""
-        around, desired = self._at or 0.0, self._rendering.desired
-        hands = ((name, characteristic_of(desired, name, around, self._wherever)) for name in desired.device_points)
-        return {name: hand for name, hand in hands if hand is not None and hand.is_regional}
-
     def regions_of(self, name: str, around: float | None = None) -> tuple[Region, ...]:
         """The regions of the hand at this device point, by position; of one place first the one in which all friction
         sticks. None where it moves more than itself. `around`: as in `characteristic_of` [default: where it is]."""
@@ -109,7 +101,8 @@ class Prediction:
     @cached_property
     def _every_region(self) -> dict[str, tuple[Region, ...]]:
         """Of each hand that is an oscillator of its own, with links that are not the same everywhere."""
-        return {name: self.regions_of(name) for name in self._hands if name not in self.coupled}
+        every = {name: self.regions_of(name) for name in self.scene.device_points if name not in self.coupled}
+        return {name: found for name, found in every.items() if found and found[0].hand.is_regional}
 
     @cached_property
     def regions(self) -> dict[str, tuple[Region, ...]]:
@@ -119,11 +112,11 @@ class Prediction:
     @cached_property
     def here(self) -> dict[str, Piece]:
         """Where each of these is taken to be."""
-        at, hands = self._at, {name: self._hands[name] for name in self.regions}
-        return {
-            name: piece_at(hand, name, at if at is not None and hand.low <= at <= hand.high else None)
-            for name, hand in hands.items()
-        }
+        at, found = self._at, {}
+        for name, (first, *_) in self.regions.items():
+            hand = first.hand
+            found[name] = piece_at(hand, name, at if at is not None and hand.low <= at <= hand.high else None)
+        return found
 
     @property
     def region_here(self) -> dict[str, Region]:
@@ -461,19 +454,3 @@ def partials_of(scene: Scene, prediction: Prediction | None = None) -> dict[str,
         heard = shares > _LEAST_SHARE * shares.max(initial=0.0)
         found[name] = tuple(sorted(one.frequency_hz for one, is_heard in zip(rings, heard, strict=True) if is_heard))
     return found
-
-
-def _require_within_numbers(scene: Scene) -> None:
-    """UsageError where the device is beyond what floating point holds."""
-    if not 1e-9 <= scene.rate <= 1e9:
-        raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
-    device, channels = scene.device, scene.channels
-    each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
-    for channel, ((mass, _), friction, stiffness) in enumerate(each):
-        if friction > _MOST * mass * scene.rate or stiffness > _MOST * mass * scene.rate**2:
-            units = scene.units_of(channel)
-            raise UsageError(
-                f"device: found {units(friction, 'N·s/m', 'g')} of friction and a spring of "
-                f"{units(stiffness, 'N/m', 'g')} on {units(mass, 'kg', 'g')}, which is beyond what is worked out: "
-                "expected a larger mass, or less of them"
-            )

@@ -87,8 +87,6 @@ IN_PHASE = 1e-9  # of its size: a part out of phase that is none
 ROUNDING = 1e-12  # an interval relatively narrower than this is none
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
-IsStable = Callable[[Floats, Floats], Bools]
-
 
 class Undamped(NamedTuple):
     """The curve b = 0 at frequencies theta (G,), in between which neither K T²/m nor B T/m turns back."""
@@ -117,7 +115,7 @@ def undamped_curve(hand: LoneHand) -> Undamped:
 
 
 def stable_interval(
-    hand: LoneHand, curve: Undamped, sought: int, given: Floats, is_stable: IsStable
+    hand: LoneHand, curve: Undamped, sought: int, given: Floats, is_stable: Callable[[Floats, Floats], Bools]
 ) -> tuple[Floats, Floats]:
     """The lowest stable interval of kappa (``sought`` 0) or beta (1), for given values (n,) of the other.
 
