@@ -120,8 +120,7 @@ class AnyHand:
 
     @property
     def lasting(self) -> str:
-        """What moves most in a motion that does not die out while the hands are held, which no friction of theirs
-        calms; "" where every motion does."""
+        """What moves most in a motion that does not die out while the hands are held; "" where every motion does."""
         moved = self._passivity.lasting
         return self._points[int(np.argmax(moved))].partition(".")[0] if moved.size else ""
 
@@ -249,8 +248,7 @@ class AnyHand:
     def _resonant(
         self, at: int, lightest: float, heaviest: float, softest: float, stiffest: float
     ) -> Iterator[tuple[float, float]]:
-        """Yields hands between these, on one point, that are in resonance where its impedance is negative; first the
-        one that is shaken most."""
+        """Yields hands between these in resonance on one point where its impedance is negative, first the worst."""
         hand = self.shaking
         if hand is not None and hand.name == self.names[at]:
             yield float(np.clip(hand.mass, lightest, heaviest)), float(np.clip(hand.stiffness, softest, stiffest))

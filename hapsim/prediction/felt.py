@@ -251,8 +251,7 @@ _REACHED = 1e-6  # an error of a correction that is none
 
 
 class Desired(NamedTuple):
-    """The scene's stiffness and damping at one device point, the device's own included; and how far a correction brings
-    the hand there."""
+    """The stiffness and damping asked for at a device point, what is real included; how near a correction gets."""
 
     name: str
     channel: int

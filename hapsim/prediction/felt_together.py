@@ -142,8 +142,7 @@ class FeltTogether:
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:
-        """k and b, each (n, 3), that each hand meets where it is moved at `HAND_HZ`, others held; NaN from half the
-        rate on."""
+        """k and b, each (n, 3), that each hand meets moved at `HAND_HZ`, others held; NaN from half the rate on."""
         rendered = np.diagonal(loop_impedance(self._network, HAND_HZ).rendered, axis1=1, axis2=2).T
         k, b = spring_and_damper(np.array(HAND_HZ), rendered)
         return self._network.channel_stiffness[:, None] + k, self._network.channel_friction[:, None] + b

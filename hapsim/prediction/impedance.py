@@ -100,8 +100,7 @@ def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
 
 
 def spring_and_damper(frequency: Floats, impedance: Complexes) -> tuple[Floats, Floats]:
-    """k in N/m and b in N·s/m that have this impedance, force over velocity, at each frequency in Hz; of a mass k is
-    negative."""
+    """k in N/m and b in N·s/m that have this impedance, N·s/m, at each frequency in Hz; of a mass k is negative."""
     return np.asarray(-2.0 * np.pi * frequency * impedance.imag), impedance.real
 
 

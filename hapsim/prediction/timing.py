@@ -1,5 +1,4 @@
-"""How long an exchange takes on the wire, what delay that makes, and how long the device holds a force when the host
-is silent."""
+"""How long an exchange takes on the wire, what delay that makes, and how long a force lasts when the host is silent."""
 
 from __future__ import annotations
 

@@ -144,8 +144,7 @@ def _of_positions(moves: Floats, read: Floats, pole: float) -> Floats:
 
 
 def _of_velocities(moves: Floats, read: Floats, pole: float) -> Floats:
-    """(3, 2): position and velocity as they are read, given the push; of what that leaves unexplained the push takes
-    the share 1 - pole."""
+    """(3, 2): position and velocity as read, given the push, which takes 1 - pole of what that leaves unexplained."""
     at_once = moves[:2, :2] @ np.linalg.inv(read[:, :2])
     left = read[:, :2] @ (moves[:2, 2] - at_once @ read[:, 2]) + read[:, 2]
     return np.vstack([at_once, (1.0 - pole) * left / (left @ left)])

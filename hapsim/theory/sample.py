@@ -61,8 +61,7 @@ class Sample:
         return out | {name: state[name] for name in ("mass", "mass_step", "older", "past")} | {"force": 0.0 * read}
 
     def ended(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
-        """What is added to the state in the whole sample, of what its steps have added. ``pushed``: N, on the
-        channels, beside what is computed."""
+        """What a whole sample adds to the state, its steps ``moved``. ``pushed``: N, on the channels besides."""
         network, x, v = self.network, state["position"], state["velocity"]
         unit, force = 1.0 / network.channel_mass / network.rate**2, moved["force"]
         acting = times(unit, force if pushed is None else force + pushed)

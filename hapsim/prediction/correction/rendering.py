@@ -266,8 +266,7 @@ class _Correction:
         return [*([] if is_reached else [near]), *self.over_the_spans(ports, elements)]
 
     def over_the_spans(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
-        """What to say of hands that move more than themselves, and whose mass is not known: the modes are placed for
-        the middle of its span."""
+        """What to say of hands that move more than themselves and whose mass is a span: placed for its middle."""
         open_ports = [port for port in ports if self.spans[port.channel][0] < self.spans[port.channel][1]]
         if not open_ports:
             return []

@@ -329,8 +329,7 @@ def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
 
 
 def at_rest(network: Network, poles: Complexes, motions: NDArray, same: float) -> Bools:
-    """(n,) which of the poles within ``same`` of 1 are those of motions that stretch nothing, and not a brake's;
-    ``motions`` (points, n)."""
+    """(n,) which poles within ``same`` of 1 are of ``motions`` (points, n) that stretch nothing, and not a brake's."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
     inertia = mass @ np.abs(motions) ** 2 * network.rate
     links = acting_links(network)

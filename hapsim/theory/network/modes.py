@@ -148,8 +148,7 @@ def snap_to_rest(network: Network, poles: Complexes) -> Complexes:
 
 
 def modes_of(network: Network, poles: Complexes, motions: NDArray, states: NDArray) -> list[Mode]:
-    """The modes, the slowest to decay first; of the poles' motions ``motions`` (C + M, n) are the points', ``states``
-    (size, n) all of them."""
+    """The modes, the slowest to decay first, of the poles' ``motions`` (C + M, n) and whole ``states`` (size, n)."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
     order = np.lexsort((-poles.real, -np.abs(poles)))
     kept = [i for i in order if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]
