@@ -31,7 +31,7 @@ _FILES = (points, string, membrane, linear_links, table_links, nonlinear_links, 
 PART_TYPES = tuple(kind for file in _FILES for kind in vars(file).values() if isinstance(kind, PartType))
 """The types of module that a program can have, in the order in which they act: that of these files and their text."""
 
-_REAL = {"double": np.float64, "single": np.float32}
+_REAL: dict[str, Any] = {"double": np.float64, "single": np.float32}
 
 
 class Program:
@@ -99,9 +99,9 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
         context = BuildContext(
             number=number,
             rate=scene.step_rate,
-            real=real_of(scene),
+            real=_REAL[scene.precision],
             loaded=frozenset(number[end] for link in scene.links.values() for end in link.between),
-            state=_state_at(rows, 0, np.zeros(size, real_of(scene)), velocity),
+            state=_state_at(rows, 0, np.zeros(size, _REAL[scene.precision]), velocity),
             heard=np.zeros(len(scene.sound)),
         )
         parts = SCHEMES[scene.scheme].parts(scene, context, list(_taken(scene, values)))
@@ -129,7 +129,7 @@ def parameter_values(scene: Scene) -> Column:
         values = np.array(
             [value for *_, columns in _live(scene) for column in columns for value in column.values()], np.float64
         )
-        values = values.astype(real_of(scene))
+        values = values.astype(_REAL[scene.precision])
     _require_finite(scene, [values])
     return values
 
@@ -154,11 +154,6 @@ def fixed_modules(scene: Scene) -> frozenset[str]:
     """The modules of which nothing can change while the scene runs, because its scheme has them in a matrix."""
     inside = SCHEMES[scene.scheme].inside
     return frozenset() if inside is None else inside(scene)
-
-
-def real_of(scene: Scene) -> Any:
-    """The type of number that a scene is worked out in."""
-    return _REAL[scene.precision]
 
 
 def positions_of(program: Program) -> tuple[Column, Column]:
@@ -211,7 +206,7 @@ def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mappin
         position, velocity = point.start()
         rows[0, number[name]] = position
         rows[1, number[name]] = position - velocity / scene.step_rate
-    return aligned(rows, real_of(scene))
+    return aligned(rows, _REAL[scene.precision])
 
 
 def _state_at(rows: Column, turn: int, force: Column, velocity: Any) -> TickState:

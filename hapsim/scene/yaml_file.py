@@ -83,9 +83,13 @@ class YamlFile:
 
     def located(self, issues: Iterable[Issue], document: Document) -> list[LocatedIssue]:
         """Where in the file the issues are, and the faults of the document itself."""
-        known = {fault.place for fault in document.faults}
-        told = [_located(issue, document) for issue in issues if not _follows(issue, document, known)]
-        return told + document.faults
+        known, found = {fault.place for fault in document.faults}, []
+        for issue in issues:
+            if issue.at_key or document.place(issue.path) not in known:  # else it could not even be read
+                name = _label(issue.path)
+                sentence = f"{name}: {issue.sentence}" if name else issue.sentence
+                found.append(LocatedIssue(document.place(issue.path, issue.at_key), sentence))
+        return found + document.faults
 
     def failure(self, name: str, faults: Iterable[LocatedIssue]) -> UsageError:
         """One line for each fault; one that an anchor brings to several places is reported once."""
@@ -122,17 +126,6 @@ def _nearest_file(wanted: str, there: Iterable[str]) -> str:
     in_order = sorted(there, key=lambda name: (os.path.splitext(name)[1] == ending, name))
     by_stem = {os.path.splitext(name)[0]: name for name in in_order}
     return by_stem.get(nearest(os.path.splitext(wanted)[0], by_stem) or "", "")
-
-
-def _follows(issue: Issue, document: Document, known: set[Place]) -> bool:
-    """A value that could not even be read is reported for that alone."""
-    return not issue.at_key and document.place(issue.path) in known
-
-
-def _located(issue: Issue, document: Document) -> LocatedIssue:
-    name = _label(issue.path)
-    sentence = f"{name}: {issue.sentence}" if name else issue.sentence
-    return LocatedIssue(document.place(issue.path, issue.at_key), sentence)
 
 
 def _label(path: Path) -> str:
