@@ -127,7 +127,7 @@ def trace(
     require_positive("--last", last, "seconds")
     output.choose("trace.svg")
     recorded = load_trace(file)
-    speak_in(Units(recorded.report.motion))
+    speak_in(Units.of(recorded.report.motion))
     if recorded.sample.size == 0:
         raise UsageError(f"{file}: it has no rows to draw")
     if last is not None:

@@ -92,7 +92,7 @@ class _Output:
         try:
             for data, time_s in pieces:
                 for found in capture.feed(data):
-                    speak_in(Units(capture.registers.motions))
+                    speak_in(Units.of(capture.registers.motions))
                     self._show(entry_of(capture, found, time_s, self._hex_too))
                 if time_s is not None:
                     sys.stdout.flush()

@@ -96,7 +96,7 @@ def _rows(one: FeltTogether, found: HandsMeasurement, i: int, j: int) -> list[tu
         off = float(getattr(found, f"{what}_uncertainty")[i, j])
         shown = number(predicted) if one.felt.reason else rounded(predicted, off)
         cells = shown, rounded(measured, off), number(off, 1), relative_difference(measured, predicted)
-        rows.append((f"{name}: {what}  {unit(of_unit)}", *cells))
+        rows.append((f"{name}: {what}  {unit.name(of_unit)}", *cells))
     return rows
 
 

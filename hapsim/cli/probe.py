@@ -65,7 +65,7 @@ def probe(
     if any(check.name == "sign" and check.result in ("pass", "FAIL") for check in judgement.checks):
         is_new(port)  # from now on not
     if judgement.device is not None:
-        speak_in(Units(judgement.device.motions))
+        speak_in(Units.of(judgement.device.motions))
     if json:
         print(document(_judgement_document(judgement)))
     else:

@@ -165,7 +165,7 @@ def _values(part: Part, path: str, ranges: dict[str, Range]) -> Iterator[_Value]
             for name, module in value.items():
                 yield from _values(module, f"{at}.{name}.", ranges)
         elif expected is not None and value is not None:
-            units = expected.unit.removeprefix("points [").removesuffix("]").split(", ")
+            units = expected.units
             columns = list(zip(*value, strict=True)) if units[1:] else [value]
             for unit, column in zip(units, columns, strict=True):
                 place = "modules " if path.startswith("modules") else ""

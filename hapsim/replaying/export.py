@@ -211,7 +211,7 @@ class Columns:
         self.head, self.report = self.reader.head, self.reader.summary["report"]
         self.count, self.channels = self.reader.count, self.head.channels
         motions = [*self.report.get("motion", ()), *["linear"] * self.channels]
-        self._units = [Units([motion]) for motion in motions[: self.channels]]
+        self._units = [Units.of([motion]) for motion in motions[: self.channels]]
         self.has_velocity = VELOCITY in (self.head.rows.names or ())
         self.all = [column for column in _COLUMNS if self.has_velocity or column.name != "sensed_velocity"]
         notes = self.reader.notes

@@ -110,6 +110,16 @@ class Expectation:
     unit: str = ""
     left_out: str = ""
 
+    @property
+    def units(self) -> list[str]:
+        """The unit; of points that of each number."""
+        return self.unit.removeprefix("points [").removesuffix("]").split(", ")
+
+    @property
+    def marked_unit(self) -> str:
+        """The unit as it stands in `expected`: ‹N/m›."""
+        return f"points [‹{'›, ‹'.join(self.units)}›]" if self.units[1:] else f"‹{self.unit}›"
+
     def __get_pydantic_core_schema__(self, _source: object, _handler: GetCoreSchemaHandler) -> Schema:
         as_it_is = core_schema.plain_serializer_function_ser_schema(lambda value: value)
         schema = core_schema.nullable_schema(self.schema) if self.left_out else self.schema
@@ -117,9 +127,7 @@ class Expectation:
         return described
 
     def __get_pydantic_json_schema__(self, schema: Schema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        points = re.fullmatch(r"points \[(.+), (.+)\]", self.unit)
-        of_both = Units(MOTIONS).filled("points [‹{}›, ‹{}›]".format(*points.groups()) if points else f"‹{self.unit}›")
-        unit = f", in {of_both}" if self.unit else ""
+        unit = f", in {Units.of(MOTIONS).filled(self.marked_unit)}" if self.unit else ""
         default = f"; default: {self.left_out}" if self.left_out else ""
         return handler(schema) | {"description": f"{self.description}{unit}{default}"}
 

@@ -136,11 +136,11 @@ class Scene(Part):
     @property
     def units(self) -> Units:
         """The units of its channels; angles are in degrees where the file has any in degrees."""
-        return Units(self.device.motions(self.channels), self.modules)
+        return Units.of(self.device.motions(self.channels), self._in_degrees)
 
     def units_of(self, channel: int) -> Units:
         """The units of one channel."""
-        return Units([self.device.motions(self.channels)[channel]], self.modules)
+        return Units.of([self.device.motions(self.channels)[channel]], self._in_degrees)
 
     @property
     def device_points(self) -> dict[str, DevicePoint]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -10,12 +11,15 @@ from typing import Any
 
 import pytest
 
-from hapsim.cli.output import stdout
+from hapsim.cli.live import _Words
+from hapsim.cli.options import load
+from hapsim.cli.output import speak_in, stdout
 from hapsim.cli.status import show_status
 from hapsim.errors import UsageError
+from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.scene import load_scene
-from hapsim.units import LINEAR, Units
+from hapsim.units import LINEAR, MOTIONS, Units
 
 Hapsim = Callable[..., Any]
 
@@ -23,8 +27,8 @@ KNOB = """\
 version: 1
 rate: 1000
 device: {clock: lockstep, motion: rotary, mass: 2.0e-5, friction: 1.0e-4, force_limit: 0.05,
-         travel: [-90 deg, 90 deg], origin: 1 deg}
-mock: {initial: {position: 5 deg}}
+         travel: [-1.5, 1.5], origin: 0.02}
+mock: {initial: {position: 0.1}}
 modules:
   knob: {type: device, channel: 0}
   frame: {type: ground}
@@ -107,36 +111,42 @@ def test_the_status_of_a_knob_is_in_its_units(capsys: pytest.CaptureFixture[str]
 def test_errors_are_in_the_units_of_the_scene_in_python_too(knob: Path) -> None:
     with pytest.raises(UsageError, match="push: found -1, expected a finite number of N·m above 0"):
         measure(knob, push=-1.0)
-    assert load_scene(knob).units_of(0)("0.3 m") == "0.3 rad"
+    assert load_scene(knob).units_of(0)(0.3, "m") == "0.3 rad"
 
 
 @pytest.mark.parametrize(
-    ("line", "rotary", "both"),
+    ("value", "unit", "linear", "rotary", "degrees", "both"),
     [
-        ("k = 5 N/m, b = 2 N·s/m", "k = 5 N·m/rad, b = 2 N·m·s/rad", "k = 5 N/m or N·m/rad, b = 2 N·s/m or N·m·s/rad"),
-        ("0.2 kg at 3 mm or 4 µm", "0.2 kg·m² at 3 mrad or 4 µrad", None),
-        ("a number > 0 (m)", "a number > 0 (rad)", "a number > 0 (m or rad)"),
-        ("points [m/s, N] in m, in N", "points [rad/s, N·m] in rad, in N·m", None),
-        ("1e-9 m per count, 2 N per count", "1e-9 rad per count, 2 N·m per count", None),
-        ("position  m", "position  rad", "position  m or rad"),
-        ("$m$ = 2, K T²/m, a hand m, --push N, 3 ms", "$m$ = 2, K T²/m, a hand m, --push N, 3 ms", None),
-        ("2 newton, 3 metres", "2 N·m, 3 radians", None),
+        (5.0, "N/m", "5 N/m", "5 N·m/rad", "5 N·m/rad", "5 N/m or N·m/rad"),
+        (2.0, "N·s/m", "2 N·s/m", "2 N·m·s/rad", "2 N·m·s/rad", "2 N·s/m or N·m·s/rad"),
+        (0.2, "kg", "0.2 kg", "0.2 kg·m²", "0.2 kg·m²", "0.2 kg or kg·m²"),
+        (0.5, "m", "0.5 m", "0.5 rad", "28.6479°", "0.5 m or rad"),
+        (0.003, "mm", "3 mm", "3 mrad", "0.171887°", "3 mm or mrad"),
+        (2.0, "m/s", "2 m/s", "2 rad/s", "114.592°/s", "2 m/s or rad/s"),
+        (1e-3, "mN", "1 mN", "1 mN·m", "1 mN·m", "1 mN or mN·m"),
+        ("0.1, 0.2", "m", "0.1, 0.2 m", "0.1, 0.2 rad", "0.1, 0.2°", "0.1, 0.2 m or rad"),
     ],
 )
-def test_a_sentence_is_translated_unit_by_unit(line: str, rotary: str, both: str | None) -> None:
-    turns, mixed = Units(["rotary"]), Units(["linear", "rotary"])
-    assert (LINEAR(line), turns(line)) == (line, rotary)
-    assert turns(str(turns(line))) == rotary
-    if both is not None:
-        assert mixed(line) == both
-    assert mixed(str(mixed(line))) == mixed(line)
+def test_a_quantity_has_the_unit_of_its_motion(
+    value: float | str, unit: str, linear: str, rotary: str, degrees: str, both: str
+) -> None:
+    every = LINEAR, Units.of(["rotary"]), Units.of(["rotary"], in_degrees=True), Units.of(MOTIONS, in_degrees=True)
+    assert [units(value, unit) for units in every] == [linear, rotary, degrees, both]
+
+
+def test_a_unit_alone_and_within_a_text_of_ours() -> None:
+    turns = Units.of(["rotary"], in_degrees=True)
+    assert (turns.name("m per count"), turns.si.name("m per count")) == ("° per count", "rad per count")
+    assert turns.si.filled("points [‹m/s›, ‹N›], m of N") == "points [rad/s, N·m], m of N"
+    assert Units.said_by(["linear", "rotary"]).name("N") == "N or N·m"
+    assert Units.said_by(None) == Units.of([])
 
 
 def test_check_of_a_knob_marks_where_the_hand_is_and_says_what_repeats(hapsim: Hapsim) -> None:
     told = hapsim("check", "knob_24", "--at", "15deg").out
-    assert "detent repeats every 261.8 mrad" in told
+    assert "detent repeats every 15°" in told
     (here,) = (line for line in told.splitlines() if line.rstrip().endswith("stable ←"))
-    assert here.split()[:3] == ["196.3", "to", "327.2"]
+    assert here.split()[:3] == ["11.25", "to", "18.75"]
     wrong = hapsim("check", "button", "--at", "-4.3")
     assert wrong.status == 2
     assert "--at: found -4.3, which is -4.3 m; write -4.3mm if you meant mm" in wrong.err
@@ -175,15 +185,42 @@ def test_names_that_look_like_units_stay_as_they_were_written(
     assert "damping: found -1, expected a number >= 0 (N·m·s/rad)" in told
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("moves m by 5 m", "moves m by 5 rad"),
-        ("at 3 N, (N, by m), m/s of N", "at 3 N·m, (N, by m), rad/s of N"),
-        ("run at 5 m.trace: 5 m.trace 5 m", "run at 5 m.trace: 5 rad.trace 5 rad"),
-        ("N·s/m and N/m, m 44%", "N·m·s/rad and N·m/rad, m 44%"),
-    ],
-)
-def test_behind_a_number_a_unit_is_a_unit(text: str, told: str) -> None:
-    assert Units(["rotary"], ["m", "N", "run at 5 m.trace", "wall"])(text) == told
-    assert LINEAR.keeping(["m"])(text) == text
+IN_DEGREES = KNOB.replace("[-1.5, 1.5]", "[-90 deg, 1.5]").replace("position: 0.1", "position: 5°")
+
+
+def test_a_scene_with_degrees_is_answered_in_degrees(hapsim: Hapsim, tmp_path: Path) -> None:
+    scene, picture = tmp_path / "knob.yaml", tmp_path / "picture.svg"
+    scene.write_text(IN_DEGREES, encoding="utf-8")
+    told = " ".join(hapsim("check", scene, "--at", "0.1").out.split())
+    assert "hand of 2e-05 kg·m², friction 0.0001 N·m·s/rad" in told
+    assert "knob: k 0.05 " in told
+    assert "Travel: -90 to 85.9437°. Outside, the force fades to zero within 17.5944°" in told
+    assert "Origin: position 0 is where the device says 1.14592°" in told
+    for command in ("measure", "chart force"):
+        assert hapsim(*command.split(), scene, "--picture", picture).status == 0
+        assert "(°)" in picture.read_text("utf-8")
+        assert "rad)" not in picture.read_text("utf-8").replace("N·m/rad)", "").replace("N·m·s/rad)", "")
+    far = hapsim("measure", scene, "--at", "1.6")
+    assert far.status == 2
+    assert "at: found 91.6732°, beyond the travel" in far.err or "found 91.6732°, which knob does not reach" in far.err
+
+
+def test_programs_and_records_stay_in_rad_where_people_read_degrees(hapsim: Hapsim, tmp_path: Path) -> None:
+    scenes = {name: tmp_path / f"{name}.yaml" for name in ("deg", "rad")}
+    scenes["deg"].write_text(IN_DEGREES, encoding="utf-8")
+    scenes["rad"].write_text(IN_DEGREES.replace("-90 deg", str(-math.pi / 2)).replace("5°", str(math.radians(5.0))))
+    documents = [hapsim("check", path, "--json").out.replace(name + ".yaml", "") for name, path in scenes.items()]
+    assert documents[0] == documents[1]
+    scene = load_scene(scenes["deg"])
+    assert (scene.units.name("m"), scene.units_of(0).si.name("m")) == ("°", "rad")
+    assert scene.model_copy().units.in_degrees
+    assert not load_scene(scenes["rad"]).units.in_degrees
+
+
+def test_the_live_line_of_a_scene_with_degrees(tmp_path: Path) -> None:
+    scene = tmp_path / "knob.yaml"
+    scene.write_text(IN_DEGREES, encoding="utf-8")
+    load(str(scene))
+    progress = Progress(phase="running", position=(math.radians(12.0),), force=(0.25,))
+    assert "+12.00° +0.250 N·m" in _Words().of(progress)
+    speak_in(LINEAR)

@@ -284,11 +284,11 @@ class Probing:
     @property
     def units(self) -> Units:
         """The units of the device's channels, as far as it said so."""
-        return Units(() if self.description is None else self.description.motions)
+        return Units.of(() if self.description is None else self.description.motions)
 
     def units_of(self, channel: int) -> Units:
         """The units of one of the device's channels."""
-        return Units(self.device.motions[channel : channel + 1])
+        return Units.of(self.device.motions[channel : channel + 1])
 
     @property
     def device(self) -> Description:
