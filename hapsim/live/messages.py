@@ -163,7 +163,10 @@ class Channel(_Answer):
     """Of its point."""
     motion: Literal["linear", "rotary"]
     unit_position: str
+    """Of the values in messages, SI."""
     unit_force: str
+    in_degrees: bool
+    """Whether people read its angles in degrees, as the scene writes them."""
     force_limit: float
     travel: tuple[float | None, float | None]
     """None where the scene names no bound."""
@@ -264,8 +267,9 @@ def channels_of(scene: Scene) -> list[Channel]:
             channel=i,
             name=names.get(i, ""),
             motion=motion,
-            unit_position="rad" if motion == "rotary" else "m",
-            unit_force="N·m" if motion == "rotary" else "N",
+            unit_position=scene.units_of(i).si.name("m"),
+            unit_force=scene.units_of(i).name("N"),
+            in_degrees=scene.units_of(i).in_degrees,
             force_limit=scene.device.force_limit,
             travel=travels[i],
             hand=Drag(stiffness=scale.drag_stiffness, damping=scale.drag_damping, reach=scale.reach),

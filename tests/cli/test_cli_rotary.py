@@ -16,6 +16,7 @@ from hapsim.cli.options import load
 from hapsim.cli.output import speak_in, stdout
 from hapsim.cli.status import show_status
 from hapsim.errors import UsageError
+from hapsim.live.messages import channels_of
 from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.scene import load_scene
@@ -224,3 +225,12 @@ def test_the_live_line_of_a_scene_with_degrees(tmp_path: Path) -> None:
     progress = Progress(phase="running", position=(math.radians(12.0),), force=(0.25,))
     assert "+12.00° +0.250 N·m" in _Words().of(progress)
     speak_in(LINEAR)
+
+
+def test_the_page_gets_values_in_rad_and_that_people_read_degrees(knob: Path) -> None:
+    (channel,) = channels_of(load_scene(knob))
+    assert (channel.unit_position, channel.in_degrees) == ("rad", False)
+    knob.write_text(IN_DEGREES, encoding="utf-8")
+    (channel,) = channels_of(load_scene(knob))
+    assert (channel.unit_position, channel.unit_force, channel.in_degrees) == ("rad", "N·m", True)
+    assert channel.travel == (-math.pi / 2, 1.5)

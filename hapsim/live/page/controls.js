@@ -54,10 +54,11 @@ export function makeControls(place, parameters, plan, apply) {
     name.title = one.description;
     const unit = document.createElement("span");
     unit.className = "unit";
-    unit.textContent = one.unit;
+    const [shownUnit, factor] = one.shown;
+    unit.textContent = shownUnit;
     const reset = document.createElement("button");
     reset.textContent = "↺";
-    reset.title = `back to ${short(one.value) === "–" ? one.value : short(one.value)}`;
+    reset.title = `back to ${short(one.value) === "–" ? one.value : short(one.value * factor)}`;
     reset.onclick = () => touched(apply)({ [one.name]: one.value });
     /** @type {{parts: HTMLElement[], show: (value: any) => void}} */
     const inputs = one.kind === "number" ? numbers(one, touched(plan), touched(apply), refuse) : words(one, touched(apply));
@@ -67,7 +68,7 @@ export function makeControls(place, parameters, plan, apply) {
     place.append(row);
     let now = one.value;
     const say = () => {
-      const why = refused.get(one.name), written = (/** @type {any} */ value) => (typeof value === "number" ? `${value} ${one.unit}`.trim() : value);
+      const why = refused.get(one.name), written = (/** @type {any} */ value) => (typeof value === "number" ? `${Number((value * factor).toPrecision(12))} ${shownUnit}`.trim() : value);
       refuseAt(row, why ? `${written(why.typed)} was refused, ${written(now)} stays: ${why.reason}` : "", () => refused.delete(one.name));
     };
     rows.set(one.name, { show: (value = now) => (inputs.show((now = value)), say()), say });
@@ -78,25 +79,25 @@ export function makeControls(place, parameters, plan, apply) {
 
 /** @param {any} one @param {(values: any) => void} plan @param {(values: any) => void} apply @param {(values: any, reason: string) => void} refuse */
 function numbers(one, plan, apply, refuse) {
-  const [low, high] = one.span, isLog = one.logarithmic && low > 0;
+  const [low, high] = one.span, [unit, factor] = one.shown, isLog = one.logarithmic && low > 0;
   const slider = document.createElement("input"), box = document.createElement("input");
   Object.assign(slider, { type: "range", min: "0", max: "1000", step: "1" });
-  Object.assign(box, { type: "number", step: "any", ...(one.least === null ? {} : { min: one.least }) });
-  box.setAttribute("aria-label", `${one.name}, ${one.unit}`);
+  Object.assign(box, { type: "number", step: "any", ...(one.least === null ? {} : { min: one.least * factor }) });
+  box.setAttribute("aria-label", `${one.name}, ${unit}`);
   const value = () => {
     const share = Number(slider.value) / 1000;
     return Number((isLog ? low * (high / low) ** share : low + (high - low) * share).toPrecision(4));
   };
   slider.oninput = () => {
-    box.value = short(value());
+    box.value = short(value() * factor);
     plan({ [one.name]: value() });
   };
   slider.onchange = () => apply({ [one.name]: value() });
-  box.onchange = () => (box.value === "" ? refuse({ [one.name]: "what was typed" }, "expected a number") : apply({ [one.name]: Number(box.value) }));
+  box.onchange = () => (box.value === "" ? refuse({ [one.name]: "what was typed" }, "expected a number") : apply({ [one.name]: Number(box.value) / factor }));
   const show = (/** @type {number} */ now) => {
     const share = isLog ? Math.log(Math.max(now, low) / low) / Math.log(high / low) : (now - low) / (high - low);
     slider.value = String(Math.round(1000 * share));
-    box.value = short(now);
+    box.value = short(now * factor);
   };
   return { parts: [slider, box], show };
 }

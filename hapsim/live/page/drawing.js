@@ -44,6 +44,13 @@ export function line(context, x, y, to, down) {
   context.stroke();
 }
 
+/** How a quantity in SI units is shown: an angle in degrees where the scene writes it so. @param {string} unit @param {boolean} inDegrees
+ * @returns {[string, number]} the unit, and how many of it one SI unit is */
+export function shownIn(unit, inDegrees) {
+  if (!inDegrees || !["rad", "rad/s"].includes(unit)) return [unit, 1];
+  return [unit.replace("rad", "°"), 180 / Math.PI];
+}
+
 /** Round numbers between two. @param {number} least @param {number} most @param {number} about */
 export function ticks(least, most, about) {
   const raw = (most - least) / about, unit = 10 ** Math.floor(Math.log10(raw));

@@ -3,7 +3,7 @@
 
 import { Connection } from "./connection.js";
 import { makeControls, refuseAt } from "./controls.js";
-import { line, prepared, short } from "./drawing.js";
+import { line, prepared, short, shownIn } from "./drawing.js";
 import { drawHistogram } from "./histogram.js";
 import { Plane } from "./plane.js";
 import { Samples } from "./samples.js";
@@ -72,7 +72,9 @@ async function describe() {
   document.title = `${model.title} · hapsim`;
   part("title").textContent = model.title;
   offer();
-  controls = makeControls(part("parameters"), model.parameters, (values) => predict(values, false), apply);
+  const inDegrees = model.channels.every((/** @type {any} */ one) => one.in_degrees);
+  const parameters = model.parameters.map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, inDegrees) }));
+  controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   part("hand-part").hidden = !model.has_mock;
@@ -88,7 +90,7 @@ async function describe() {
 function offer() {
   const channels = model.channels.flatMap((/** @type {any} */ one) =>
     ["position", "velocity", "force"].map((name, quantity) => {
-      const unit = [one.unit_position, `${one.unit_position}/s`, one.unit_force][quantity];
+      const [unit] = shownIn([one.unit_position, `${one.unit_position}/s`, one.unit_force][quantity], one.in_degrees);
       return new Option(model.channels.length > 1 ? `${name} of ${one.name}` : name, `${quantity} ${one.channel} ${unit}`);
     }),
   );
@@ -102,6 +104,13 @@ function offer() {
   choose(false);
 }
 
+/** @param {string} unit in which the scope shows its values */
+function show(unit) {
+  scope.unit = unit;
+  scope.factor = unit.startsWith("°") ? 180 / Math.PI : 1;
+  scope.trigger.level = Number(part("level").value) / scope.factor;
+}
+
 /** @param {boolean} [asks] whether what is watched may change */
 async function choose(asks = true) {
   const [quantity, channel, unit] = part("what").value.split(" ");
@@ -109,13 +118,15 @@ async function choose(asks = true) {
   part("place").hidden = !module || module.masses === null;
   if (!module) {
     scope.what = { quantity: Number(quantity), channel: Number(channel) };
-    scope.unit = unit;
+    show(unit);
     return;
   }
   const middle = module.columns ? `${Math.floor(module.masses / module.columns / 2)}.${Math.floor(module.columns / 2)}` : String(Math.floor(module.masses / 2));
   if (part("place").dataset.of !== channel) [part("place").value, part("place").dataset.of] = [middle, channel];
   const name = module.masses === null ? channel : `${channel}.${part("place").value}`;
-  [scope.what, scope.unit] = [null, model.channels[0]?.unit_position ?? "m"];
+  scope.what = null;
+  const first = model.channels[0];
+  show(shownIn(first?.unit_position ?? "m", Boolean(first?.in_degrees))[0]);
   if (name === watched) return;
   watched = name;
   if (asks) await subscribe(0);
@@ -192,7 +203,8 @@ function feel(predicted, isApplied) {
     part("hand").selectedIndex = plane.hand;
   }
   plane.channel = predicted.hands[plane.hand]?.channel ?? 0;
-  plane.isRotary = model.channels[plane.channel]?.motion === "rotary";
+  const of = model.channels[plane.channel];
+  [plane.isRotary, plane.inDegrees] = [of?.motion === "rotary", Boolean(of?.in_degrees)];
   plane.show(predicted, isApplied);
 }
 
@@ -254,7 +266,7 @@ part("slope").onclick = () => {
   scope.freeze(false);
 };
 part("level").oninput = () => {
-  scope.trigger.level = Number(part("level").value);
+  scope.trigger.level = Number(part("level").value) / scope.factor;
   scope.freeze(false);
 };
 part("hand").onchange = () => {

@@ -15,7 +15,7 @@ export class Plane {
     this.planned = null; // while a slider moves
     this.hand = 0;
     this.channel = 0; // the hand's
-    this.isRotary = false;
+    this.isRotary = this.inDegrees = false;
   }
 
   /** @param {any} predicted @param {boolean} isApplied */
@@ -29,7 +29,7 @@ export class Plane {
     const isHeld = !hand?.region || hand.region.kind === "held"; // a snap and free space have no k and b of a spring
     this.felt.textContent = hand
       ? `${pair(hand.asked).join(" and ")}${isHeld ? ` feel like ${short(hand.k)} and ${short(hand.b)}` : ""}${own && ` (the device's own ${own} included)`}\n` +
-        `${verdict(now, hand, this.isRotary ? "mrad" : "mm")}${this.planned ? ", not applied yet" : ""}${margin(hand)}`
+        `${verdict(now, hand, this.inDegrees ? "°" : this.isRotary ? "mrad" : "mm")}${this.planned ? ", not applied yet" : ""}${margin(hand)}`
       : `${now.stable ? "stable" : "unstable"}${now.states && ` ${now.states}`} (spectral radius ${short(now.spectral_radius)})`;
     for (const { names, k, b } of now.together ?? [])
       for (const [i, name] of names.entries()) {
@@ -119,7 +119,7 @@ function shade(context, look, plane, x, y) {
 function verdict(now, hand, unit) {
   const region = hand.region, whole = now.stable ? "stable" : "unstable";
   if (!region) return whole;
-  const ends = [region.low_m, region.high_m].map((one) => (one === null ? "…" : String(Number((1e3 * one).toPrecision(4)))));
+  const ends = [region.low_m, region.high_m].map((one) => (one === null ? "…" : String(Number(((unit === "°" ? 180 / Math.PI : 1e3) * one).toPrecision(4)))));
   const kinds = { held: "stable", free: "no spring", snap: "a snap drives the hand on" };
   const here = region.stable ? kinds[/** @type {keyof kinds} */ (region.kind)] : "unstable";
   return `from ${ends.join(" to ")} ${unit}: ${here}${!now.stable && region.stable ? "; unstable elsewhere" : ""}`;

@@ -18,7 +18,8 @@ export class Scope {
     this.spanS = 2;
     /** @type {{quantity: number, channel: number} | null} */
     this.what = { quantity: 0, channel: 0 };
-    this.unit = "m";
+    this.unit = "m"; // in which it is shown,
+    this.factor = 1; // and how many of it one SI unit is
     /** @type {number | null} */
     this.frozenAt = null; // the place at which the picture ends; null: it runs
     /** @type {number | null} */
@@ -121,9 +122,10 @@ export class Scope {
     const y = (/** @type {number} */ value) => bottom - ((value - least) / (most - least)) * (bottom - TOP);
     context.fillStyle = look.quiet;
     context.strokeStyle = look.line;
-    for (const tick of ticks(least, most, 5)) {
+    for (const shown of ticks(least * this.factor, most * this.factor, 5)) {
+      const tick = shown / this.factor;
       context.textAlign = "right";
-      context.fillText(short(tick), LEFT - 8, y(tick) + 4);
+      context.fillText(short(shown), LEFT - 8, y(tick) + 4);
       line(context, LEFT, y(tick), right, y(tick));
     }
     context.textAlign = "left";
@@ -164,7 +166,7 @@ export class Scope {
     const isLeft = this.pointer < (LEFT + right) / 2, ago = this.samples.count * this.samples.period - second;
     context.textAlign = isLeft ? "left" : "right";
     context.fillStyle = look.ink;
-    written(context, look, `${short(value)} ${this.unit}, ${ago.toFixed(3)} s ago`, this.pointer + (isLeft ? 8 : -8), TOP + 12);
+    written(context, look, `${short(value * this.factor)} ${this.unit}, ${ago.toFixed(3)} s ago`, this.pointer + (isLeft ? 8 : -8), TOP + 12);
     context.beginPath();
     context.arc(this.pointer, y(value), 3, 0, 7);
     context.fill();
