@@ -46,7 +46,7 @@ def shown(file: str) -> dict[str, Any]:
     scene = load_scene(file)
     description = Description("test", scene.rate, 0b111, 200, (1e-6,), (1e-3,), (10.0,))
     loop = LoopMemory(Connection(None, "mock", lambda: None), description, False, scene.device.clock)  # type: ignore[arg-type]
-    loop.record.slot.substeps = 1
+    loop.rendered_scene, loop.record.slot.substeps = scene, 1
     loop.state.odd_ticks += COUNTED
     statistics, progress = statistics_of(loop), progress_of(loop)
     report: Any = report_of(scene, loop, "done")
