@@ -127,8 +127,6 @@ class Setting(NamedTuple):
     behind_port: bool = False
     judges_energy: bool = False
     judges_sign: bool = False
-    acting_delay: float = 0.0
-    """Samples from a position to the change of its force, on the device's wire."""
     first_late: str = ""
     """How late the first forces may be, and why, if most of them are and the scene is unstable then."""
 
