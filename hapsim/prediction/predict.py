@@ -164,14 +164,11 @@ class Prediction:
     @cached_property
     def judge(self) -> Judge:
         """Who says whether the scene is stable."""
-        held = {
-            name
-            for name, regions in self.regions.items()
-            if self._at is not None and any(one.kind == "held" and one.is_stable for one in regions)
-        }
+        regions = self.regions.items() if self._at is not None else ()
+        held = {name for name, every in regions if any(one.kind == "held" and one.is_stable for one in every)}
         loose = tuple(felt for felt in self._lone if not felt.stable and felt.name not in held)
-        regions = {name: one for name, one in self._every_region.items() if not has_more_than_regions(self._seen, name)}
-        return Judge(self._network, self.points, self.is_lone, regions, loose, self.states)
+        judged = {name: one for name, one in self._every_region.items() if not has_more_than_regions(self._seen, name)}
+        return Judge(self._network, self.points, self.is_lone, judged, loose, self.states)
 
     @property
     def by_its_scheme(self) -> bool:
@@ -376,8 +373,7 @@ def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None =
 
 def predict_on_wire(scene: Scene) -> Prediction | None:
     """What the hand will feel on a UART, with `WireTime.delay_samples` in place of one, where the scene's own wire is
-    none or its pace is not known, as `predict` says it of others. None where a UART costs one sample or is saturated.
-    """
+    none or its pace is not known. None where a UART costs one sample or is saturated."""
     samples = 1 if wire_of(scene) in PACED else wire_time_of(scene).delay_samples
     return None if samples in (None, 1) else predict(with_wire_delay(scene, samples), with_margins=False)
 
@@ -392,9 +388,8 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
 
 
 def is_soon_stable(scene: Scene, most_states: int) -> bool:
-    """Whether `surely_shaken_by` finds nothing, where that is quick to find out, as of a stream of changes: False says
-    nothing. Hands that are all there is are judged one by one, and only those that changed. `most_states`: as of
-    `Judge.is_soon_stable`."""
+    """Whether `surely_shaken_by` finds nothing, where that is quick to find out; False says nothing. Hands that are all
+    there is are judged one by one, and only those that changed. `most_states`: as of `Judge.is_soon_stable`."""
     hands = scene.device_points.keys()
     is_lone = not scene.structures and not scene.material_points and len(hands) > 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):
