@@ -75,7 +75,9 @@ def check(
         _ = prediction.margins  # while that is said
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
-    of_slew = _slew_warnings(loaded, prediction)
+    refused = refused_slew(loaded)
+    of_slew = [f"{refused}: `hapsim run` refuses this scene." if refused else "", slow_slew(loaded, prediction)]
+    of_slew = [one for one in of_slew if one]
     warnings = [*of_slew, *(one for one in warnings_about(loaded, prediction) if one not in of_slew)]
     if json:
         compiled = explanation and pick(explanation, "* share")
@@ -115,13 +117,6 @@ def _sound_peaks(scene: Scene) -> dict[str, float]:
         with contextlib.suppress(GuardError):
             session.close()
     return session.sound_peaks
-
-
-def _slew_warnings(scene: Scene, prediction: Prediction) -> list[str]:
-    """Returns what the slew limit takes from what is predicted without it."""
-    refused = refused_slew(scene)
-    warnings = [f"{refused}: `hapsim run` refuses this scene." if refused else "", slow_slew(scene, prediction)]
-    return list(filter(None, warnings))
 
 
 def _show_verdict(out: Console, scene: str, stability: str, rate: float) -> None:
@@ -232,8 +227,7 @@ def _guards(scene: Scene, prediction: Prediction) -> Iterator[str]:
     silence = duration(host_silence(prediction.rate).zero_force_after_s)
     yield (
         f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy {bounds.energy_limit:g} "
-        "J; zero force "
-        f"{silence} after the host dies"
+        f"J; zero force {silence} after the host dies"
     )
 
 

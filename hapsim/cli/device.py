@@ -20,9 +20,7 @@ Link = Annotated[Path | None, option("PATH", "Also give the port this name (a li
 def mock(
     scene: SceneFile,
     link: Link = None,
-    realtime: Annotated[
-        bool, flag("--realtime", "Keep time as hardware does: before every program, where permitted.")
-    ] = False,
+    realtime: bool = flag("--realtime", "Keep time as hardware does: before every program, where permitted."),
     json: Json = False,
 ) -> None:
     """Serve the scene's mock device on a pseudo-terminal until Ctrl-C, and print its path."""

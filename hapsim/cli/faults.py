@@ -8,14 +8,14 @@ import os
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from hapsim.bringup.faults import KINDS, Injector, load_script, parse_script
 from hapsim.bringup.faults.relay import PassingTimes, Relay
 from hapsim.cli.live import live_line, live_words
-from hapsim.cli.options import Baud, Json, flag, load, option, seconds
+from hapsim.cli.options import Baud, Json, argument, flag, load, option, seconds
 from hapsim.cli.output import complain, document, failure_document, stderr, stdout, table
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble import assemble_mock
@@ -34,19 +34,14 @@ if TYPE_CHECKING:
 
 
 def faults(
-    scripts: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="SCRIPT", help="Which faults happen when, in YAML; or a name of --list."),
-    ] = None,
-    port: Annotated[str | None, option("DEV", "The device's port.")] = None,
-    scene: Annotated[str | None, option("SCENE", "In place of a port: this scene's mock, started for it.")] = None,
-    path: Annotated[Path | None, option("NAME", "Also give the port for the host this name (a link).")] = None,
+    scripts: list[str] | None = argument("SCRIPT", "Which faults happen when, in YAML; or a name of --list."),
+    port: str | None = option("DEV", "The device's port."),
+    scene: str | None = option("SCENE", "In place of a port: this scene's mock, started for it."),
+    path: Path | None = option("NAME", "Also give the port for the host this name (a link)."),
     baud: Baud = 2_000_000,
-    seed: Annotated[
-        int | None, typer.Option(min=0, max=2**32 - 1, help="Seed of the random faults [default: the script's]")
-    ] = None,
-    duration: Annotated[float | None, seconds("Duration in seconds [default: until Ctrl-C]")] = None,
-    list_: Annotated[bool, flag("--list", "List the kinds of faults, and the scripts that ship.")] = False,
+    seed: int | None = option(None, "Seed of the random faults [default: the script's]", min=0, max=2**32 - 1),
+    duration: float | None = seconds("Duration in seconds [default: until Ctrl-C]"),
+    list_: bool = flag("--list", "List the kinds of faults, and the scripts that ship."),
     json: Json = False,
 ) -> None:
     """Inject faults: relay between host and device and apply SCRIPT.

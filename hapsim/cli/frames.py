@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
@@ -20,7 +20,7 @@ from firmware_protocol import schema
 from firmware_protocol.capture import REASONS, Capture, Decoded, Refused
 from firmware_protocol.frames import SETUP, Format
 from hapsim.cli.live import live_words
-from hapsim.cli.options import Baud, Json, flag, option, seconds
+from hapsim.cli.options import Baud, Json, argument, flag, option, seconds
 from hapsim.cli.output import complain, failure_document, say, speak_in, spoken, stderr
 from hapsim.cli.streams import output_ended
 from hapsim.device.connection import Connection
@@ -44,16 +44,13 @@ Piece = tuple[bytes, float | None]
 
 
 def frames(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="FILE|PORT", help="A capture, raw bytes, or a report file; - for standard input; or a serial port."
-        ),
-    ],
-    sender: Annotated[str, option("WHO", "Whose frames to look for: host, device or both.", "--from")] = "both",
-    hex_too: Annotated[bool, flag("--hex", "Show the bytes of every frame too.")] = False,
+    source: str = argument(
+        "FILE|PORT", "A capture, raw bytes, or a report file; - for standard input; or a serial port.", default=...
+    ),
+    sender: str = option("WHO", "Whose frames to look for: host, device or both.", "--from", default="both"),
+    hex_too: bool = flag("--hex", "Show the bytes of every frame too."),
     baud: Baud = 2_000_000,
-    duration: Annotated[float | None, seconds("Seconds to listen to a port [default: until Ctrl-C]")] = None,
+    duration: float | None = seconds("Seconds to listen to a port [default: until Ctrl-C]"),
     json: Json = False,
 ) -> None:
     """Decode the frames of a capture, a report file or a serial port, field by field, and show what is refused.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from hapsim.bringup.probe import Leave, judge, open_wire, steps_of
 from hapsim.cli.live import live_words
-from hapsim.cli.options import Json, option, require_positive
+from hapsim.cli.options import Json, argument, option, require_positive
 from hapsim.cli.output import complain, document, speak_in, stderr, stdout
 from hapsim.device.ports import is_new
 from hapsim.errors import UsageError
@@ -25,20 +25,16 @@ if TYPE_CHECKING:
 
 
 def probe(
-    port: Annotated[str, typer.Argument(metavar="PORT", help="The device's serial port (`hapsim ports` lists them).")],
-    baud: Annotated[int, option("B", "Baud rate of the device's port, bit/s.")] = 2_000_000,
-    push: Annotated[
-        float | None, option("N", "Allow pushes of at most N newton, for example 0.5 [default: zero force only]")
-    ] = None,
-    travel: Annotated[
-        float | None, option("M", "With --push: stop if the device moves farther, in m [default: 0.005 m, 0.2 rad]")
-    ] = None,
-    mass: Annotated[
-        float | None, option("KG", "With --push: moving mass, hand included, in kg; tests the scales.")
-    ] = None,
-    channel: Annotated[int, typer.Option(help="With --push: the channel that is pushed.")] = 0,
-    only: Annotated[list[str] | None, option("STEP", "This step alone; may be repeated.")] = None,
-    until: Annotated[str | None, option("STEP", "The steps up to this one.")] = None,
+    port: str = argument("PORT", "The device's serial port (`hapsim ports` lists them).", default=...),
+    baud: int = option("B", "Baud rate of the device's port, bit/s.", default=2_000_000),
+    push: float | None = option("N", "Allow pushes of at most N newton, for example 0.5 [default: zero force only]"),
+    travel: float | None = option(
+        "M", "With --push: stop if the device moves farther, in m [default: 0.005 m, 0.2 rad]"
+    ),
+    mass: float | None = option("KG", "With --push: moving mass, hand included, in kg; tests the scales."),
+    channel: int = option(None, "With --push: the channel that is pushed.", default=0),
+    only: list[str] | None = option("STEP", "This step alone; may be repeated."),
+    until: str | None = option("STEP", "The steps up to this one."),
     json: Json = False,
 ) -> None:
     """Judge the device at PORT against the protocol, check by check, in the order of bringing up a firmware.
