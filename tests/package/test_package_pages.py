@@ -1,0 +1,43 @@
+"""What the pages name exists: files, and the functions, classes and tables in them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+TRACKED = subprocess.run(["git", "ls-files"], cwd=REPOSITORY, capture_output=True, text=True, check=True).stdout.split()
+PAGES = [one for one in TRACKED if one.endswith(".md") and one != "CHANGELOG.md"]
+PLACEHOLDER = "NAME"
+
+_FILE = r"((?:[\w-]+/)*[\w-]+\.(?:py|js|c|h))"
+
+
+def of_name(name: str) -> list[str]:
+    """The files that a page may mean by this end of a path."""
+    return [one for one in TRACKED if f"/{one}".endswith(f"/{name}")]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_file_that_a_page_names_exists(page: str) -> None:
+    named = set(re.findall(f"`{_FILE}`", (REPOSITORY / page).read_text("utf-8")))
+    assert [one for one in sorted(named) if PLACEHOLDER not in one and not of_name(one)] == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_what_a_page_places_in_a_file_stands_there(page: str) -> None:
+    placed = re.findall(
+        rf"`([A-Za-z_]\w*)`(?:\s+and\s+`([A-Za-z_]\w*)`)?\s+(?:in|of)\s+`{_FILE}`",
+        (REPOSITORY / page).read_text("utf-8"),
+    )
+    wrong = [
+        f"{name} in {file}"
+        for *names, file in placed
+        for name in filter(None, names)
+        if PLACEHOLDER not in file
+        and not any(re.search(rf"\b{name}\b", (REPOSITORY / one).read_text("utf-8")) for one in of_name(file))
+    ]
+    assert wrong == []
