@@ -127,8 +127,7 @@ def table1(
     if 2.0 * b - b0 < 0.0:
         raise UsageError(
             f"{hand.name} feels b = {hand.units(b, 'N·s/m', '.4g')}, less than half of its real friction of {b0:.4g}: "
-            "no real "
-            "damper does that; omit --as-scene, or give more damping"
+            "no real damper does that; omit --as-scene, or give more damping"
         )
     built = {
         "I": (k, b, 0.0, 0.0),

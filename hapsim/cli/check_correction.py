@@ -30,8 +30,7 @@ def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iter
             mass, friction, delay = (_within(*span) for span in (one.mass, one.friction, one.delay))
             yield (
                 f"{escape(felt.name)} feels what is desired within {one.share:.0%} where its mass is "
-                f"{units(mass, 'kg')}, its "
-                f"friction {units(friction, 'N·s/m')}, or the delay {delay} samples"
+                f"{units(mass, 'kg')}, its friction {units(friction, 'N·s/m')}, or the delay {delay} samples"
             )
 
 

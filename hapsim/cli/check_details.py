@@ -332,8 +332,7 @@ def count_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
             yield (
                 f"{felt.name}: one count of {units(count, 'm', 3)} is worth {units(stiffness, 'N', 3)} of stiffness "
                 f"and {units(damping, 'N', 3)} of damping, of {units(limit, 'N', 'g')}: finer counts, or a filtered or "
-                "sensed damper, "
-                "make it smoother."
+                "sensed damper, make it smoother."
             )
     if mock.misses:
         yield f"mock.misses: {mock.misses:.3g} of the forces come too late on this mock, as in no prediction."

@@ -412,8 +412,7 @@ def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | N
         of = f"{units(_low_to_high(ranges[0]), 'kg')} and {units(_low_to_high(ranges[1]), 'N/m')} more"
         yield (
             f"Hands on {_who(one)} of {of}: {verdict}; the worst, {_hands(one, worst, units)}, has a spectral radius "
-            "of "
-            f"{number(worst.spectral_radius, 9)}"
+            f"of {number(worst.spectral_radius, 9)}"
         )
 
 

@@ -229,14 +229,12 @@ def _sentences(found: DeviceIdentification) -> list[str]:
     if _is_seen(found.coulomb):
         sentences.append(
             f"It has dry friction, {units(_rounded(found.coulomb), 'N')}, for which `device` has no key: the "
-            "prediction leaves "
-            "it out, and what the hand feels is damped more. `mock.coulomb` gives it to the mock."
+            "prediction leaves it out, and what the hand feels is damped more. `mock.coulomb` gives it to the mock."
         )
     if abs(found.constant_force.value) > _SEEN * found.constant_force.uncertainty:
         sentences.append(
             f"A constant force of {units(_rounded(found.constant_force), 'N')} acts where it was found: gravity, an "
-            "offset of "
-            "the force, or a spring that rests elsewhere."
+            "offset of the force, or a spring that rests elsewhere."
         )
     if found.seen_rate is not None and found.seen_rate.differs_from(found.rate_hz):
         sentences.append(

@@ -69,7 +69,9 @@ def position(at: str | None, scene: Any) -> float | None:
     """Returns the position that --at names, m, of a rotary scene rad; it may have a unit. Raises UsageError."""
     if at is None:
         return None
-    sizes = {"mrad": 1e-3, "rad": 1.0, "deg": math.pi / 180.0} if scene.units.is_rotary else {"mm": 1e-3, "m": 1.0}
+    degree = math.pi / 180.0
+    angles, lengths = {"mrad": 1e-3, "rad": 1.0, "deg": degree, "°": degree}, {"mm": 1e-3, "m": 1.0}
+    sizes = angles if scene.units.is_rotary else lengths
     unit = next((unit for unit in sizes if at.endswith(unit)), "")
     try:
         value = float(at.removesuffix(unit)) * sizes.get(unit, 1.0)

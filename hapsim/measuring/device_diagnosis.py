@@ -150,8 +150,7 @@ def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float, units
     return (
         f"the model does not fit: it leaves {fit.residual_counts:.3g} counts rms of the positions, where rounding and "
         f"noise explain {expected:.2g}. The force that it lacks, {units(_rms(lacking.force), 'N', '.2g')} rms beside "
-        "pushes of "
-        f"{units(lacking.typical_force, 'N', '.2g')} rms, {_where(lacking, units)}."
+        f"pushes of {units(lacking.typical_force, 'N', '.2g')} rms, {_where(lacking, units)}."
     )
 
 
@@ -241,8 +240,7 @@ def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | No
     if unsure > 1.0 and moved > _MANY * pushed.floor:
         return UsageError(
             f"pushed with {units(force, 'N', '.3g')} the device moved by {units(moved, 'mm', '.3g')}, but in jerks, or "
-            "only now and then: "
-            "dry friction holds it, or the record is too short. Allow more with --push and --travel"
+            "only now and then: dry friction holds it, or the record is too short. Allow more with --push and --travel"
         )
     least, most = (factor * allowed for factor in _MORE_TRAVEL)
     travel = min(max(2.0 * unsure / _UNSURE * allowed, least), most)

@@ -191,8 +191,7 @@ class _Pusher:
             raise GuardError(
                 f"without any force the device moved by {units(moved, 'mm', '.3g')}, farther than the "
                 f"{units(self._bounds.travel, 'mm', 'g')} that it may: it was not pushed. Let it rest, or hold it, and "
-                "try "
-                "again (a mock moves by itself where the scene has mock.initial)"
+                "try again (a mock moves by itself where the scene has mock.initial)"
             )
         self._home_counts = float(np.median(counts))
         self._noise_counts = float(np.std(np.diff(counts, 2))) / math.sqrt(6.0)

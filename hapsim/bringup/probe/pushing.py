@@ -107,8 +107,7 @@ class Pusher:
         return (
             f"the position has not changed by one count for {len(acted) / self._rate_hz:.2g} s while force acts "
             f"({self.units(max(acted), 'N', '.3g')} at most): sensor or cable? Move the device by hand: if its "
-            "position changes, it is "
-            "held, or stuck by dry friction, and only then try a greater --push and --travel"
+            "position changes, it is held, or stuck by dry friction, and only then try a greater --push and --travel"
         )
 
     def why_stopped(self) -> str:
