@@ -78,11 +78,13 @@ def parse_scene(text: str, name: str = "<scene>") -> Scene:
     return scene
 
 
-def scene_from_document(data: dict[str, Any]) -> Scene:
-    """The scene of a document, such as `Scene.model_dump` makes. SceneError, with each fault by its path in the
-    document, where it is none."""
+def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
+    """The scene of a document that `Scene.model_dump` made of `origin` and others changed; it answers in the units of
+    `origin`. SceneError, with each fault by its path in the document, where it is none."""
     try:
-        return Scene.model_validate(data)
+        scene = Scene.model_validate(data)
+        scene._in_degrees = origin._in_degrees
+        return scene
     except ValidationError:
         _, issues = _validate(_FILE.document_of(json.dumps(data), "the scene"))
         raise SceneError("; ".join(f"{'.'.join(map(str, one.path))}: {one.sentence}" for one in issues)) from None

@@ -200,6 +200,7 @@ class Varied:
     `rate`. Values are those of the scene's file, in SI units."""
 
     def __init__(self, scene: Scene) -> None:
+        self._scene = scene
         self._document = scene.model_dump(mode="json", exclude_none=True)
         self.name = scene.path or "the scene"
         self.known = sorted(_paths_of(scene))
@@ -228,7 +229,7 @@ class Varied:
             for one in above:
                 part = part.setdefault(one, {})
             part[key] = int(value) if isinstance(value, float) and value.is_integer() else value
-        return scene_from_document(document)
+        return scene_from_document(document, self._scene)
 
     def _keys(self, path: str) -> list[str]:
         if path.partition(".")[0] in ("device", "mock", *_TOP):
