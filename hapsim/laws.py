@@ -1,7 +1,7 @@
 """What each link does over the distance of its ends: springs and dampers, piece by piece (`Law`).
 
-Every link of a scene makes its own law (`law` in scene/modules). The kernel, the account of stored energy, live changes
-and predictions read that one.
+Every link of a scene makes its own law (`law` in scene/modules). The account of stored energy, live changes and
+predictions read that one, and the kernel reads its knots; straight links and friction have a recurrence there.
 
 **Contact, plectrum, table, detent, click.** Each is a spring and a damper in every piece of its distance, and a hand
 that stays within one piece feels that piece's. That all pieces are stable does not make the whole stable. Passivity

@@ -59,8 +59,9 @@ class Piece(NamedTuple):
     place: float
     """m: the rest, or where there is none a place well within."""
     stiffness: float
-    """K in N/m at the place, N·s/m: of the scene's links."""
+    """K at the place, N/m, of all links of the scene that act there."""
     damping: float
+    """B of the same, N·s/m."""
     states: dict[str, str]
     """How each link that has several states is."""
     sliding: tuple[str, ...]
