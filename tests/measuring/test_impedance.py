@@ -290,18 +290,17 @@ class TestSentences:
         with pytest.raises(UsageError, match=words):
             measure_impedance(one_spring(**scene, friction=1.0, velocity=0.0, force_limit=10.0))
 
-    def test_a_run_that_was_stopped(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_a_run_that_was_stopped(self) -> None:
         trace = measured("first_touch").traces[0]
 
         def stopped(*_: Any, **__: Any) -> Trace:
             return replace(trace, report=replace(trace.report, ending="stopped"))
 
-        monkeypatch.setattr("hapsim.measuring.measure_impedance.run_to_end", stopped)
         with pytest.raises(StoppedError, match="stopped before every channel was excited") as caught:
-            measure_impedance(shipped("first_touch"))
+            measure_impedance(shipped("first_touch"), run=stopped)
         assert caught.value.exit_status == 130
 
-    def test_what_was_recorded_when_it_was_stopped_is_kept(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_what_was_recorded_when_it_was_stopped_is_kept(self) -> None:
         whole, runs = measured("first_touch"), []
 
         def stopped_in_the_second_run(scene: Scene, *, duration: float, **options: Any) -> Trace:
@@ -311,8 +310,7 @@ class TestSentences:
             trace = run(scene, duration=0.7 * duration, **options)
             return replace(trace, report=replace(trace.report, ending="stopped"))
 
-        monkeypatch.setattr("hapsim.measuring.measure_impedance.run_to_end", stopped_in_the_second_run)
-        found = measure_impedance(shipped("first_touch"))
+        found = measure_impedance(shipped("first_touch"), run=stopped_in_the_second_run)
         assert found.stopped
         assert found.periods[0] < whole.periods[0]
         off = np.abs(found.closed_loop.value - whole.closed_loop.value)

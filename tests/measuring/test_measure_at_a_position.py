@@ -138,7 +138,7 @@ def test_the_command_leads_pushes_and_says_what_became_of_it(hapsim: Any, tmp_pa
     path, picture = tmp_path / "knob.yaml", tmp_path / "ring.csv"
     path.write_text(DETENT, encoding="utf-8")
     ran = hapsim("measure", path, "--at", "15 deg", "--data", picture)
-    assert "at 0.261799 rad" in ran.out
+    assert "at 15°" in ran.out
     rows = np.genfromtxt(picture, delimiter=",", names=True)
     rest, envelope = rows["rest_position_m"], rows["predicted_envelope_m"]
     assert rest == pytest.approx(math.radians(15.0), abs=1e-6)

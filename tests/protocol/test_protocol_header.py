@@ -206,9 +206,10 @@ def test_every_constant_is_the_schema_s() -> None:
     constants = {name: int(value, 0) for name, value in defined + listed}
     assert constants == {name: ours[name] if name in ours else getattr(schema, name) for name in constants}
     expected = {name for name, value in vars(schema).items() if name.isupper() and isinstance(value, int)}
-    # Start values are computed from the hash; how long a force may live is the host's choice within a byte.
+    # Start values are computed from the hash; how long a force may live is the host's choice within a byte; bits per
+    # byte are a UART's.
     computed = {f"{kind}_SEED_{length}" for kind in ("ARMED", "VELOCITY") for length in ("SHORT", "LONG")}
-    assert expected - set(constants) == computed | {"MAX_TIME_TO_LIVE_SAMPLES"}
+    assert expected - set(constants) == computed | {"MAX_TIME_TO_LIVE_SAMPLES", "BITS_PER_BYTE"}
 
 
 def test_a_device_s_memory_holds_the_longest_frame_of_the_host() -> None:
