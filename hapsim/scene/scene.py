@@ -1,8 +1,7 @@
 """The scene: what the user wrote, validated, in SI units. Its parts never change once it is made."""
 
 from collections.abc import Mapping
-from functools import cached_property
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -113,13 +112,6 @@ class Scene(Part):
             raise PydanticCustomError(ACROSS, "{faults}", {"faults": "\n".join(lines)})
         return self
 
-    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Returns a copy with other values, in which nothing is left that was worked out from these."""
-        copied = super().model_copy(update=update, deep=deep)
-        for name in copied.__dict__.keys() - type(self).model_fields.keys():
-            del copied.__dict__[name]
-        return copied
-
     @property
     def path(self) -> str | None:
         """The file that the scene was loaded from, as the user named it; None where it came from no file."""
@@ -135,7 +127,7 @@ class Scene(Part):
         """How often the modules move, in Hz."""
         return self.rate * self.substeps
 
-    @cached_property
+    @property
     def channels(self) -> int:
         """Number of channels of the device: one more than the highest that a module holds. A list per channel has
         exactly this length; channels below the highest that no module holds count."""
@@ -150,45 +142,45 @@ class Scene(Part):
         """The units of one channel."""
         return Units.of([self.device.motions(self.channels)[channel]], self._in_degrees)
 
-    @cached_property
+    @property
     def device_points(self) -> dict[str, DevicePoint]:
         """The points that the hand holds, by name, in the order of the file."""
         return self._of(DevicePoint)
 
-    @cached_property
+    @property
     def grounds(self) -> dict[str, Ground]:
         """The fixed points, by name, in the order of the file."""
         return self._of(Ground)
 
-    @cached_property
+    @property
     def masses(self) -> dict[str, Mass]:
         """The material points without a spring of their own, by name, in the order of the file."""
         return self._of(Mass)
 
-    @cached_property
+    @property
     def material_points(self) -> dict[str, MaterialPoint]:
         """All points with a mass of their own, by name; those of one type together, in the order of the file."""
         types = list(MODULE_TYPES.values())
         points = {name: module for name, module in self.modules.items() if isinstance(module, MaterialPoint)}
         return dict(sorted(points.items(), key=lambda item: types.index(type(item[1]))))
 
-    @cached_property
+    @property
     def structures(self) -> dict[str, Structure]:
         """Many masses under one name each, in the order of the file."""
         modules = self.modules.items()
         return {name: module for name, module in modules if isinstance(module, Structure)}
 
-    @cached_property
+    @property
     def links(self) -> dict[str, Link]:
         """The elements between two points, by name, in the order of the file."""
         return self._of(Link)
 
-    @cached_property
+    @property
     def sensed_links(self) -> tuple[str, ...]:
         """Names of the links whose damper is driven by the device's own velocity sensor."""
         return tuple(name for name, link in self._of(ViscoElastic).items() if link.damper in WITH_SENSOR)
 
-    @cached_property
+    @property
     def mock_device(self) -> MockDevice:
         """The mock as it is to be simulated: ``mock`` where it speaks, ``device`` where it is silent."""
         return resolve(self.device, self.mock, self.channels)
