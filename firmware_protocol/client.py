@@ -76,7 +76,9 @@ class Client(ABC):
         """Returns a frame of the host's, filled up with zeros; `armed`: in the armed format."""
         wire = self.armed if armed else SETUP
         padded = [*counts, *[0] * wire.channels][: wire.channels]
-        return frame_to_device(wire, kind, number % schema.SAMPLE_MODULUS, argument, padded)
+        if kind == schema.FORCE:  # only a sample's number begins anew
+            number %= schema.SAMPLE_MODULUS
+        return frame_to_device(wire, kind, number, argument, padded)
 
     def arm_frame(self, pacing: int, watchdog: int, *, velocity: bool = False, word: int = schema.SCHEMA_HASH) -> bytes:
         """Returns ARM; `watchdog`: samples, `word`: its schema hash."""

@@ -44,7 +44,8 @@ class Linear(NamedTuple):
     Attributes:
         stiffness: N/m.
         damping: N·s/m.
-        assumption: under which this holds, in words that follow the link's name; "" where it always holds.
+        assumption: under which this holds, in words that follow the link's name; "" where it always holds. Units stand
+            in it as ‹N/m›.
         memoryless: the force depends on the positions and velocities of the ends and on nothing earlier, apart from
             what the link's damper remembers.
         in_a_matrix: the link is exactly this spring and a backward damper, so that a scheme can work it into a matrix.

@@ -53,8 +53,10 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
             ways = swing.sentence(scene.units_of(scene.device_points[name].channel))
             yield f"Where it is unstable, {escape(name)} swings by {ways}{unnoticed}"
     for name, link in scene.links.items():
-        if isinstance(link, Detent) and scene.device.travel is None and prediction.regions.keys() & set(link.between):
-            yield f"{escape(name)} repeats every {scene.units(link.pitch, 'mm', 4)}; --at X shows others."
+        held = [one for one in link.between if one in prediction.regions]
+        if isinstance(link, Detent) and scene.device.travel is None and held:
+            pitch = prediction.regions[held[0]][0].hand.units(link.pitch, "mm", 4)
+            yield f"{escape(name)} repeats every {pitch}; --at X shows others."
 
 
 def hand_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:

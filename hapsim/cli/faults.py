@@ -16,7 +16,7 @@ from hapsim.bringup.faults import KINDS, Injector, load_script, parse_script
 from hapsim.bringup.faults.relay import PassingTimes, Relay
 from hapsim.cli.live import live_line, live_words
 from hapsim.cli.options import Baud, Json, argument, flag, load, option, seconds
-from hapsim.cli.output import complain, document, failure_document, stderr, stdout, table
+from hapsim.cli.output import complain, document, failure_document, spoken, stderr, stdout, table
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble import assemble_mock
 from hapsim.device.mock.terminal import serving
@@ -183,7 +183,7 @@ def _at_the_device(injector: Injector) -> Iterator[str]:
 
 
 def _newtons(force: float) -> str:
-    return "a force of unknown scale" if math.isnan(force) else f"{force:.4g} N"
+    return "a force of unknown scale" if math.isnan(force) else spoken()(force, "N", ".4g")
 
 
 def faults_document(

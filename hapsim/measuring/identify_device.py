@@ -145,9 +145,9 @@ def identify_device(
     need, and pushes harder as it learns how far the device gets. Mass, friction and delay may be declared wrong by a
     factor of three.
 
-    `run`: what runs the scene, with these `options` of `hapsim.run`, but `unstable`. Raises what `hapsim.running.run`
-    raises, GuardError where the device moved farther than `travel`, and UsageError where too little moves to identify
-    anything, or what moves does not answer to the force.
+    `options`: `transport`, `on_progress` and `stop_on_signals`, as of `hapsim.run`; `run` is what they go to, with the
+    scene. Raises what `hapsim.running.run` raises, GuardError where the device moved farther than `travel`, and
+    UsageError where too little moves to identify anything, or what moves does not answer to the force.
     """
     scene = as_scene(scene)
     require_device_point(scene, channel)

@@ -60,7 +60,8 @@ def measure(
     clear of the noise: in up to 5 runs, the next one with larger pushes for less uncertainty, or with half the push
     where the hand left its region. With `push` there is one run. The measurement's `attempts` list them.
 
-    `run`: what runs the scene, with these `options` of `hapsim.run`. Raises what `hapsim.running.run` raises, and
+    `options`: `transport`, `on_progress`, `stop_on_signals` and `unstable`, as of `hapsim.run`; `run` is what they go
+    to, with the scene. Raises what `hapsim.running.run` raises, and
     UsageError where too little moves to identify anything, or where no hand can be measured at that position. Where the
     device fails, or stops by itself, and was recorded for long enough to identify something, the measurement is
     returned with the error as its `failure`.

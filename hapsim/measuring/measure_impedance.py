@@ -103,7 +103,8 @@ def measure_impedance(
     most `push` N (None: a quarter of the force limit). `duration`: seconds of each channel's second excitation. Where
     something in the scene is not linear, the impedance is that about the motion to which it was excited.
 
-    `run`: what runs the scene, with these `options` of `hapsim.run`. Raises what `hapsim.running.run` raises, and
+    `options`: `transport`, `on_progress`, `stop_on_signals` and `unstable`, as of `hapsim.run`; `run` is what they go
+    to, with the scene. Raises what `hapsim.running.run` raises, and
     UsageError where too little moves, or too little was recorded.
     """
     scene, run = as_scene(scene), partial(run, **options)

@@ -38,6 +38,7 @@ from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import Module, ModuleContext
 from hapsim.scene.modules.links import PickUp, sound_issues
 from hapsim.scene.part import Part, Table
+from hapsim.units import Units
 
 Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
 """By module and field: a number, a word, or the points of a table."""
@@ -321,7 +322,7 @@ def changed(scene: Scene, changes: Changes) -> Scene:
                 f"{scene.scheme} makes once; under scheme: {one_of(without_matrices())} it can"
             )
         _require_sizes(name, values)
-        parts[name] = _part_with(name, parts[name], values)
+        parts[name] = _part_with(name, parts[name], values, scene.units)
     hand = parts.pop(MOCK_HAND)
     modules = {name: one for name, one in parts.items() if isinstance(one, Module)}
     pick_ups = {name: one for name, one in parts.items() if isinstance(one, PickUp)}
@@ -352,7 +353,7 @@ def _size(value: Any) -> float:
     return abs(value) if isinstance(value, int | float) else 0.0
 
 
-def _part_with(name: str, module: LivePart, values: Mapping[str, Any]) -> LivePart:
+def _part_with(name: str, module: LivePart, values: Mapping[str, Any], units: Units) -> LivePart:
     changeable = (*module.live, *module.crossfaded)
     for key in values:
         if key not in changeable:
@@ -362,9 +363,11 @@ def _part_with(name: str, module: LivePart, values: Mapping[str, Any]) -> LivePa
         return type(module).model_validate(module.model_dump() | dict(values))
     except ValidationError as error:
         fault = error.errors()[0]
-        (field, *steps), found = fault["loc"], fault["input"]
-        for step in (more := fault.get("ctx", {}).get("at", ())):
+        (field, *steps), found, context = fault["loc"], fault["input"], fault.get("ctx", {})
+        for step in (more := context.get("at", ())):
             found = found[step]
         index = "".join(f"[{step}]" for step in (*steps, *more) if isinstance(step, int))
         expected = fault["msg"].replace("Input should be", "expected")  # one of several words
+        if "of_motion" in context:
+            expected = f"expected {units.filled(context['of_motion'])}"
         raise UsageError(f"{name}.{field}{index}: found {found!r}, {expected}") from None

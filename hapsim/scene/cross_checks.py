@@ -3,6 +3,7 @@
 They take whatever parts are sound, so that a fault in one place does not hide faults in others.
 """
 
+import math
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
 
@@ -91,6 +92,8 @@ def _counts_of_mock(per_channel: Fields) -> Callable[[int], float]:
     quantum, motions = per_channel[("mock",)].get("quantum"), per_channel[("device",)].get("motion", "linear")
 
     def count(channel: int) -> float:
+        if isinstance(quantum, str) and (angle := ANGLE.match(quantum)):  # where the scene has other faults
+            return math.radians(float(angle[1]))
         if isinstance(quantum, int | float):
             return float(quantum)
         each = motions[channel : channel + 1] if isinstance(motions, list | tuple) else [motions]

@@ -15,11 +15,13 @@ from hapsim.cli.live import _Words
 from hapsim.cli.options import load
 from hapsim.cli.output import speak_in, stdout
 from hapsim.cli.status import show_status
-from hapsim.errors import UsageError
+from hapsim.errors import SceneError, UsageError
 from hapsim.live.messages import channels_of
 from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
-from hapsim.scene import load_scene
+from hapsim.prediction.linear import linear_scene
+from hapsim.running.changes import changed
+from hapsim.scene import load_scene, parse_scene
 from hapsim.units import LINEAR, MOTIONS, Units
 
 Hapsim = Callable[..., Any]
@@ -113,6 +115,25 @@ def test_errors_are_in_the_units_of_the_scene_in_python_too(knob: Path) -> None:
     with pytest.raises(UsageError, match="push: found -1, expected a finite number of N·m above 0"):
         measure(knob, push=-1.0)
     assert load_scene(knob).units_of(0)(0.3, "m") == "0.3 rad"
+
+
+CURVE = "  curve: {type: nonlinear, between: [knob, frame], force_over_distance: [[-1, 0.02], [0, 0.01], [1, -0.02]]}\n"
+
+
+def test_what_is_assumed_of_a_curve_is_in_the_units_of_the_scene() -> None:
+    (assumption,) = linear_scene(parse_scene(KNOB + CURVE)).assumptions
+    assert assumption.endswith("elsewhere they lie between -0.03 and 0 N·m/rad")
+
+
+def test_a_refused_change_is_in_the_units_of_the_scene() -> None:
+    with pytest.raises(UsageError, match=re.escape("hold.stiffness: found -1.0, expected a number >= 0 (N·m/rad)")):
+        changed(parse_scene(KNOB), {"hold": {"stiffness": -1.0}})
+
+
+def test_counts_in_degrees_too_coarse_for_a_detent_are_refused_with_a_sentence() -> None:
+    detent = "  notch: {type: detent, between: [knob, frame], pitch: 2 deg, depth: 0.03, damping: 0.002}\n"
+    with pytest.raises(SceneError, match=r"notch\.pitch|pitch: found .*counts of the encoder \(mock\.quantum"):
+        parse_scene(KNOB.replace("mock: {", "mock: {quantum: 1 deg, ") + detent)
 
 
 @pytest.mark.parametrize(

@@ -108,3 +108,10 @@ def test_a_release_is_sent_in_both_formats_until_the_device_says_that_it_is_idle
     quiet = Scripted()
     assert quiet.release() is None
     assert quiet.clock.seconds == pytest.approx(6 * RELEASE_S)
+
+
+def test_only_the_number_of_a_sample_begins_anew() -> None:
+    host = Scripted()
+    assert host.frame(schema.FORCE, schema.SAMPLE_MODULUS + 5) == host.frame(schema.FORCE, 5)
+    with pytest.raises(ValueError, match="number 4096: a frame carries 12 bits of it"):
+        host.arm_frame(schema.PACED_BY_DEVICE, schema.SAMPLE_MODULUS)
