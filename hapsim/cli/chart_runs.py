@@ -14,7 +14,6 @@ from hapsim.number_format import relative_difference
 from hapsim.recording.trace import load_trace
 from hapsim.scene import choices
 from hapsim.scene.issue import one_of
-from hapsim.units import Units
 
 if TYPE_CHECKING:
     from hapsim.recording.trace import Trace
@@ -127,7 +126,7 @@ def trace(
     require_positive("--last", last, "seconds")
     output.choose("trace.svg")
     recorded = load_trace(file)
-    speak_in(Units.of(recorded.report.motion))
+    speak_in(recorded.report.units_of())
     if recorded.sample.size == 0:
         raise UsageError(f"{file}: it has no rows to draw")
     if last is not None:

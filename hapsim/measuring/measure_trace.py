@@ -19,7 +19,6 @@ from hapsim.measuring.regression import MOST_ORDER, Fit, Regression, Segment, no
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
-from hapsim.units import Units
 
 _MOST_ROWS = 6000
 _FAINT_COUNTS = 40.0  # a smaller position, or a smaller step from one sample to the next, and the rounding is no
@@ -233,7 +232,7 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
             return _with_dry_friction(segments, fits)
     late, lost, limited = (int(np.count_nonzero(trace.flags & flag)) for flag in (LATE_FORCE, BRIDGED, LIMITED))
     if moved > _FAINT_COUNTS and late + lost > _MOST_SPOILT * rows:
-        units = Units.said_by(trace.report.motion[channel : channel + 1])
+        units = trace.report.units_of(channel)
         way = units(moved * float(trace.position_scale[channel]), "m", ".3g")
         raise UsageError(
             f"the hand moved by {way}, but of {rows} samples {late} had "

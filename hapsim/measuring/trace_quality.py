@@ -109,7 +109,7 @@ def silence(trace: Trace, channel: int) -> str:
     return silence_words(
         acted / trace.rate,
         float(np.abs(trace.force[:, channel]).max()),
-        Units.said_by(trace.report.motion[channel : channel + 1]),
+        trace.report.units_of(channel),
     )
 
 

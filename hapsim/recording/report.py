@@ -11,7 +11,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from hapsim.loop.counts import Counts
 from hapsim.loop.histogram import Histogram, Spread
-from hapsim.units import Motion
+from hapsim.units import Motion, Units
 
 NO_RECORD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
 """Exceptions that reading a foreign or damaged document raises."""
@@ -52,6 +52,12 @@ class Report(Counts):
     """Whether a timer of the device's own paced the positions: then their arrival shows its rate."""
     motion: tuple[Motion, ...] = ()
     """Of each channel; () in a record of an earlier version: linear."""
+    in_degrees: bool = False
+    """Whether the scene writes angles in degrees: people read them so."""
+
+    def units_of(self, channel: int | None = None) -> Units:
+        """Returns the units of a channel; None: of all together."""
+        return Units.of(self.motion if channel is None else self.motion[channel : channel + 1], self.in_degrees)
 
     @property
     def knows_ticks(self) -> bool:

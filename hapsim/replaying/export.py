@@ -24,8 +24,9 @@ from hapsim.recording.stream import open_record, reading
 from hapsim.recording.trace import convert
 from hapsim.replaying.replay import Record, Replay
 from hapsim.running.recorded_run import prediction_of, read_run
-from hapsim.scene import Scene, parse_scene
+from hapsim.scene import Scene
 from hapsim.scene.issue import one_of
+from hapsim.scene.load import recorded_scene
 from hapsim.sound.wav import WavFile, require_writable_as_wav
 from hapsim.units import Units
 from hapsim.whole_file import file_for_hdf5, whole_file
@@ -225,7 +226,7 @@ class Columns:
         """None in an older record, which has neither documents nor changes."""
         if (run := self.head.run) is not None:
             read_run(run, self.channels)
-            self.scene = scene = parse_scene(json.dumps(run["scene"]), str(self.path))
+            self.scene = scene = recorded_scene(run["scene"], str(self.path), bool(self.report.get("in_degrees")))
             predicted = [note["prediction"] for note in notes if "prediction" in note]  # not where it was cut off
             self.documents |= {name: run[name] for name in ("options", "excitation", "versions")} | {
                 "scene": yaml.safe_dump(run["scene"], sort_keys=False, allow_unicode=True),

@@ -25,6 +25,7 @@ from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
 from hapsim.running.recorded_run import options_of, read_run, versions_of_now
 from hapsim.scene import Scene, parse_scene
+from hapsim.scene.load import recorded_scene
 from hapsim.sound.play import SoundOutput
 from hapsim.sound.wav import WavFile, require_writable_as_wav
 
@@ -63,7 +64,8 @@ class Record:
             )
         with reading(path):
             self.run = read_run(run, self.reader.head.channels)
-            self.scene = parse_scene(json.dumps(run["scene"]), str(path))
+            in_degrees = bool(self.reader.summary["report"].get("in_degrees"))
+            self.scene = recorded_scene(run["scene"], str(path), in_degrees)
             self.description, self.options = self.run.description, options_of(self.run)
         self.notes = self.reader.notes
         """Changes and markers, as they were noted."""

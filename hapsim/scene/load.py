@@ -90,6 +90,14 @@ def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
         raise SceneError("; ".join(f"{'.'.join(map(str, one.path))}: {one.sentence}" for one in issues)) from None
 
 
+def recorded_scene(document: dict[str, Any], name: str, in_degrees: bool) -> Scene:
+    """The scene that `Scene.model_dump` made a record's document of. `in_degrees`: as of the scene then. Raises
+    SceneError as `parse_scene`."""
+    scene = parse_scene(json.dumps(document), name)
+    scene._in_degrees = in_degrees
+    return scene
+
+
 def _units(data: object) -> Units:
     """The units in which a file's device moves, so far as it says so."""
     device = data.get("device") if isinstance(data, dict) else None

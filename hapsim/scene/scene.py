@@ -118,6 +118,11 @@ class Scene(Part):
         return self._path
 
     @property
+    def in_degrees(self) -> bool:
+        """Whether its file writes angles in degrees: people read them so."""
+        return self._in_degrees
+
+    @property
     def period(self) -> float:
         """The sample period T, in s."""
         return 1.0 / self.rate

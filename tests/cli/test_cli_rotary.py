@@ -20,6 +20,9 @@ from hapsim.live.messages import channels_of
 from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.prediction.linear import linear_scene
+from hapsim.recording.trace import load_trace
+from hapsim.replaying.export import Columns
+from hapsim.replaying.replay import Record
 from hapsim.running.changes import changed
 from hapsim.scene import load_scene, parse_scene
 from hapsim.units import LINEAR, MOTIONS, Units
@@ -237,6 +240,15 @@ def test_programs_and_records_stay_in_rad_where_people_read_degrees(hapsim: Haps
     assert (scene.units.name("m"), scene.units_of(0).si.name("m")) == ("°", "rad")
     assert scene.model_copy().units.in_degrees
     assert not load_scene(scenes["rad"]).units.in_degrees
+
+
+def test_a_record_of_a_scene_with_degrees_is_read_in_degrees(hapsim: Hapsim, tmp_path: Path) -> None:
+    scene, record = tmp_path / "knob.yaml", tmp_path / "knob.trace"
+    scene.write_text(IN_DEGREES, encoding="utf-8")
+    assert hapsim("run", scene, "--duration", "0.1", "--record", record).status == 0
+    assert load_trace(record).report.units_of(0)(math.pi, "m") == "180°"
+    assert Record(record).scene.units_of(0).in_degrees
+    assert Columns(record).scene.units.in_degrees
 
 
 def test_the_live_line_of_a_scene_with_degrees(tmp_path: Path) -> None:
