@@ -108,7 +108,8 @@ def hidden_sign(scene: Scene, prediction: Prediction) -> str:
     """Why a motor that is wired the wrong way may not be found while `scene` runs: sentences; "" where it mostly is."""
     spans, scales = scene.device.mass_spans(scene.channels), scene.device.scales(scene.channels)
     pulls = [(scene.device.force_limit / most, one.sign_pull) for (_, most), one in zip(spans, scales, strict=True)]
-    (pull, enough), units = min(pulls, key=lambda one: one[0] / one[1]), scene.units
+    channel = min(range(len(pulls)), key=lambda c: pulls[c][0] / pulls[c][1])
+    (pull, enough), units = pulls[channel], scene.units_of(channel)
     fastest = fastest_swing_hz(scene, prediction)
     if scene.rate < SIGN_RATE_HZ:
         why = f"it samples at less than {SIGN_RATE_HZ:g} Hz"

@@ -72,7 +72,7 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
         outside = _is_outside(linear, scene.scheme)
         links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *velocity, outside)
         if linear.assumption:
-            assumptions.append(f"{name} {scene.units.filled(linear.assumption)}")
+            assumptions.append(f"{name} {scene.units_at(name).filled(linear.assumption)}")
     inner: list[LinearLink] = []
     for name, point in scene.material_points.items():
         masses[name] = point.mass
@@ -83,7 +83,7 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
             outside = _is_outside(own, scene.scheme)
             inner.append(LinearLink((name, STAYS), own.stiffness, own.damping, outside=outside))
             if own.assumption:
-                assumptions.append(f"{name} {scene.units.filled(own.assumption)}")
+                assumptions.append(f"{name} {scene.units_at(name).filled(own.assumption)}")
     for name, structure in scene.structures.items():
         places = [f"{name}.{place}" for place in structure.point_names()]
         elements = structure.elements()

@@ -94,6 +94,12 @@ class _Value(NamedTuple):
     range: Range
 
     @property
+    def module(self) -> str:
+        """Whose it is; "" of the device, the mock and the scene."""
+        first, name, *_ = [*self.path.split("."), ""]
+        return name if first == "modules" else ""
+
+    @property
     def is_off(self) -> bool:
         return self.value != 0.0 and not self.range.least <= abs(self.value) <= self.range.most
 
@@ -122,11 +128,10 @@ def unlikely(scene: Scene) -> list[str]:
     for one in off:
         place, _, key = one.path.rpartition(".")
         alike.setdefault((place.partition(".")[0], key), {}).setdefault(one.path, one)
-    also = " The same holds for {}."
-    sentences = [
-        first.sentence(scene.units.si) + (also.format(plural(len(others), "other module")) if others else "")
-        for first, *others in (list(same.values()) for same in alike.values())
-    ]
+    sentences = []
+    for first, *others in (list(same.values()) for same in alike.values()):
+        also = f" The same holds for {plural(len(others), 'other module')}." if others else ""
+        sentences.append(first.sentence(scene.units_at(first.module).si) + also)
     is_explained = any(one.unit in ("kg", "m", "N/m", "N") for one in off)
     return [*sentences, *(() if is_explained else _jumps(scene))]
 
@@ -246,7 +251,7 @@ def _of_links(scene: Scene) -> Iterator[_Value]:
     for name, structure in scene.structures.items():
         many = len(structure.point_names())
         heavy = Range(
-            0.0, _HEAVY_KG / many, f"{many} of them weigh {scene.units(many * structure.mass, 'kg')}", _MASSES
+            0.0, _HEAVY_KG / many, f"{many} of them weigh {scene.units_at(name)(many * structure.mass, 'kg')}", _MASSES
         )
         yield _Value(f"modules.{name}.mass", structure.mass, "kg", heavy)
 
@@ -254,7 +259,7 @@ def _of_links(scene: Scene) -> Iterator[_Value]:
 def _of_spring(scene: Scene, name: str, mass: float, hand: str, moves: bool = True) -> Iterator[_Value]:
     """What a module's stiffness and damping do with this mass, in kg. `hand`: the device point that it holds, or "";
     `moves`: whether it holds something that the scene moves."""
-    module, rate, units = scene.modules[name], scene.step_rate if moves else scene.rate, scene.units
+    module, rate, units = scene.modules[name], scene.step_rate if moves else scene.rate, scene.units_at(name)
     stiffness, damping = getattr(module, "stiffness", 0.0), getattr(module, "damping", 0.0)
     most = [mass * rate**2 * (8.0 if scene.scheme == "rk4" else 4.0), 2.0 * mass * rate]  # what no scheme renders
     hardest, least, why = most[0], [0.0, 0.0], f"at {frequency(rate)} it is unstable on {units(mass, 'kg')} with any"

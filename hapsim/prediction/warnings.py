@@ -126,7 +126,7 @@ def own_limits(scene: Scene) -> Iterator[str]:
         own, alone = owner == name, found[name] > _MOST
         stiffness, damping = (float(values[own].max()) for values in (network.stiffness, network.damping))
         damps = 2.0 * damping * rate > stiffness
-        value, unit = (damping, scene.units.name("N·s/m")) if damps else (stiffness, scene.units.name("N/m"))
+        value, unit = damping if damps else stiffness, scene.units_at(name).name("N·s/m" if damps else "N/m")
         most = f"more than the {rounded_down(value * _MOST / found[name], 5)} {unit} that its masses carry"
         why = most if alone else "with what it is joined to, more than its masses carry"
         yield f"{name}: {number(value)} {unit} is {why} in steps of {frequency(rate)}; {remedy}."

@@ -322,7 +322,7 @@ def changed(scene: Scene, changes: Changes) -> Scene:
                 f"{scene.scheme} makes once; under scheme: {one_of(without_matrices())} it can"
             )
         _require_sizes(name, values)
-        parts[name] = _part_with(name, parts[name], values, scene.units)
+        parts[name] = _part_with(name, parts[name], values, scene.units_at(name))
     hand = parts.pop(MOCK_HAND)
     modules = {name: one for name, one in parts.items() if isinstance(one, Module)}
     pick_ups = {name: one for name, one in parts.items() if isinstance(one, PickUp)}

@@ -121,7 +121,7 @@ def _parameter(name: str, kind: type[Part], key: str, value: Any, scene: Scene) 
     if name.startswith(MOCK_HAND) and scene.channels > 1:
         value = value if isinstance(value, tuple) else (value,) * scene.channels
     several = isinstance(value, tuple)
-    shown = scene.units.si.name(unit)
+    shown = scene.units_at(name.rpartition(".")[0]).si.name(unit)
     return Parameter(name, "numbers" if several else "number", value, shown, description, least, most, is_excluded)
 
 

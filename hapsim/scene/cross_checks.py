@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from hapsim.dampers import DAMPERS
 from hapsim.scales import SCALES
-from hapsim.units import MOTIONS
+from hapsim.units import MOTIONS, Motion
 
 from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
@@ -126,7 +126,7 @@ def _dampers_across_steps(around: ModuleContext) -> Iterator[Issue]:
             yield Issue(("modules", name, "damper"), sentence)
 
 
-def _motions_of(around: ModuleContext, motions: object) -> dict[str, object]:
+def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
     """The motion of the hands, and of each point and link that hangs on one; grounds are of any. `motions`: of the
     channels, in a list."""
     neighbours: defaultdict[str, list[str]] = defaultdict(list)
@@ -150,7 +150,7 @@ def _motions_of(around: ModuleContext, motions: object) -> dict[str, object]:
 
 
 def _links_of_both_motions(around: ModuleContext, motions: object) -> Iterator[Issue]:
-    found = _motions_of(around, motions)
+    found = motions_of(around, motions)
     for name, link in around.modules.items() if found else ():
         if isinstance(link, Link) and around.knows(name, "between"):
             ends = {end: found.get(around.holder(end)) for end in link.between}
@@ -167,7 +167,7 @@ def misplaced_angles(data: Mapping[str, object], around: ModuleContext) -> Itera
     if motion != "linear" and not isinstance(motion, list):
         return
     default = "rotary" if isinstance(motion, list) and "rotary" in motion else "linear"
-    of_module = _motions_of(around, motion)
+    of_module = motions_of(around, motion)
     for path, angle in _angles(data, (), set()):
         if (of_module.get(str(path[1]), default) if path[0] == "modules" else default) == "linear":
             expected = "expected a plain number, or device.motion: rotary"

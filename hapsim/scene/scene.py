@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 from hapsim.units import Units
 
 from .choices import SCHEME, WITH_SENSOR, SchemeName
-from .cross_checks import cross_check_issues, has_angles
+from .cross_checks import cross_check_issues, has_angles, motions_of
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
@@ -146,6 +146,13 @@ class Scene(Part):
     def units_of(self, channel: int) -> Units:
         """The units of one channel."""
         return Units.of([self.device.motions(self.channels)[channel]], self._in_degrees)
+
+    def units_at(self, name: str) -> Units:
+        """The units of a module: those of the channel that it hangs on."""
+        if not isinstance(self.device.motion, tuple):
+            return self.units
+        motion = motions_of(ModuleContext.of(self.modules), self.device.motion).get(name)
+        return self.units if motion is None else Units.of([motion], self._in_degrees)
 
     @property
     def device_points(self) -> dict[str, DevicePoint]:

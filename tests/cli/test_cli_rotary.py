@@ -20,10 +20,12 @@ from hapsim.live.messages import channels_of
 from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.prediction.linear import linear_scene
+from hapsim.prediction.plausibility import unlikely
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.export import Columns
 from hapsim.replaying.replay import Record
 from hapsim.running.changes import changed
+from hapsim.running.parameters import parameters_of
 from hapsim.scene import load_scene, parse_scene
 from hapsim.units import LINEAR, MOTIONS, Units
 
@@ -126,6 +128,22 @@ CURVE = "  curve: {type: nonlinear, between: [knob, frame], force_over_distance:
 def test_what_is_assumed_of_a_curve_is_in_the_units_of_the_scene() -> None:
     (assumption,) = linear_scene(parse_scene(KNOB + CURVE)).assumptions
     assert assumption.endswith("elsewhere they lie between -0.03 and 0 N·m/rad")
+
+
+def test_a_module_has_the_units_of_the_channel_that_it_hangs_on() -> None:
+    scene = parse_scene(PAIR + CURVE.replace("curve", "bend").replace("knob", "fader") + CURVE)
+    each = {one.partition(" ")[0]: one.rpartition(" ")[2] for one in linear_scene(scene).assumptions}
+    assert each == {"bend": "N/m", "curve": "N·m/rad"}
+    units = {name: scene.units_at(name).name("N/m") for name in scene.modules}
+    of_a_line, turning = ("fader", "slide", "bend"), ("knob", "turn", "curve")
+    assert {units[name] for name in of_a_line} == {"N/m"}
+    assert {units[name] for name in turning} == {"N·m/rad"}
+    assert units["frame"] == "N/m or N·m/rad"
+    with pytest.raises(UsageError, match=re.escape("slide.stiffness: found -1.0, expected a number >= 0 (N/m)")):
+        changed(scene, {"slide": {"stiffness": -1.0}})
+    assert parameters_of(scene, has_mock=True)["turn.damping"].unit == "N·m·s/rad"
+    heavy = parse_scene(PAIR.replace("stiffness: 0.05", "stiffness: 5.0e+4"))
+    assert any("turn.stiffness: found 50000 N·m/rad, more than" in one for one in unlikely(heavy))
 
 
 def test_a_refused_change_is_in_the_units_of_the_scene() -> None:
