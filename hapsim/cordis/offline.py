@@ -173,7 +173,7 @@ def tick_seconds(program: Program, channels: int) -> float:
 
 
 def most_substeps(seconds: float, period: float) -> int:
-    """How many ticks of so many seconds fit into a sample period, with a fifth of it left for the exchange."""
+    """Number of ticks of this length that fit into a sample period, of which a fifth is left for the exchange."""
     return int(_SHARE * period / seconds)
 
 

@@ -19,8 +19,8 @@ def _counter(row: str = "", live: str = "", *, status: str | bool = "", at: str 
     """A count that begins at 0.
 
     `row`: its label in a run's table, and `live`: what follows it in the live line and on the page; both show it once
-    it is not 0. `status`: its label in the status (True: as in the table). `at`: where a LOOP counts it: "state" for a
-    field of its name in STATE, else the path of the field."""
+    it is not 0. `status`: its label in the status (True: as in the table). `at`: the path of
+    the field of a LOOP that counts it, or "state" for the field of STATE that has its name."""
     return field(default=0, metadata={"row": row, "live": live, "status": row if status is True else status, "at": at})
 
 

@@ -157,7 +157,7 @@ def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float, units
 def _where(lacking: ForceResidual, units: Units) -> str:
     at_position, position = _explained(lacking, lacking.position, 1.0)
     at_velocity, velocity = _explained(lacking, lacking.velocity, 1.0)
-    # On either side of a reversal the same law lacks a force with the other sign.
+    # A force that the model lacks changes its sign where the motion reverses.
     in_swing, moment = _explained(lacking, lacking.in_swing, np.sign(lacking.velocity))
     best = max(at_position, at_velocity, in_swing)
     if not best > _LEAST_SHARE:

@@ -41,7 +41,7 @@ WALL, SPRING, DETENT, PUSH = range(4)
 
 _DEVICE = ("mass", "friction", "dry", "stop", "limit", "count", "law", "stiffness", "damping", "pitch")
 _HAND = ("hand", "grip", "grip_damping", "arm", "arm_damping", "goal", "reach", "hz", "push", "tremor", "tremor_hz")
-_WHEN = ("position", "velocity", "dies", "lets_go", "lasts")
+_WHEN = ("position", "velocity", "dies", "released", "lasts")
 RUN = np.dtype([(name, np.float64) for name in (*_DEVICE, *_HAND, *_WHEN)], align=True)
 """What is drawn. SI units and s; hand 0 kg: nobody holds the handle."""
 FOUND = np.dtype(
@@ -70,7 +70,7 @@ def _asked(run, at, speed, now):
 def _moved(run, now, h, force, x, v, hand_x, hand_v):
     """Handle and hand, a step later."""
     grip = 0.0
-    if run.hand > 0.0 and now < run.lets_go:
+    if run.hand > 0.0 and now < run.released:
         grip = run.grip * (hand_x - x) + run.grip_damping * (hand_v - v)
         goal, turn = run.goal + run.reach * math.sin(2.0 * math.pi * run.hz * now), 2.0 * math.pi * run.tremor_hz
         push = run.arm * (goal - hand_x) - run.arm_damping * hand_v + run.push * min(4.0 * now, 1.0)
@@ -176,7 +176,7 @@ def drawn_hand(chance: random.Random) -> dict[str, float]:
         "hz": 0.05 * 20.0 ** chance.random(),
         "tremor": 2e-6 * 50.0 ** chance.random(),
         "tremor_hz": chance.uniform(7.0, 12.0),
-        "lets_go": NEVER,
+        "released": NEVER,
         "dies": NEVER,
     }
 
@@ -282,22 +282,22 @@ def _flick(chance: random.Random, one: dict[str, float]) -> None:
 def _moving(chance: random.Random, one: dict[str, float]) -> None:
     """A hand moves it to and fro, and lets go when it dies."""
     one |= {"law": SPRING, "reach": 0.005 * 10.0 ** chance.random(), "hz": 0.3 * 10.0 ** chance.random()}
-    one["dies"] = one["lets_go"] = chance.uniform(0.3, 2.0)
+    one["dies"] = one["released"] = chance.uniform(0.3, 2.0)
 
 
 def _later(chance: random.Random, one: dict[str, float]) -> None:
     """A hand presses steadily, and lets go up to a second after it died."""
     one |= {"law": WALL, "push": -one["limit"] * chance.uniform(0.3, 0.9), "dies": chance.uniform(0.5, 2.0)}
-    one["lets_go"] = one["dies"] + chance.uniform(0.0, 1.0)
+    one["released"] = one["dies"] + chance.uniform(0.0, 1.0)
 
 
-def _let_go(chance: random.Random, one: dict[str, float]) -> None:
-    """A hand presses steadily, and lets go in the sample in which it dies."""
+def _released(chance: random.Random, one: dict[str, float]) -> None:
+    """A hand presses steadily, and releases the handle in the sample in which it dies."""
     _later(chance, one)
-    one["lets_go"] = one["dies"]
+    one["released"] = one["dies"]
 
 
-MOMENTS = {"in a flick": _flick, "moved": _moving, "pressed, let go later": _later, "let go": _let_go}
+MOMENTS = {"in a flick": _flick, "moved": _moving, "pressed, released later": _later, "released": _released}
 
 
 def dead(number: int, seed: int, moment: str, limit: float, mass: float, count: float) -> dict[str, Any]:

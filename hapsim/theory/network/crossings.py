@@ -37,7 +37,7 @@ AT_ONCE = 4_000_000  # complex numbers in memory
 
 
 def in_blocks(count: int, size: int) -> Iterator[slice]:
-    """Yields parts of so many places, for each of which systems of this size are in memory at once."""
+    """Yields slices of `count` places, short enough that a system of this size for each place fits into memory."""
     step = max(1, AT_ONCE // max(1, size) ** 2)
     yield from (slice(start, start + step) for start in range(0, count, step))
 
