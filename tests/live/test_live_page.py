@@ -76,9 +76,13 @@ class Page:
         return str(self.part(id).text)
 
     def slide(self, name: str, share: float, event: str) -> None:
-        """Moves a slider as a finger does: `input` while it moves, `change` when it leaves it."""
-        script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event(arguments[2]))"
-        self.browser.execute_script(script, self.part(f"set {name}"), 1000 * share, event)
+        """Moves a slider as a finger does: `input` while it moves, `change` when it leaves it. In one script, because
+        the page makes its sliders anew when it connects again."""
+        script = (
+            "const slider = document.getElementById(arguments[0]);"
+            "slider.value = arguments[1]; slider.dispatchEvent(new Event(arguments[2]))"
+        )
+        self.browser.execute_script(script, f"set {name}", 1000 * share, event)
 
     def value(self, name: str) -> float:
         return float(self.served.session.parameters[name].value)
