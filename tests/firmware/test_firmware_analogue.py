@@ -19,6 +19,7 @@ import hapsim
 from hapsim.device.connection import describe
 from hapsim.device.ports import open_serial_port
 from hapsim.errors import DeviceError
+from hapsim.loop.ring import LATE_FORCE
 from hapsim.running import Excitation
 from hapsim.scene import Scene
 
@@ -57,7 +58,8 @@ def test_four_faders_are_answered_in_time(on_board: Start) -> None:
     assert not any(duty for _, duty in board.forces())
     pushed = Excitation(0, 0.5, 20, 40, start=0, first=True)
     trace = hapsim.run(scene, duration=0.4, excitation=pushed)
-    assert trace.report.deadline_misses <= 1
+    in_step = trace.flags[5:]  # before that, on a busy machine, what is left of arming ends the chip's wait too early
+    assert not (in_step & LATE_FORCE).any()
     assert max(duty for _, duty in board.forces()) > 100
     assert abs(trace.position[:, 0]).max() > 1e-3 > abs(trace.position[:, 1:]).max()
 
