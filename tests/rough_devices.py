@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 import hapsim
-from hapsim.cli.measure import show_measurement
+from hapsim.cli.measure_command import show_measurement
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from hapsim.cli.check_hands import hand_lines
-from hapsim.cli.options import (
+from hapsim.cli.command_options import (
     Json,
     PictureOptions,
     SceneFile,
@@ -29,7 +29,7 @@ from hapsim.scene.issue import one_of
 
 if TYPE_CHECKING:
     from hapsim.chart.hand import Hand
-    from hapsim.chart.impedance import Transparency
+    from hapsim.chart.impedance_chart import Transparency
     from hapsim.scene import Scene
 
 
@@ -239,7 +239,7 @@ def felt(
     if over is not None:
         _tolerance(hand, over, [mass, normalised or None], output)
         return
-    from hapsim.chart.felt import WITHIN, draw_felt, felt_chart
+    from hapsim.chart.felt_chart import WITHIN, draw_felt, felt_chart
     from hapsim.chart.hand import described
 
     output.choose("felt.svg")
@@ -264,7 +264,7 @@ def felt(
 
 def _tolerance(hand: HandOptions, over: str, others: list[Any], output: ChartOutput) -> None:
     """Draws how far off k and b of a scene's hand are where the device is not the declared one."""
-    from hapsim.chart.felt import SHARES, draw_tolerance, tolerance_chart
+    from hapsim.chart.felt_chart import SHARES, draw_tolerance, tolerance_chart
 
     given = {name: value for name, value in asdict(hand).items() if value is not None}
     if hand.scene is None or others != [None, None] or given.keys() - {"scene", "channel"}:
@@ -337,8 +337,8 @@ def transparency(
     take precedence over the scene's values, unless it moves masses or another hand.
     """
     from hapsim.chart.hand import described
-    from hapsim.chart.impedance import draw_transparency
-    from hapsim.chart.impedance import transparency as transparency_of
+    from hapsim.chart.impedance_chart import draw_transparency
+    from hapsim.chart.impedance_chart import transparency as transparency_of
 
     output.choose("transparency.svg")
     if (found := _of_scene(hand, simulated, mass)) is not None:
@@ -370,7 +370,7 @@ def _of_scene(
     read; None for another. UsageError where an option describes another hand."""
     if hand.scene is None:
         return None
-    from hapsim.chart.impedance import transparency_in
+    from hapsim.chart.impedance_chart import transparency_in
     from hapsim.prediction import predict
 
     scene = load(hand.scene)

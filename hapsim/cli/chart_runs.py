@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from hapsim.cli.chart_hand import Channel, ChartOutput, hands_of
+from hapsim.cli.command_options import SceneFile, argument, flag, load, names, numbers, option, require_positive
 from hapsim.cli.live import live_line, live_words
-from hapsim.cli.options import SceneFile, argument, flag, load, names, numbers, option, require_positive
 from hapsim.cli.output import say, speak_in, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import relative_difference
@@ -121,7 +121,7 @@ def trace(
 
     It marks the forces that were late, clipped, withheld or never sent.
     """
-    from hapsim.chart.trace import columns_of, draw_trace, seconds_of
+    from hapsim.chart.trace_chart import columns_of, draw_trace, seconds_of
 
     require_positive("--last", last, "seconds")
     output.choose("trace.svg")

@@ -21,8 +21,8 @@ from hapsim.cli.check_hands import (
     together_lines,
     worst_hand_sentences,
 )
+from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, position, scene_name
 from hapsim.cli.live import at_work
-from hapsim.cli.options import At, Json, SceneFile, flag, load, option, position, scene_name
 from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.documents import pick
 from hapsim.errors import GuardError, UsageError
@@ -38,7 +38,7 @@ from hapsim.prediction import (
     robustness_of,
     warnings_about,
 )
-from hapsim.prediction.felt import SHARES
+from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
 from hapsim.prediction.linear import late_by_mean, with_device
 from hapsim.prediction.timing import on_wire

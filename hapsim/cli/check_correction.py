@@ -11,7 +11,7 @@ from rich.markup import escape
 from hapsim.cli.output import Line, table
 from hapsim.number_format import between, rounded_up
 from hapsim.prediction import Desired, Prediction, predict
-from hapsim.prediction.felt import SHARES
+from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.linear import with_device
 from hapsim.units import Units
 

@@ -19,7 +19,7 @@ from typing import Annotated, Any, ClassVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from hapsim.cli.options import choose_cache, on_command_line, take_cache
+from hapsim.cli.command_options import choose_cache, on_command_line, take_cache
 from hapsim.cli.output import complain, document, log_as_json, speak_in
 from hapsim.cli.streams import output_failure, standing_streams
 from hapsim.errors import HapsimError, UsageError, refused_by_system
@@ -117,11 +117,11 @@ class Commands(_Commands):
     """The commands `hapsim …`."""
 
     table: ClassVar[dict[str, tuple[str, str]]] = {
-        "run": ("run:run", "Run a scene with its device, or with the built-in mock."),
-        "status": ("status:status", "Show the status of a running hapsim."),
+        "run": ("run_command:run", "Run a scene with its device, or with the built-in mock."),
+        "status": ("status_command:status", "Show the status of a running hapsim."),
         "service": ("prepare:service", "Print a systemd unit that runs a scene."),
         "check": ("check:check", "Predict without running: stability, what the hand feels, gain margins, the wire."),
-        "measure": ("measure:measure", "Measure what the hand feels, and compare it with the prediction."),
+        "measure": ("measure_command:measure", "Measure what the hand feels, and compare it with the prediction."),
         "identify": (
             "identify:identify",
             "Push the device and identify its mass, friction, spring, delay and dry friction.",
@@ -130,13 +130,16 @@ class Commands(_Commands):
         "probe": ("probe:probe", "Test a device's firmware against the protocol, check by check."),
         "replay": ("records:replay", "Run a record again, through its scene or another, without a device."),
         "export": ("records:export", "Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."),
-        "sweep": ("sweep:sweep", "Predict and measure a scene at thousands of points; the results are one dataset."),
-        "frames": ("frames:frames", "Decode the frames of a capture, a report file or a serial port."),
+        "sweep": (
+            "sweep_command:sweep",
+            "Predict and measure a scene at thousands of points; the results are one dataset.",
+        ),
+        "frames": ("frames_command:frames", "Decode the frames of a capture, a report file or a serial port."),
         "faults": ("faults:faults", "Inject faults: relay between host and device and apply a script."),
-        "mock": ("device:mock", "Serve a scene's mock device on a pseudo-terminal."),
+        "mock": ("device_commands:mock", "Serve a scene's mock device on a pseudo-terminal."),
         "compile": ("prepare:compile_", "Compile ahead of the first run. No device is touched."),
-        "ports": ("device:ports", "List the serial ports."),
-        "sound": ("device:sound", "List the sound cards that `run --sound` can play on."),
+        "ports": ("device_commands:ports", "List the serial ports."),
+        "sound": ("device_commands:sound", "List the sound cards that `run --sound` can play on."),
         "new": ("prepare:new", "Write a first scene to begin with."),
         "scenes": ("prepare:scenes", "List the scenes that ship with hapsim."),
         "files": ("prepare:files", "Print where the header, the firmware, the pages and the scenes are."),

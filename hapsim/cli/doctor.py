@@ -12,8 +12,7 @@ import numpy as np
 import typer
 from rich.markup import escape
 
-from hapsim.cli.live import live_words
-from hapsim.cli.options import (
+from hapsim.cli.command_options import (
     Json,
     MockFlag,
     PictureOptions,
@@ -25,6 +24,7 @@ from hapsim.cli.options import (
     option,
     transport_kind,
 )
+from hapsim.cli.live import live_words
 from hapsim.cli.output import Table, complain, document, fitted, stderr, stdout, table
 from hapsim.doctor.examine import RATES_HZ, examine
 from hapsim.doctor.exchanges import EXCHANGE, IN_TIME, MOCK, ON_THE_MOCK, Exchanges, Verdict

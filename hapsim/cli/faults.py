@@ -14,11 +14,11 @@ import typer
 
 from hapsim.bringup.faults import KINDS, Injector, load_script, parse_script
 from hapsim.bringup.faults.relay import PassingTimes, Relay
+from hapsim.cli.command_options import Baud, Json, argument, flag, load, option, seconds
 from hapsim.cli.live import live_line, live_words
-from hapsim.cli.options import Baud, Json, argument, flag, load, option, seconds
 from hapsim.cli.output import complain, document, failure_document, spoken, stderr, stdout, table
 from hapsim.compiling.progress import Counted, on_compilation
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.ports import free_name, raw_port
 from hapsim.errors import DeviceError, RunError, UsageError

@@ -5,8 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from hapsim.cli.command_options import (
+    DeviceOptions,
+    Json,
+    PictureOptions,
+    flag,
+    option,
+    push_option,
+    require_file,
+    seconds,
+)
 from hapsim.cli.live import live_line
-from hapsim.cli.options import DeviceOptions, Json, PictureOptions, flag, option, push_option, require_file, seconds
 from hapsim.cli.output import Table, complain, document, say, speak_of, spoken, stderr, stdout, table
 from hapsim.device.ports import is_new
 from hapsim.documents import pick
@@ -84,7 +93,7 @@ def identify(
     if port:
         is_new(port)  # from now on not
     if picture.wanted:
-        from hapsim.chart.trace import draw_device_residual, residual_columns
+        from hapsim.chart.trace_chart import draw_device_residual, residual_columns
 
         picture.write(lambda: residual_columns(found), lambda path: draw_device_residual(found, path))
     _show(device.scene, scene, found, write, json)

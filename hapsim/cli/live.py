@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hapsim.cli.options import chosen_cache, flag, names, option
+from hapsim.cli.command_options import chosen_cache, flag, names, option
 from hapsim.cli.output import complain, json_log, spoken, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural

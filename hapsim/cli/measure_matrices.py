@@ -11,19 +11,19 @@ import typer
 from rich.markup import escape
 
 from hapsim.cli.check_details import assumption_lines
+from hapsim.cli.command_options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions, say_written
 from hapsim.cli.live import live_line
-from hapsim.cli.options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions, say_written
 from hapsim.cli.output import Table, complain, document, show, spoken, stderr, stdout, table
-from hapsim.cli.run import predict_before_arming, print_warnings, require_stable, with_mock
+from hapsim.cli.run_command import predict_before_arming, print_warnings, require_stable, with_mock
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring import measure_hands as rings
 from hapsim.measuring.measure_impedance import StoppedError, walls_in_place
 from hapsim.measuring.measure_impedance import measure_impedance as measure
-from hapsim.measuring.options import require_device_point
+from hapsim.measuring.measurement_options import require_device_point
 from hapsim.number_format import number, percent, plural, relative_difference, rounded
 from hapsim.prediction import predict
-from hapsim.prediction.impedance import (
+from hapsim.prediction.predict_impedance import (
     PredictedImpedance,
     ZWidth,
     decades_of,
@@ -141,7 +141,7 @@ def measure_impedance(
         walls = _walls(scene, measured, widths, options) if excitation.z_width and not measured.stopped else {}
     _save_traces(measured.channels, measured.traces, record.record)
     if picture.wanted:
-        from hapsim.chart.impedance import columns, draw_impedance
+        from hapsim.chart.impedance_chart import columns, draw_impedance
 
         picture.write(
             lambda: columns(predicted, measured), lambda path: draw_impedance(scene, predicted, measured, place, path)

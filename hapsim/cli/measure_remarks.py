@@ -18,7 +18,7 @@ from hapsim.number_format import number, percent, rounded
 from hapsim.scene import Scene
 
 if TYPE_CHECKING:
-    from hapsim.cli.options import ExcitationOptions
+    from hapsim.cli.command_options import ExcitationOptions
     from hapsim.measuring.measure_trace import Measurement
     from hapsim.prediction import Prediction
     from hapsim.scene import Scene

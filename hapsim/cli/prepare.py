@@ -11,8 +11,8 @@ import typer
 
 import firmware_protocol
 import hapsim
+from hapsim.cli.command_options import Json, Port, SceneFile, Watch, argument, flag, load, option, require_file
 from hapsim.cli.live import LiveOptions, live_line, unkept, warn_if_elsewhere
-from hapsim.cli.options import Json, Port, SceneFile, Watch, argument, flag, load, option, require_file
 from hapsim.cli.output import complain, document, say, stderr, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural

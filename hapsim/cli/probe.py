@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hapsim.bringup.probe import Leave, judge, open_wire, steps_of
+from hapsim.cli.command_options import Json, argument, option, require_positive
 from hapsim.cli.live import live_words
-from hapsim.cli.options import Json, argument, option, require_positive
 from hapsim.cli.output import complain, document, speak_in, stderr, stdout
 from hapsim.device.ports import is_new
 from hapsim.errors import UsageError

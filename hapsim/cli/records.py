@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hapsim.cli.device import Link, serve
+from hapsim.cli.command_options import Json, PictureOptions, RecordOptions, argument, flag, load, option, say_written
+from hapsim.cli.device_commands import Link, serve
 from hapsim.cli.live import at_work
-from hapsim.cli.options import Json, PictureOptions, RecordOptions, argument, flag, load, option, say_written
 from hapsim.cli.output import complain, document, say, speak_in, spoken, stderr, warn
 from hapsim.documents import pick
 from hapsim.errors import RecordError, UsageError
@@ -75,7 +75,7 @@ def _serve(record: Path, link: Path | None, json: bool, is_alone: bool) -> None:
 
 
 def _draw(found: Comparison, pictures: PictureOptions, title: str) -> None:
-    from hapsim.chart.trace import draw_replay, replay_columns
+    from hapsim.chart.trace_chart import draw_replay, replay_columns
 
     pictures.write(lambda: replay_columns(found), lambda path: draw_replay(found, title, path))
 

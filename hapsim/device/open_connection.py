@@ -71,7 +71,7 @@ def open_connection(
     with contextlib.ExitStack() as stack:
         mock, port = None, scene.device.port or ""
         if place != "port":
-            from hapsim.device.mock.assemble import assemble_mock
+            from hapsim.device.mock.assemble_mock import assemble_mock
 
             mock = assemble_mock(scene)
         if place == "loopback":

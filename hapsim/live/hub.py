@@ -23,7 +23,7 @@ from hapsim.errors import GuardError, HapsimError, UsageError
 from hapsim.live.messages import Predict
 from hapsim.prediction import Felt, FeltTogether, Prediction, Region, predict
 from hapsim.running.changes import changed
-from hapsim.running.parameters import Parameter, changes_from, parameters_of
+from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session
 from hapsim.running.session_view import Event, EventKind, State

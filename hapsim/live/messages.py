@@ -14,7 +14,7 @@ from pydantic_core import to_json
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.recording.recorder import Samples
-from hapsim.running.parameters import Parameter
+from hapsim.running.live_parameters import Parameter
 from hapsim.running.session import Session
 from hapsim.running.session_view import Event, EventKind
 from hapsim.scene import Scene

@@ -18,7 +18,7 @@ from hapsim.live.access import Address, ip_of
 from hapsim.live.hub import Hub
 from hapsim.live.osc_packets import Argument, Received, bundles_of, is_pattern, matches, messages_of, packet_of, shown
 from hapsim.live.server import free_port
-from hapsim.running.parameters import Parameter
+from hapsim.running.live_parameters import Parameter
 from hapsim.running.session_view import Event
 
 ROOT = "/hapsim/"

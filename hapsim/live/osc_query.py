@@ -25,7 +25,7 @@ from hapsim.live.messages import text_of
 from hapsim.live.osc import OscView, arguments_of, read_only_values
 from hapsim.live.osc_packets import Argument, packet_of
 from hapsim.live.server import response, serve_at
-from hapsim.running.parameters import Parameter
+from hapsim.running.live_parameters import Parameter
 
 _READS, _READS_AND_WRITES = 1, 3  # ACCESS
 _ATTRIBUTES = ("FULL_PATH", "CONTENTS", "TYPE", "ACCESS", "VALUE", "RANGE", "UNIT", "DESCRIPTION", "HOST_INFO")

@@ -1,6 +1,6 @@
 """One exchange: positions in, the scene moved, the guarded force out. Shared by every loop.
 
-No system call is made here: the caller (run.py in the kernel, portable.py in Python) brings bytes and time.
+No system call is made here: the caller (compiled_loop.py in the kernel, portable.py in Python) brings bytes and time.
 
 **No force is sent that answers a position older than a force may live.** A force acts for its time to live and one
 sample more; then the device makes it zero and takes no older one (PROTOCOL.md, section 6). In two cases the host has to

@@ -16,9 +16,9 @@ from hapsim.compiling import entry
 from hapsim.compiling.kept import compile_for
 from hapsim.loop.buffers import fetch_in_python, inbox_at, put_bytes
 from hapsim.loop.clocks import may_ask_again, plan_by_device, plan_by_host
+from hapsim.loop.compiled_loop import SLICE_NS, take_received_frames
 from hapsim.loop.endings import FAILED, HEARD, HUNG_UP, RING_FULL, RUNNING, TIMED_OUT, ending_of
 from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent
-from hapsim.loop.run import SLICE_NS, take_received_frames
 from hapsim.loop.transport import PythonTransport
 
 
@@ -123,7 +123,7 @@ class PortableLoop:
         return ending
 
     def _take_newest_position(self, begun: int, timeout_ns: int) -> int:
-        """As in run.py."""
+        """As in compiled_loop.py."""
         now, give_up, last_look = begun, begun + timeout_ns, False
         while True:
             code, stop = _take_and_compose(self._loop, now)

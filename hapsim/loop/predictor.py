@@ -29,7 +29,7 @@ PREDICTOR = np.dtype(
         ("readings", np.int64),  # 2: the velocity is read too
         ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes,
         ("lives", np.int64),  # at most for this many samples
-        ("width", np.int64),  # numbers of a channel (running/correction.py)
+        ("width", np.int64),  # numbers of a channel (running/correction_setup.py)
         ("numbers", np.uint64),  # address of (channels, width): the numbers now
         ("table", np.uint64),  # of (channels, rows, width): for masses in equal ratios, or one row
         ("before", np.uint64),  # of the table before it, while one fades into the other

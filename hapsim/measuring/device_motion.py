@@ -34,7 +34,7 @@ from hapsim.loop.ring import BRIDGED, LATE_FORCE, OFF_GRID
 from hapsim.measuring.converters import Converters, Floats
 from hapsim.measuring.trace_quality import ROUNDING, unbroken
 from hapsim.recording.trace import Trace
-from hapsim.running.options import Excitation
+from hapsim.running.session_options import Excitation
 from hapsim.scene import Ground, Initial, Mock, Scene, ViscoElastic
 
 _LEAST_HALF = 32

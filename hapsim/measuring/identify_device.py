@@ -38,7 +38,7 @@ from hapsim.measuring.device_motion import (
     scene_of,
     swings_of,
 )
-from hapsim.measuring.options import (
+from hapsim.measuring.measurement_options import (
     SHARE_OF_LIMIT,
     Run,
     RunOptions,
@@ -49,8 +49,8 @@ from hapsim.measuring.options import (
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, silence, silence_words
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
-from hapsim.running.options import PeriodicExcitation
 from hapsim.running.run import run_to_end
+from hapsim.running.session_options import PeriodicExcitation
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 

@@ -9,7 +9,7 @@ from typing import Unpack
 
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
-from hapsim.measuring.options import (
+from hapsim.measuring.measurement_options import (
     Run,
     RunOptions,
     largest_push,

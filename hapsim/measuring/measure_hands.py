@@ -21,7 +21,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
 from hapsim.measuring.measure import pushes
-from hapsim.measuring.options import Run, RunOptions, require_above_zero, require_device_point
+from hapsim.measuring.measurement_options import Run, RunOptions, require_above_zero, require_device_point
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace

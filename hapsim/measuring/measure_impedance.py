@@ -13,7 +13,8 @@ import numpy as np
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.measuring.converters import Converters, Floats
-from hapsim.measuring.impedance import (
+from hapsim.measuring.measurement_options import Run, RunOptions, largest_push, require_above_zero
+from hapsim.measuring.periodic_excitation import (
     LEAST_PERIODS,
     Impedance,
     Lines,
@@ -24,7 +25,6 @@ from hapsim.measuring.impedance import (
     periods_of,
     settling,
 )
-from hapsim.measuring.options import Run, RunOptions, largest_push, require_above_zero
 from hapsim.measuring.trace_quality import SeenRate, seen_rate, silence
 from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation

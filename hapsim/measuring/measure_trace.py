@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hapsim.errors import RunError, UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, OFF_GRID
 from hapsim.measuring.converters import Floats
-from hapsim.measuring.pole_pair import FittedPair, SecondMode, dominant_pairs
+from hapsim.measuring.fitted_pair import FittedPair, SecondMode, dominant_pairs
 from hapsim.measuring.regression import MOST_ORDER, Fit, Regression, Segment, noise_of, shaken, slides, stands
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, unbroken
 from hapsim.one_thread import one_thread

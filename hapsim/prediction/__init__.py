@@ -5,9 +5,8 @@ Public is what `__all__` names.
 
 from firmware_protocol.schema import WireTime
 from hapsim.prediction.any_hand import AnyHand, ShakingHand, WorstHand
-from hapsim.prediction.felt import Desired, Felt, Robustness, correction_for, felt_at_rate, robustness_of
+from hapsim.prediction.felt_alone import Desired, Felt, Robustness, correction_for, felt_at_rate, robustness_of
 from hapsim.prediction.felt_together import HAND_HZ, HAND_STIFFNESS, FeltTogether, OwnMotion, Weight
-from hapsim.prediction.impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import (
@@ -19,6 +18,7 @@ from hapsim.prediction.predict import (
     surely_shaken_by,
     with_mass,
 )
+from hapsim.prediction.predict_impedance import PredictedImpedance, ZWidth, predict_impedance, z_width_of
 from hapsim.prediction.stability import LinkMargin, Region, Shaking
 from hapsim.prediction.timing import HostSilence, host_silence
 from hapsim.prediction.warnings import warnings_about

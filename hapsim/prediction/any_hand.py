@@ -19,7 +19,7 @@ from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import SURELY, poles_of, state_size
 from hapsim.theory.network.impedance import device_forces
 from hapsim.theory.network.modes import snap_to_rest
-from hapsim.theory.network.passivity import HeldScene, Passivity, highest, passivity_of, peaks_of, why_not_derived
+from hapsim.theory.network.scene_passivity import HeldScene, Passivity, highest, passivity_of, peaks_of, why_not_derived
 
 Range = tuple[float, float]
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.one_thread import one_thread
-from hapsim.prediction.impedance import spring_and_damper
+from hapsim.prediction.predict_impedance import spring_and_damper
 from hapsim.theory import Network, frequency_and_ratio
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import (

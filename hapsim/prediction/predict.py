@@ -16,7 +16,7 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.any_hand import AnyHand
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.felt import SHARES, Desired, Felt, Tolerance, desired_of, felt_by, swing, tolerance_of
+from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, desired_of, felt_by, swing, tolerance_of
 from hapsim.prediction.felt_together import FeltTogether
 from hapsim.prediction.linear import has_more_than_regions, links_of, network_of, require_within_numbers, why_coupled
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins

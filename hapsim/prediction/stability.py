@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from hapsim.prediction.characteristic import Characteristic, Piece
-from hapsim.prediction.felt import Felt
+from hapsim.prediction.felt_alone import Felt
 from hapsim.prediction.linear import LinearLink, LinearScene, links_of
 from hapsim.prediction.reach import pressed_within
 from hapsim.prediction.states import ContactStates, Grown

@@ -16,11 +16,11 @@ from firmware_protocol.decoder import new_decoder
 from hapsim.compiling.progress import Counted
 from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
+from hapsim.loop.compiled_loop import VALUES, replay_rows
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.ring import BEFORE, VELOCITY
-from hapsim.loop.run import VALUES, replay_rows
 from hapsim.recording.stream import StreamReader, open_record, reading
-from hapsim.running.assemble import LoopMemory, assemble_loop
+from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import compile_ahead
 from hapsim.running.recorded_run import options_of, read_run, versions_of_now

@@ -6,10 +6,10 @@ Public is what `__all__` names.
 from hapsim.loop.counts import Progress
 from hapsim.recording.recorder import Samples, Stream
 from hapsim.recording.trace import Report, Statistics, Trace
-from hapsim.running.options import Excitation, PeriodicExcitation
-from hapsim.running.parameters import Parameter
+from hapsim.running.live_parameters import Parameter
 from hapsim.running.run import run
 from hapsim.running.session import Session, sessions, start
+from hapsim.running.session_options import Excitation, PeriodicExcitation
 from hapsim.running.session_view import Event, State
 
 __all__ = [

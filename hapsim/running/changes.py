@@ -29,8 +29,8 @@ from hapsim.loop.posted import Posts
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
-from hapsim.running.assemble import LoopMemory
-from hapsim.running.parameters import MOCK_HAND, LivePart, parts_of
+from hapsim.running.assemble_loop import LoopMemory
+from hapsim.running.live_parameters import MOCK_HAND, LivePart, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.scene import Hand, Mock, Nonlinear, Scene
 from hapsim.scene.cross_checks import lists_of_another_length

@@ -110,7 +110,7 @@ UNITS: dict[str, CompileUnit] = {
     "loop": CompileUnit(
         48,
         ("loop.guards.leap:find_leap",),
-        _entry("loop.run:run_loop", "loop.exchange:LOOP"),
+        _entry("loop.compiled_loop:run_loop", "loop.exchange:LOOP"),
         calls_system=True,
     ),
     "port": CompileUnit(
@@ -151,7 +151,9 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "replay": CompileUnit(
         40,
-        entries=_entry("loop.run:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), True, True),
+        entries=_entry(
+            "loop.compiled_loop:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), True, True
+        ),
         in_second_process=True,
     ),
     "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),
@@ -272,7 +274,7 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
 
 def _compile_scenes(scenes: Sequence[Scene]) -> None:
     from hapsim.cordis.program import compile_scene
-    from hapsim.device.mock.assemble import assemble_mock
+    from hapsim.device.mock.assemble_mock import assemble_mock
     from hapsim.device.open_connection import place_of_device
 
     for scene in scenes:

@@ -26,7 +26,7 @@ from hapsim.prediction.timing import host_silence
 from hapsim.recording.background_file import BackgroundFile
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.trace import Report, Statistics, Trace, columns_of
-from hapsim.running.assemble import LoopMemory
+from hapsim.running.assemble_loop import LoopMemory
 from hapsim.scene import Scene
 
 

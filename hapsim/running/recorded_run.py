@@ -10,9 +10,9 @@ from firmware_protocol.description import Description
 from hapsim.documents import pick, plain
 from hapsim.prediction import predict
 from hapsim.recording.report import validated
-from hapsim.running.assemble import LoopMemory
+from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import document_of
-from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
+from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 
 _OPTIONS = ("unstable", "judges_energy", "judges_sign")

@@ -24,7 +24,7 @@ from hapsim.prediction.force_bounds import refused_travel
 from hapsim.prediction.timing import wire_delay
 from hapsim.prediction.warnings import most_force
 from hapsim.recording.trace import require_writable_as_trace
-from hapsim.running.options import RunOptions
+from hapsim.running.session_options import RunOptions
 from hapsim.scene import DamperScheme, Scene
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.scene.cross_checks import narrow_detents

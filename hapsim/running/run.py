@@ -14,15 +14,15 @@ from hapsim.compiling.progress import Counted
 from hapsim.device.connection import Connection, arm
 from hapsim.errors import UsageError
 from hapsim.loop import endings
-from hapsim.loop.run import run_loop
+from hapsim.loop.compiled_loop import run_loop
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.trace import Trace
 from hapsim.running import outcome
-from hapsim.running.assemble import assemble_loop
+from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
-from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.running.requirements import PACING, require_compatible, require_in_time, require_runnable
 from hapsim.running.session import Session, follow, start
+from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource
 from hapsim.stopping import stopping_on_signals
@@ -97,7 +97,7 @@ def run_in_memory(scene: Scene, *, duration: float, excitation: Excitation | Per
     session is opened and nothing is asked over the wire that is known here. Nothing stops it early.
 
     Raises what `run` raises, and UsageError where the scene does not run in virtual time."""
-    from hapsim.device.mock.assemble import assemble_mock
+    from hapsim.device.mock.assemble_mock import assemble_mock
     from hapsim.device.mock.wire import loopback_transport
 
     name = "mock in memory"

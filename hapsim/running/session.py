@@ -29,20 +29,19 @@ from hapsim.device.open_connection import open_connection, place_of_device, requ
 from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop import endings
 from hapsim.loop.buffers import last_bytes
+from hapsim.loop.compiled_loop import run_loop
 from hapsim.loop.counts import Progress
 from hapsim.loop.portable import PortableLoop
 from hapsim.loop.realtime import PrivilegeResult, no_timer_slack, realtime
-from hapsim.loop.run import run_loop
 from hapsim.loop.system import missing_calls
 from hapsim.prediction.linear import with_device
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.report_file import WireBytes, default_directory, write_report
 from hapsim.recording.trace import Trace, columns_of
 from hapsim.running import outcome
-from hapsim.running.assemble import assemble_loop
+from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
-from hapsim.running.options import RunOptions
 from hapsim.running.recorded_run import prediction_of
 from hapsim.running.requirements import (
     PACING,
@@ -51,6 +50,7 @@ from hapsim.running.requirements import (
     require_known_zero,
     require_runnable,
 )
+from hapsim.running.session_options import RunOptions
 from hapsim.running.session_view import SessionView
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene

@@ -24,11 +24,11 @@ from hapsim.recording.recorder import Recorder, RecordFile, Samples, Scales, Str
 from hapsim.recording.stream import Head
 from hapsim.recording.trace import Report, Statistics, require_writable_as_trace
 from hapsim.running import outcome
-from hapsim.running.assemble import LoopMemory
+from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import OVER, Changes, LiveScene
-from hapsim.running.options import RunOptions
-from hapsim.running.parameters import Parameter, parameters_of
+from hapsim.running.live_parameters import Parameter, parameters_of
 from hapsim.running.recorded_run import run_of
+from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from hapsim.errors import SceneError, UsageError
 from hapsim.running.changes import OVER
-from hapsim.running.parameters import MOCK_HAND, parts_of
+from hapsim.running.live_parameters import MOCK_HAND, parts_of
 from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
 

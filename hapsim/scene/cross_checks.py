@@ -13,7 +13,7 @@ from hapsim.units import MOTIONS, Motion
 
 from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
-from .modules.points import DevicePoint, Ground
+from .modules.point_modules import DevicePoint, Ground
 from .part import ModuleContext, Part
 from .quantity import ANGLE, Span
 

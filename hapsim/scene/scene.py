@@ -22,7 +22,7 @@ from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, PickUp, ViscoElastic
-from .modules.points import DevicePoint, Ground, Mass, MaterialPoint
+from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint
 from .modules.structures import Structure
 from .part import Module, ModuleContext, Part, Table
 from .quantity import NAME, count, quantity

@@ -20,13 +20,13 @@ from hapsim.compiling.native import address_of
 from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene
 from hapsim.cordis.schemes import SCHEMES
-from hapsim.device.mock.assemble import describe_mock
+from hapsim.device.mock.assemble_mock import describe_mock
 from hapsim.errors import UsageError
 from hapsim.loop.exchange import LOOP
 from hapsim.loop.hooks import set_hooks
 from hapsim.loop.predictor import corrected_ticks
 from hapsim.prediction.correction import rendered
-from hapsim.running.correction import LoopCorrection
+from hapsim.running.correction_setup import LoopCorrection
 from hapsim.scene import Scene
 from hapsim.speed_accuracy.objects import OBJECTS
 from hapsim.speed_accuracy.results import OURS, Found, Object, Row

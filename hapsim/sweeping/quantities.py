@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import HapsimError, UsageError
-from hapsim.measuring.impedance import lines_for
 from hapsim.measuring.measure import measure
 from hapsim.measuring.measure_impedance import measure_impedance
+from hapsim.measuring.periodic_excitation import lines_for
 from hapsim.one_thread import one_thread
 from hapsim.prediction import predict, predict_impedance
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene
-from hapsim.sweeping.points import Value, Varied
+from hapsim.sweeping.sweep_points import Value, Varied
 
 ERROR = "error"
 """The variable of the sentences about points of which something failed, or has no value."""

@@ -27,13 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.measuring.options import require_above_zero, require_device_point
+from hapsim.measuring.measurement_options import require_above_zero, require_device_point
 from hapsim.running.recorded_run import versions_of_now
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.sweeping.parts import Parts
-from hapsim.sweeping.points import Points, Varied, grid, listed
 from hapsim.sweeping.quantities import ERROR, FREQUENCY, KINDS, Task, frequencies, work
+from hapsim.sweeping.sweep_points import Points, Varied, grid, listed
 from hapsim.whole_file import file_for_hdf5
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hapsim import measure
-from hapsim.chart.felt import DRAWN, DesiredPlane, Outcome, felt_by, felt_chart, limit_of
+from hapsim.chart.felt_chart import DRAWN, DesiredPlane, Outcome, felt_by, felt_chart, limit_of
 from hapsim.chart.hand import Hand
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.theory import Configuration

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from hapsim.chart.hand import Hand, hands_of_scene
-from hapsim.chart.impedance import transparency
+from hapsim.chart.impedance_chart import transparency
 from hapsim.chart.table1 import Table1, table1
 from hapsim.errors import DeviceError, UsageError
 from hapsim.measuring.measure import measure
-from hapsim.prediction.impedance import predict_impedance
+from hapsim.prediction.predict_impedance import predict_impedance
 from hapsim.scene import load_scene
 from hapsim.theory import Configuration
 

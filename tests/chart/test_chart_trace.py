@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.chart import trace as trace_chart
+from hapsim.chart import trace_chart
 from hapsim.loop.ring import LATE_FORCE, LIMITED, UNSENT, WITHHELD
 from hapsim.recording import stream
 from hapsim.recording.trace import Trace

@@ -50,7 +50,7 @@ class Serial:
     port_of = "COM3"
 
     def __init__(self, port: str, baudrate: int, *, timeout: float, **_options: Any) -> None:
-        from hapsim.device.mock.assemble import assemble_mock
+        from hapsim.device.mock.assemble_mock import assemble_mock
         from hapsim.device.mock.firmware import prepare
         from hapsim.scene import load_scene
 

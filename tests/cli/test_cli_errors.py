@@ -206,9 +206,9 @@ TO_STOP: dict[str, tuple[str, str]] = {  # by command: what it calls late, and w
     "check": ("hapsim.cli.check.predict", "while working out modes and gain margins"),
     "check --explain": ("hapsim.cordis.offline.explain", "while compiling"),
     "chart plane": ("hapsim.chart.plane.draw_plane", ""),
-    "chart felt": ("hapsim.chart.felt.felt_chart", ""),
+    "chart felt": ("hapsim.chart.felt_chart.felt_chart", ""),
     "chart force": ("hapsim.chart.force.draw_force", ""),
-    "chart transparency": ("hapsim.chart.impedance.transparency", ""),
+    "chart transparency": ("hapsim.chart.impedance_chart.transparency", ""),
     "chart table1": ("hapsim.chart.table1.table1", ""),
     "compile": ("hapsim.cli.prepare.load", ""),
     "sweep touch.stiffness=1,2 --out s.nc": ("hapsim.sweeping.sweep.sweep", ""),
@@ -270,7 +270,7 @@ def test_a_record_whose_export_is_stopped_leaves_no_file(
     assert not out.exists()
     monkeypatch.setattr("hapsim.replaying.replay.compare", interrupt)
     assert hapsim("replay", record).sentence == f"hapsim: stopped before hapsim replay {record} was finished\n"
-    monkeypatch.setattr("hapsim.chart.trace.draw_trace", interrupt)
+    monkeypatch.setattr("hapsim.chart.trace_chart.draw_trace", interrupt)
     answer = hapsim("chart", "trace", record, "--picture", tmp_path / "p.svg")
     assert answer.sentence == f"hapsim: stopped before hapsim chart trace {record} was finished\n"
 

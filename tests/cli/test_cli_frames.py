@@ -179,11 +179,11 @@ def terminal() -> Iterator[tuple[int, str]]:
 def test_a_port_is_listened_to_until_an_interrupt_and_nothing_is_sent(
     hapsim: Hapsim, terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapsim.cli import frames
+    from hapsim.cli import frames_command
 
     near, path = terminal
     heard = threading.Event()
-    monkeypatch.setattr(frames, "text_of", lambda entry: heard.set() or str(entry["time_s"]))
+    monkeypatch.setattr(frames_command, "text_of", lambda entry: heard.set() or str(entry["time_s"]))
 
     def play() -> None:
         while not heard.is_set():  # what comes before the port is open is thrown away

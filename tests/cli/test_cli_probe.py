@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.scene import Scene
 

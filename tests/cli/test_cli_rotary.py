@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from hapsim.cli.command_options import load
 from hapsim.cli.live import _Words
-from hapsim.cli.options import load
 from hapsim.cli.output import speak_in, stdout
-from hapsim.cli.status import show_status
+from hapsim.cli.status_command import show_status
 from hapsim.errors import SceneError, UsageError
 from hapsim.live.messages import channels_of
 from hapsim.loop.counts import Progress
@@ -25,7 +25,7 @@ from hapsim.recording.trace import load_trace
 from hapsim.replaying.export import Columns
 from hapsim.replaying.replay import Record
 from hapsim.running.changes import changed
-from hapsim.running.parameters import parameters_of
+from hapsim.running.live_parameters import parameters_of
 from hapsim.scene import load_scene, parse_scene
 from hapsim.units import LINEAR, MOTIONS, Units
 

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from hapsim.cli.live import live_line
 from hapsim.cli.output import speak_in
-from hapsim.cli.run import _Reporter, show_report, show_run
+from hapsim.cli.run_command import _Reporter, show_report, show_run
 from hapsim.loop.counts import Progress
 from hapsim.recording.trace import load_trace
 from hapsim.running import run

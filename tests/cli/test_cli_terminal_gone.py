@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from firmware_protocol import schema
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.recording.trace import load_trace
 from hapsim.scene import load_scene

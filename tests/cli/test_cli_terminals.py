@@ -21,7 +21,7 @@ import pytest
 from rich.console import Console
 
 import hapsim as package
-from hapsim.cli import frames, live
+from hapsim.cli import frames_command, live
 from hapsim.cli.command_line import ChartCommands, Commands
 from hapsim.cli.output import table
 from hapsim.device.mock.terminal import serving
@@ -120,7 +120,7 @@ def test_a_fifo_without_a_writer_can_be_left(
         if not waits.wait(20.0):
             rescued.append(os.open(fifo, os.O_WRONLY))  # else a failure would hang
 
-    monkeypatch.setattr(frames.select, "select", select)
+    monkeypatch.setattr(frames_command.select, "select", select)
     helper = threading.Thread(target=rescue)
     helper.start()
     answer = hapsim("frames", fifo)

@@ -26,7 +26,7 @@ REPOSITORY = Path(code_cache.__file__).resolve().parents[1]
 ROOMS = [room.relative_to(REPOSITORY) for room in COMPILED_ROOMS]
 
 #: Entries and actions, by file: what has machine code of its own.
-RUN, SERVE, DECODER = "hapsim/loop/run.py", "hapsim/device/mock/terminal.py", "firmware_protocol/decoder.py"
+RUN, SERVE, DECODER = "hapsim/loop/compiled_loop.py", "hapsim/device/mock/terminal.py", "firmware_protocol/decoder.py"
 POINTS, LINEAR, NONLINEAR, STRING, MEMBRANE = (
     f"hapsim/cordis/modules/{name}.py" for name in ("points", "linear_links", "nonlinear_links", "string", "membrane")
 )
@@ -194,7 +194,7 @@ def test_what_is_looked_for_is_found(every_compiled: list[Any]) -> None:
     """Else the tests below would hold of nothing."""
     found = {(one.kind, one.file.name, one.name) for one in every_compiled}
     assert {
-        ("entry", "run.py", "run_loop"),
+        ("entry", "compiled_loop.py", "run_loop"),
         ("entry", "terminal.py", "serve"),
         ("native", "linear_links.py", "add_forces"),
         ("native", "crossfade.py", "cross_fade"),

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from hapsim import run
 from hapsim.cli.live import live_line
-from hapsim.cli.run import show_report
+from hapsim.cli.run_command import show_report
 from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.recording.report import Report

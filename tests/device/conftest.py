@@ -11,7 +11,7 @@ import pytest
 from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.firmware import look_at_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
 

@@ -15,7 +15,7 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.description import from_registers, to_registers
-from hapsim.device.mock.assemble import describe_mock
+from hapsim.device.mock.assemble_mock import describe_mock
 
 DEVICE, HOST, LOCKSTEP = schema.PACED_BY_DEVICE, schema.PACED_BY_HOST, schema.LOCKSTEP
 T_NS = 1_000_000

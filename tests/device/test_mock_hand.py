@@ -10,7 +10,7 @@ import pytest
 
 import hapsim
 from hapsim import run
-from hapsim.device.mock.assemble import describe_mock
+from hapsim.device.mock.assemble_mock import describe_mock
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 
 New = Callable[..., Any]

@@ -18,7 +18,7 @@ import serial
 
 from firmware_protocol import schema
 from firmware_protocol.frames import SETUP, frame_to_device
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.firmware import prepare
 from hapsim.device.mock.terminal import new_service, serve, serving
 from hapsim.loop.transport import descriptor_transport

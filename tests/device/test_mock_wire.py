@@ -12,7 +12,7 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.wire import UART, arrived, next_due_ns, put_on_wire, take_off_wire, transmitter_transport
 from hapsim.errors import UsageError
 from hapsim.loop.endings import FAILED

@@ -12,7 +12,7 @@ import yaml
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description, from_registers, registers_of_a_description, to_registers
-from hapsim.device.mock.assemble import assemble_mock, describe_mock
+from hapsim.device.mock.assemble_mock import assemble_mock, describe_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import UsageError
 from hapsim.running.requirements import require_compatible

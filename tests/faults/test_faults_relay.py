@@ -23,7 +23,7 @@ from hapsim.bringup.faults import Injector
 from hapsim.bringup.faults import relay as relay_module
 from hapsim.bringup.faults.relay import PassingTimes, Relay
 from hapsim.cli.faults import passing_on
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.ports import raw_port
 from hapsim.errors import DeviceError, UsageError

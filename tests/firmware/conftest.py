@@ -17,7 +17,7 @@ import firmware_protocol
 from firmware_protocol import schema
 from firmware_protocol.description import to_registers
 from firmware_protocol.vectors import DEVICES, LIMIT, STATES
-from hapsim.device.mock.assemble import assemble_mock, describe_mock
+from hapsim.device.mock.assemble_mock import assemble_mock, describe_mock
 from hapsim.device.mock.firmware import OUTBOX_BYTES, look_at_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
 

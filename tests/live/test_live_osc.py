@@ -24,7 +24,7 @@ from hapsim.live.access import address_of
 from hapsim.live.hub import Hub
 from hapsim.live.osc import OscView
 from hapsim.live.server import Server
-from hapsim.running.parameters import Parameter
+from hapsim.running.live_parameters import Parameter
 from hapsim.scene import parse_scene
 
 PACKETS = int(os.environ.get("HAPSIM_POINTS", "2000"))

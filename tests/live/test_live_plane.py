@@ -10,7 +10,7 @@ import pytest
 from hapsim import predict
 from hapsim.live.hub import predicted
 from hapsim.live.messages import Predict
-from hapsim.running.parameters import parameters_of
+from hapsim.running.live_parameters import parameters_of
 from hapsim.scene import Scene, load_scene, parse_scene
 
 REGIONAL = ("toggle", "button", "fader", "knob_24", "four_keys")

@@ -20,13 +20,12 @@ from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_host
 from hapsim.device.connection import Connection
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.loop.portable import _take_and_compose
 from hapsim.loop.transport import descriptor_transport
-from hapsim.running import assemble
-from hapsim.running.assemble import LoopMemory, assemble_loop
-from hapsim.running.options import RunOptions
+from hapsim.running.assemble_loop import LoopMemory, assemble_loop
+from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene, parse_scene
 
 CLOCKS = ["lockstep", "device", "host"]
@@ -205,7 +204,7 @@ def scripted(
     thread = threading.Thread(target=device.serve)
     thread.start()
     try:
-        with mock.patch.object(assemble, "_stale_ns", return_value=1 << 62):
+        with mock.patch("hapsim.running.assemble_loop._stale_ns", return_value=1 << 62):
             yield on_port(as_it_is(scene or scene_of()), path), device
     finally:
         device.stop.set()

@@ -18,7 +18,7 @@ from firmware_protocol.frames import armed_format
 from hapsim.loop import endings
 from hapsim.loop.endings import HUNG_UP
 from hapsim.loop.portable import PortableLoop
-from hapsim.running.assemble import LoopMemory
+from hapsim.running.assemble_loop import LoopMemory
 
 # Damaged bytes in each format; HAPSIM_POINTS=50 makes it ten millions in all.
 DAMAGED_BYTES = 100_000 * int(os.environ.get("HAPSIM_POINTS", "1"))

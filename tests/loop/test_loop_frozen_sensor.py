@@ -15,7 +15,7 @@ from hapsim.loop.guards.frozen_sensor import MOST_RAMP_S, MOST_WAIT_S
 from hapsim.loop.ring import FADED
 from hapsim.recording.trace import Trace
 from hapsim.running import run, start
-from hapsim.running.options import RunOptions
+from hapsim.running.session_options import RunOptions
 from hapsim.scales import SCALES
 from hapsim.scene import Scene
 

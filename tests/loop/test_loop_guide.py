@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hapsim.running import Excitation, run
-from hapsim.running.options import Guide
+from hapsim.running.session_options import Guide
 from hapsim.scene import Scene, parse_scene
 
 RATE, PUSHED = 1000.0, 256

@@ -15,13 +15,13 @@ from firmware_protocol.compiled import new_record
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from hapsim.compiling.native import array_at, record_at
 from hapsim.loop.clocks import next_point
+from hapsim.loop.compiled_loop import run_loop
 from hapsim.loop.endings import DONE, HEARD, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.portable import PortableLoop, _compose
 from hapsim.loop.ring import OFF_GRID, UNSENT
-from hapsim.loop.run import run_loop
 from hapsim.loop.transport import Transport, receiver, sender
-from hapsim.running.assemble import LoopMemory
+from hapsim.running.assemble_loop import LoopMemory
 
 RATE = 500.0
 PERIOD_S = 1 / RATE

@@ -7,7 +7,7 @@ from loop_rig import arrive, assembled, frame, scene_of
 
 from hapsim.loop.endings import HEARD, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
-from hapsim.running.assemble import LoopMemory
+from hapsim.running.assemble_loop import LoopMemory
 
 BEGIN, PERIOD = 5_000_000_000, 1_000_000  # ns
 

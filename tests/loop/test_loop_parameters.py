@@ -14,7 +14,7 @@ import hapsim
 from hapsim.compiling import entry
 from hapsim.cordis.program import parameter_values
 from hapsim.cordis.substep_loop import move_scene
-from hapsim.running.assemble import LoopMemory
+from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene
 

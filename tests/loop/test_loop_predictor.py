@@ -10,11 +10,11 @@ import pytest
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.compiling.native import address_of
-from hapsim.device.mock.assemble import describe_mock
+from hapsim.device.mock.assemble_mock import describe_mock
 from hapsim.loop.exchange import LOOP
 from hapsim.loop.hooks import call_hooks, set_hooks
 from hapsim.prediction.correction import rendered
-from hapsim.running.correction import LoopCorrection
+from hapsim.running.correction_setup import LoopCorrection
 from hapsim.scene import Device, DevicePoint, Ground, Scene, ViscoElastic
 
 MASS, T, LIVES = 0.2, 1e-3, 4

@@ -20,7 +20,7 @@ from loop_rig import frame, on_port, scene_of, scripted
 from firmware_protocol import schema
 from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.device.connection import describe
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import DeviceError, GuardError
 from hapsim.recording.trace import load_trace

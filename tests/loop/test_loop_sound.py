@@ -14,7 +14,7 @@ from hapsim.cordis.program import compile_scene, positions_of
 from hapsim.errors import UsageError
 from hapsim.loop.endings import HEARD
 from hapsim.loop.sound import KNEE
-from hapsim.running.assemble import LoopMemory
+from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene
 

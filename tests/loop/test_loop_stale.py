@@ -13,7 +13,7 @@ from firmware_protocol.frames import armed_format
 from hapsim.loop.endings import HEARD
 from hapsim.loop.portable import _compose
 from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
-from hapsim.running.assemble import LoopMemory
+from hapsim.running.assemble_loop import LoopMemory
 
 MS = 1_000_000
 START = 10**9

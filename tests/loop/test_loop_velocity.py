@@ -15,11 +15,11 @@ from firmware_protocol import schema
 from hapsim.device.connection import arm, describe, disarm
 from hapsim.device.open_connection import open_connection
 from hapsim.errors import DeviceError, UsageError
+from hapsim.loop.compiled_loop import run_loop
 from hapsim.loop.endings import DONE
-from hapsim.loop.run import run_loop
 from hapsim.running import run
-from hapsim.running.assemble import LoopMemory, assemble_loop
-from hapsim.running.options import RunOptions
+from hapsim.running.assemble_loop import LoopMemory, assemble_loop
+from hapsim.running.session_options import RunOptions
 from hapsim.scene import DamperScheme, Scene, parse_scene
 from hapsim.scene.issue import one_of
 

@@ -13,7 +13,7 @@ import hapsim
 from hapsim.holds import HOLDS
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_motion import sampled_motion
-from hapsim.prediction.impedance import predict_impedance
+from hapsim.prediction.predict_impedance import predict_impedance
 from hapsim.scene import Scene, parse_scene
 
 TEXT = """

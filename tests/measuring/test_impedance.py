@@ -18,12 +18,12 @@ from hapsim.cli.measure_matrices import measured_width, show_impedance
 from hapsim.errors import UsageError
 from hapsim.holds import HOLDS
 from hapsim.loop.ring import LATE_FORCE, UNSENT
-from hapsim.measuring import impedance
+from hapsim.measuring import periodic_excitation
 from hapsim.measuring.converters import Converters
-from hapsim.measuring.impedance import Periods, impedance_of, lines_for, multisine, periods_of
 from hapsim.measuring.measure_impedance import MeasuredImpedance, StoppedError, measure_impedance, walls_in_place
+from hapsim.measuring.periodic_excitation import Periods, impedance_of, lines_for, multisine, periods_of
 from hapsim.prediction import predict
-from hapsim.prediction.impedance import mean_width, predict_impedance, z_width_of
+from hapsim.prediction.predict_impedance import mean_width, predict_impedance, z_width_of
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene, Span, load_scene, parse_scene
@@ -353,7 +353,7 @@ def test_as_many_values_lie_outside_their_circles_as_the_confidence_says(
     size = LINES.bins.size
     shares = {}
     for outside in (0.1, 0.01):
-        monkeypatch.setattr(impedance, "CONFIDENCE", 1.0 - outside * size)
+        monkeypatch.setattr(periodic_excitation, "CONFIDENCE", 1.0 - outside * size)
         found = [impedance_of([one], LINES.frequency, 1000.0, 0.0, CONVERTERS).device for one in experiments]
         late = CONVERTERS.response(LINES.frequency, 1000.0, 0.0)
         true = (STIFFNESS * late / (2j * np.pi * LINES.frequency))[:, None, None]

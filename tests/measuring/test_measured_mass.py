@@ -13,7 +13,7 @@ from records import held_by_a_hand
 from rich.console import Console
 
 import hapsim as python_api
-from hapsim.cli.measure import measurement_document, show_measurement
+from hapsim.cli.measure_command import measurement_document, show_measurement
 from hapsim.documents import plain
 from hapsim.measuring.diagnosis import diagnose
 from hapsim.measuring.measure_trace import measure_trace

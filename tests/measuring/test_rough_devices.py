@@ -8,7 +8,7 @@ from records import trace_of
 from rich.console import Console
 
 import hapsim
-from hapsim.cli.measure import show_measurement
+from hapsim.cli.measure_command import show_measurement
 from hapsim.measuring.measure_trace import measure_trace
 from tests.rough_devices import TOO_FAR, measured, rough_device
 

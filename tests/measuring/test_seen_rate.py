@@ -14,16 +14,16 @@ import pytest
 from rich.console import Console
 
 import hapsim
-from hapsim.cli.measure import measurement_document, show_measurement
+from hapsim.cli.measure_command import measurement_document, show_measurement
 from hapsim.device.connection import Connection
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.mock.wire import loopback_transport
 from hapsim.documents import plain
 from hapsim.errors import UsageError
 from hapsim.loop.ring import LATE_FORCE
+from hapsim.measuring.fitted_pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.measure_trace import Measurement, measure_trace
-from hapsim.measuring.pole_pair import NO_SECOND_REAL_POLE
 from hapsim.measuring.trace_quality import seen_rate
 from hapsim.prediction import felt_at_rate, predict
 from hapsim.recording.trace import Trace

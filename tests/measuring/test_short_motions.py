@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hapsim.measuring.pole_pair import _seen_in
+from hapsim.measuring.fitted_pair import _seen_in
 
 POLES = np.array([0.9 + 0.1j, 0.9 - 0.1j, 0.5 + 0j, 1.1 + 0j])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -41,3 +42,11 @@ def test_what_a_page_places_in_a_file_stands_there(page: str) -> None:
         and not any(re.search(rf"\b{name}\b", (REPOSITORY / one).read_text("utf-8")) for one in of_name(file))
     ]
     assert wrong == []
+
+
+def test_a_file_name_occurs_once() -> None:
+    """So that a page, an editor or an engineer means one file by it."""
+    files = Counter(
+        Path(one).name for one in TRACKED if one.startswith(("hapsim/", "firmware_protocol/")) and one.endswith(".py")
+    )
+    assert [name for name, times in files.items() if times > 1 and name != "__init__.py"] == []

@@ -34,8 +34,8 @@ INSIDE = {
     ("tools/bench/steadiness/in_memory.py", "hapsim.compiling"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.device"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.loop"): TIMES_THE_EXCHANGE,
-    ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble"): TIMES_THE_EXCHANGE,
-    ("tools/bench/steadiness/in_memory.py", "hapsim.running.options"): TIMES_THE_EXCHANGE,
+    ("tools/bench/steadiness/in_memory.py", "hapsim.running.assemble_loop"): TIMES_THE_EXCHANGE,
+    ("tools/bench/steadiness/in_memory.py", "hapsim.running.session_options"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/wakeups.py", "hapsim.doctor.exchanges"): "times the loop's sleep as it schedules itself",
     (
         "tools/bench/estimated_mass.py",

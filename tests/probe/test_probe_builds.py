@@ -20,7 +20,7 @@ from rich.console import Console
 
 from hapsim.bringup.probe import STEPS, Check, Judgement, Leave, judge, open_wire, steps_of
 from hapsim.cli.probe import show_judgement
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.scene import Scene
 

@@ -16,7 +16,7 @@ from wire_session import injector_of
 
 import hapsim
 from hapsim.bringup.faults.relay import Relay
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.ports import raw_port
 from hapsim.errors import DeviceError, SceneError, UsageError

@@ -30,14 +30,14 @@ def shown(file: str) -> dict[str, Any]:
 
     from firmware_protocol.description import Description
     from hapsim.cli.live import _of_a_run
-    from hapsim.cli.run import lifetime_document, show_report
-    from hapsim.cli.status import show_status
+    from hapsim.cli.run_command import lifetime_document, show_report
+    from hapsim.cli.status_command import show_status
     from hapsim.device.connection import Connection
     from hapsim.live.access import Address
     from hapsim.live.hub import Hub
     from hapsim.live.web import WebView
     from hapsim.recording.report import read_summary, summary_document
-    from hapsim.running.assemble import LoopMemory
+    from hapsim.running.assemble_loop import LoopMemory
     from hapsim.running.outcome import progress_of, report_of, statistics_of
     from hapsim.running.reconnecting import Lifetime
     from hapsim.running.status import RunState

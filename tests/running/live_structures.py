@@ -22,9 +22,8 @@ from hapsim.cordis.succession import take_over_from
 from hapsim.device.connection import arm, describe, disarm
 from hapsim.device.open_connection import open_connection
 from hapsim.loop import endings
-from hapsim.loop.run import run_loop
-from hapsim.running import assemble
-from hapsim.running.assemble import LoopMemory, assemble_loop
+from hapsim.loop.compiled_loop import run_loop
+from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene, differs_in_live_parameters_alone
 from hapsim.scene import Scene
 
@@ -88,7 +87,7 @@ class Runner:
 
 @contextlib.contextmanager
 def running(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> Iterator[Runner]:
-    monkeypatch.setattr(assemble, "_RING_ROWS", 128)
+    monkeypatch.setattr("hapsim.running.assemble_loop._RING_ROWS", 128)
     with open_connection(scene, "loopback") as connection:
         description: Description = describe(connection)
         loop = assemble_loop(scene, connection, description)

@@ -17,7 +17,7 @@ import pytest
 from rich.console import Console
 
 from hapsim.cli.output import document
-from hapsim.cli.status import show_status
+from hapsim.cli.status_command import show_status
 from hapsim.errors import UsageError
 from hapsim.running import start, status
 from hapsim.running.status import RunState, ask, path_for, sockets, telling

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import hapsim
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import UsageError
 from hapsim.prediction import predict

@@ -12,7 +12,7 @@ import pytest
 
 import hapsim
 from hapsim.errors import SceneError
-from hapsim.running.options import RunOptions
+from hapsim.running.session_options import RunOptions
 
 TEXT = """
 version: 1

@@ -11,7 +11,7 @@ import pytest
 import hapsim
 from hapsim.errors import UsageError
 from hapsim.running import Event
-from hapsim.running.parameters import changes_from, parameters_of
+from hapsim.running.live_parameters import changes_from, parameters_of
 from hapsim.scene import Scene, load_scene, parse_scene
 from hapsim.scene.shipped import shipped_scenes
 

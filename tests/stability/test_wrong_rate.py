@@ -19,7 +19,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.compiling.native import address_of
 from hapsim.device.connection import Connection
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.device.mock.wire import loopback_transport
 from hapsim.errors import GuardError

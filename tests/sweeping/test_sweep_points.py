@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hapsim.errors import SceneError, UsageError
 from hapsim.scene import load_scene
-from hapsim.sweeping.points import METHODS, Varied, grid, listed, read_points, table
+from hapsim.sweeping.sweep_points import METHODS, Varied, grid, listed, read_points, table
 
 
 def test_words_make_a_grid_in_the_order_of_its_last_dimension() -> None:

@@ -15,8 +15,8 @@ from hapsim.errors import UsageError
 from hapsim.scene import Scene
 from hapsim.sweeping import sweep as room
 from hapsim.sweeping.parts import Parts
-from hapsim.sweeping.points import Varied
 from hapsim.sweeping.sweep import write
+from hapsim.sweeping.sweep_points import Varied
 
 AXES = {"touch.stiffness": [300.0, 2000.0, 5000.0], "device.delay": [0.0, 0.37, 1.0]}
 DURATION = 0.5
@@ -47,7 +47,7 @@ def test_each_point_is_what_predict_and_measure_say_of_its_scene(scene: Path) ->
 
 
 def test_measured_agrees_with_predicted_wherever_samples_fall(scene: Path, figures: Any) -> None:
-    from hapsim.sweeping.points import read_points
+    from hapsim.sweeping.sweep_points import read_points
 
     words = [
         "touch.stiffness=log:200:6000",

@@ -20,7 +20,7 @@ from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import poles_of
 from hapsim.theory.network.impedance import loop_impedance
-from hapsim.theory.network.passivity import HeldScene, passivity_of
+from hapsim.theory.network.scene_passivity import HeldScene, passivity_of
 
 SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))
 RATE = 1000.0

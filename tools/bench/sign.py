@@ -28,15 +28,15 @@ from numba import types
 
 from hapsim.compiling.native import address_of, native, record_at
 from hapsim.device.connection import Connection, arm, describe
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.firmware import call_event, mock_at
 from hapsim.device.mock.motion import BODY
 from hapsim.device.mock.wire import loopback_transport
+from hapsim.loop.compiled_loop import run_loop
 from hapsim.loop.guards import in_words
-from hapsim.loop.run import run_loop
-from hapsim.running.assemble import assemble_loop
-from hapsim.running.options import RunOptions
+from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.requirements import PACING
+from hapsim.running.session_options import RunOptions
 from hapsim.scene import parse_scene
 
 STEPS = 5  # of a hand, in a sample

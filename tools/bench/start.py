@@ -35,7 +35,7 @@ from random_scenes import random_scenes
 
 import hapsim
 from firmware_protocol import schema
-from hapsim.device.mock.assemble import assemble_mock
+from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.firmware import prepare, take_bytes
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

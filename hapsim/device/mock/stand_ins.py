@@ -23,7 +23,7 @@ from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.cordis.parameters import PARAMETERS, LiveValues, call_move
-from hapsim.device.mock.assemble import described_mock, hand_values
+from hapsim.device.mock.assemble_mock import described_mock, hand_values
 from hapsim.device.mock.firmware import FUNCTIONS, call_event, call_say, disarm, mock_at
 from hapsim.device.mock.motion import move_with_spring_or_friction
 from hapsim.device.mock.sampler import set_timing

@@ -16,8 +16,8 @@ quantised or not, if b0 >= K T (1/2 + d) + |B|. Without delay, the spring held a
 
 a difference of stored energies and K T/2 · dx²/T. Each further sample of delay adds K dx[n-j] dx[n], at most
 K/2 (dx[n-j]² + dx[n]²): summed, at most K T · dx²/T. The damper, however late, gives -B/T dx[m] dx[n], summed at most
-|B| dx²/T. Friction takes all of it. That is Colgate's condition (`theory/hand/passivity.py`) sample by sample. Where a
-force is clipped the spring is softer; two channels are two sums.
+|B| dx²/T. Friction takes all of it. That is Colgate's condition (`theory/hand/wall_passivity.py`) sample by sample.
+Where a force is clipped the spring is softer; two channels are two sums.
 
 Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. At the first
 sample S is minus what the scene holds then (cordis/stored_energy.py): what nothing connects to a hand counts as

@@ -14,7 +14,7 @@ from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARP
 from ..issue import Issue, did_you_mean, one_of, quote
 from ..part import Module, ModuleContext, Part, check_of
 from ..quantity import Curve, curve, names, quantity, text
-from .points import DevicePoint
+from .point_modules import DevicePoint
 from .structures import Structure
 
 ENDS = names(

@@ -22,7 +22,6 @@ from hapsim.theory.hand.inverse_map import (
     undamped_curve,
 )
 from hapsim.theory.hand.lone_hand import LoneHand, characteristic, lone_hand
-from hapsim.theory.hand.passivity import needed_friction
 from hapsim.theory.hand.pole_pair import PolePair, oscillator_of_quadratic
 from hapsim.theory.hand.poles import (
     OWN_ABOVE_NYQUIST,
@@ -32,6 +31,7 @@ from hapsim.theory.hand.poles import (
     quietly_in_blocks,
     why_not_dominant,
 )
+from hapsim.theory.hand.wall_passivity import needed_friction
 from hapsim.theory.interface import SAMPLINGS, damper_gain, damper_named, hold_lag, late_and_held
 
 MOST_EIGENVALUES = 8  # poles: of a longer delay they take too long to look for a stable interval by
@@ -200,7 +200,7 @@ class Configuration:
         """The real friction, N·s/m, above which a wall (K, B) is passive (Colgate and Schenkel, 1997).
 
         K T/2 + |B| for the backward damper without delay, K T (delay + 1/2) for a spring alone behind whole
-        samples of delay; for a fraction of one, more than that (see ``passivity.py``).
+        samples of delay; for a fraction of one, more than that (see ``wall_passivity.py``).
 
         Raises:
             ValueError: the hold is not "zoh", the sampling not "ideal" or the damper "sensed": the condition is

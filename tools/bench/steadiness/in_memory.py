@@ -19,12 +19,12 @@ from firmware_protocol.frames import armed_format, frame_to_host
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.native import array_at, record_at
 from hapsim.device.connection import Connection
-from hapsim.device.mock.assemble import describe_mock
+from hapsim.device.mock.assemble_mock import describe_mock
 from hapsim.loop import endings
-from hapsim.loop.run import run_loop
+from hapsim.loop.compiled_loop import run_loop
 from hapsim.loop.transport import Transport, receiver, sender
-from hapsim.running.assemble import assemble_loop
-from hapsim.running.options import RunOptions
+from hapsim.running.assemble_loop import assemble_loop
+from hapsim.running.session_options import RunOptions
 from steadiness.mock import FIRST_TOUCH
 
 _FRAMES = 4096

@@ -19,8 +19,8 @@ import typer
 from firmware_protocol import schema
 from firmware_protocol.capture import REASONS, Capture, Decoded, Refused
 from firmware_protocol.frames import SETUP, Format
+from hapsim.cli.command_options import Baud, Json, argument, flag, option, seconds
 from hapsim.cli.live import live_words
-from hapsim.cli.options import Baud, Json, argument, flag, option, seconds
 from hapsim.cli.output import complain, failure_document, say, speak_in, spoken, stderr
 from hapsim.cli.streams import output_ended
 from hapsim.device.connection import Connection

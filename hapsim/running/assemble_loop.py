@@ -30,8 +30,8 @@ from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds
-from hapsim.running.correction import LoopCorrection
-from hapsim.running.options import Excitation, PeriodicExcitation, RunOptions
+from hapsim.running.correction_setup import LoopCorrection
+from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 from hapsim.sound.play import SoundOutput
 

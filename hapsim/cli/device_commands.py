@@ -10,8 +10,8 @@ from typing import Annotated, Any
 from rich.console import Console
 from rich.markup import escape
 
+from hapsim.cli.command_options import Json, SceneFile, flag, load, option
 from hapsim.cli.live import live_line
-from hapsim.cli.options import Json, SceneFile, flag, load, option
 from hapsim.cli.output import complain, document, stderr, stdout, table
 
 Link = Annotated[Path | None, option("PATH", "Also give the port this name (a link).")]
@@ -24,7 +24,7 @@ def mock(
     json: Json = False,
 ) -> None:
     """Serve the scene's mock device on a pseudo-terminal until Ctrl-C, and print its path."""
-    from hapsim.device.mock.assemble import assemble_mock
+    from hapsim.device.mock.assemble_mock import assemble_mock
 
     serve(partial(assemble_mock, load(scene)), link, realtime, json)
 

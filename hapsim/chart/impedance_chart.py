@@ -16,7 +16,7 @@ from hapsim.chart.figure import drawn_in, figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.prediction import Prediction
-from hapsim.prediction.impedance import PredictedImpedance, predict_impedance, spring_and_damper
+from hapsim.prediction.predict_impedance import PredictedImpedance, predict_impedance, spring_and_damper
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Complexes, Floats
 

@@ -11,18 +11,7 @@ from rich.markup import escape
 
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import assumption_lines, wire_lines
-from hapsim.cli.live import live_line
-from hapsim.cli.measure_remarks import (
-    attempts,
-    dry_friction,
-    limits,
-    measured_weight,
-    other_device,
-    smaller_push,
-    weight_sentence,
-    with_hand,
-)
-from hapsim.cli.options import (
+from hapsim.cli.command_options import (
     DeviceOptions,
     ExcitationOptions,
     Json,
@@ -34,8 +23,19 @@ from hapsim.cli.options import (
     require_positive,
     say_written,
 )
+from hapsim.cli.live import live_line
+from hapsim.cli.measure_remarks import (
+    attempts,
+    dry_friction,
+    limits,
+    measured_weight,
+    other_device,
+    smaller_push,
+    weight_sentence,
+    with_hand,
+)
 from hapsim.cli.output import Table, complain, document, failure_document, show, speak_of, spoken, stderr, stdout, table
-from hapsim.cli.run import print_warnings, require_stable, show_report, show_run, with_mock
+from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.diagnosis import diagnose
@@ -175,7 +175,7 @@ def _end_failed(
 
 
 def _draw(felt: Any, measurement: Measurement, picture: PictureOptions) -> None:
-    from hapsim.chart.trace import draw_ring_down, ring_down
+    from hapsim.chart.trace_chart import draw_ring_down, ring_down
 
     drawn = ring_down(measurement.trace, felt, led=measurement.at_m is not None)
     picture.write(lambda: drawn, lambda path: draw_ring_down(drawn, felt, (measurement.k, measurement.b), path))
@@ -252,7 +252,7 @@ def _of_coupled(why: str, own: OwnMotion | None) -> str:
 
 def _plainly(reason: str) -> str:
     """Returns why no spring and damper fits, without speaking of poles; `Measurement.reason` keeps it precise."""
-    from hapsim.measuring.pole_pair import NO_SECOND_REAL_POLE
+    from hapsim.measuring.fitted_pair import NO_SECOND_REAL_POLE
 
     if reason == NO_SECOND_REAL_POLE:
         return "the hand creeps back without swinging, in a way that no single spring and damper does"

@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from hapsim.cli.options import Json, argument
+from hapsim.cli.command_options import Json, argument
 from hapsim.cli.output import fitted, stdout
 from hapsim.errors import UsageError
 from hapsim.loop.counts import words_at

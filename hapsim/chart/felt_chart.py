@@ -24,7 +24,7 @@ from hapsim.errors import UsageError
 from hapsim.prediction import predict
 from hapsim.prediction.correction import CORRECTIONS, felt_error
 from hapsim.prediction.correction.kind import Observer, pole_of_push
-from hapsim.prediction.felt import SHARES, Tolerance, tolerance_of
+from hapsim.prediction.felt_alone import SHARES, Tolerance, tolerance_of
 from hapsim.scene import Scene
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from hapsim.cli.live import LiveOptions, live_line
-from hapsim.cli.options import (
+from hapsim.cli.command_options import (
     DeviceOptions,
     Json,
     Realtime,
@@ -27,6 +26,7 @@ from hapsim.cli.options import (
     scene_name,
     seconds,
 )
+from hapsim.cli.live import LiveOptions, live_line
 from hapsim.cli.output import (
     complain,
     document,

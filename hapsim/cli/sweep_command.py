@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hapsim.cli.command_options import Json, PictureOptions, SceneFile, argument, flag, load, option, seconds
 from hapsim.cli.live import live_words
-from hapsim.cli.options import Json, PictureOptions, SceneFile, argument, flag, load, option, seconds
 from hapsim.cli.output import document, say, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent, plural
@@ -18,7 +18,7 @@ from hapsim.stopping import note_work
 if TYPE_CHECKING:
     import xarray
 
-    from hapsim.sweeping.points import Points
+    from hapsim.sweeping.sweep_points import Points
 
 _MOST_SAID = 3  # failures
 _DEVIATION = 2  # digits
@@ -38,7 +38,7 @@ class PointOptions:
 
     def read(self) -> Points:
         """Returns the points. Raises UsageError."""
-        from hapsim.sweeping.points import read_points, table
+        from hapsim.sweeping.sweep_points import read_points, table
 
         if self.points is None:
             return read_points(self.parameters or [], self.samples, self.method, self.seed)
@@ -105,7 +105,7 @@ def sweep(
             note_work(f"before it was finished; run the same command again to go on with what {out}.parts keeps")
         raise
     if pictures.wanted and drawn:
-        from hapsim.chart.sweep import draw_sweep, sweep_chart
+        from hapsim.chart.sweep_chart import draw_sweep, sweep_chart
 
         chart = sweep_chart(dataset, *drawn)
         pictures.write(chart.columns, lambda path: draw_sweep(chart, path))
@@ -139,7 +139,7 @@ class _Progress:
 def _names_to_draw(
     kinds: tuple[str, ...], points: Points, variable: str | None, over: str | None
 ) -> tuple[str, list[str]]:
-    from hapsim.chart.sweep import names_to_draw
+    from hapsim.chart.sweep_chart import names_to_draw
     from hapsim.sweeping.quantities import KINDS
 
     variables = (name for kind in kinds for name in KINDS[kind])
