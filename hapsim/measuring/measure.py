@@ -1,4 +1,4 @@
-"""Closing the temporary hybrid system, ringing it, and identifying the spring and damper that it felt."""
+"""measure: excites a hand on its scene, and identifies the spring and damper that the hand feels."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _SHARE_OF_TRAVEL = 0.25
 _COUNTS = 2.0**31
 _LEAST_ROWS = 32
 _MOST_RUNS = 5
-_FINE, _FINE_IN_TIME = 2e-6, 1e-4  # of k and b, in virtual and real time: what need not be more certain
-_UNSURE = 0.1  # of k: with more, nothing is said of it
-_PLENTY = 1e5  # counts: where the hand may swing by more, they are not why nothing is identified
-_LARGER = 1.5  # times a push: less than that is no use
+_FINE, _FINE_IN_TIME = 2e-6, 1e-4  # relative uncertainty of k and b that is enough, in virtual and in real time
+_UNSURE = 0.1  # the largest relative uncertainty of k that is reported
+_PLENTY = 1e5  # counts: if the hand may swing farther, the counts are not why nothing is identified
+_LARGER = 1.5  # times the push: a smaller increase is not worth another run
 
 
 def measure(
@@ -47,24 +47,23 @@ def measure(
     run: Run = run_to_end,
     **options: Unpack[RunOptions],
 ) -> Measurement:
-    """Rings the hand on `channel` and identifies what it feels.
+    """Excites the hand on `channel` and identifies the spring and damper that it feels.
 
-    For half of the time it rings down once, from the mock's initial state or from a push where the device is at rest;
-    then pushes follow, so that a motion which dies out in a few samples is seen many times. `duration`: seconds.
-    `push`: the largest force of a push in N [default: a quarter of the force limit]. A correction that adapts is pushed
-    all the time, and what it does in the second half is identified, with the mass that it has found.
+    During the first half of `duration` (s) the motion decays once, from the mock's initial state or from a push of a
+    device at rest. Then pushes follow, so that a motion of a few samples is recorded many times. `push`: the largest
+    force of a push, N [default: a quarter of the force limit]. An adaptive correction is pushed all the time. Its
+    second half is identified, with the mass that it has estimated.
 
-    `at`: the position in m, from the scene's position 0, to which the hand is led first, in 4 to 9 s more, and where a
-    constant force then holds it. A scene with contacts, tables, detents or dry friction is always measured at a
-    position [default: where the hand rests, or is held nearest to position 0], and with the smallest pushes that are
-    clear of the noise: in up to 5 runs, the next one with larger pushes for less uncertainty, or with half the push
-    where the hand left its region. With `push` there is one run. The measurement's `attempts` list them.
+    `at`: the position in m, from the scene's position 0. The hand is led there first, in 4 to 9 s more, and a constant
+    force then holds it. A scene with contacts, tables, detents or dry friction is always measured at a position
+    [default: where the hand rests, or is held nearest to position 0]. Up to 5 runs then find the best push: it begins
+    just above the noise, grows for less uncertainty, and halves if the hand left its region. With `push` there is one
+    run. The measurement's `attempts` list the runs.
 
-    `options`: `transport`, `on_progress`, `stop_on_signals` and `unstable`, as of `hapsim.run`; `run` is what they go
-    to, with the scene. Raises what `hapsim.running.run` raises, and
-    UsageError where too little moves to identify anything, or where no hand can be measured at that position. Where the
-    device fails, or stops by itself, and was recorded for long enough to identify something, the measurement is
-    returned with the error as its `failure`.
+    `run` runs the scene, with `options`: `transport`, `on_progress`, `stop_on_signals` and `unstable` of `hapsim.run`.
+    Raises the errors of `run`, and UsageError if too little moves to identify anything, or if no hand can be measured
+    at that position. If the device fails or stops by itself after enough was recorded, returns the measurement with
+    the error as its `failure`.
     """
     scene, run = as_scene(scene), partial(run, **options)
     require_device_point(scene, channel)
@@ -80,7 +79,8 @@ def measure(
 
 
 def _recorded(run: Run, scene: Scene, excitation: Excitation, duration: float) -> tuple[Trace, DeviceError | None]:
-    """A run that pushes for `duration` seconds, and why it ended early. DeviceError where that was too early."""
+    """Runs the excitation for `duration` s. Returns the trace, and the error that ended it early or None. Raises
+    DeviceError if too little was recorded."""
     guided = excitation.ticks_before(scene.rate)
     try:
         trace, failure = run(scene, duration=duration + guided / scene.rate, excitation=excitation), None
@@ -96,8 +96,8 @@ def _recorded(run: Run, scene: Scene, excitation: Excitation, duration: float) -
 
 
 def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: DeviceError | None) -> Measurement:
-    """What the pushes of this run say, of a correction that adapts once it knew the hand, with the mass that it found.
-    UsageError, or the failure, where that is nothing."""
+    """Identifies a run; of an adaptive correction the second half, with the mass that it has estimated. Raises
+    `failure` or UsageError if nothing is identified."""
     device, channel, guide, half = scene.device, excitation.channel, excitation.guide, trace.sample.size // 2
     mass = device.masses(scene.channels)[channel]
     uncertainty = device.mass_uncertainties(scene.channels)[channel]
@@ -118,7 +118,7 @@ def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: Dev
 
 
 def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: float | None) -> Measurement:
-    """The most certain of the runs in which the hand stayed in its region; with a `push` (N) the only one."""
+    """Returns the most certain run in which the hand stayed in its region; with a `push` (N) the only run."""
     swing, most, best, least = place.first_swing(scene), place.largest_swing, None, math.inf
     attempts: list[Attempt] = []
     fine = _FINE if scene.device.clock == "lockstep" else _FINE_IN_TIME
@@ -175,14 +175,14 @@ def pushes(
     place: Place | None = None,
     swing: float = math.inf,
 ) -> Excitation:
-    """Pushes that move the hand clearly, and neither beyond the device's force nor beyond its range and travel; at a
-    `place` by `swing` m, for `push` N as long as a swing of its spring takes a radian."""
+    """Returns pushes that move the hand clearly, within the device's force, range and travel. At a `place` they move it
+    by `swing` m, and a push of `push` N lasts one radian of the spring's oscillation."""
     device, mock = scene.device, scene.mock_device
     mass, ticks = device.masses(scene.channels)[channel], math.ceil(duration * scene.rate)
     free = 0 if device.correction == "adaptive" else ticks // 2
     every = max(32, (ticks - free) // _PUSHES)
     rests_s = max(free, every) / scene.rate
-    # Until the next push even a free mass must stay in the range of its counts; a real device's is not known before.
+    # Until the next push even a free mass must stay in the range of its counts. A real device reports its range later.
     range_m = mock.quantum[channel] * _COUNTS if device.port is None else math.inf
     kick = mass * device.scales(scene.channels)[channel].kick
     wanted = kick if push is None else max(kick, push / scene.rate)
@@ -205,8 +205,8 @@ def pushes(
 
 
 def _kick_within_travel(scene: Scene, channel: int, rests_s: float) -> float:
-    """m/s, with which the hand goes through no more than _SHARE_OF_TRAVEL of device.travel before a spring that always
-    holds it takes it back, or else the next push. Where it rests within that is not known before it is armed."""
+    """Returns the velocity in m/s at which the hand uses no more than _SHARE_OF_TRAVEL of device.travel until a spring,
+    or else the next push, returns it. Its place of rest within the travel is not known before arming."""
     least, most = scene.device.travels(scene.channels)[channel]
     point = next(name for name, one in scene.device_points.items() if one.channel == channel)
     springs = (one for one in scene.links.values() if point in one.between and isinstance(one, ViscoElastic | Spring))

@@ -1,4 +1,4 @@
-"""measure_trace: the spring and damper that a hand felt, read from the record and from nothing else."""
+"""measure_trace: identifies the spring and damper that a hand felt, from the record alone."""
 
 from __future__ import annotations
 
@@ -21,47 +21,47 @@ from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
 
 _MOST_ROWS = 6000
-_FAINT_COUNTS = 40.0  # a smaller position, or a smaller step from one sample to the next, and the rounding is no
-_SLOW_COUNTS = 8.0  # longer like noise: it follows the motion
-_COARSE_COUNTS = 40.0  # the largest step of a record of which no part is louder than others: all of it is read
-_QUIET_SPELL = 64  # samples between two loud ones that still belong to one motion
+_FAINT_COUNTS = 40.0  # below this position, or below the next step from sample to sample, rounding is no longer like
+_SLOW_COUNTS = 8.0  # noise: it follows the motion
+_COARSE_COUNTS = 40.0  # a record without a larger step has no loud parts: all of it is used
+_QUIET_SPELL = 64  # samples between two loud parts of one motion
 _RUN_UP = 8
 _QUIETER = 0.1  # in sums of squares
-_PUSH_NEWTON = 1e-6  # a smaller surplus is the rounding of the force, not a push
+_PUSH_NEWTON = 1e-6  # a smaller surplus is rounding of the force, not a push
 _DRIFTS = tuple(
     1.0 - d for d in (0, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 1.0)
 )
-_SHAKEN = tuple(shaken(10.0**exponent) for exponent in np.arange(-3.0, 0.5, 0.4))  # what is less off is not told
-_LAWFUL = 1e-9  # of the largest force: what misses a law by less obeys it
+_SHAKEN = tuple(shaken(10.0**exponent) for exponent in np.arange(-3.0, 0.5, 0.4))  # a smaller ratio does not show
+_LAWFUL = 1e-9  # of the largest force: the largest error of a force that obeys a law
 _NO_SPRING = 1e-6  # of the largest force
-_CERTAIN = 0.02  # counts: a rest that is known so well is as good as exact
-_FAR_OFF = 5.0  # a fit that is this much less certain than the best one is no rival of it
-_LEAST_ORDER = 3  # that a record has to tell: a pair of poles and one that follows from delay, filter or hold
-_MOST_SPOILT = 0.1  # of the samples: with more, it is not motion that is missing
-_UNDECIDED = 20.0  # criterion: four standard deviations of p, squared, and something for the coarseness of its steps
-_ROUNDED = 1.1  # times rounding: a fit that leaves no more is of rounding alone
-_SEEN = 5.0  # uncertainties: dry friction that is less clear is not there
-_SUSPECTED, _SPOILT_FIT = 3.0, 2.0  # uncertainties; times rounding and noise: it is looked for with more
-_FAR_BETTER = 0.5  # of a residual: as much less is no chance, and no other order of a fit
+_CERTAIN = 0.02  # counts: a rest with this uncertainty counts as exact
+_FAR_OFF = 5.0  # times the uncertainty of the best fit: a less certain fit is no alternative
+_LEAST_ORDER = 3  # the least order of a usable record: a pair of poles, and one pole of delay, filter or hold
+_MOST_SPOILT = 0.1  # of the samples: with more, missing motion is not the cause
+_UNDECIDED = 20.0  # of the criterion: four standard deviations of p, squared, and a margin for its coarse steps
+_ROUNDED = 1.1  # times rounding: the residual of a fit with rounding as its only error
+_SEEN = 5.0  # uncertainties: weaker evidence of dry friction is ignored
+_SUSPECTED, _SPOILT_FIT = 3.0, 2.0  # uncertainties; times rounding and noise: above these dry friction is looked for
+_FAR_BETTER = 0.5  # of a residual: neither chance nor another order of a fit reduces it so much
 _SPOILT = LATE_FORCE | BRIDGED | OFF_GRID
 
 
 class Attempt(NamedTuple):
-    """A run of a measurement at a position."""
+    """One run of a measurement at a position."""
 
     push_n: float
-    """The largest push."""
+    """The largest push, N."""
     left: str
-    """Which links changed when the hand left its region, in words; "" where it stayed within."""
+    """The links that changed when the hand left its region, in words; "" if it stayed within."""
     k: float
-    """N/m; NaN where nothing was identified."""
+    """Felt stiffness, N/m; NaN if nothing was identified."""
     uncertainty: float
-    """Of k, as a share of it."""
+    """Relative uncertainty of k."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the hand felt, each value with the standard uncertainty that the identification states."""
+    """The spring and damper that the hand felt. Each value has its standard uncertainty."""
 
     DOCUMENT = (
         "k b frequency_hz damping_ratio frequency_uncertainty_hz damping_ratio_uncertainty k_uncertainty b_uncertainty "
@@ -70,62 +70,63 @@ class Measurement:
     )
 
     k: float
-    """N/m."""
+    """Felt stiffness, N/m."""
     b: float
-    """N·s/m, real friction included."""
+    """Felt damping, N·s/m, with the device's own friction."""
     frequency_hz: float
-    """Eigenfrequency sqrt(k/m) / 2 pi."""
+    """Eigenfrequency sqrt(k/m) / 2 pi, Hz."""
     damping_ratio: float
     frequency_uncertainty_hz: float
     damping_ratio_uncertainty: float
     k_uncertainty: float
-    """That of the mass included, where it is known."""
+    """Standard uncertainty of k, N/m, with that of the mass if known."""
     b_uncertainty: float
     pole: complex
-    """z-plane, the one of the pair with the larger modulus, in the upper half."""
+    """z-plane pole of the pair: the one with the larger modulus, in the upper half."""
     pole_uncertainty: float
     poles: tuple[complex, ...]
-    """All that the record shows, by decreasing modulus; the faster a pole, the less it is known."""
+    """All poles of the motion, by decreasing modulus. A faster pole is less certain."""
     dominant: bool
-    """False where the slowest poles are not those of a spring and damper; the values above are then NaN."""
+    """False if the slowest poles are not those of a spring and damper; the values above are then NaN."""
     reason: str
-    """Why not."""
+    """The reason if `dominant` is False."""
     mass: float
-    """kg, to which k and b belong: they grow in proportion to it. Eigenfrequency and damping ratio do not."""
+    """Mass in kg to which k and b refer. They are proportional to it; eigenfrequency and damping ratio are not."""
     mass_uncertainty: float | None
-    """kg; None where the mass is declared and nothing is known of it."""
+    """Standard uncertainty of the mass, kg; None for a declared mass."""
     second_mode: SecondMode | None
-    """What swings along, where the motion shows that something does."""
+    """A second oscillating mode, if the motion has one."""
     order: int
     samples: int
     residual_m: float
-    """Standard deviation of what the fit leaves, in m: the rounding of the position where all is well."""
+    """Standard deviation of the fit's residual, m; ideally the rounding of the position alone."""
     trace: Trace = field(repr=False, compare=False)
-    """Its source."""
+    """The record that was identified."""
     dry_friction_n: float = 0.0
-    """N, where the motion shows dry friction, which is then no part of b; 0 where it shows none. NaN where it does not
-    show how much: k and b may then be off by more than their uncertainty."""
+    """Dry friction, N, which is no part of b; 0 if the motion shows none. NaN if it shows some but not how much: k and
+    b may then be off by more than their uncertainty."""
     failure: RunError | None = field(default=None, repr=False, compare=False)
-    """Why the run ended early; the record until then was enough for the values above."""
+    """The error that ended the run early; enough was recorded before it for the values above."""
     seen_rate: SeenRate | None = field(default=None, compare=False)
-    """At which rate the device sampled, as its positions arrived; None where that does not tell."""
+    """Rate at which the device sampled, from the arrival of its positions; None if they do not show it."""
     push_n: float | None = field(default=None, compare=False)
-    """N, the largest push; None where that is not known."""
+    """The largest push, N; None if unknown."""
     at_m: float | None = field(default=None, compare=False)
-    """m, to which the hand was led; None: to no place."""
+    """Position in m to which the hand was led; None if it was not led."""
     attempts: tuple[Attempt, ...] = field(default=(), compare=False)
-    """All runs at that place; what is measured is from the most certain in which the hand stayed in its region."""
+    """All runs at that position. The result is from the most certain run in which the hand stayed in its region."""
 
     @property
     def left_region(self) -> str:
-        """Which links changed when the hand left its region in the run that was identified, in words; "" where it
-        stayed within, or was led to no place."""
+        """The links that changed when the hand left its region in the identified run, in words; "" if it stayed within
+        or was not led."""
         return next((one.left for one in self.attempts if one.push_n == self.push_n), "")
 
     def felt_mass(self, hand_stiffness: float) -> tuple[float, float]:
-        """kg, and its standard uncertainty: how heavy what the hand moves feels to a hand of this stiffness (N/m) that
-        held the device meanwhile, beside the device's own mass. A rigid mass on that hand would swing as fast as the
-        slowest swing that was seen. NaN where nothing swings."""
+        """Returns the mass that the hand feels beside the device's own, and its standard uncertainty, kg.
+
+        `hand_stiffness`: of the hand that held the device, N/m. A rigid mass on that hand would oscillate at the lowest
+        recorded frequency. NaN if nothing oscillates."""
         swings = [] if not self.dominant or self.damping_ratio >= 1.0 else [(self.k, self.k_uncertainty)]
         if self.second_mode is not None:
             s = self.trace.rate * cmath.log(self.second_mode.pole)
@@ -134,8 +135,8 @@ class Measurement:
         return self.mass * (hand_stiffness / k - 1.0), self.mass * hand_stiffness / k**2 * uncertainty
 
     def at_rate(self, rate_hz: float) -> Measurement:
-        """The same motion, if the device sampled at `rate_hz` and not at the trace's: its seconds are longer or
-        shorter, its periods are the same. The uncertainty of the rate that was seen adds to those of k and b."""
+        """Returns the measurement for a device that sampled at `rate_hz` instead of the trace's rate: the motion has
+        the same sample periods, of another length. The uncertainty of `seen_rate` adds to those of k and b."""
         share = rate_hz / self.trace.rate
         unsure = self.seen_rate.uncertainty_hz / rate_hz if self.seen_rate else 0.0
         changed = {}
@@ -149,11 +150,11 @@ class Measurement:
 def measure_trace(
     trace: Trace, mass: float, channel: int = 0, mass_uncertainty: float | None = None, *, pressed: bool = False
 ) -> Measurement:
-    """The spring and damper that `mass` kg on `channel` felt during the trace.
+    """Identifies the spring and damper that a mass of `mass` kg on `channel` felt during the trace.
 
-    `mass_uncertainty`: its standard uncertainty, kg; None where it is only declared. `pressed`: a constant force beside
-    the scene's acts all the time, so that the hand rests where the scene asks for one, too. Raises UsageError where
-    nothing moves.
+    `mass_uncertainty`: standard uncertainty of the mass, kg; None for a declared mass. `pressed`: a constant force acts
+    in addition to the scene's, so that the scene's force is not zero where the hand rests. Raises UsageError if nothing
+    moves.
     """
     with one_thread():
         segments, fits, sticks = _fitted(trace, channel, pressed)
@@ -161,8 +162,8 @@ def measure_trace(
     at = next((i for i, one in enumerate(read) if one.pair is not None), 0)
     best, found = fits[at][0], read[at]
     pair = found.pair or FittedPair()
-    # With the largest uncertainties that the fits beside the best state: the record does not tell them apart. A rival
-    # that is far less certain took the noise for a pole and is none.
+    # The record does not distinguish the best fit from its alternatives: the largest of their uncertainties counts. An
+    # alternative that is far less certain has fitted a pole to the noise and is ignored.
     others = [one.pair for one in read if one.pair is not None]
     equals = [pair, *(one for one in others if one.pole_uncertainty <= _FAR_OFF * pair.pole_uncertainty)]
     names = ("pole_uncertainty", "decay_uncertainty", "stiffness_uncertainty")
@@ -202,7 +203,7 @@ identify = measure_trace  # its former name, still public
 
 
 def asks_by_one_law(trace: Trace, channel: int) -> bool:
-    """Whether the scene's force was linear in the positions all the time: no link touched, gave way or slid."""
+    """Returns True if the scene's force was always linear in the positions: no link touched, released or slid."""
     asked, counts = trace.asked_force[:, channel], trace.position_counts[:, channel].astype(float)
     following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
     return any(
@@ -211,12 +212,12 @@ def asks_by_one_law(trace: Trace, channel: int) -> bool:
 
 
 def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], list[tuple[Fit, Fit | None]], bool]:
-    """The usable segments, the fits that they speak for, as `_fits` gives them, and whether dry friction moves the hand
-    besides that these do not have. UsageError where there is none."""
+    """Returns the usable segments, their fits as from `_fits`, and whether dry friction acts that these fits lack.
+    Raises UsageError if there is no fit."""
     if not np.all(np.isfinite(trace.asked_force)):
         raise UsageError("the scene's force was not finite throughout: there is nothing to be identified")
-    # A host that is seldom on time leaves too little between two deadline misses: then better rough than nothing.
-    # So it is where a hand that rests between its pushes never moves by many counts: rounding then passes for noise.
+    # A host that is often late leaves too few samples between two deadline misses: a rough fit is then better than
+    # none. The same holds for a hand that never moves by many counts between its rests: rounding then counts as noise.
     counts, rows = trace.position_counts[:, channel].astype(float), trace.sample.size
     moved = float(np.ptp(counts)) if rows else 0.0
     loud = moved <= _FAINT_COUNTS or float(np.max(np.abs(np.diff(counts)), initial=0.0)) > _COARSE_COUNTS
@@ -224,8 +225,8 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
     for spoilt, without_quiet in attempts:
         segments = _segments(trace, channel, spoilt, pressed, without_quiet)
         fits = _fits(segments, _DRIFTS)
-        # With a force that shakes the hand only where more is left than rounding. Else the more there is to choose
-        # from, the more certain a wrong fit may look.
+        # Fits with a white force are tried only if the residual exceeds rounding: with more candidates, a wrong fit may
+        # look more certain.
         if fits and fits[0][0].residual > _ROUNDED * ROUNDING:
             fits = _fits(segments, _DRIFTS + _SHAKEN)
         if fits:
@@ -248,13 +249,12 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
 def _with_dry_friction(
     segments: list[Segment], fits: list[tuple[Fit, Fit | None]]
 ) -> tuple[list[Segment], list[tuple[Fit, Fit | None]], bool]:
-    """As `_fitted`: fits with dry friction where the motion shows it clearly, or else these without.
+    """Returns the same as `_fitted`: fits with dry friction if the motion shows it clearly, else `fits`.
 
-    Between two turns dry friction is a constant force. Where the pieces between them are explained far better than the
-    whole, it is there, too, but sticks in too many samples to be distinguished from a
-    spring."""
-    # Where the best fit leaves no more than rounding and noise, and a force that changes its sign with the velocity
-    # makes it no better, there is none: that takes a tenth of the time of the fits between two turns.
+    Between two turns dry friction is a constant force. If the pieces between the turns fit far better than the whole,
+    dry friction acts, too, but the hand sticks too often to distinguish it from a spring."""
+    # There is none if the best fit leaves only rounding and noise, and a force with the sign of the velocity does not
+    # improve it. That test takes a tenth of the time of the fits between the turns.
     fit, counts = fits[0][0], max(ROUNDING, *(noise_of(one.position) for one in segments))
     rubbing = Regression(segments, (fit.drift,), ROUNDING, fit.order, with_slides=True).fit(fit.order, 0)
     if not (rubbing is None or rubbing.dry_clearly > _SUSPECTED or fit.residual > _SPOILT_FIT * counts):
@@ -272,7 +272,7 @@ def _with_dry_friction(
 
 
 def _dry_friction(segments: list[Segment], fit: Fit, sticks: bool) -> float:
-    """Dry friction, N; NaN where no push shows how much it is."""
+    """Returns the dry friction, N; NaN if no push shows how large it is."""
     if fit.dry_clearly == 0.0:
         return math.nan if sticks else 0.0
     pushed = max(float(np.max(np.abs(one.surplus))) for one in segments) > _PUSH_NEWTON
@@ -280,15 +280,14 @@ def _dry_friction(segments: list[Segment], fit: Fit, sticks: bool) -> float:
 
 
 def _runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Index ranges of the runs of True."""
+    """Returns the index ranges of the runs of True."""
     edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool) -> list[Segment]:
-    """Runs of consecutive samples without a `spoilt` flag, counted from where the scene asks for no force, or where the
-    hand rests that is `pressed`: as many as make up the rows that a regression needs. `loud`: without the parts that
-    rounding fills."""
+    """Returns runs of consecutive samples without a `spoilt` flag, with as many rows as a regression needs. Positions
+    are relative to the scene's zero force, or to the rest of a `pressed` hand. `loud`: only parts above rounding."""
     asked = trace.asked_force[:, channel]
     surplus = trace.force_counts[:, channel] * trace.force_scale[channel] - asked
     following = (np.diff(trace.sample) == 1) & (trace.flags[1:] & BRIDGED == 0)
@@ -310,9 +309,8 @@ def _segments(trace: Trace, channel: int, spoilt: int, pressed: bool, loud: bool
 
 
 def _free_motion(segments: list[Segment], order: int) -> Floats:
-    """Positions during which nothing but the scene's own force acted: of the stretches that are long enough to show the
-    poles of a fit of this order, the longest that is not much quieter than the loudest: once a motion is over, none is
-    seen.
+    """Returns the positions of a stretch in which only the scene's force acted: the longest that is long enough for the
+    poles of this order and not much quieter than the loudest. After the end of a motion no pole shows.
     """
     most = max((float(np.max(np.abs(segment.surplus))) for segment in segments), default=0.0)
     stretches = [np.empty(0)]
@@ -320,7 +318,7 @@ def _free_motion(segments: list[Segment], order: int) -> Floats:
         pushed = np.flatnonzero(np.abs(segment.surplus) > 0.01 * most) if most > _PUSH_NEWTON else np.empty(0, int)
         edges = np.concatenate([[-1], pushed, [segment.position.size]])
         widest = int(np.argmax(np.diff(edges)))
-        # A delayed force acts for some samples after it was given.
+        # A delayed force acts for some samples after it was sent.
         begin = edges[widest] + 1 + (_RUN_UP if widest > 0 else 0)
         stretches.append(segment.position[begin : edges[widest + 1]])
     stretches = [one for one in stretches if one.size >= 2 * (order + 1)] or stretches
@@ -329,28 +327,27 @@ def _free_motion(segments: list[Segment], order: int) -> Floats:
 
 
 def _loud(y: Floats, first: int, last: int) -> Iterator[tuple[int, int]]:
-    """Parts of y[first:last] that are not lost in the rounding: index ranges, short quiet spells included."""
+    """Yields the index ranges of y[first:last] that rise above the rounding, with short quiet spells between them."""
     step = np.abs(np.diff(y[first:last], prepend=y[first : first + 1]))
     loud = first + np.flatnonzero((step > _SLOW_COUNTS) & (np.abs(y[first:last]) > _FAINT_COUNTS))
     for part in np.split(loud, np.flatnonzero(np.diff(loud) > _QUIET_SPELL) + 1):
-        if part.size:  # a ring-down counts from just before it is heard: what sets it off lies there
+        if part.size:  # begins earlier, to include the push that starts the motion
             yield max(first, int(part[0]) - _RUN_UP), int(part[-1]) + 1
 
 
 def _rest(position: Floats, asked: Floats, following: NDArray[np.bool_]) -> tuple[float, bool, bool]:
-    """(where the asked force is zero, in counts; whether that is certain; whether it is everywhere: no spring).
+    """Returns the rest position, in counts; whether it is certain; whether the scene has no spring.
 
-    A hand on springs and dampers to the ground is asked a force that is linear in its positions and its past: where the
-    record obeys such a law, its constant gives the place. The middle of the motion where the scene has masses.
-
-    `following`: for each row but the first, whether it follows the one before without a gap.
+    At rest the scene's force is zero. With springs and dampers to the ground that force is linear in the positions and
+    their past. If the record obeys such a law, its constant gives the rest; else, as in a scene with masses, the middle
+    of the motion is returned. `following`: for each row but the first, True if it follows the one before without a gap.
     """
     newest = _law(position, asked, following, 1)  # in the two newest positions
     if newest is None:
         return 0.0, True, False
     if newest.obeyed:
         return newest.rest, True, newest.stands
-    past = _law(position, asked, following, 4)  # what filters and the device's own sensor look back on
+    past = _law(position, asked, following, 4)  # filters and the device's own sensor use earlier positions
     if past is not None and not past.stands and (past.obeyed or past.uncertainty < _CERTAIN):
         return past.rest, True, False
     return float(np.median(position)), False, False
@@ -360,14 +357,14 @@ class _Law(NamedTuple):
     """The scene's force as a linear function of positions."""
 
     obeyed: bool
-    stands: bool  # whether it depends on no position
-    rest: float  # counts: where it is zero
+    stands: bool  # True if it depends on no position
+    rest: float  # the position of zero force, counts
     uncertainty: float
 
 
 def _law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: int) -> _Law | None:
-    """The law of the force in the `memory` + 1 newest positions and, beyond two of them, the forces before; None where
-    too few samples follow each other."""
+    """Returns the law of the force in the `memory` + 1 newest positions and, beyond two of them, in earlier forces.
+    None if too few samples follow each other."""
     whole = np.all([following[i : following.size - memory + 1 + i] for i in range(memory)], axis=0)
     rows = memory + np.flatnonzero(whole)
     if rows.size < 8 + 4 * memory:
@@ -389,18 +386,17 @@ def _law(position: Floats, asked: Floats, following: NDArray[np.bool_], memory: 
 def _fits(
     segments: list[Segment], drifts: Sequence[complex], with_slides: bool = False
 ) -> list[tuple[Fit, Fit | None]]:
-    """Fits for which the record speaks, best first, all of one order, each with one of the next order, which might as
-    well have been chosen in its place.
+    """Returns the best fits, best first, all of one order, each with its alternative of the next order or None.
 
-    Order and p are the criterion's choice. The open loop's p weighs the record; it hardly moves the poles, but it
-    decides how certain they look: every p that the record does not distinguish from the best is kept.
+    The criterion chooses order and p. The open loop's p weighs the record: it hardly moves the poles, but determines
+    their uncertainty. So every p that the record does not distinguish from the best is kept.
     """
     regression = Regression(segments, drifts, ROUNDING, with_slides=with_slides)
     if regression.most_order < _LEAST_ORDER:
         return []
     order = min(range(2, MOST_ORDER), key=regression.least_criterion)
-    # Orders are compared with the rows that the largest leaves. Where the motion is over soon, or in short pieces, the
-    # first rows say most: the next orders are compared with theirs.
+    # Orders are compared on the rows that the largest leaves. If the motion ends soon or is in short pieces, the first
+    # rows have most information: the next orders are compared on them.
     while True:
         regression = Regression(segments, drifts, ROUNDING, order + 1, with_slides)
         least = regression.least_criterion(order)

@@ -1,1 +1,1 @@
-"""A thousand scenes: each point of a sweep predicted, measured on the mock in virtual time, or worked out otherwise."""
+"""Parameter sweeps: each point is predicted, measured on the mock in virtual time, or computed by a function."""

@@ -1,7 +1,7 @@
-"""The results of a sweep while it grows: each finished batch is a file of its own, moved into place when it is whole.
+"""The partial results of a sweep: each finished batch is a file, moved into place once it is complete.
 
-Beside OUT stands the directory OUT.parts with these files and sweep.json, which says what the sweep is: the same
-command goes on with the points that are missing, and no other one does.
+The directory OUT.parts holds these files and sweep.json, which describes the sweep. The same command resumes with the
+missing points. Any other sweep is refused.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from hapsim.whole_file import whole_file
 Columns = Mapping[str, NDArray[Any]]
 
 _MANIFEST, _LOCK = "sweep.json", "lock"
-_NUMBER = "point_number"  # the column that says which points a part has
+_NUMBER = "point_number"  # the column with the numbers of a part's points
 
 
 class Parts:
-    """The directory of a sweep's finished batches, which no other process writes meanwhile."""
+    """The directory of a sweep's finished batches, locked against other processes."""
 
     def __init__(self, out: Path, manifest: dict[str, Any]) -> None:
-        """`manifest`: what the sweep is, as JSON has it. Raises UsageError where OUT exists, where the directory is
-        another sweep's, and where another process writes it."""
+        """Opens or makes the directory. `manifest`: the description of the sweep, as in JSON. Raises UsageError if OUT
+        exists, if the directory belongs to another sweep, or if another process writes it."""
         if out.exists():
             raise UsageError(f"{out}: it exists, and a sweep replaces nothing: name another file, or remove it")
         self.directory = out.with_name(f"{out.name}.parts")
@@ -73,7 +73,7 @@ class Parts:
             np.savez(stream, allow_pickle=False, **{_NUMBER: numbers, **columns})
 
     def read(self) -> Iterator[tuple[NDArray[np.int64], Columns]]:
-        """Yields the points' numbers and their results, part by part. UsageError where one is damaged."""
+        """Yields the points' numbers and their results, part by part. Raises UsageError for a damaged part."""
         for path in sorted(self.directory.glob("*.npz")):
             try:
                 with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
@@ -83,14 +83,14 @@ class Parts:
                 raise UsageError(f"{path}: it is damaged ({error}): remove it, and start the sweep again") from error
 
     def missing(self, count: int) -> NDArray[np.int64]:
-        """Returns the numbers of the points, of `count`, that have no results yet."""
+        """Returns the numbers of those of `count` points that have no results yet."""
         done = np.zeros(count, bool)
         for numbers, _ in self.read():
             done[numbers] = True
         return np.flatnonzero(~done).astype(np.int64)
 
     def together(self, count: int, names: Iterable[str] = ()) -> dict[str, NDArray[Any]]:
-        """Returns the results of all `count` points, (count, …), with each of `names`; NaN where there is none."""
+        """Returns the results of all `count` points by name, (count, …); NaN for a missing one. Has each of `names`."""
         found: dict[str, NDArray[Any]] = {name: np.full(count, np.nan) for name in names}
         for numbers, columns in self.read():
             for name, column in columns.items():
@@ -107,5 +107,5 @@ class Parts:
         shutil.rmtree(self.directory, ignore_errors=True)
 
     def close(self) -> None:
-        """Lets another process go on."""
+        """Unlocks the directory, so that another process can resume the sweep."""
         os.close(self._lock)

@@ -1,4 +1,4 @@
-"""What a sweep works out at each of its points: what is predicted, what is measured on the mock, the impedance."""
+"""The quantities of a sweep at each point: predictions, measurements on the mock, impedances, a function's numbers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hapsim.scene import Scene
 from hapsim.sweeping.sweep_points import Value, Varied
 
 ERROR = "error"
-"""The variable of the sentences about points of which something failed, or has no value."""
+"""The variable that holds, for each point, why a value failed or is missing."""
 FREQUENCY = "frequency_hz"
 """The dimension of impedances."""
 
@@ -36,7 +36,7 @@ class Variable(NamedTuple):
     of: Callable[[Any], float] = lambda _: math.nan
 
     def called(self, how: str) -> Variable:
-        """Returns it with this word before its description."""
+        """Returns the variable with the word `how` before its description."""
         return self._replace(description=f"{how} {self.description}")
 
 
@@ -73,17 +73,17 @@ KINDS = {"predicted": _OF_HAND | _PASSIVE | _OF_SCENE, "measured": _MEASURED, "i
 
 @dataclass(frozen=True)
 class Task:
-    """What to work out at each point."""
+    """The quantities to compute at each point."""
 
     document: dict[str, Any]  # the scene
     kinds: tuple[str, ...]  # of KINDS
     channel: int = 0
-    duration: float | None = None  # seconds of each measurement; None: those of `measure`
+    duration: float | None = None  # of each measurement, s; None: the default of `measure`
     function: Callable[[Scene], Mapping[str, float]] | None = None
-    """Works out further numbers of a scene, by name."""
+    """Computes further numbers of a scene, by name."""
 
     def at(self, scene: Scene) -> tuple[Values, str]:
-        """Returns the numbers of one scene by name, and a sentence about those that are missing, "" if none is."""
+        """Returns the numbers of one scene by name, and why some are missing ("" if none is)."""
         found: Values = {}
         failures: list[str] = []
         for kind, work in (*((kind, _WORK[kind]) for kind in self.kinds), ("function", _by_function)):
@@ -93,7 +93,7 @@ class Task:
                 failures += [f"{kind}: {reason}"] if reason else []
             except HapsimError as error:
                 failures.append(f"{kind}: {error}")
-            except Exception as error:  # of a user's function; or a defect, which must not end thousands of points
+            except Exception as error:  # a user's function, or a defect: neither may end thousands of points
                 failures.append(f"{kind}: {type(error).__name__}: {error}")
         return found, "; ".join(failures)
 
@@ -150,8 +150,8 @@ def frequencies(task: Task) -> NDArray[np.float64]:
 
 
 def work(task: Task, points: Sequence[Mapping[str, Value]]) -> dict[str, NDArray[Any]]:
-    """Returns the numbers of these points, by name: (n,) arrays, of impedances (n, f), with NaN where there is none;
-    and ERROR. Their bits do not depend on which points are worked out together, or where."""
+    """Returns the numbers of these points by name, and ERROR. Arrays are (n,), those of impedances (n, f); a missing
+    number is NaN. The results have the same bits however the points are batched, and on every worker."""
     varied, found, errors = Varied(Scene.model_validate(task.document)), [], []
     with one_thread():
         for values in points:

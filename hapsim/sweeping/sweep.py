@@ -1,10 +1,9 @@
-"""sweep: a scene at every point of a grid, of random samples or of a table, as one xarray Dataset.
+"""sweep: evaluates a scene at every point of a grid, of random samples or of a table, as one xarray Dataset.
 
-Batches of about a tenth of a second go to an executor: in this thread, in processes of this machine, or by the workers
-of a cluster. All are executors of `concurrent.futures`, so the sweep has one way through. Threads are none of them:
-what surrounds the compiled loop holds the interpreter's lock, and two threads are slower than one. Each batch that
-comes back is kept (`parts.py`), so that a sweep that was killed goes on with what is missing. The Dataset is put
-together at the end.
+Batches of about a tenth of a second go to an executor: this thread, processes of this machine, or the workers of a
+cluster. All are executors of `concurrent.futures`, so the sweep needs one code path. Threads are not offered: the code
+around the compiled loop holds the interpreter's lock, so two threads are slower than one. Each finished batch is kept
+(`parts.py`), so a killed sweep resumes with the missing points. The Dataset is assembled at the end.
 """
 
 from __future__ import annotations
@@ -44,10 +43,10 @@ _REACHED_S = 10.0
 
 
 class Here(Executor):
-    """Works out everything in the calling thread, when it is submitted."""
+    """An executor that runs each call in the calling thread, at submission."""
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Returns a future that is done."""
+        """Calls `fn` and returns a finished future."""
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -58,8 +57,8 @@ class Here(Executor):
 
 @contextlib.contextmanager
 def executor_of(jobs: int, scheduler: str | None, task: Task, first: Any) -> Iterator[tuple[Executor, int]]:
-    """Yields an executor and how many batches it works out at a time. `first`: a point; every worker works it out once
-    before it accepts work, so that nothing is compiled later."""
+    """Yields an executor and the number of batches that it runs at a time. `first`: a point. Every worker computes it
+    once before it accepts work, so that nothing is compiled later."""
     if scheduler is not None:
         with _cluster(scheduler, task, first) as found:
             yield found
@@ -75,7 +74,7 @@ def executor_of(jobs: int, scheduler: str | None, task: Task, first: Any) -> Ite
 
 
 def _begin(parent: int, task: Task, first: Any) -> None:
-    """Readies a process of the pool: it ignores Ctrl-C, which its parent answers, and ends when its parent is gone."""
+    """Prepares a process of the pool: it ignores Ctrl-C, which its parent handles, and ends with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:
@@ -88,8 +87,8 @@ def _begin(parent: int, task: Task, first: Any) -> None:
 
 
 def ready(task: Task, first: Any) -> None:
-    """Compiles, or loads, what a point needs: one process of this machine after the other, since two must not write the
-    same machine code at a time."""
+    """Compiles or loads the code that a point needs. The processes of this machine take turns, because two must not
+    write the same machine code at a time."""
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(ImportError, OSError, StopIteration):
             import fcntl
@@ -111,7 +110,7 @@ def _cluster(scheduler: str, task: Task, first: Any) -> Iterator[tuple[Executor,
         raise UsageError("--scheduler: it needs dask.distributed; install hapsim[dask]") from error
 
     class Ready(WorkerPlugin):
-        """Runs on every worker, and on each that joins, before it accepts work."""
+        """A plugin that prepares every worker, also one that joins later, before it accepts work."""
 
         name = "hapsim"
 
@@ -129,9 +128,9 @@ def _cluster(scheduler: str, task: Task, first: Any) -> Iterator[tuple[Executor,
 
 ENDINGS = (".nc", ".zarr")
 _BATCH_S = 0.1
-_WAITING = 2  # batches that a worker finds when it has done one
-_LONG_S = 10.0  # what takes longer is worth starting processes
-_PILOTS = 3  # points that say how long one takes
+_WAITING = 2  # batches in the queue per worker
+_LONG_S = 10.0  # a longer sweep is worth starting processes
+_PILOTS = 3  # points from which the time per point is estimated
 
 
 def sweep(
@@ -147,26 +146,26 @@ def sweep(
     scheduler: str | None = None,
     on_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> xarray.Dataset:
-    """Works out every point of a sweep on the mock, in virtual time, and returns the results.
+    """Computes every point of a sweep on the mock, in virtual time, and returns the results.
 
     Args:
-        scene: a Scene, or the path of a scene file. Its clock and port do not count.
-        points: the values of each parameter by its path, `{"touch.stiffness": [500, 1000], "device.delay": [0, 1]}`,
-            which make a grid; or a list of points, each such as `{"touch.stiffness": 500, "device.delay": 1}`.
-        out: a .nc or .zarr to write. While it grows, OUT.parts has what is finished: the same call goes on with what
-            is missing.
+        scene: a Scene, or the path of a scene file. Its clock and port are ignored.
+        points: the values of each parameter by path, `{"touch.stiffness": [500, 1000], "device.delay": [0, 1]}`, which
+            make a grid; or a list of points, such as `{"touch.stiffness": 500, "device.delay": 1}`.
+        out: the .nc or .zarr to write. Until it is complete, OUT.parts holds the finished points, and the same call
+            resumes with the missing ones.
         quantities: "predicted", "measured" (k and b), "impedance"; none for `function` alone.
-        function: returns further numbers of a scene by name. With several jobs it has to be a module's.
-        channel: of the hand [default: the first].
-        duration: seconds of each measurement.
-        jobs: processes; None: all processors, where it takes longer than some seconds. A script that asks for more than
-            one keeps its own work below `if __name__ == "__main__"`.
-        scheduler: address of a dask.distributed scheduler, whose workers do it instead.
-        on_progress: called with the finished points and all points.
+        function: returns further numbers of a scene by name. Several jobs need a function of a module.
+        channel: the hand's channel [default: the first].
+        duration: duration of each measurement, s.
+        jobs: number of processes; None: all processors if the sweep takes longer than some seconds. A script that uses
+            several processes must keep its own work below `if __name__ == "__main__"`.
+        scheduler: address of a dask.distributed scheduler; its workers compute the points instead.
+        on_progress: called with the number of finished points and of all points.
 
-    A point of which something fails, or has no value, has NaN, and the reason in the variable `error`. Dimensions are
-    named by path; of samples and tables there is one, `point`. Where `out` is this sweep, finished before, it is read.
-    Raises UsageError for what cannot be swept, and where `out` is anything else.
+    A value that fails or does not exist is NaN, with the reason in the variable `error`. A dimension is named by its
+    path; samples and tables have one, `point`. If `out` holds this sweep, complete, it is read. Raises UsageError for a
+    sweep that is not possible, and if `out` holds anything else.
     """
     try:
         import h5netcdf  # noqa: F401
@@ -196,7 +195,7 @@ def _task(
     duration: float | None,
     function: Callable[[Scene], Mapping[str, float]] | None,
 ) -> Task:
-    """What to do at each point. Raises UsageError where it cannot be done at any."""
+    """Returns the task of each point. Raises UsageError if it is not possible at any."""
     if not quantities and function is None:
         raise UsageError("quantities: found none, expected some, or a function")
     if unknown := [one for one in quantities if one not in KINDS]:
@@ -244,7 +243,7 @@ def _run(
 
 
 def _finished_before(task: Task, points: Points, out: Path) -> xarray.Dataset | None:
-    """Returns what is in `out` if it is this sweep, finished before."""
+    """Returns the results in `out` if they are those of this sweep, else None."""
     import xarray
 
     if not out.exists():
@@ -270,7 +269,7 @@ def _finished(
     if not missing.size:
         return
     pilots, rest = missing[:_PILOTS], missing[_PILOTS:]
-    yield pilots, work(task, [points[i] for i in pilots])  # what is compiled is compiled here
+    yield pilots, work(task, [points[i] for i in pilots])  # the first run compiles
     if not rest.size:
         return
     begun = time.perf_counter()
@@ -293,7 +292,7 @@ def _finished(
 
 
 def _manifest(task: Task, points: Points) -> dict[str, Any]:
-    """What has to be the same where a sweep goes on."""
+    """Returns the description of a sweep. A sweep can be resumed only with the same one."""
     columns = hashlib.sha256(json.dumps(points.columns).encode()).hexdigest()
     function = task.function
     return {
@@ -329,7 +328,7 @@ def dataset_of(task: Task, points: Points, parts: Parts) -> xarray.Dataset:
 
 
 def _coordinates(points: Points) -> dict[str, Any]:
-    """Returns what xarray takes for the parameters: of each its dimensions and its values."""
+    """Returns the parameters as xarray expects them: the dimensions and values of each."""
     if points.is_grid:
         return {path: ((path,), points.axis(path)) for path in points.columns}
     return {path: (tuple(points.sizes), values) for path, values in points.columns.items()}
@@ -341,7 +340,7 @@ def _attributes(task: Task, points: Points) -> dict[str, str]:
 
 
 def write(dataset: xarray.Dataset, out: Path) -> None:
-    """Writes a Dataset, whole or not at all. UsageError where it cannot be written."""
+    """Writes a Dataset, completely or not at all. Raises UsageError if it cannot be written."""
     beside = out.with_name(f"{out.name}.parts") / f"{os.urandom(8).hex()}{out.suffix}"
     try:
         if out.suffix == ".zarr":

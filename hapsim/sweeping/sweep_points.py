@@ -1,4 +1,4 @@
-"""The points of a sweep (a grid of values, random samples of ranges, or the rows of a table), and the scene of each."""
+"""The points of a sweep (a grid, random samples of ranges, or the rows of a table), and the scene at each point."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Method = Literal["lhs", "random", "sobol"]
 METHODS: tuple[Method, ...] = ("lhs", "random", "sobol")
 
 POINT = "point"
-"""The dimension of samples and of tables."""
+"""The name of the dimension of samples and tables."""
 _MOST = 10_000_000
 _EXPECTED = (
     "expected values such as 0,0.5,1 or none,poles, a range such as lin:0:2:5 or log:100:10000:50, or, with --samples, "
@@ -35,14 +35,14 @@ _EXPECTED = (
 
 @dataclass(frozen=True)
 class Range:
-    """A range to take samples from."""
+    """A range of values, linear or logarithmic."""
 
     least: float
     most: float
     is_logarithmic: bool
 
     def at(self, shares: Any) -> list[float]:
-        """Returns the values at these shares (0 to 1) of the range."""
+        """Returns the values at these fractions (0 to 1) of the range."""
         if self.is_logarithmic:
             return [float(one) for one in self.least * (self.most / self.least) ** np.asarray(shares)]
         return [float(one) for one in self.least + (self.most - self.least) * np.asarray(shares)]
@@ -50,10 +50,10 @@ class Range:
 
 @dataclass(frozen=True)
 class Points:
-    """N points. Grids are in the order of their last dimension."""
+    """N points. In a grid the last dimension varies fastest."""
 
-    sizes: dict[str, int]  # of each dimension: a grid's are the paths that it varies, else POINT
-    columns: dict[str, list[Value]]  # the value of each point, by path
+    sizes: dict[str, int]  # of each dimension by name: the varied paths of a grid, else POINT
+    columns: dict[str, list[Value]]  # by path, the value at each point
 
     def __len__(self) -> int:
         return math.prod(self.sizes.values())
@@ -63,7 +63,7 @@ class Points:
 
     @property
     def is_grid(self) -> bool:
-        """Whether each path is a dimension."""
+        """True if each path is a dimension."""
         return POINT not in self.sizes
 
     def axis(self, path: str) -> list[Value]:
@@ -73,7 +73,7 @@ class Points:
 
 
 def grid(axes: Mapping[str, Iterable[Value]]) -> Points:
-    """Returns every combination of these values. UsageError where one is no value, or there are none."""
+    """Returns every combination of these values. Raises UsageError for an invalid value, or if there is none."""
     values = {path: [_value(path, one) for one in several] for path, several in axes.items()}
     sizes = {path: len(several) for path, several in values.items()}
     if not values:
@@ -88,7 +88,7 @@ def grid(axes: Mapping[str, Iterable[Value]]) -> Points:
 
 
 def listed(points: Sequence[Mapping[str, Value]]) -> Points:
-    """Returns points that are listed one by one, all with the same paths. UsageError where they are not."""
+    """Returns the points of a list. Raises UsageError unless all have the same paths."""
     paths = list(points[0]) if points else []
     if not paths or any(list(one) != paths for one in points):
         raise UsageError("points: expected one or more, each with a value for the same paths")
@@ -96,7 +96,7 @@ def listed(points: Sequence[Mapping[str, Value]]) -> Points:
 
 
 def samples(ranges: Mapping[str, Range], count: int, method: Method = "lhs", seed: int = 0) -> Points:
-    """Returns `count` points of these ranges, always the same for a seed: a Latin hypercube ("lhs"), independent ones
+    """Returns `count` points of these ranges, the same for the same seed: a Latin hypercube ("lhs"), independent points
     ("random") or Sobol's sequence ("sobol")."""
     if not 1 <= count <= _MOST or not ranges:
         raise UsageError(f"--samples: found {count} of {len(ranges)} ranges, expected 1 to {_MOST} of one or more")
@@ -108,14 +108,14 @@ def samples(ranges: Mapping[str, Range], count: int, method: Method = "lhs", see
 
         make = {"lhs": qmc.LatinHypercube, "sobol": qmc.Sobol}[method]
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that a Sobol sequence is best at a power of two
+            warnings.simplefilter("ignore", UserWarning)  # scipy: a Sobol sequence is best at a power of two
             shares = make(dimensions, rng=np.random.default_rng(seed)).random(count)
     columns: dict[str, list[Value]] = {path: [*one.at(shares[:, i])] for i, (path, one) in enumerate(ranges.items())}
     return Points({POINT: count}, columns)
 
 
 def table(path: Path) -> Points:
-    """Returns the points of a .csv, whose first row names what each column varies. UsageError where it is none."""
+    """Returns the points of a .csv file. Its first row has the path of each column. Raises UsageError for another."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             heading, *rows = [row for row in csv.reader(stream) if row]
@@ -134,7 +134,7 @@ def table(path: Path) -> Points:
 
 
 def read_axis(word: str) -> tuple[str, list[Value] | Range]:
-    """Returns the path and the values, or the range, of a word such as "touch.stiffness=log:100:10000:50"."""
+    """Returns the path and the values or the range of a word such as "touch.stiffness=log:100:10000:50"."""
     path, equals, text = word.partition("=")
     kind, *numbers = text.split(":")
     if not equals or not path or not text:
@@ -158,7 +158,7 @@ def read_axis(word: str) -> tuple[str, list[Value] | Range]:
 
 
 def read_points(words: Sequence[str], count: int | None, method: str, seed: int) -> Points:
-    """Returns the points that the words of a command line ask for: a grid, or `count` samples of ranges."""
+    """Returns the points given by the words of a command line: a grid, or `count` samples of ranges."""
     axes = dict(map(read_axis, words))
     if len(axes) < len(words):
         raise UsageError("found a parameter twice, expected each once")
@@ -183,7 +183,7 @@ def _parsed(path: str, text: str) -> Value:
 
 
 def _value(path: str, value: Any) -> Value:
-    """A value as it is kept: a finite float, or a word."""
+    """Returns a value as a finite float or a word. Raises UsageError for any other."""
     if isinstance(value, str):
         if value:
             return value
@@ -196,19 +196,19 @@ _TOP = ("rate", "substeps", "scheme", "precision")
 
 
 class Varied:
-    """A scene, of which values can be changed by their paths: `touch.stiffness`, `device.delay`, `mock.hand.force`,
-    `rate`. Values are those of the scene's file, in SI units."""
+    """A scene whose values can be changed by path: `touch.stiffness`, `device.delay`, `mock.hand.force`, `rate`. Values
+    are as in the scene's file, in SI units."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._document = scene.model_dump(mode="json", exclude_none=True)
         self.name = scene.path or "the scene"
         self.known = sorted(_paths_of(scene))
-        """Every path."""
+        """All paths, sorted."""
 
     @property
     def document(self) -> dict[str, Any]:
-        """The scene as it is."""
+        """Returns the scene unchanged."""
         return copy.deepcopy(self._document)
 
     def require(self, paths: Iterable[str]) -> None:
@@ -221,7 +221,7 @@ class Varied:
                 raise UsageError(f"found '{path}', {expected}{did_you_mean(path, self.known)}")
 
     def scene(self, values: Mapping[str, Value]) -> Scene:
-        """Returns the scene with these values, without its `path`. Raises SceneError where it is none."""
+        """Returns the scene with these values, without its `path`. Raises SceneError if they are not valid."""
         document = self.document
         for path, value in values.items():
             part = document
@@ -246,7 +246,7 @@ def _paths_of(scene: Scene) -> set[str]:
 
 
 def _fields(name: str, model: type[BaseModel]) -> set[str]:
-    """The paths below a part of the scene, those of its own parts among them."""
+    """Returns the paths below a part of the scene, with those of its own parts."""
     found = set()
     for key, field in model.model_fields.items():
         path, kind = f"{name}.{field.alias or key}", field.annotation
