@@ -2,7 +2,7 @@
 
 A device that is not armed speaks the setup format (one channel's length, a start value that never changes), an armed
 one the format of its channels. Within a format every frame in one direction has the same length, so a frame torn apart
-by a flipped delimiter cannot be mistaken for another (PROTOCOL.md, "What is promised").
+by a flipped delimiter cannot be mistaken for another (PROTOCOL.md, section 15).
 
 Consistent Overhead Byte Stuffing (Cheshire and Baker, 1999) works in place on bodies of at most 253 bytes. Up to there
 it adds exactly one byte, so a frame's length does not depend on its content.

@@ -139,7 +139,7 @@ def test_a_frame_with_any_four_bits_flipped_is_refused_and_its_neighbours_are_no
 
 @pytest.mark.parametrize(("name", "kind"), ONE_EACH)
 def test_flips_anywhere_in_three_frames_bring_out_nothing_that_was_not_sent(name: str, kind: str) -> None:
-    # No promise (PROTOCOL.md, "What is not"), but it has to be rare: on these lines it does not happen at all.
+    # No guarantee (PROTOCOL.md, section 16), but it has to be rare: on these lines it does not happen at all.
     decoder, stream, fields = _line(name, kind, 0x123, 0x01020408)
     for flips in (1, 2, 3):
         tried, misread = _flip_every(decoder, stream, 0, stream.size, flips, fields, False)
