@@ -150,7 +150,7 @@ def test_the_tables_of_states_and_faults_are_the_schema_s() -> None:
 
 
 def test_the_table_of_registers_is_the_schema_s() -> None:
-    table = {name: cell for cell, name, *_ in rows(section("5. Registers").split("**No registers while armed.**")[0])[1:]}
+    table = {name: cell for cell, name, *_ in rows(section("5. Registers").split("**Unarmed only.**")[0])[1:]}
     plain = ("version", "schema", "channels", "pacings", "max_watchdog", "fault")
     counters = ("accepted", "rejected", "held", "expired", "limited", "rotary", "bridge")
     expected = {name: str(getattr(schema, f"REG_{name.upper()}")) for name in plain + counters}
