@@ -21,7 +21,7 @@ from hapsim.cli.check_hands import (
     together_lines,
     worst_hand_sentences,
 )
-from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, position, scene_name
+from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, position, print_next, scene_name
 from hapsim.cli.live import at_work
 from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.documents import pick
@@ -32,6 +32,7 @@ from hapsim.prediction import (
     Felt,
     Prediction,
     host_silence,
+    is_surely_unstable,
     partials_of,
     predict,
     predict_on_wire,
@@ -98,6 +99,10 @@ def check(
     with at_work(stderr(), "trying hands"):
         of_hands = [*worst_hand_sentences(prediction, hands)]
     show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
+    if math.isfinite(prediction.spectral_radius) and not is_surely_unstable(prediction) and not refused:
+        print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
+    elif not explain:
+        print_next("check", scene, "--explain")
 
 
 def _explanation(scene: Scene) -> Explanation:

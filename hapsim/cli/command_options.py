@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
@@ -20,6 +21,7 @@ import typer
 
 from hapsim.cli.output import say, speak_in, spoken
 from hapsim.errors import UsageError
+from hapsim.scene.issue import as_argument
 
 _STANDARD_INPUT = "-"
 _TYPER = "typer"
@@ -152,6 +154,18 @@ class DeviceOptions:
         """Returns the TransportKind. Raises UsageError where the options contradict each other."""
         return transport_kind(self.mock, self.transport, self.port)
 
+    def words(self) -> list[str]:
+        """Returns the options as another command takes them."""
+        given = {"--port": self.port, "--transport": self.transport}
+        return ["--mock"] * self.mock + [word for name, value in given.items() if value for word in (name, value)]
+
+    def print_next_run(self, scene: Any, unstable: bool) -> None:
+        """Prints the command that runs the scene: with its page, or for 10 s of virtual time. Nothing where the command
+        may run an unstable scene."""
+        shown = ("--duration", "10") if scene.device.clock == "lockstep" else ("--serve",)
+        if not unstable:
+            print_next("run", self.scene, *self.words(), *shown)
+
 
 @dataclass
 class ExcitationOptions:
@@ -247,6 +261,12 @@ def say_written(what: str, path: Path | None) -> None:
     """Prints which file was written, if one was."""
     if path is not None:
         say(f"{what}: {path}")
+
+
+def print_next(command: str, scene: str, *words: str) -> None:
+    """Prints the command to try next with the scene of this path; nothing for a scene on standard input."""
+    if scene != _STANDARD_INPUT:
+        print("Next: hapsim", command, shlex.join((as_argument(scene), *words)))  # on one line: it is to be copied
 
 
 def load(path: str, port: str | None = None) -> Any:

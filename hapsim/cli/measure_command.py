@@ -20,6 +20,7 @@ from hapsim.cli.command_options import (
     Unstable,
     flag,
     position,
+    print_next,
     require_positive,
     say_written,
 )
@@ -146,9 +147,22 @@ def _measure_pair(
             show(stdout(), wire_lines(prediction, on_wire, explain=True))
         picture.say_written()
         say_written("Trace", record.record)
+        _print_next(device, scene, prediction, measurement, channel, unstable)
     if measurement.failure is not None:
         complain(measurement.failure)
         raise typer.Exit(measurement.failure.exit_status)
+
+
+def _print_next(
+    device: DeviceOptions, scene: Scene, prediction: Prediction, measurement: Measurement, channel: int, unstable: bool
+) -> None:
+    """Prints the command to try next; none after a failure."""
+    if measurement.failure is not None:
+        return
+    if not measurement.left_region and diagnose(prediction, measurement, channel).differs:
+        print_next("identify", device.scene, *device.words(), "--channel", str(channel))
+    else:
+        device.print_next_run(scene, unstable)
 
 
 def _require_drawable(prediction: Prediction, hands: dict[int, str], channel: int) -> None:

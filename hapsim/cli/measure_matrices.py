@@ -85,6 +85,7 @@ def measure_hands(
         f"Read from {plural(found.samples, 'sample')} of free motion; other motions had "
         f"{percent(found.others, 2)} of the energy. The uncertainty is without that of the masses."
     )
+    device.print_next_run(scene, unstable)
 
 
 def _rows(one: FeltTogether, found: HandsMeasurement, i: int, j: int) -> list[tuple[str, ...]]:
@@ -160,6 +161,8 @@ def measure_impedance(
         ignore_stops()
         complain(_STOPPED)
         raise typer.Exit(INTERRUPTED)
+    if not json:
+        device.print_next_run(scene, unstable)
 
 
 def _place(scene: Scene, channel: int | None) -> int | None:

@@ -58,6 +58,11 @@ class Diagnosis(NamedTuple):
         """Whether something swings along that the scene does not have."""
         return self.second_mode is not None and not self.second_mode.predicted
 
+    @property
+    def differs(self) -> bool:
+        """Whether the device differs from what the scene declares."""
+        return self.probable_mass is not None or self.gives or self.is_another_device
+
 
 def diagnose(prediction: Prediction, measurement: Measurement, channel: int = 0) -> Diagnosis:
     """In what the device differs from what the scene declares, as what was measured on `channel` shows it."""
