@@ -1,6 +1,6 @@
-"""What the hand will feel in a scene, before it runs: the scene as the linear theory takes it, and what follows.
+"""Prediction of the stiffness and damping that a hand will feel in a scene, from its linear form.
 
-Public is what `__all__` names.
+Public names are those in `__all__`.
 """
 
 from firmware_protocol.schema import WireTime

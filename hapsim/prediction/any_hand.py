@@ -1,4 +1,4 @@
-"""Whether hands that are not the declared one shake a scene: any passive hand, or one of some mass and stiffness."""
+"""Stability of a scene in hands other than the declared one: any passive hand, or one of some mass and stiffness."""
 
 from __future__ import annotations
 
@@ -23,54 +23,54 @@ from hapsim.theory.network.scene_passivity import HeldScene, Passivity, highest,
 
 Range = tuple[float, float]
 
-_CANDIDATES = 3  # frequencies at which a hand is looked for
+_CANDIDATES = 3  # frequencies at which a hand is sought
 _BELOW_NYQUIST = 0.9 * math.pi  # at half the rate itself a motion is its own image
-_LEVEL = 0.999  # of the most: it goes on to rest
+_LEVEL = 0.999  # of the maximum: above, the peak extends to rest
 _CLOSER = np.array(
     [0.7, 0.8, 0.9, 0.95, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.4]
 )  # times the mass or the spring in resonance
 _NEWTON, _FOUND = 30, 1e-10
-_MOST_STATES = 150  # of a loop that is worked out some hundred times
+_MOST_STATES = 150  # of a loop that is solved some hundred times
 _GRID = np.array([0.0, 1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 0.6, 1.0])  # of a range of masses, or of stiffnesses
 _REFINED, _ABOUT = 3, (0.9, 0.97, 1.0, 1.03, 1.1)  # of the worst of them, and of their masses and stiffnesses
 
 
 class ShakingHand(NamedTuple):
-    """A hand that is shaken: a mass, or a spring to a place that does not move, beside what the device has."""
+    """Hand that is shaken: a mass, or a spring to a fixed place, in addition to the device's own."""
 
     name: str
-    """Of the device point that it holds; nothing holds the others."""
+    """Device point that the hand holds; the others are free."""
     mass: float
-    """kg."""
+    """Mass, kg."""
     stiffness: float
-    """N/m."""
+    """Stiffness, N/m."""
     frequency_hz: float
     growth: float
-    """By how much its motion is multiplied in a sample, above 1."""
+    """Factor of its motion in a sample, above 1."""
 
 
 class WorstHand(NamedTuple):
-    """Of some hands the one with which the loop is closest to its limit, or furthest beyond."""
+    """Hand with which the loop is closest to its limit, or furthest beyond."""
 
     masses: tuple[float, ...]
-    """kg, on each device point, beside the device's own."""
+    """Masses on each device point, kg, in addition to the device's own."""
     stiffnesses: tuple[float, ...]
-    """N/m."""
+    """Stiffnesses on each device point, N/m."""
     spectral_radius: float
 
     @property
     def is_stable(self) -> bool:
-        """Whether none of these hands is shaken, as far as was searched."""
+        """True if none of the hands that were searched is shaken."""
         return self.spectral_radius <= SURELY
 
 
 @dataclass(frozen=True, eq=False)
 class AnyHand:
-    """Of one part of a scene that no link joins to another, with the hands on it.
+    """Stability of one part of a scene, joined to no other, in any hands on it.
 
     Attributes:
         names: of the n device points.
-        channels: theirs.
+        channels: of the device points.
     """
 
     DOCUMENT = (
@@ -81,13 +81,13 @@ class AnyHand:
     names: tuple[str, ...]
     channels: tuple[int, ...]
     not_predicted: str
-    """Why what runs is not the network; "" where it is."""
+    """Reason why the network does not describe the run; "" if it does."""
     _network: Network
     _points: tuple[str, ...]
 
     @cached_property
     def not_derived(self) -> str:
-        """Why it is not known what makes it passive; "" where it is."""
+        """Reason why the passivity condition is unknown; "" if it is known."""
         return self.not_predicted or why_not_derived(self._network)
 
     @cached_property
@@ -96,7 +96,7 @@ class AnyHand:
 
     @property
     def friction(self) -> Floats:
-        """(n,) N·s/m, declared."""
+        """Declared frictions (n,), N·s/m."""
         return self._network.channel_friction
 
     @cached_property
@@ -108,36 +108,37 @@ class AnyHand:
 
     @cached_property
     def needed(self) -> Floats:
-        """(n,) N·s/m: the friction from which on no passive hand, however it moves, makes it unstable; infinite where
-        none suffices, NaN where it is not worked out."""
+        """Frictions (n,), N·s/m, above which every passive hand, in any motion, is stable; infinite if none suffices,
+        NaN if not computed."""
         own, found = self.friction, self._passivity.friction
         return found * own / own.mean() if (own > 0.0).all() and math.isfinite(found) else np.full(own.size, found)
 
     @property
     def frequency_hz(self) -> float:
-        """At which that is needed."""
+        """Frequency at which that friction is needed."""
         return self._passivity.frequency_hz
 
     @property
     def lasting(self) -> str:
-        """What moves most in a motion that does not die out while the hands are held; "" where every motion does."""
+        """Module that moves most in a motion that does not decay while the hands are held; "" if every motion
+        decays."""
         moved = self._passivity.lasting
         return self._points[int(np.argmax(moved))].partition(".")[0] if moved.size else ""
 
     @property
     def pushes_away(self) -> bool:
-        """Whether at rest the scene pushes the hands on, so that no friction suffices."""
+        """True if the scene drives the hands on at rest, so that no friction suffices."""
         return self._passivity.pushes_away
 
     @property
     def is_passive(self) -> bool | None:
-        """None where it is not known."""
+        """True if the declared friction suffices, None if unknown."""
         return None if np.isnan(self.needed).any() else bool((self.friction >= self.needed).all())
 
     @cached_property
     def needed_for_one(self) -> float:
-        """N·s/m: below this friction a mass or a spring is shaken by itself. More is `needed` by hands that are made
-        for it, which move at the images of a motion too. NaN for several hands, and where it is not worked out."""
+        """Friction below which a single mass or spring is shaken, N·s/m. `needed` is larger because it covers hands
+        that also move at the images of a motion. NaN for several hands, and if not computed."""
         if len(self.names) > 1 or self.is_passive is None or not np.isfinite(self.needed).all():
             return math.nan
         with one_thread():
@@ -147,7 +148,7 @@ class AnyHand:
 
     @cached_property
     def shaking(self) -> ShakingHand | None:
-        """The single mass or spring on one device point that is shaken most; None where none was found."""
+        """Single mass or spring on one device point that is shaken most; None if none was found."""
         if self.is_passive is not False:
             return None
         with one_thread():
@@ -156,7 +157,7 @@ class AnyHand:
 
     @np.errstate(all="ignore")
     def _shaken(self, at: int) -> Iterator[ShakingHand]:
-        """Yields those on one device point that are in resonance where its impedance takes most from a hand."""
+        """Yields the hands on one device point that are in resonance where its impedance takes most from a hand."""
         for theta in self._taking(at):
             omega = theta * self._network.rate
             reactance = -float(self._held.driving_impedance(np.array([theta]), at)[0].imag)
@@ -168,7 +169,8 @@ class AnyHand:
                 yield ShakingHand(self.names[at], share * mass, share * stiffness, hertz, abs(pole))
 
     def _taking(self, at: int) -> list[float]:
-        """The theta at which its resistance is negative, and least; of what goes on to rest, where half is left."""
+        """Angles theta at which its resistance is negative, and least; for a peak that extends to rest, the half-value
+        point."""
         theta = self._held.angles
         taken = self._taken(theta, at)
         found = []
@@ -184,7 +186,7 @@ class AnyHand:
         return np.asarray(-self._held.driving_impedance(theta, at).real)
 
     def _pole(self, at: int, mass: float, stiffness: float, theta: float) -> complex:
-        """A pole of the loop with this hand near theta, by secants; NaN where none is found."""
+        """Returns a pole of the loop with this hand near theta, by secants; NaN if none is found."""
         hands = np.zeros((2, len(self.names)))
         hands[:, at] = mass, stiffness
         network, one = _with_hands(self._network, *hands), np.eye(len(self.names))
@@ -205,9 +207,9 @@ class AnyHand:
         return 1.0 + here if abs(f) <= _FOUND * first else complex(math.nan)
 
     def worst_hand(self, mass: Range, stiffness: Range) -> WorstHand | None:
-        """Of hands that add from so much to so much mass, kg, and stiffness, N/m, to each device point, but friction to
-        none: searched on a grid, at the resonances where the loop takes most from a hand, and about the worst of both;
-        None where the loop is too large for that.
+        """Returns the worst of the hands that add a mass, kg, and a stiffness, N/m, in these ranges to each device
+        point. They add no friction. The search uses a grid, the resonances where the impedance is most negative, and
+        the neighbourhood of the worst of both. None if the loop is too large for it.
 
         Raises:
             UsageError: a range begins below 0, or ends before it begins.
@@ -248,7 +250,7 @@ class AnyHand:
     def _resonant(
         self, at: int, lightest: float, heaviest: float, softest: float, stiffest: float
     ) -> Iterator[tuple[float, float]]:
-        """Yields hands between these in resonance on one point where its impedance is negative, first the worst."""
+        """Yields hands in these ranges in resonance on one point where its impedance is negative, the worst first."""
         hand = self.shaking
         if hand is not None and hand.name == self.names[at]:
             yield float(np.clip(hand.mass, lightest, heaviest)), float(np.clip(hand.stiffness, softest, stiffest))
@@ -257,7 +259,7 @@ class AnyHand:
         omega, negative = theta * self._network.rate, impedance.real < 0.0
         stretches = np.split(np.arange(theta.size), np.flatnonzero(np.diff(negative)) + 1)
         for stretch in (one for one in stretches if negative[one[0]]):
-            # Where its resistance is least, and all along the stretch.
+            # At the least resistance, and all along the stretch.
             for index in {int(stretch[np.argmin(impedance.real[stretch])]), *stretch[:: max(1, stretch.size // 8)]}:
                 w, missing = float(omega[index]), -float(impedance.imag[index])
                 masses, springs = lightest + (heaviest - lightest) * _GRID, softest + (stiffest - softest) * _GRID
@@ -268,7 +270,7 @@ class AnyHand:
 
 
 def _alone(at: int, hands: Floats, low: Floats) -> Floats:
-    """The hand at one device point, with the least on the others."""
+    """Returns the hand at one device point, with the least on the others."""
     alone, places = low.copy(), [at, low.size // 2 + at]
     alone[places] = hands[places]
     return alone

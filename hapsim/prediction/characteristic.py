@@ -1,6 +1,6 @@
-"""The static force of a hand whose links all end on grounds, over its position: its edges, rests and pieces.
+"""Static force of a hand whose links all end on grounds, over its position: its edges, rests and pieces.
 
-This is the scene's geometry. Nothing of what the loop makes of it is in here, so that what measures may know it.
+This is the geometry of the scene alone, without the loop, so that measurements may use it.
 """
 
 from __future__ import annotations
@@ -20,74 +20,75 @@ from hapsim.scene import Scene
 from hapsim.theory.arrays import Floats
 from hapsim.units import Units
 
-_ALIKE = 1e-9  # of the largest: two stiffnesses, or two edges of a scene, that are the same
-_AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place to swing about
-_PRESSED = 0.125  # of the force limit: how hard a piece without an end is pressed
+_ALIKE = 1e-9  # of the largest: relative difference of equal stiffnesses, or of equal edges of a scene
+_AWAY = 0.2  # of a piece's width: a rest that is nearer to its edge is no place for an oscillation
+_PRESSED = 0.125  # of the force limit: press into a piece without an end
 _WITHIN = 1e-9  # of a piece's width, or of 1 m
 
 
 class HandLink(NamedTuple):
-    """A link between a hand and something fixed."""
+    """Link between a hand and a ground."""
 
     law: Law
     sign: float
-    """1 where the hand is the link's first end, or else -1."""
+    """Sign: 1 if the hand is the link's first end, else -1."""
     fixed_m: float
-    """Where the other end is."""
+    """Position of the other end, m."""
 
     def distance(self, x: Floats | float) -> Floats:
-        """d of the link where the hand is at x, m."""
+        """Distance d of the link for the hand at x, m."""
         return self.sign * (np.asarray(x, float) - self.fixed_m)
 
     def edges(self, low: float, high: float) -> list[float]:
-        """Where the hand is at the edges of the law, between these two positions, m."""
+        """Positions of the hand at the edges of the law, between these two positions, m."""
         ends = sorted(float(self.distance(x)) for x in (low, high))
         return [self.fixed_m + self.sign * d for d in self.law.edges_between(ends[0], ends[1])]
 
     @property
     def is_regional(self) -> bool:
-        """Whether it is not the same spring and damper everywhere."""
+        """True if the link's spring and damper depend on the position."""
         return bool(self.law.edges) or math.isfinite(self.law.reach) or self.law is RELEASED
 
 
 class Piece(NamedTuple):
-    """A part of the hand's travel in which every link is in one piece of its law, and the same links slide."""
+    """Part of the hand's travel in which every link is in one piece of its law, and the same links slide."""
 
     low: float
     high: float
-    """m, of the scene's positions; infinite where nothing ends it."""
+    """Upper end, m, as ``low`` in the scene's positions; infinite if nothing ends it."""
     place: float
-    """m: the rest, or where there is none a place well within."""
+    """Rest, m; or, if there is none, a place well inside."""
     stiffness: float
-    """K at the place, N/m, of all links of the scene that act there."""
+    """Total K of the scene's links at the place, N/m."""
     damping: float
-    """B of the same, N·s/m."""
+    """Total B of the same links, N·s/m."""
     states: dict[str, str]
-    """How each link that has several states is."""
+    """State of each link that has several."""
     sliding: tuple[str, ...]
     """Friction links that slide; the others stick."""
     reach: float
-    """m: how far the hand moves about its place before another friction link slides."""
+    """Movement of the hand around its place, m, until another friction link slides."""
     is_curved: bool
 
     @property
     def within(self) -> tuple[float, float]:
-        """m: its ends, so little inside that no link is in the next piece: where a plectrum releases, force jumps."""
+        """Ends of the piece, m, slightly inside, so that no link is in the next piece: a plectrum's force jumps at its
+        release."""
         return _inside(self.low, self.high)
 
 
 @dataclass(frozen=True)
 class Characteristic:
-    """A hand whose links all end on grounds.
+    """Hand whose links all end on grounds.
 
     Attributes:
         links: by name.
         own_stiffness: of the device's own spring, N/m.
-        low, high: m, the device's travel; without one infinite, or two periods of what repeats.
+        low, high: m, the device's travel; without one infinite, or two periods of a periodic law.
         force_limit: N.
-        count: m, of a position as the mock sends it.
+        count: resolution of a position as the mock sends it, m.
+        free: distance of a place from its edge, m, in a piece without an end and without a spring.
         units: of its channel.
-        free: m, so far from its edge is a place in a piece without an end that holds nothing.
     """
 
     links: dict[str, HandLink]
@@ -101,20 +102,21 @@ class Characteristic:
 
     @property
     def is_regional(self) -> bool:
-        """Whether the hand feels different springs and dampers at different places."""
+        """True if the hand feels different springs and dampers at different places."""
         return any(link.is_regional for link in self.links.values())
 
     def force(self, x: Floats | float) -> Floats:
-        """N with which the hand, at rest at x (m), has to push towards larger x; sticking friction has none."""
+        """Force, N, with which the hand, at rest at x (m), has to push towards larger x; sticking friction adds
+        none."""
         pulls = [link.sign * link.law.tension(link.distance(x)) for link in self.links.values()]
         return np.sum([self.own_stiffness * np.asarray(x, float), *pulls], axis=0)
 
     def press(self, x: float) -> float:
-        """N, of the scene on the hand at rest at x (m)."""
+        """Force of the scene on the hand at rest at x (m), N."""
         return self.own_stiffness * x - float(self.force(x))
 
     def moving_force(self, x: Floats, speed: float) -> Floats:
-        """The same while the hand moves at `speed` m/s, friction slides and dampers brake; (N,) as x."""
+        """The same force while the hand moves at `speed` m/s, friction slides and dampers brake; (N,) as x."""
         force = self.own_stiffness * x
         for link in self.links.values():
             d, parts = link.distance(x), link.sign * speed
@@ -125,7 +127,7 @@ class Characteristic:
         return force
 
     def edges(self) -> list[float]:
-        """Where a link goes from one piece of its law to the next, m, within the travel."""
+        """Positions within the travel, m, at which a link passes from one piece of its law to the next."""
         found: list[float] = []
         for name, link in self.links.items():
             try:
@@ -142,13 +144,13 @@ class Characteristic:
         return kept
 
     def taken(self, x: float, sliding: Collection[str] = ()) -> dict[str, Linear]:
-        """The spring and damper of each link that has several, where the hand is at x (m)."""
+        """Spring and damper of each link that has several, for the hand at x (m)."""
         here = {name: link for name, link in self.links.items() if link.is_regional}
         slides = Linear(0.0, 0.0)
         return {n: slides if n in sliding else one.law.linear(float(one.distance(x))) for n, one in here.items()}
 
     def pieces(self) -> list[Piece]:
-        """By position; of one place first with every friction link stuck, then with more and more that slide."""
+        """Pieces by position; at one place first with every friction link stuck, then with more and more that slide."""
         pieces: list[Piece] = []
         for low, high in pairwise([self.low, *self.edges(), self.high]):
             one = self._piece(low, high)
@@ -160,12 +162,12 @@ class Characteristic:
         return [variant for piece in pieces for variant in self._with_sliding(piece)]
 
     def at(self, x: float, pieces: list[Piece]) -> Piece:
-        """The piece of these at x (m), with what sticks; on an edge the stiffer one."""
+        """Returns the piece at x (m) with all friction stuck; on an edge the stiffer one."""
         here = [one for one in pieces if one.low <= x <= one.high and not one.sliding]
         return max(here, key=lambda one: one.stiffness)
 
     def held(self, pieces: list[Piece]) -> Piece | None:
-        """The piece in which the hand is held nearest to position 0, by its rest if it has one; None: in none."""
+        """Returns the piece that holds the hand nearest to position 0, by its rest if it has one; None if none does."""
         holding = [one for one in pieces if one.stiffness + self.own_stiffness > 0.0 and not one.sliding]
         resting = [one for one in holding if self.rest(one) is not None]
 
@@ -177,7 +179,7 @@ class Characteristic:
         return min(resting or holding, key=way, default=None)
 
     def rest(self, piece: Piece) -> float | None:
-        """Where a hand that does not push rests in this piece, its ends included, m; None: nowhere."""
+        """Rest of a hand that does not push in this piece, its ends included, m; None if there is none."""
         return self._rest(piece.low, piece.high, piece.is_curved)
 
     def _rest(self, low: float, high: float, is_curved: bool) -> float | None:
@@ -188,7 +190,7 @@ class Characteristic:
             ends = float(self.force(low)), float(self.force(high))
             return float(brentq(self.force, low, high, xtol=1e-15)) if ends[0] * ends[1] < 0.0 else None
         inner = _within(low, high)
-        # Dry friction that sticks has no force where it has come to rest, and so no part in where that is.
+        # Sticking dry friction has no force at rest, and so no effect on its place.
         springs = (one for one in self.links.values() if math.isinf(one.law.reach))
         slope = self.own_stiffness + math.fsum(one.law.slope(float(one.distance(inner))) for one in springs)
         x = inner - float(self.force(inner)) / slope if slope else math.nan
@@ -249,7 +251,7 @@ def _inside(low: float, high: float) -> tuple[float, float]:
 
 
 def _within(low: float, high: float) -> float:
-    """A place between two of which either may be infinite."""
+    """Returns a place between the two; either may be infinite."""
     if math.isfinite(low) and math.isfinite(high):
         return 0.5 * (low + high)
     if math.isfinite(low):
@@ -258,9 +260,9 @@ def _within(low: float, high: float) -> float:
 
 
 def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bool = False) -> Characteristic | None:
-    """That of the hand at this device point; None where a link of it ends on a mass or on another hand. What repeats
-    without a travel is known for whole pieces within a period from position 0, and from `around` (m). `wherever`: where
-    the hand is when the scene begins is not known."""
+    """Returns the characteristic of the hand at this device point; None if one of its links ends on a mass or on
+    another hand. A periodic law without a travel is covered by whole pieces within a period from position 0, and from
+    `around` (m). `wherever`: the hand's position at the start is unknown."""
     links: dict[str, HandLink] = {}
     for link_name, link in scene.links.items():
         if name in link.between:
@@ -272,7 +274,7 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bo
     device, channel = scene.device, scene.device_points[name].channel
     low, high = device.travels(scene.channels)[channel]
     start = None if wherever else starts_at(scene, channel)
-    # A plectrum that neither grips where the hand starts nor is passed within the travel is always released.
+    # A plectrum that neither grips at the hand's start nor is passed within the travel is always released.
     if start is not None:
         for link_name, one in links.items():
             grips_there = not one.law.grips or abs(float(one.distance(start))) <= one.law.edges[-1]
@@ -296,7 +298,7 @@ def characteristic_of(scene: Scene, name: str, around: float = 0.0, wherever: bo
 
 
 def starts_at(scene: Scene, channel: int) -> float | None:
-    """m: where the hand on this channel is at arming; None: where a device at a port happens to be."""
+    """Position of the hand on this channel at arming, m; None if it depends on a device at a port."""
     origin = scene.device.origins(scene.channels)[channel]
     if origin is None:
         return 0.0
@@ -304,19 +306,17 @@ def starts_at(scene: Scene, channel: int) -> float | None:
 
 
 def hand_at(scene: Scene, name: str, around: float = 0.0, wherever: bool = False) -> Characteristic:
-    """`characteristic_of` a hand that has one."""
+    """Returns `characteristic_of` a hand that has one."""
     found = characteristic_of(scene, name, around, wherever=wherever)
     assert found is not None
     return found
 
 
 def scene_at(scene: Scene, at: float | None = None, instead: Mapping[str, Linear] | None = None) -> LinearScene:
-    """What the theory takes `scene` for where its hands are: by the piece that each is in; `instead`: with these links
-    otherwise.
-
-    Each that reaches it is at `at` (m), the others, or without it all, where they rest or are held nearest to position
-    0; what moves masses or other hands is then taken as the links' assumptions say. UsageError where none reaches it.
-    """
+    """Returns the linear form of `scene` at the positions of its hands, by the piece that each is in; `instead`
+    replaces the forms of some links. Each hand that reaches `at` (m) is there. The others, and all of them without
+    `at`, are at rest or held nearest to position 0. Links that move masses or other hands are then as their assumptions
+    state. UsageError if no hand reaches it."""
     taken: dict[str, Linear] = {}
     alone = {name: characteristic_of(scene, name, at or 0.0) for name in scene.device_points}
     if at is not None and None in alone.values():
@@ -326,13 +326,13 @@ def scene_at(scene: Scene, at: float | None = None, instead: Mapping[str, Linear
     hands = {name: one for name, one in alone.items() if one is not None and one.is_regional}
     reached = [name for name, one in hands.items() if at is not None and one.low <= at <= one.high]
     for name, one in hands.items():
-        # The first that does not reach it raises, if none does.
+        # If no hand reaches it, the first raises.
         taken |= one.taken(piece_at(one, name, at if name in reached or not reached else None).place)
     return linear_scene(scene, taken | dict(instead or {}))
 
 
 def places_of(scene: Scene) -> list[str]:
-    """Where `scene_at` takes each hand to be that feels different springs at different places: sentences."""
+    """Sentences on the assumed position in `scene_at` of each hand that feels different springs at different places."""
     hands = ((name, characteristic_of(scene, name)) for name in scene.device_points)
     pieces = ((name, piece_at(one, name)) for name, one in hands if one is not None and one.is_regional)
     return [
@@ -342,8 +342,8 @@ def places_of(scene: Scene) -> list[str]:
 
 
 def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
-    """The piece of the hand `name` at `at` m, its place there; None: the one that holds it. UsageError beyond the
-    travel."""
+    """Returns the piece of the hand `name` at `at` m, its place there; without `at` the piece that holds it. UsageError
+    beyond the travel."""
     pieces = one.pieces()
     if at is None:
         return one.held(pieces) or one.at(min(max(0.0, one.low), one.high), pieces)
@@ -357,7 +357,7 @@ def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
 
 
 def linear_at(hand: Characteristic, linear: LinearScene, piece: Piece) -> LinearScene:
-    """`linear`, a scene as the theory takes it, with this hand of it in this piece."""
+    """Returns `linear`, a scene in linear form, with this hand of it in this piece."""
     taken = hand.taken(piece.place, piece.sliding)
     here = {
         link: linear.links[link]._replace(stiffness=one.stiffness, damping=one.damping) for link, one in taken.items()

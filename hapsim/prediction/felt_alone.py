@@ -1,5 +1,5 @@
-"""What one lone hand feels: k, b and what is beside them, of a loop as the scene and its correction have it; what it
-should feel with a correction, and how well the device has to be known for that."""
+"""Spring and damper that one single hand feels, with related quantities, of a loop as the scene and its correction have
+it; the desired ones with a correction, and the tolerance for errors of the device's parameters."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
 from hapsim.theory.correction import PredictedLoop, StatePredictor, as_read
 
-_PLAIN = 0.01  # an error of what is felt that is worth a correction
-_SPAN, _TRIED = 10.0, 81  # masses from a tenth to ten times the one that is taken for true
+_PLAIN = 0.01  # an error of k or b that is worth a correction
+_SPAN, _TRIED = 10.0, 81  # masses from a tenth to ten times the declared one
 
 
 class Robustness(NamedTuple):
-    """What a hand on one device point meets beside k and b."""
+    """Quantities that a hand meets besides k and b."""
 
     steady_stiffness: float
-    """N/m: the stiffness that a steady push meets, the device's own spring included."""
+    """Stiffness that a steady push meets, N/m, the device's own spring included."""
     noise_gain: float
-    """N rms of force per m rms of white noise on the positions that are read; infinite where it is unstable."""
+    """Force noise, N rms, per m rms of white noise on the positions that are read; infinite if unstable."""
     stable_masses: tuple[float, float]
-    """kg: the least and the most mass with which the loop is stable; 0 and infinity beyond thirty times the declared
-    one. NaN where it is stable with none near that."""
+    """Least and greatest mass with which the loop is stable, kg; 0 and infinity beyond thirty times the declared one.
+    NaN if it is stable with none near that."""
 
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """What the hand feels on one device point whose links all end on grounds: a temporary hybrid system of its own.
-    Each number is worked out when it is asked for."""
+    """Felt spring and damper on one device point whose links all end on grounds: a temporary hybrid system of its own.
+    Each number is computed on demand."""
 
     DOCUMENT = (
         "name channel stiffness damping k b frequency_hz damping_ratio dominant stable spectral_radius poles passive "
@@ -61,22 +61,22 @@ class Felt:
     channel: int
     configuration: Configuration
     stiffness: float
-    """K, N/m, simulated."""
+    """Simulated K, N/m."""
     damping: float
-    """B, N·s/m, simulated."""
+    """Simulated B, N·s/m."""
     predictor: StatePredictor | None = None
-    """Whose state the force answers, with a correction that predicts."""
+    """Predictor whose state the force answers, with a correction that predicts."""
     without_predictor: Configuration | None = None
-    """The device that the loop then seems to have, by which limits and passivity are worked out."""
+    """Apparent device of the loop with a predictor, for limits and passivity."""
 
     @cached_property
     def loop(self) -> Configuration | PredictedLoop:
-        """The closed loop, of K and B."""
+        """Closed loop, a function of K and B."""
         return self.configuration if self.predictor is None else PredictedLoop(self.configuration, self.predictor)
 
     @property
     def formula(self) -> Configuration:
-        """The configuration by which limits and passivity are worked out."""
+        """Configuration for limits and passivity."""
         return self.without_predictor or self.configuration
 
     @cached_property
@@ -86,75 +86,76 @@ class Felt:
 
     @property
     def k(self) -> float:
-        """N/m; NaN where no spring and damper is equivalent."""
+        """Felt stiffness, N/m; NaN if no spring and damper is equivalent."""
         return self._equivalent[0]
 
     @property
     def b(self) -> float:
-        """N·s/m, real friction included."""
+        """Felt damping, N·s/m, real friction included."""
         return self._equivalent[1]
 
     @cached_property
     def frequency_hz(self) -> float:
-        """Eigenfrequency; NaN without a spring."""
+        """Eigenfrequency, Hz; NaN without a spring."""
         return swing(self.configuration.mass, self.k if self.k > 0.0 else math.nan, self.b)[0]
 
     @cached_property
     def damping_ratio(self) -> float:
-        """Of critical damping; NaN without a spring."""
+        """Ratio to critical damping; NaN without a spring."""
         return swing(self.configuration.mass, self.k if self.k > 0.0 else math.nan, self.b)[1]
 
     @property
     def dominant(self) -> bool:
-        """Whether a spring and damper is equivalent."""
+        """True if a spring and damper is equivalent."""
         return math.isfinite(self.k) and math.isfinite(self.b)
 
     @cached_property
     def stable(self) -> bool:
-        """Whether every motion dies out."""
+        """True if every motion decays."""
         if self.predictor is None:
             return bool(self.configuration.is_stable(self.stiffness, self.damping))
         return self.spectral_radius < 1.0
 
     @property
     def spectral_radius(self) -> float:
-        """The largest modulus of a pole."""
+        """Largest modulus of a pole."""
         return abs(self.poles[0])
 
     @cached_property
     def poles(self) -> tuple[complex, ...]:
-        """In the z-plane, by decreasing modulus."""
+        """Poles in the z-plane, by decreasing modulus."""
         return tuple(complex(pole) for pole in self.loop.poles(self.stiffness, self.damping))
 
     @cached_property
     def passive(self) -> bool | None:
-        """Whether no hand can make it unstable (Colgate and Schenkel); None where the condition is not derived."""
+        """True if no hand can make it unstable (Colgate and Schenkel); None if the condition is not derived."""
         with contextlib.suppress(ValueError):
             return bool(self.formula.is_passive(self.stiffness, self.damping))
         return None
 
     @cached_property
     def needed_friction(self) -> float:
-        """N·s/m, with which no hand can make it unstable; NaN where that is not derived."""
+        """Friction with which no hand can make it unstable, N·s/m; NaN if not derived."""
         with contextlib.suppress(ValueError):
             return float(self.formula.needed_friction(self.stiffness, self.damping))
         return math.nan
 
     @property
     def linear_limit(self) -> float:
-        """N/m: the stiffness that the linear rule allows, (b0 + B)/(T/2 + delay T) (Gil et al.)."""
+        """Stiffness limit of the linear rule, (b0 + B)/(T/2 + delay T), N/m (Gil et al.)."""
         return float(self.formula.linear_stiffness_limit(self.damping))
 
     @cached_property
     def reason(self) -> str:
-        """Why there is no equivalent, where there is none."""
+        """Reason why there is no equivalent; "" if there is one."""
         if self.predictor is None:
             return str(self.configuration.why_no_equivalent(self.stiffness, self.damping))
         return "" if math.isfinite(self.k) else "the slowest poles are not those of a spring and damper"
 
     @cached_property
     def stiffness_factor(self) -> float:
-        """By how much K could grow before the loop is unstable, B as it is; infinity if never, below 1 if it is."""
+        """Factor by which K can grow before the loop becomes unstable, with B unchanged; infinity if never, below 1 if
+        it is."""
         if self.stiffness == 0.0:
             return math.inf
         stiffest = float(self.formula.stable_stiffness(self.damping)[1])
@@ -162,16 +163,16 @@ class Felt:
 
     @cached_property
     def stable_damping(self) -> tuple[float, float]:
-        """N·s/m: from least to most B, with K as it is; NaN where no damping makes it stable."""
+        """Stable range of B, N·s/m, with K unchanged; NaN if no damping makes it stable."""
         least, most = self.formula.stable_damping(self.stiffness)
         return float(least), float(most)
 
     @cached_property
     def robustness(self) -> Robustness:
-        """What the hand meets beside k and b."""
+        """Quantities besides k and b."""
         c, element = self.configuration, (self.stiffness, self.damping)
         loop = PredictedLoop(c, as_read(c) if self.predictor is None else self.predictor)
-        with np.errstate(all="ignore"):  # beyond all numbers nothing is stable
+        with np.errstate(all="ignore"):  # an infinite loop is not stable
             return Robustness(
                 steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
                 noise_gain=loop.noise_gain(*element),
@@ -179,11 +180,11 @@ class Felt:
             )
 
     def with_mass(self, mass: float) -> Felt:
-        """The same hand where its true mass is `mass` kg, while links and predictor stay made for the other."""
+        """Returns the same hand with a true mass of `mass` kg; links and predictor stay made for the other."""
         return replace(self, configuration=replace(self.configuration, mass=mass))
 
     def masses_with(self, frequency_hz: float) -> Iterator[float]:
-        """Yields every mass, kg, within a factor of ten with which the eigenfrequency is this one."""
+        """Yields every mass, kg, within a factor of ten, that gives this eigenfrequency."""
         from scipy.optimize import brentq
 
         def off(mass: float) -> float:
@@ -192,18 +193,18 @@ class Felt:
         tried = self.configuration.mass * np.geomspace(1.0 / _SPAN, _SPAN, _TRIED)
         errors = [off(mass) for mass in tried.tolist()]
         for i in range(_TRIED - 1):
-            if errors[i] * errors[i + 1] <= 0.0:  # not where one of them is NaN
+            if errors[i] * errors[i + 1] <= 0.0:  # False if one of them is NaN
                 with contextlib.suppress(ValueError):  # NaN in between
                     yield float(brentq(off, tried[i], tried[i + 1], xtol=1e-15, rtol=1e-12))
 
 
 def robustness_of(felt: Felt) -> Robustness:
-    """What a hand meets beside k and b, by this prediction."""
+    """Returns the quantities besides k and b that this prediction gives."""
     return felt.robustness
 
 
 def felt_by(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
-    """What a lone hand feels; under a predictor in its loop, of the device as it is declared."""
+    """Returns the prediction for a single hand; with a predictor in its loop, for the device as declared."""
     felt = _felt(name, rendering.seen.device_points[name].channel, *hand_of(rendering.seen, linear, name))
     port = next((port for port in rendering.ports if port.name == name), None)
     if port is None or rendering.kind is None or not rendering.kind.predicts or felt.stiffness == felt.damping == 0.0:
@@ -216,8 +217,8 @@ _felt = lru_cache(1024)(Felt)  # regions in which a hand feels the same
 
 
 def correction_for(felt: Felt) -> str:
-    """The simplest correction with which this hand would feel its stiffness and damping as they are written; "" where
-    it does so within a hundredth without one, and where none makes it so."""
+    """Returns the simplest correction with which this hand would feel the scene's stiffness and damping; "" if they are
+    within a hundredth without one, or if none achieves it."""
     device = felt.configuration
     k, b = felt.stiffness + device.stiffness, felt.damping + device.friction
     if felt.predictor is not None or not felt_error((np.array(felt.k), np.array(felt.b)), (k, b), device.mass) > _PLAIN:
@@ -235,9 +236,9 @@ def swing(mass: float, k: float, b: float) -> tuple[float, float]:
 
 
 def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
-    """What the same hand feels where the device samples at `rate_hz` while the loop takes it to sample at the rate of
-    `felt`: the loop makes a velocity of a step with the period that it believes in, so a damper is stronger by as much
-    as the true period is longer, and a filter's cutoff lower. A velocity that the device senses is what it is."""
+    """Returns the prediction for a device that samples at `rate_hz` while the loop assumes the rate of `felt`. The loop
+    divides a step by the assumed period, so a damper is stronger by the ratio of the true period to it, and a filter's
+    cutoff lower. A sensed velocity does not change."""
     device = replace(felt.configuration, rate=rate_hz)
     if felt.predictor is not None:
         return replace(felt, configuration=device)
@@ -246,33 +247,34 @@ def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
     return replace(felt, configuration=device, damping=felt.damping * (1.0 if device.damper in WITH_SENSOR else slower))
 
 
-_MASSES = 9  # of a span, at which the error of a correction is looked at
-_REACHED = 1e-6  # an error of a correction that is none
+_MASSES = 9  # of a span, at which the error of a correction is computed
+_REACHED = 1e-6  # an error of a correction that counts as zero
 
 
 class Desired(NamedTuple):
-    """The stiffness and damping asked for at a device point, what is real included; how near a correction gets."""
+    """Desired stiffness and damping at a device point, real parts included, and the error of the correction."""
 
     name: str
     channel: int
     k: float
-    """N/m"""
+    """Desired stiffness, N/m."""
     b: float
-    """N·s/m"""
+    """Desired damping, N·s/m."""
     frequency_hz: float
     damping_ratio: float
     error: float
-    """Of what is felt, as `felt_error` counts it; over a span of masses the largest."""
+    """Error of the felt k and b by `felt_error`; over a span of masses the largest."""
     reached: bool
     remedies: Remedies | None
-    """What would make it reachable; None where it is reached, or the mass is a span."""
+    """Changes that would make it reachable; None if it is reached, or the mass is a span."""
     stable_masses: tuple[float, float]
     steady_stiffness: float
-    """Both as in `Robustness`, of the corrected loop."""
+    """Steady stiffness and `stable_masses` of the corrected loop, as in `Robustness`."""
 
 
 def desired_of(rendering: Rendering, felt: Sequence[Felt], here: Mapping[str, Piece]) -> Iterator[Desired]:
-    """Yields one for each of these lone hands that a correction acts on; `here`: where those with regions are."""
+    """Yields one for each of these single hands that a correction acts on; `here`: the regions of those that have
+    some."""
     hands = {one.name: one for one in felt}
     if rendering.kind is None:
         return
@@ -303,7 +305,7 @@ def desired_of(rendering: Rendering, felt: Sequence[Felt], here: Mapping[str, Pi
 
 
 def _error_with(kind: CorrectionKind, port: Corrected, mass: float) -> float:
-    """`felt_error` of a hand of this mass, once an estimate of it has settled; 0 for the device alone."""
+    """Returns `felt_error` of a hand of this mass, once an estimate of it has settled; 0 for the device alone."""
     one = port.settled(mass)
     if one.stiffness == one.damping == 0.0:
         return 0.0
@@ -312,32 +314,30 @@ def _error_with(kind: CorrectionKind, port: Corrected, mass: float) -> float:
 
 
 SHARES = (0.05, 0.1)
-"""By which k and b may be off."""
-_STEP = 0.02  # of the mass, of b, and of a sample: what is desired may be met again further away, which does not count
-_LONGER = 1.3  # times the one before, each step, up to
+"""Shares by which k and b may be off."""
+_STEP = 0.02  # of the mass, of b, and of a sample: k and b may agree again further away, which does not count
+_LONGER = 1.3  # factor from step to step, up to
 _LONGEST = 0.1
-_MOST = 100.0  # steps: what they do not leave is as good as any
+_MOST = 100.0  # steps: beyond, the range counts as unlimited
 _HALVINGS = 16
 
 
 class Tolerance(NamedTuple):
-    """The least and the most of each with which k and b stay within a share of what is desired, and the loop stable;
-    infinite where e^10 times the mass, ten times b, or ten samples more do not leave it."""
+    """Ranges (least, most) in which k and b stay within a share of the desired ones, and the loop stable. Infinite if
+    e^10 times the mass, ten times b, or ten samples more are still within it."""
 
     share: float
     mass: tuple[float, float]
-    """kg."""
+    """Range of the mass, kg."""
     friction: tuple[float, float]
-    """N·s/m."""
+    """Range of the friction, N·s/m."""
     delay: tuple[float, float]
-    """Sample periods."""
+    """Range of the delay, sample periods."""
 
 
 def tolerance_of(felt: Felt, k: float, b: float, share: float) -> Tolerance | None:
-    """Of a hand that is to feel k and b (N/m, N·s/m); None where it does not, with the device as it is declared.
-
-    One of the three is varied at a time, for what was made for the declared ones.
-    """
+    """Returns the tolerance of a hand with the desired k and b (N/m, N·s/m); None if the declared device does not reach
+    them. One of the three is varied at a time, with links and predictor made for the declared ones."""
     device = felt.configuration
 
     def meets(other: Configuration) -> bool:
@@ -362,7 +362,8 @@ def tolerance_of(felt: Felt, k: float, b: float, share: float) -> Tolerance | No
 
 
 def _last(meets: Callable[[float], bool], side: int, most: float = math.inf) -> float:
-    """How far from 0 to this side, and by `most` at most, what is asked is met without a gap; infinite for ever."""
+    """Returns the largest distance from 0 to this side, `most` at the most, up to which the condition holds without a
+    gap; infinite if it has no end."""
     at, step = 0.0, _STEP
     while True:
         beyond = min(at + step, most)

@@ -1,5 +1,5 @@
-"""What hands feel that move masses, or each other: the spring and damper of their own motions, where these are all that
-they do; and what is always defined."""
+"""Springs and dampers that hands feel that move masses, or each other. They describe the hands' own motions, if these
+dominate; other quantities are always defined."""
 
 from __future__ import annotations
 
@@ -29,31 +29,32 @@ from hapsim.theory.network import (
 from hapsim.theory.network.impedance import loop_impedance
 
 HAND_HZ = (2.0, 8.0, 30.0)
-"""At which a hand moves: slowly, as fast as it can, and shaken by what it holds."""
+"""Frequencies at which a hand moves: slowly, as fast as it can, and shaken by the masses that it holds."""
 HAND_STIFFNESS = 300.0
-"""N/m, of a hand that weighs something by shaking it."""
-_OFF = 1.1  # of a mass that no longer feels like itself
-_FREE = 1e-9  # of the stiffest link: what holds nothing
+"""Stiffness of a hand that shakes a mass to feel its weight, N/m."""
+_OFF = 1.1  # ratio of the felt to the true mass at the limit of its range
+_FREE = 1e-9  # of the stiffest link: a smaller stiffness holds nothing
 _HALVINGS = 20
-_MOST_STATES = 100  # of the loop that is worked out fifty times
+_MOST_STATES = 100  # of the loop that is solved fifty times
 
 
 class Weight(NamedTuple):
-    """How heavy masses feel that nothing holds, to a hand of `HAND_STIFFNESS`: kg."""
+    """Felt weight of free masses, to a hand of `HAND_STIFFNESS`, kg."""
 
     mass: float
-    """Of all that the hand moves."""
+    """Total mass that the hand moves."""
     felt: float
     continuous: float
-    """What of it the same scene in continuous time has."""
+    """Part of it that the same scene in continuous time has."""
     within_10_percent_hz: float
-    """Up to where, shaken more slowly, it feels like itself within a tenth; NaN where it does nowhere."""
+    """Frequency up to which it feels like itself within a tenth; NaN if it never does."""
     to_simulate: float
-    """So much has to be simulated to feel like `mass`; NaN where nothing does."""
+    """Mass to simulate so that it feels like `mass`; NaN if there is none."""
 
 
 class OwnMotion(NamedTuple):
-    """Of one hand, beside a measurement: N/m, N·s/m, and what a spring and damper make of its mass."""
+    """Own motion of one hand, to compare with a measurement: N/m, N·s/m, and the resulting frequency and ratio of its
+    mass."""
 
     k: float
     b: float
@@ -63,12 +64,12 @@ class OwnMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FeltTogether:
-    """What is felt on the device points of one part of a scene that no link joins to another.
+    """Felt springs and dampers on the device points of one part of a scene that no link joins to another.
 
     Attributes:
         names: of the n device points.
-        channels: theirs.
-        not_predicted: why no pair is worked out of what runs; "" where it is.
+        channels: of the device points.
+        not_predicted: reason why no pair is computed for the run; "" if one is.
     """
 
     names: tuple[str, ...]
@@ -77,11 +78,11 @@ class FeltTogether:
     _network: Network
     _continuous: Network
     _eigen: tuple[Complexes, Complexes] | None
-    """Of the network's loop, where they are known."""
+    """Eigenvalues and eigenvectors of the network's loop, if known."""
 
     @cached_property
     def felt(self) -> FeltPair:
-        """k and b (n, n) that are felt; beside the diagonal what one hand feels of another is negative."""
+        """Felt k and b (n, n); off the diagonal, the part that one hand feels of another is negative."""
         if self.not_predicted:
             return no_pair(len(self.names), self.not_predicted)
         with one_thread():
@@ -89,7 +90,7 @@ class FeltTogether:
 
     @property
     def own_motion(self) -> OwnMotion | None:
-        """Of a hand that shares its motion with no other; None where no pair is felt."""
+        """Own motion of a single hand; None if no pair is felt."""
         if self.felt.reason or len(self.names) > 1:
             return None
         k, b = float(self.felt.k[0, 0]), float(self.felt.b[0, 0])
@@ -98,7 +99,7 @@ class FeltTogether:
 
     @cached_property
     def weight(self) -> Weight | None:
-        """Of a hand by itself whose masses nothing holds; else None."""
+        """Felt weight of a single hand's free masses; else None."""
         network = self._network
         mass, stiffest = float(network.point_mass.sum()), float(np.abs(network.stiffness).max(initial=0.0))
         acts = (network.stiffness != 0.0) | (network.damping != 0.0)
@@ -116,8 +117,8 @@ class FeltTogether:
         return Weight(mass, *weighs, hz if off else math.nan, lighter * mass or math.nan)
 
     def weighs(self, hand_stiffness: float) -> tuple[float, float] | None:
-        """How heavy its masses feel to one hand of this stiffness (N/m) that shakes them, and how heavy in continuous
-        time, kg; NaN where that hand shakes them in no swing, None where it is not worked out."""
+        """Returns the mass, kg, that its masses feel like to one hand of this stiffness (N/m) that shakes them, and the
+        same in continuous time; NaN if the hand shakes them in no oscillation, None if not computed."""
         network = self._network
         if len(self.names) > 1 or not network.point_mass.size or self.not_predicted:
             return None
@@ -128,31 +129,32 @@ class FeltTogether:
 
     @cached_property
     def asked_for(self) -> FeltPair:
-        """The same of the scene in continuous time: what sampling, hold and delay make another of."""
+        """Desired pair, of the scene in continuous time, without sampling, hold and delay."""
         with one_thread():
-            # What is felt may be just within the bound, and this just beyond: they are shown side by side.
+            # The limit is wider: both pairs are shown side by side, and the felt one may be just within its own.
             return continuous_pair(self._continuous, 1.5 * CARRIED)
 
     @cached_property
     def static_stiffness(self) -> Floats:
-        """(n, n): N/m, that steady pushes meet."""
+        """Static stiffness (n, n), N/m, that steady pushes meet."""
         with one_thread():
             found = static_stiffness(self._network)
         return np.where(np.abs(found) > _FREE * np.abs(self._network.stiffness).max(initial=0.0), found, 0.0)
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:
-        """k and b, each (n, 3), that each hand meets moved at `HAND_HZ`, others held; NaN from half the rate on."""
+        """Stiffness and damping, each (n, 3), that each hand meets at `HAND_HZ`, with the others held; NaN from half
+        the rate on."""
         rendered = np.diagonal(loop_impedance(self._network, HAND_HZ).rendered, axis1=1, axis2=2).T
         k, b = spring_and_damper(np.array(HAND_HZ), rendered)
         return self._network.channel_stiffness[:, None] + k, self._network.channel_friction[:, None] + b
 
 
 def _crossing(of: Callable[[float], tuple[float, float]], wanted: float, most: float) -> tuple[float, float]:
-    """The number up to `most` from which on the first of what is made of it is above `wanted`, and the second; 0 where
-    it is there, or is nowhere."""
+    """Returns the number up to `most` at which the first value of the function exceeds `wanted`, and the second value
+    there; 0 if it does everywhere, or nowhere."""
     low, high = 1e-6 * most, most
-    if of(low)[0] >= wanted or not of(high)[0] > wanted:  # what does not swing is not above
+    if of(low)[0] >= wanted or not of(high)[0] > wanted:  # a motion without oscillation is not above
         return 0.0, math.nan
     for _ in range(_HALVINGS):
         middle = math.sqrt(low * high)

@@ -1,4 +1,4 @@
-"""What bounds the force beside its limit: slew, soft start, energy and travel."""
+"""Bounds of the force besides its limit: slew, soft start, energy and travel."""
 
 from __future__ import annotations
 
@@ -14,32 +14,30 @@ from hapsim.prediction.predict import Prediction
 from hapsim.prediction.timing import FIRST_SAMPLES, on_wire
 from hapsim.scene import Scene
 
-RISE_S = 1e-3  # from zero to the force limit, or a sample period where that is longer
+RISE_S = 1e-3  # from zero to the force limit, or a sample period if that is longer
 SOFT_START_S = 0.05
 SIGN_RATE_HZ = 500.0  # below, the guard of the sign has too few samples
-_SIGN_HZ = 5.0  # with less, it finds only every second motor that is wrong
-ONE_PERIOD = 1.0 + 1e-12  # so that what is meant to be a whole number of counts is one
-_IN_HAND = 0.1  # of a mode's kinetic energy: what moves the hand less is not swung by its force
+_SIGN_HZ = 5.0  # below, the guard finds only every second motor with a wrong sign
+ONE_PERIOD = 1.0 + 1e-12  # so that rounding keeps a whole number of counts
+_IN_HAND = 0.1  # of a mode's kinetic energy: with less in the hand, its force does not drive the mode
 
 
 class ForceBounds(NamedTuple):
-    """Of a run."""
+    """Bounds of a run's force."""
 
     slew_limit: float
-    """N/s; infinity: none."""
+    """Slew limit, N/s; infinity: none."""
     soft_start_s: float
-    """s; 0: none."""
+    """Soft start, s; 0: none."""
     energy_limit: float
-    """J; infinity: none."""
+    """Energy limit, J; infinity: none."""
 
 
 def force_bounds(
     scene: Scene, *, in_hand: bool, judges_energy: bool = False, force_limit: float | None = None
 ) -> ForceBounds:
-    """The bounds of a scene, before a device that a hand may hold or before the mock.
-
-    `judges_energy`: the energy has a limit before the mock too. `force_limit`: of the device, N.
-    """
+    """Returns the bounds of a scene on a device that a hand may hold (`in_hand`) or on the mock. `judges_energy`: the
+    energy has a limit on the mock too. `force_limit`: of the device, N."""
     device = scene.device
     most = device.force_limit if force_limit is None else min(force_limit, device.force_limit)
     slew, soft, energy = device.slew_limit, device.soft_start, device.energy_limit
@@ -54,16 +52,14 @@ def force_bounds(
 
 
 def run_bounds(scene: Scene) -> ForceBounds:
-    """The bounds of `hapsim run` on the scene's own device."""
+    """Returns the bounds of `hapsim run` on the scene's own device."""
     in_hand = scene.device.port is not None and scene.device.clock != "lockstep"
     return force_bounds(scene, in_hand=in_hand, judges_energy=True)
 
 
 def below_a_count(scene: Scene, force_scale: Iterable[float]) -> str:
-    """Why nothing runs with a slew limit below a count of the device's force in a sample; "" with another.
-
-    `force_scale`: N per count of each channel; one above the force limit has no finer step.
-    """
+    """Returns the error of a slew limit below one count of the device's force in a sample; "" if there is none.
+    `force_scale`: N per count of each channel; a scale above the force limit has no finer step."""
     slew, limit = scene.device.slew_limit, scene.device.force_limit
     if slew is None:
         return ""
@@ -78,16 +74,14 @@ def below_a_count(scene: Scene, force_scale: Iterable[float]) -> str:
 
 
 def refused_slew(scene: Scene) -> str:
-    """The same for the mock's counts, where the scene's device is the mock."""
+    """Returns the same error for the mock's counts, if the scene's device is the mock."""
     return below_a_count(scene, [scene.mock_device.force_scale]) if scene.device.port is None else ""
 
 
 def slow_slew(scene: Scene, prediction: Prediction) -> str:
-    """Why the slew limit of `run_bounds` is too slow for what was predicted of `scene`: sentences; "" where it is not.
-
-    Too slow: less than 2 pi f times the force limit, the steepest part of a swing up to it, with f the fastest
-    of a hand's swings.
-    """
+    """Returns a warning if the slew limit of `run_bounds` is too slow for the predicted `scene`; "" if it is not. Too
+    slow is less than 2 pi f times the force limit, the steepest part of an oscillation up to it, with f the highest
+    frequency at which a hand oscillates."""
     limit, slew = scene.device.force_limit, run_bounds(scene).slew_limit
     fastest = fastest_swing_hz(scene, prediction)
     steepest = 2.0 * math.pi * fastest * limit
@@ -105,7 +99,8 @@ def slow_slew(scene: Scene, prediction: Prediction) -> str:
 
 
 def hidden_sign(scene: Scene, prediction: Prediction) -> str:
-    """Why a motor that is wired the wrong way may not be found while `scene` runs: sentences; "" where it mostly is."""
+    """Returns a warning if the guard may miss a motor that is wired the wrong way while `scene` runs; "" if it mostly
+    finds it."""
     spans, scales = scene.device.mass_spans(scene.channels), scene.device.scales(scene.channels)
     pulls = [(scene.device.force_limit / most, one.sign_pull) for (_, most), one in zip(spans, scales, strict=True)]
     channel = min(range(len(pulls)), key=lambda c: pulls[c][0] / pulls[c][1])
@@ -127,7 +122,8 @@ def hidden_sign(scene: Scene, prediction: Prediction) -> str:
 
 
 def fastest_swing_hz(scene: Scene, prediction: Prediction) -> float:
-    """The highest eigenfrequency at which a hand swings on what is simulated, below the Nyquist frequency; 0: none."""
+    """Highest eigenfrequency, Hz, below the Nyquist frequency, at which a hand oscillates on the simulated links; 0:
+    none."""
     still = {one.name for one in prediction.felt if one.stiffness == one.damping == 0.0}
     held = [i for i, name in enumerate(prediction.points) if name in scene.device_points and name not in still]
     hands = [one.frequency_hz for one in prediction.felt if one.name not in still]
@@ -140,7 +136,8 @@ def fastest_swing_hz(scene: Scene, prediction: Prediction) -> float:
 
 
 def refused_travel(scene: Scene) -> str:
-    """Why the force fades over too short a way for the loop, a sentence without a full stop; "" where it does not."""
+    """Returns the error of a travel margin over which the force fades too steeply for the loop, without a full stop; ""
+    if there is none."""
     device = scene.device
     if device.travel is None:
         return ""
@@ -163,8 +160,8 @@ def refused_travel(scene: Scene) -> str:
 
 
 def fade_stiffness(scene: Scene, channel: int) -> float:
-    """N/m: up to which stiffness the loop of a channel is stable, held by a hand and without a simulated damper, for
-    the least mass that the scene declares."""
+    """Largest stiffness, N/m, with which the loop of a channel is stable, held by a hand, without a simulated damper,
+    with the least mass that the scene declares."""
     loop = replace(configuration_of(on_wire(scene), channel), spring_lag=0.0)  # the force fades once in a sample
     least, _ = scene.device.mass_spans(scene.channels)[channel]
     damping = scene.device.scales(scene.channels)[channel].grip_damping
@@ -173,7 +170,7 @@ def fade_stiffness(scene: Scene, channel: int) -> float:
 
 
 def travel_document(scene: Scene) -> dict[str, Any]:
-    """Limits, margin and origin of every channel, in m: None where there is none, "here" for the position at arming."""
+    """Limits, margin and origin of every channel, in m: None if there is none, "here" for the position at arming."""
     device, channels = scene.device, scene.channels
     return {
         "limits_m": None if device.travel is None else device.travels(channels),

@@ -1,4 +1,4 @@
-"""A scene as linear theory sees it: masses, springs and dampers; one oscillator for each lone hand, or a network."""
+"""Linear form of a scene: masses, springs and dampers; one oscillator for each single hand, or a network."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hapsim.theory.schemes import SCHEMES, LinkNature
 
 
 class LinearLink(NamedTuple):
-    """A spring and a damper between two points, named as in the scene."""
+    """Spring and damper between two points, named as in the scene."""
 
     between: tuple[str, str]
     stiffness: float
@@ -26,43 +26,43 @@ class LinearLink(NamedTuple):
     damper: str = "backward"
     cutoff: float | None = None
     outside: bool = False
-    """Whether the scene's scheme takes its force at the sample for the whole sample period, whatever it joins."""
+    """True if the scene's scheme holds its force from the sample over the sample period, whatever it joins."""
 
 
 class LinearScene(NamedTuple):
-    """A scene as the linear theory sees it."""
+    """Scene in linear form."""
 
     masses: dict[str, float]
     """Points that the scene moves, with their masses in kg."""
     fixed: frozenset[str]
-    """Points that stay."""
+    """Points that do not move."""
     links: dict[str, LinearLink]
-    """The scene's links, by name."""
+    """Links of the scene, by name."""
     inner: list[LinearLink]
-    """What its structures consist of, and what holds its material points."""
+    """Elements of its structures, and the springs that hold its material points."""
     assumptions: list[str]
-    """Sentences: how the theory takes links that are not linear."""
+    """Sentences on the linear forms of links that are not linear."""
 
 
-_MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are numbers, too
+_MOST = 1e60  # of b0 T/m and k0 T²/m: their fourth powers are still finite
 _FASTEST = {"linear": 1.0, "rotary": 30.0}
-STAYS = "."  # what is inside a structure and stays where it is: no module is called so
+STAYS = "."  # a fixed place inside a structure; no module has this name
 
 
 def with_device(scene: Scene, **changed: Any) -> Scene:
-    """The scene with some keys of its device replaced; they are not validated."""
+    """Returns the scene with some keys of its device replaced; they are not validated."""
     return scene.model_copy(update={"device": scene.device.model_copy(update=changed)})
 
 
 def _is_outside(linear: Linear, scheme: str) -> bool:
-    """Whether the scheme takes this force for that of the sample, whatever it joins."""
+    """Returns whether the scheme holds this force from the sample, whatever the link joins."""
     model = SCHEMES[scheme]
     nature = LinkNature(linear.in_a_matrix, linear.memoryless, at_channel=False)
     return model is not None and not model.inside(nature)
 
 
 def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> LinearScene:
-    """What the theory takes `scene` for; `taken`: links for which the spring and damper at their place are known."""
+    """Returns the linear form of `scene`; `taken`: links with a known spring and damper at their place."""
     masses: dict[str, float] = {}
     links: dict[str, LinearLink] = {}
     assumptions = []
@@ -94,24 +94,24 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
 
 
 def links_of(linear: LinearScene, name: str) -> dict[str, LinearLink]:
-    """The scene's links that end at this device point, by name."""
+    """Links of the scene that end at this device point, by name."""
     return {link: module for link, module in linear.links.items() if name in module.between}
 
 
 def dampers_of(linear: LinearScene, name: str) -> dict[tuple[str, float | None], str]:
-    """The kinds of damper that act at this device point, (damper, cutoff), each with a link that has it."""
+    """Kinds of damper that act at this device point, (damper, cutoff), each with a link that has it."""
     links = links_of(linear, name)
     return {(module.damper, module.cutoff): link for link, module in links.items() if module.damping > 0.0}
 
 
 def fastest_motion(scene: Scene) -> float:
-    """m/s or rad/s: faster no hand moves for long."""
+    """Largest lasting speed of a hand, m/s or rad/s."""
     return _FASTEST["rotary" if "rotary" in scene.device.motions(scene.channels) else "linear"]
 
 
 def has_more_than_regions(scene: Scene, name: str) -> bool:
-    """Whether the pieces of a hand's travel do not say everything of it: dampers of several kinds act at it somewhere,
-    or one that is another while it moves."""
+    """Returns whether the regions of a hand's travel do not describe it completely: dampers of several kinds act at it
+    somewhere, or a damper depends on the speed."""
     links = [link for link in scene.links.values() if name in link.between]
     laws = [link.law() for link in links]
     damping = [link for link, law in zip(links, laws, strict=True) if any(law.dampings)]
@@ -120,7 +120,8 @@ def has_more_than_regions(scene: Scene, name: str) -> bool:
 
 
 def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
-    """Why the hand at this device point is no oscillator of its own, in words that follow its name; "" where it is."""
+    """Reason why the hand at this device point is no oscillator of its own, a phrase that follows its name; "" if it is
+    one."""
     for link, module in links_of(linear, name).items():
         (other,) = set(module.between) - {name}
         if other in linear.masses:
@@ -142,7 +143,7 @@ def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
 def configuration_of(
     scene: Scene, channel: int, damper: str = "backward", cutoff: float | None = None
 ) -> Configuration:
-    """The temporary hybrid system of one channel, as the scene's device describes it, with such a damper."""
+    """Temporary hybrid system of one channel, as the scene's device describes it, with such a damper."""
     device = scene.device
     return Configuration(
         mass=device.masses(scene.channels)[channel],
@@ -159,12 +160,12 @@ def configuration_of(
 
 
 def late_by_mean(scene: Scene) -> float:
-    """Sample periods by which the mean of the substeps' forces is behind the last one, of an even motion."""
+    """Lag of the mean of the substeps' forces behind the last one, for an even motion, sample periods."""
     return 0.5 - 0.5 / scene.substeps if scene.device.decimation == "mean" else 0.0
 
 
 def hand_of(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration, float, float]:
-    """The temporary hybrid system of a hand, and K and B of all its links."""
+    """Temporary hybrid system of a hand, and K and B of all its links."""
     links = links_of(linear, name).values()
     damper, cutoff = next(iter(dampers_of(linear, name)), ("backward", None))
     stiffness, damping = math.fsum(link.stiffness for link in links), math.fsum(link.damping for link in links)
@@ -172,7 +173,7 @@ def hand_of(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration
 
 
 def instead_of(network: Network, reason: NotWorkedOutError) -> tuple[Network, str]:
-    """What is worked out in place of a network for which that is not done, and a sentence about it."""
+    """Returns a network that stands in for one whose poles cannot be computed, and a sentence about it."""
     if network.substeps == 1:
         sentence = (
             "the masses are taken to move by CORDIS's scheme; up to where they are stable under "
@@ -191,16 +192,14 @@ def instead_of(network: Network, reason: NotWorkedOutError) -> tuple[Network, st
 
 
 def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, ...]]:
-    """The whole scene as arrays: one point for every device point, one for every mass; the scene's own links first.
-
-    Channels without a module have no point.
-    """
+    """Returns the whole scene as arrays, and the names of its points: the device points, then the masses. The scene's
+    own links come first. Channels without a module have no point."""
     channels = [point.channel for point in scene.device_points.values()]
     points = [*scene.device_points, *linear.masses]
     number = {name: i for i, name in enumerate(points)} | dict.fromkeys(linear.fixed, -1)
     links = [*linear.links.values(), *linear.inner]
     device = scene.device
-    # Without masses the force of the last step is that of one step: it knows both positions, and nothing else.
+    # Without masses the last of the steps equals a single step: it has both positions, and no other state.
     substeps = scene.substeps if linear.masses or device.decimation == "mean" else 1
     network = Network(
         rate=scene.rate,
@@ -225,7 +224,7 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
 
 
 def require_within_numbers(scene: Scene) -> None:
-    """UsageError where the device is beyond what floating point holds."""
+    """Raises UsageError if the device's values exceed the range of floating point."""
     if not 1e-9 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
     device, channels = scene.device, scene.channels

@@ -1,7 +1,7 @@
-"""Values of a scene that are probably a mistake: a wrong unit, or a factor of a thousand.
+"""Plausibility of a scene's values: a wrong unit, or a factor of a thousand.
 
-Most keys of a scene take any number, in SI units. So a mass of 200 is 200 kg; only what people build says that grams
-were meant. A wrong value that stays within these ranges is not found.
+Most keys of a scene take any number, in SI units: a mass of 200 is 200 kg. Only the devices that people build show that
+grams were meant. A wrong value within these ranges is not found.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from hapsim.units import Units
 
 
 class Range(NamedTuple):
-    """What a value is in the devices and scenes that people build. 0 always is within."""
+    """Range of a value in real devices and scenes; 0 is always within."""
 
     least: float
     most: float
     why: str
     slips: tuple[tuple[str, float], ...]
-    """What people write in place of the unit, each with the factor that makes it right; 0: the reciprocal does."""
+    """Units often written by mistake, each with the factor that corrects it; 0: take the reciprocal."""
 
 
 _MORE, _LESS = ("a thousand times as much", 1e3), ("a thousandth of it", 1e-3)
@@ -43,7 +43,7 @@ RANGES = {
     "N": Range(1e-3, 250.0, "a hand feels 10 mN and more, and devices give up to 50 N", _FORCES),
     "N·s/m": Range(0.0, 500.0, "a firm grip has 20 N·s/m", _DAMPINGS),
     "N/m": Range(1.0, 1e5, "springs of devices and hands have 10 to 1000 N/m", _STIFFNESSES),
-    "modules N/m": Range(0.0, math.inf, "", _STIFFNESSES),  # these two `_of_spring` judges by rate and mass
+    "modules N/m": Range(0.0, math.inf, "", _STIFFNESSES),  # `_of_spring` judges these two by rate and mass
     "modules N·s/m": Range(0.0, math.inf, "", _DAMPINGS),
     "m": Range(5e-6, 1.0, "devices move 2 mm to 0.5 m, in steps of 10 µm and more", _LENGTHS),
     "travel": Range(2e-4, 1.0, "devices move 2 mm to 0.5 m", _LENGTHS),
@@ -54,8 +54,8 @@ RANGES = {
     "cutoff": Range(1.0, math.inf, "below 1 Hz a filtered velocity comes too late for any hand", (("kHz", 1e3),)),
     "bit/s": Range(1200, 2e7, "UARTs have 9600 to 12 million bit/s", (("kbit/s", 1e3), _LESS)),
 }
-"""By key, by "modules" and unit, or by unit: wider than the paper's 1 g, a motor fader's 30 g and 0.2 N, what Hapkit,
-FireFader, Haply and Falcon have, and a handle of 3 kg with 50 N."""
+"""Ranges by key, by "modules" and unit, or by unit. They are wider than the paper's 1 g, a motor fader's 30 g and 0.2
+N, the values of Hapkit, FireFader, Haply and Falcon, and a handle of 3 kg with 50 N."""
 
 _ANGLES, _TORQUES = (("deg", math.pi / 180.0), ("mrad", 1e-3), _MORE), (("mN·m", 1e-3), _MORE)
 _INERTIAS = (("g·cm²", 1e-7), ("kg·cm²", 1e-4), _MORE)
@@ -74,17 +74,17 @@ ROTARY = {
     "m per count": Range(1e-13, 0.1, "encoders count 1e-7 to 0.01 rad", _ANGLES),
     "m rms": Range(0.0, 0.02, "angle sensors have less than 0.01 rad of noise", _ANGLES),
 }
-"""The same where every channel turns. Where some do, their values are in both ranges or in none."""
+"""Ranges where every channel turns. If only some turn, a value has to be outside both ranges."""
 
-# What follows compares keys with each other.
+# The values below are ratios between keys.
 _DELAYED, _LATE_SAMPLES, _LATE_S = 0.01, 10.0, 0.02  # sample periods; the slowest USB converter takes 16 ms
-_STOPS_S, _COASTS_S, _FRICTION = 1e-3, 100.0, 50.0  # how soon friction stops a free device; N·s/m
-_CREEPS = 5.0  # times critical damping: what has more friction does not swing back
+_STOPS_S, _COASTS_S, _FRICTION = 1e-3, 100.0, 50.0  # time in which friction stops a free device; N·s/m
+_CREEPS = 5.0  # times critical damping: with more friction the hand creeps
 _FELT_STIFFNESS, _FELT_DAMPING, _UNDAMPED = 5.0, 2e-3, 4e-4  # of a link at a hand: N/m; N·s/m, times sqrt(K m)
 _STRONG, _JUMPS, _PRESSES = 10.0, 3.0, 30.0  # times the force limit: a link's own force; that at arming, far and near
 _BEYOND = 3.0  # times the stiffest link at a hand that any damping makes stable
 _HEAVY_KG = 2.0  # a whole string or membrane
-_FAR_M = 0.05  # what is stretched by more at arming has a wrong position rather than a wrong stiffness
+_FAR_M = 0.05  # a larger stretch at arming indicates a wrong position rather than a wrong stiffness
 
 
 class _Value(NamedTuple):
@@ -95,7 +95,7 @@ class _Value(NamedTuple):
 
     @property
     def module(self) -> str:
-        """Whose it is; "" of the device, the mock and the scene."""
+        """Name of its module; "" for a value of the device, the mock or the scene."""
         first, name, *_ = [*self.path.split("."), ""]
         return name if first == "modules" else ""
 
@@ -117,12 +117,12 @@ class _Value(NamedTuple):
 
 
 def unlikely(scene: Scene) -> list[str]:
-    """Returns sentences, one for each key of `scene` that is probably a mistake: what was found, why that is unlikely,
-    and what to write. The same key of several modules shares one."""
+    """Returns a sentence for each key of `scene` that is probably a mistake: the value, why it is unlikely, and the
+    probable intention. The same key of several modules shares one sentence."""
     weights = set(_weights(scene, _ranges(scene)["m"].most))
     off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off and one.path not in weights]
     for of_part in (_of_device, _of_links):
-        if not any(one.unit in ("Hz", "kg", "samples") for one in off):  # by these the others are judged
+        if not any(one.unit in ("Hz", "kg", "samples") for one in off):  # the other checks depend on these values
             off += [one for one in of_part(scene) if one.is_off and one.path not in weights]
     alike: dict[tuple[str, str], dict[str, _Value]] = {}
     for one in off:
@@ -137,8 +137,8 @@ def unlikely(scene: Scene) -> list[str]:
 
 
 def _weights(scene: Scene, far_m: float) -> Iterator[str]:
-    """Yields the keys of grounds that are the far end of a constant force: their links pull, and so softly that
-    the device can give it, however far they are; and the keys of these links."""
+    """Yields the keys of grounds that are the far end of a constant force, and of the links to them: these links are so
+    soft that the device can render their pull in spite of the distance."""
     for ground, module in scene.grounds.items():
         laws = {name: one.law() for name, one in scene.links.items() if ground in one.between}
         pulls = [0.0 if law.edges else law.below * abs(module.position) for law in laws.values()]
@@ -148,7 +148,7 @@ def _weights(scene: Scene, far_m: float) -> Iterator[str]:
 
 
 def _ranges(scene: Scene) -> dict[str, Range]:
-    """Of this scene's motion; where some channels turn and others do not, from the least to the most of both."""
+    """Returns the ranges for this scene's motion; if only some channels turn, from the least to the most of both."""
     turns = set(scene.device.motions(scene.channels))
     if len(turns) == 1:
         return RANGES | (ROTARY if scene.units.is_rotary else {})
@@ -161,7 +161,7 @@ def _ranges(scene: Scene) -> dict[str, Range]:
 
 
 def _values(part: Part, path: str, ranges: dict[str, Range]) -> Iterator[_Value]:
-    """The numbers of a part of a scene that have a range; of a curve the largest along each axis."""
+    """Yields the numbers of a part of a scene that have a range; for a curve the largest along each axis."""
     for key, expected in _keys(type(part)):
         value, at = getattr(part, key), f"{path}{key}"
         if isinstance(value, Part):
@@ -182,7 +182,7 @@ def _values(part: Part, path: str, ranges: dict[str, Range]) -> Iterator[_Value]
 
 @cache
 def _keys(kind: type[Part]) -> list[tuple[str, Expectation | None]]:
-    """The keys of a kind of part, each with what its values are."""
+    """Keys of a kind of part, each with its expected values."""
     fields = kind.model_fields.items()
     return [(key, next((one for one in field.metadata if isinstance(one, Expectation)), None)) for key, field in fields]
 
@@ -197,7 +197,7 @@ def _numbers(value: Any) -> list[float]:
 
 
 def _of_device(scene: Scene) -> Iterator[_Value]:
-    """What the keys of device and mock say beside each other."""
+    """Yields keys of device and mock that depend on each other."""
     device, mock, limit = scene.device, scene.mock or Mock(), scene.device.force_limit
     named = f"the force limit of {scene.units(limit, 'N')}"
     most = max(_LATE_SAMPLES, _LATE_S * scene.rate)
@@ -229,7 +229,7 @@ def _of_device(scene: Scene) -> Iterator[_Value]:
 
 
 def _of_links(scene: Scene) -> Iterator[_Value]:
-    """What the links say beside the masses at their ends, structures and cells beside their own."""
+    """Yields values of links that depend on the masses at their ends, and of structures and cells on their own."""
     spans, limit = scene.device.mass_spans(scene.channels), scene.device.force_limit
     masses = {name: module.mass for name, module in (scene.material_points | scene.structures).items()}
     for name, mass in masses.items():
@@ -257,21 +257,21 @@ def _of_links(scene: Scene) -> Iterator[_Value]:
 
 
 def _of_spring(scene: Scene, name: str, mass: float, hand: str, moves: bool = True) -> Iterator[_Value]:
-    """What a module's stiffness and damping do with this mass, in kg. `hand`: the device point that it holds, or "";
-    `moves`: whether it holds something that the scene moves."""
+    """Yields a module's stiffness and damping with the ranges for this mass, in kg. `hand`: the device point that it
+    holds, or ""; `moves`: whether it holds a point that the scene moves."""
     module, rate, units = scene.modules[name], scene.step_rate if moves else scene.rate, scene.units_at(name)
     stiffness, damping = getattr(module, "stiffness", 0.0), getattr(module, "damping", 0.0)
-    most = [mass * rate**2 * (8.0 if scene.scheme == "rk4" else 4.0), 2.0 * mass * rate]  # what no scheme renders
+    most = [mass * rate**2 * (8.0 if scene.scheme == "rk4" else 4.0), 2.0 * mass * rate]  # beyond any scheme
     hardest, least, why = most[0], [0.0, 0.0], f"at {frequency(rate)} it is unstable on {units(mass, 'kg')} with any"
     if hand:
         kind = getattr(module, "damper", "backward"), getattr(module, "cutoff", None)
         loop = configuration_of(scene, scene.device_points[hand].channel, *kind)
-        surely = loop.stiffness_unit / (2.7 + 1.4 * loop.delay) ** 2  # stable with some damping, whatever the hold
+        surely = loop.stiffness_unit / (2.7 + 1.4 * loop.delay) ** 2  # stable with some damping, for any hold
         if stiffness > _BEYOND * surely and scene.device.correction == "none":
             hardest = stiffest_stable(loop).stiffness or hardest
             most[0] = min(most[0], _BEYOND * hardest)
         most[1] = math.inf if kind[1] else most[1]
-        felt = 0.0 if scene.units.is_rotary else 1.0  # how large a knob is, is not known
+        felt = 0.0 if scene.units.is_rotary else 1.0  # the size of a knob is unknown
         least = [felt * _FELT_STIFFNESS, max(felt * _FELT_DAMPING, _UNDAMPED * math.sqrt(stiffness * mass))]
     elif scene.scheme in ("exact", "midpoint"):
         most = [math.inf, math.inf]
@@ -285,14 +285,14 @@ def _of_spring(scene: Scene, name: str, mass: float, hand: str, moves: bool = Tr
 
 
 def _jumps(scene: Scene) -> Iterator[str]:
-    """Yields a sentence for each hand that the scene pushes by far more than the force limit as it begins."""
+    """Yields a sentence for each hand that the scene pushes by far more than the force limit at the start."""
     device, limit = scene.device, scene.device.force_limit
     for hand, point in scene.device_points.items():
         alone, origin = characteristic_of(scene, hand), device.origins(scene.channels)[point.channel]
         if alone is None:
             continue
         least, most = device.travels(scene.channels)[point.channel]
-        start, x = "device.travel", min(max(0.0, least), most)  # what is not known is taken for 0
+        start, x = "device.travel", min(max(0.0, least), most)  # an unknown position counts as 0
         if device.port is None and origin is not None:
             start, x = "mock.initial.position", scene.mock_device.initial_position[point.channel] - origin
         forces = {name: one.sign * float(one.law.tension(one.distance(x))) for name, one in alone.links.items()}

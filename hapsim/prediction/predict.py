@@ -1,4 +1,5 @@
-"""Prediction: what a scene's hand will feel, from the mathematics alone. Nothing is run, nothing is compiled."""
+"""Prediction: the stiffness and damping that a scene's hand will feel, from mathematics alone, without a run and
+without compilation."""
 
 from __future__ import annotations
 
@@ -32,14 +33,14 @@ from hapsim.theory.arrays import Indices, sort_by_modulus
 from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, part_of, part_of_each
 from hapsim.theory.network.network import is_centred
 
-_LETS_GO = (Buffer, Plectrum, Click, Friction)  # what excites a sound, and lets it ring
+_LETS_GO = (Buffer, Plectrum, Click, Friction)  # links that excite a sound and release its source
 _LOWEST_HZ = 20.0  # of a partial
-_MOST_DAMPED = 0.1  # of critical: what is damped more is a thud
+_MOST_DAMPED = 0.1  # of critical; with more damping it is a thud
 _LEAST_SHARE = 1e-4  # of the largest energy that a motion has at the pick-up's point
 
 
 class Prediction:
-    """A scene, predicted: each part is worked out when it is asked for, and once."""
+    """Prediction of a scene; each part is computed on demand, and once."""
 
     points: tuple[str, ...]
     """Names to which a mode's participation refers."""
@@ -47,7 +48,7 @@ class Prediction:
     def __init__(
         self, scene: Scene, at: float | None = None, *, with_margins: bool = True, wherever: bool = False
     ) -> None:
-        """`at`, `with_margins`: as of `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
+        """`at`, `with_margins`: as in `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
         require_within_numbers(scene)
         self.scene, self._at, self._with_margins, self._wherever = scene, at, with_margins, wherever
         self._rendering = rendered(scene)
@@ -58,23 +59,23 @@ class Prediction:
             self._take(instead)
         whys = {name: why_coupled(self._seen, self._linear, name) for name in scene.device_points}
         self.coupled: dict[str, str] = {name: why for name, why in whys.items() if why}
-        """Device points that are no temporary hybrid systems of their own, and why, in words that follow their name."""
+        """Device points that are no temporary hybrid systems of their own, each with a reason that follows its name."""
         self.is_lone: bool = not self.coupled and not self._linear.masses
-        """Whether the scene has nothing but hands, each an oscillator of its own."""
+        """True if the scene has nothing but hands, each an oscillator of its own."""
         self.rate = scene.rate
-        """Hz."""
+        """Sample rate, Hz."""
         self.wire_time, self.wire_of = wire_time_of(scene), wire_of(scene)
-        """How long an exchange takes, and whose wire that is."""
+        """Duration of an exchange, and the kind of wire."""
         self.wire_delay = wire_delay(scene)
-        """The delay that was declared and the one that the wire makes of it, for which all this is predicted, in a
-        sentence; "" where it adds nothing."""
+        """Sentence on the declared delay and the one on the wire, for which this prediction holds; "" if the wire adds
+        none."""
 
     def _take(self, instead: Mapping[str, Linear] | None = None) -> None:
-        """The scene as it is taken; `instead`: with these links otherwise."""
+        """Sets the linear form of the scene; `instead` replaces the forms of some links."""
         self._linear = scene_at(self._seen, self._at, instead)
         self._network, self.points = network_of(self._seen, self._linear)
         self.states = ContactStates(self._seen, self._linear, self._network, self.points)
-        """Of its contacts."""
+        """States of its contacts."""
 
     @cached_property
     def _lone(self) -> tuple[Felt, ...]:
@@ -83,12 +84,13 @@ class Prediction:
 
     @cached_property
     def felt(self) -> tuple[Felt, ...]:
-        """One for each device point that is a temporary hybrid system of its own, in the scene's order."""
+        """Predictions for the device points that are temporary hybrid systems of their own, in the scene's order."""
         return self._lone
 
     def regions_of(self, name: str, around: float | None = None) -> tuple[Region, ...]:
-        """The regions of the hand at this device point, by position; of one place first the one in which all friction
-        sticks. None where it moves more than itself. `around`: as in `characteristic_of` [default: where it is]."""
+        """Returns the regions of the hand at this device point, by position; at one place first the one with all
+        friction stuck. Empty if it moves more than itself. `around`: as in `characteristic_of` [default: its assumed
+        position]."""
         around = (self._at or 0.0) if around is None else around
         hand = characteristic_of(self._rendering.desired, name, around, self._wherever)
         simulated = characteristic_of(self._seen, name, wherever=self._wherever)
@@ -100,18 +102,19 @@ class Prediction:
 
     @cached_property
     def _every_region(self) -> dict[str, tuple[Region, ...]]:
-        """Of each hand that is an oscillator of its own, with links that are not the same everywhere."""
+        """Regions of each hand that is an oscillator of its own with piecewise links."""
         every = {name: self.regions_of(name) for name in self.scene.device_points if name not in self.coupled}
         return {name: found for name, found in every.items() if found and found[0].hand.is_regional}
 
     @cached_property
     def regions(self) -> dict[str, tuple[Region, ...]]:
-        """Of each hand that feels different springs and dampers at different places; `felt` is that of one of them."""
+        """Regions of each hand that feels different springs and dampers at different places; `felt` is that of one of
+        them."""
         return {name: found for name, found in self._every_region.items() if len(found) > 1}
 
     @cached_property
     def here(self) -> dict[str, Piece]:
-        """Where each of these is taken to be."""
+        """Assumed piece of each of these hands."""
         at, found = self._at, {}
         for name, (first, *_) in self.regions.items():
             hand = first.hand
@@ -120,14 +123,14 @@ class Prediction:
 
     @property
     def region_here(self) -> dict[str, Region]:
-        """Of each hand with regions the one where it is taken to be, friction stuck."""
+        """Assumed region of each of these hands, with stuck friction."""
         here = {name: (piece.low, piece.high) for name, piece in self.here.items()}
         every = ((name, one) for name, regions in self.regions.items() for one in reversed(regions))
         return {name: one for name, one in every if (one.piece.low, one.piece.high) == here[name]}
 
     @cached_property
     def together(self) -> tuple[FeltTogether, ...]:
-        """What is felt on the device points that are `coupled`, by the parts of the scene that no link joins."""
+        """Predictions for the device points that are `coupled`, by the parts of the scene that no link joins."""
         kind, (network, solution, _) = self._rendering.kind, self.judge.solved
         not_predicted = f"with correction: {kind.name} it is not worked out" if kind and kind.predicts else ""
         written = self._network if kind is None else self._written
@@ -141,11 +144,12 @@ class Prediction:
 
     @property
     def _written(self) -> Network:
-        """The scene as it is written, not as a correction renders it."""
+        """Network of the desired scene, without the correction."""
         return network_of(self._rendering.desired, scene_at(self._rendering.desired))[0]
 
     def _parts(self, names: Collection[str]) -> Iterator[tuple[tuple[str, ...], tuple[int, ...], Indices]]:
-        """Yields of each part of the scene with some of these device points: those, their channels, all its points."""
+        """Yields, for each part of the scene with some of these device points, these points, their channels and all its
+        points."""
         part, number = part_of_each(self._network.ends, len(self.points)), self.points.index
         for its in dict.fromkeys(int(part[number(name)]) for name in names):
             own = tuple(name for name in names if part[number(name)] == its)
@@ -153,7 +157,7 @@ class Prediction:
 
     @cached_property
     def any_hands(self) -> tuple[AnyHand, ...]:
-        """What hands other than the declared ones do, by the parts of the scene that no link joins."""
+        """Stability in hands other than the declared one, by the parts of the scene that no link joins."""
         kind, network = self._rendering.kind, self.judge.solved.network
         why = "it is not derived where a predictor answers" if kind and kind.predicts else ""
         return tuple(
@@ -163,7 +167,7 @@ class Prediction:
 
     @cached_property
     def judge(self) -> Judge:
-        """Who says whether the scene is stable."""
+        """Verdict on the stability of the scene."""
         regions = self.regions.items() if self._at is not None else ()
         held = {name for name, every in regions if any(one.kind == "held" and one.is_stable for one in every)}
         loose = tuple(felt for felt in self._lone if not felt.stable and felt.name not in held)
@@ -172,22 +176,22 @@ class Prediction:
 
     @property
     def by_its_scheme(self) -> bool:
-        """Whether poles, modes and margins are those of the scheme by which the scene runs, or else of CORDIS's."""
+        """True if poles, modes and margins are those of the scene's own scheme, False if of CORDIS's."""
         return not self.judge.solved.instead
 
     @property
     def stable(self) -> bool:
-        """As far as the poles were worked out: see `poles_method`."""
+        """True if the scene is stable, for the computed poles: see `poles_method`."""
         return self.judge.is_stable
 
     @property
     def stable_as_taken(self) -> bool:
-        """Whether it is where contacts that move masses are as `assumptions` say: margins and modes are of that."""
+        """True if it is stable with contacts that move masses as in `assumptions`: margins and modes are of that."""
         return self.judge.is_stable_as_taken
 
     def contacts_at(self, hands: Mapping[str, float]) -> str:
-        """How the contacts that move masses are while all hands hold still at these places (m) and the masses rest, in
-        words: "finger is touched"; "" where there are none, or no rest is found."""
+        """Returns a phrase for the contacts that move masses, such as "finger is touched", while all hands hold still
+        at these positions (m) and the masses rest; "" if there are none, or no rest is found."""
         from hapsim.prediction.reach import distances_at_rest
 
         names = {name for part in self.states.parts for state in part[:1] for name in state}
@@ -202,27 +206,28 @@ class Prediction:
 
     @property
     def is_judged(self) -> bool:
-        """Whether there is a verdict: something is unstable, or each state that was found was judged."""
+        """True if there is a verdict: either a motion is unstable, or each state that was found was judged."""
         return not self.states.unjudged or not self.stable_as_taken or bool(self.states.growing)
 
     @property
     def trembles(self) -> tuple[str, ...]:
-        """What swings by itself, by less than a count and by next to no force, where nothing shakes a hand more."""
+        """Points that oscillate by themselves, by less than a count and with almost no force, if no hand is shaken
+        more."""
         return () if self.judge.shaking else tuple(self.judge.swings)
 
     @property
     def at_limit(self) -> bool:
-        """Whether the scene is neither stable nor unstable: something drifts or swings for ever."""
+        """True if the scene is neither stable nor unstable: a motion drifts or oscillates with a constant amplitude."""
         return not self.stable and abs(self.spectral_radius - 1.0) < SURELY - 1.0
 
     @property
     def _by_formula(self) -> bool:
-        """Whether the poles are those of each hand: what is made for another mass is no part of the network."""
+        """True if the poles are those of each hand: a correction for another mass is not in the network."""
         return self.is_lone and self._rendering.kind is not None
 
     @cached_property
     def spectral_radius(self) -> float:
-        """The largest modulus of a pole, wherever the hands are."""
+        """Largest modulus of a pole, over all regions of the hands."""
         radius = (
             max(one.spectral_radius for one in self._lone)
             if self._by_formula
@@ -233,7 +238,7 @@ class Prediction:
 
     @cached_property
     def poles(self) -> tuple[complex, ...]:
-        """Of the whole closed loop, by decreasing modulus, without those at zero; of a large scene only some."""
+        """Poles of the whole closed loop, by decreasing modulus, without those at zero; for a large scene only some."""
         poles = self.judge.solved.solution.poles
         if self._by_formula:
             poles = sort_by_modulus(np.array([pole for one in self._lone for pole in one.poles], complex))
@@ -241,17 +246,17 @@ class Prediction:
 
     @property
     def poles_in_all(self) -> int:
-        """How many the closed loop has, those at zero included."""
+        """Number of poles of the closed loop, those at zero included."""
         return self.judge.solved.solution.all
 
     @property
     def poles_method(self) -> str:
-        """In words, which poles of a large scene were worked out; "" where all were."""
+        """Sentence on which poles of a large scene were computed; "" for all."""
         return self.judge.solved.solution.method
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Of the whole closed loop, the slowest to decay first."""
+        """Modes of the whole closed loop, the slowest to decay first."""
         return tuple(self.judge.solved.solution.modes)
 
     @cached_property
@@ -266,18 +271,18 @@ class Prediction:
 
     @cached_property
     def margins(self) -> tuple[LinkMargin, ...]:
-        """One for each link, in the scene's order; none where they were not asked for."""
+        """Gain margins, one for each link, in the scene's order; empty without `with_margins`."""
         every = [one for regions in self.regions.values() for one in regions]
         return link_margins(self._linear, self._margins, self._lone, every)
 
     @property
     def margins_method(self) -> str:
-        """In words, which links of a large scene were worked out, and how surely; "" where all were."""
+        """Sentence on which links of a large scene were computed, and how reliably; "" for all."""
         return self._margins.method
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """Sentences: what was taken for what the theory does not have."""
+        """Sentences on the simplifications of the theory for this scene."""
         instead = [self.judge.solved.instead] if self.judge.solved.instead else []
         units, channels = self.scene.units, self.scene.channels
         if (at := self.scene.device.mass_at) is not None:
@@ -290,18 +295,18 @@ class Prediction:
 
     @property
     def rendering(self) -> Rendering | None:
-        """What is run in place of the scene, where it has a correction: `stiffness` and `damping` of `felt`, poles,
-        modes and margins are those of that."""
+        """Corrected scene that runs, or None without a correction: `stiffness` and `damping` of `felt`, poles, modes
+        and margins belong to it."""
         return None if self._rendering.kind is None else self._rendering
 
     @cached_property
     def desired(self) -> tuple[Desired, ...]:
-        """What the hand is to feel, for the same device points as `felt`; none without a correction."""
+        """Desired stiffness and damping, for the same device points as `felt`; empty without a correction."""
         return tuple(desired_of(self._rendering, self._lone, self.here))
 
     def tolerances(self, name: str, shares: Sequence[float] = SHARES) -> tuple[Tolerance, ...]:
-        """How well the device has to be known for what is corrected on this device point to be off by no more than each
-        of these shares; none where nothing is corrected, or what is desired is not reached."""
+        """Returns the tolerances of the device's parameters within which the corrected k and b at this device point are
+        off by no more than each of these shares; empty if there is no correction, or it is not reached."""
         felt = next((one for one in self.felt if one.name == name), None)
         wanted = next((one for one in self.desired if one.name == name), None)
         kind = self._rendering.kind
@@ -317,84 +322,80 @@ class Prediction:
 
     @cached_property
     def desired_modes(self) -> tuple[ContinuousMode, ...]:
-        """Those of the scene in continuous time, the slowest to decay first; none without a correction."""
+        """Modes of the scene in continuous time, the slowest to decay first; empty without a correction."""
         if self._rendering.kind is None or is_large(network := self._written):
             return ()
         return tuple(continuous_modes(network))
 
     def asked_for(self, felt: Felt) -> tuple[float, float]:
-        """N/m and N·s/m that the scene asks for where `felt` is, the device's own included."""
+        """Returns the desired k and b, N/m and N·s/m, where `felt` is, the device's own included."""
         wanted = next((one for one in self.desired if one.name == felt.name), None)
         own = felt.configuration
         return (wanted.k, wanted.b) if wanted else (felt.stiffness + own.stiffness, felt.damping + own.friction)
 
     @property
     def first(self) -> Felt | None:
-        """What the hand feels at the scene's first device point that is a system of its own."""
+        """Prediction for the scene's first device point that is a system of its own."""
         return self.felt[0] if self.felt else None
 
     @property
     def k(self) -> float:
-        """N/m, of the first; NaN where there is none."""
+        """Felt stiffness of the first, N/m; NaN if there is none."""
         return self.first.k if self.first else math.nan
 
     @property
     def b(self) -> float:
-        """N·s/m, of the first; NaN where there is none."""
+        """Felt damping of the first, N·s/m; NaN if there is none."""
         return self.first.b if self.first else math.nan
 
     @property
     def frequency_hz(self) -> float:
-        """Eigenfrequency of the first; NaN where there is none."""
+        """Eigenfrequency of the first, Hz; NaN if there is none."""
         return self.first.frequency_hz if self.first else math.nan
 
     @property
     def damping_ratio(self) -> float:
-        """Of the first; NaN where there is none."""
+        """Damping ratio of the first; NaN if there is none."""
         return self.first.damping_ratio if self.first else math.nan
 
     @property
     def dominant(self) -> bool:
-        """Whether the first has an equivalent spring and damper."""
+        """True if the first has an equivalent spring and damper."""
         return self.first is not None and self.first.dominant
 
 
 def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None = None) -> Prediction:
-    """What the hand will feel in `scene`, whether the whole of it is stable, and whether the wire is fast enough.
-
-    `scene`: a Scene, or the path of a scene file. `with_margins`: also each link's gain margin, which for a large scene
-    takes longer than the rest. `at`: the position of the hands in m [default: where they rest, or are held nearest to
-    position 0]. UsageError where that is beyond the travel.
-    """
+    """Returns the prediction for `scene`: the felt stiffness and damping, the stability of the whole, and the time on
+    the wire. `scene`: a Scene, or the path of a scene file. `with_margins`: also each link's gain margin, which for a
+    large scene takes longer than the rest. `at`: the position of the hands in m [default: where they rest, or are held
+    nearest to position 0]. UsageError if that is beyond the travel."""
     prediction = Prediction(as_scene(scene), at, with_margins=with_margins)
-    _ = prediction.stable, prediction.poles  # what cannot be worked out is an error of this call
+    _ = prediction.stable, prediction.poles  # so that their errors are raised by this call
     return prediction
 
 
 def predict_on_wire(scene: Scene) -> Prediction | None:
-    """What the hand will feel on a UART, with `WireTime.delay_samples` in place of one, where the scene's own wire is
-    none or its pace is not known. None where a UART costs one sample or is saturated."""
+    """Returns the prediction for a UART, with `WireTime.delay_samples` in place of one, if the scene has no wire of its
+    own or one of unknown pace. None if a UART costs one sample or is saturated."""
     samples = 1 if wire_of(scene) in PACED else wire_time_of(scene).delay_samples
     return None if samples in (None, 1) else predict(with_wire_delay(scene, samples), with_margins=False)
 
 
 def surely_shaken_by(scene: Scene) -> Shaking | None:
-    """What will surely shake the hand in `scene`, wherever it is; None where nothing does.
-
-    It is not sure at the limit, or where it was not worked out for the scheme by which the scene runs. This is what a
-    running loop has to know of a scene before it takes it.
-    """
+    """Returns the motion that will surely shake the hand in `scene`, at any position; None if there is none. At the
+    limit it is not certain, nor if the poles cannot be computed for the scene's scheme. A running loop needs this
+    before it takes a scene."""
     return Prediction(scene, with_margins=False, wherever=True).judge.shaking
 
 
 def is_soon_stable(scene: Scene, most_states: int) -> bool:
-    """Whether `surely_shaken_by` finds nothing, where that is quick to find out; False says nothing. Hands that are all
-    there is are judged one by one, and only those that changed. `most_states`: as of `Judge.is_soon_stable`."""
+    """Returns True if `surely_shaken_by` finds no motion and this is quickly found; False proves nothing. Hands without
+    masses are judged one by one, and only those that changed. `most_states`: as in `Judge.is_soon_stable`."""
     hands = scene.device_points.keys()
     is_lone = not scene.structures and not scene.material_points and len(hands) > 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):
         return Prediction(scene, with_margins=False, wherever=True).judge.is_soon_stable(most_states)
-    for name in hands:  # with the links of this hand alone, and without what does not concern it
+    for name in hands:  # with the links of this hand alone, and without the modules of other hands
         own = {at: one for at, one in scene.modules.items() if not isinstance(one, Link) or name in one.between}
         if not _is_stable_alone(scene.model_copy(update={"modules": Table(own), "sound": Table({})})):
             return False
@@ -407,13 +408,14 @@ def _is_stable_alone(scene: Scene) -> bool:
 
 
 def is_surely_unstable(prediction: Prediction) -> bool:
-    """Whether something will surely shake the hand, by numbers within range."""
+    """Returns whether a motion will surely shake the hand, with finite numbers."""
     shaking = prediction.judge.shaking
     return shaking is not None and math.isfinite(shaking.growth)
 
 
 def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
-    """The same for a hand of this mass (kg) on one channel, once a correction that adapts has found it."""
+    """Returns the prediction for a hand of this mass (kg) on one channel, once an adaptive correction has estimated
+    it."""
     rendering = prediction.rendering
     port = None if rendering is None else next((one for one in rendering.ports if one.channel == channel), None)
     if rendering is None or port is None or port.schedule is None:
@@ -434,11 +436,11 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
 
 
 def partials_of(scene: Scene, prediction: Prediction | None = None) -> dict[str, tuple[float, ...]]:
-    """Each pick-up's partials in Hz, rising: the frequencies at which what it listens to swings once contacts, plectra
-    and friction have released it. Of a large scene the lowest ones. `prediction`: that of the scene, if it is made."""
+    """Partials of each pick-up in Hz, ascending: the frequencies of its source once contacts, plectra and friction have
+    released it; of a large scene the lowest ones. `prediction`: that of the scene, if known."""
     held = {name: one for name, one in scene.modules.items() if not isinstance(one, _LETS_GO)}
     taken = [] if prediction is None else [prediction._linear.links[at] for at in scene.modules.keys() - held.keys()]
-    is_released = all(one.stiffness == one.damping == 0.0 for one in taken)  # where the hands are taken to be
+    is_released = all(one.stiffness == one.damping == 0.0 for one in taken)  # at the assumed positions of the hands
     if prediction is None or prediction.rendering is not None or not is_released:
         prediction = predict(scene.model_copy(update={"modules": Table(held)}), with_margins=False)
     rings = [one for one in prediction.modes if one.damping_ratio < _MOST_DAMPED and one.frequency_hz > _LOWEST_HZ]

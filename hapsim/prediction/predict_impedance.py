@@ -1,4 +1,4 @@
-"""What a scene's loop is at its device points, frequency by frequency, before it runs; and the device's Z-width."""
+"""Predicted impedance of a scene's loop at its device points, by frequency; and the device's Z-width."""
 
 from __future__ import annotations
 
@@ -27,31 +27,29 @@ class PredictedImpedance:
     velocity of another while the others are held. ``theory/network/impedance.py`` defines each."""
 
     names: tuple[str, ...]
-    """(C,) of the device points, in the scene's order."""
+    """Names of the device points (C,), in the scene's order."""
     frequency: Floats
     desired: Complexes
-    """The scene in continuous time; no device in it."""
+    """Impedance of the scene in continuous time, without the device."""
     device: Complexes
-    """The real mass, friction and spring as the loop sees them."""
+    """Impedance of the real mass, friction and spring as the loop sees them."""
     ideal_device: Complexes
-    """m s + b0 + k0/s of each."""
+    """Impedance m s + b0 + k0/s of each device point."""
     rendered: Complexes
-    """What the sampled, held and late scene presents."""
+    """Impedance that the sampled, held and delayed scene presents."""
     assumptions: tuple[str, ...]
-    """Sentences: what was taken for linear."""
+    """Sentences: the linear forms that were assumed."""
 
     @property
     def closed_loop(self) -> Complexes:
-        """What an additional force of the loop meets."""
+        """Impedance that an additional force in the loop meets."""
         return self.device + self.rendered
 
 
 def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
-    """The impedances at the device points of `scene`; NaN from the Nyquist frequency on.
-
-    With a correction, rendered is what runs in place of the scene. A large scene whose scheme is not worked out has
-    CORDIS's in its place, as its assumptions say.
-    """
+    """Returns the impedances at the device points of `scene`; NaN from the Nyquist frequency on. With a correction, the
+    rendered impedance is that of the corrected scene. If a large scene's scheme cannot be computed, CORDIS's stands in
+    for it, and an assumption reports this."""
     f = np.asarray(frequency, dtype=float)
     rendering = rendered(scene)
     run = on_wire(rendering.scene)
@@ -85,7 +83,8 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
 
 
 def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
-    """(n, C, C): what lone hands meet whose force answers a predicted state, an estimate of the mass having settled."""
+    """Impedances (n, C, C) of single hands whose force answers a predicted state, once an estimated mass has
+    settled."""
     scene = rendering.desired
     names = list(scene.device_points)
     found = np.zeros((frequency.size, len(names), len(names)), dtype=complex)
@@ -100,24 +99,25 @@ def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
 
 
 def spring_and_damper(frequency: Floats, impedance: Complexes) -> tuple[Floats, Floats]:
-    """k in N/m and b in N·s/m that have this impedance, N·s/m, at each frequency in Hz; of a mass k is negative."""
+    """Returns k in N/m and b in N·s/m with this impedance, N·s/m, at each frequency in Hz; k of a mass is negative."""
     return np.asarray(-2.0 * np.pi * frequency * impedance.imag), impedance.real
 
 
 @dataclass(frozen=True)
 class ZWidth:
-    """The range of a device, from itself alone to its stiffest wall K/s + B (Colgate and Brown, 1994): at frequencies
-    (n,) in Hz, in dB, 20 log10 of the larger of both impedances' sizes over the device's."""
+    """Range of a device, from itself alone to its stiffest wall K/s + B (Colgate and Brown, 1994), at frequencies (n,)
+    in Hz, in dB: 20 log10 of the larger of the two impedances over the device's."""
 
     frequency: Floats
     wall: StiffestWall
     width_db: Floats
-    """(n,)"""
+    """Width in dB, (n,)."""
 
 
 def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZWidth]:
-    """The Z-width of the device's channel: "passive", to the stiffest wall that no hand makes unstable, where that is
-    derived for the hold and sampling; and "stable", to the stiffest that is stable with the declared mass."""
+    """Returns the Z-width of the device's channel by name: "stable", to the stiffest wall that is stable with the
+    declared mass; and "passive", to the stiffest that is stable in every hand, if this is derived for the hold and
+    sampling."""
     c = configuration_of(on_wire(scene), channel)
     f = np.asarray(frequency, dtype=float)
     walls = {"stable": stiffest_stable(c)}
@@ -135,12 +135,12 @@ def z_width_of(scene: Scene, channel: int, frequency: ArrayLike) -> dict[str, ZW
 
 
 def width_db(device: Complexes, with_wall: Complexes) -> Floats:
-    """(n,) dB: the Z-width at each frequency, of the device alone and of what holds the wall."""
+    """Z-width in dB at each frequency, (n,), from the impedances of the device alone and with the wall."""
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(with_wall) / np.abs(device), 1.0)))
 
 
 def mean_width(frequency: Floats, width: Floats) -> float:
-    """dB: the mean over the logarithm of the frequency."""
+    """Mean width in dB over the logarithm of the frequency."""
     if frequency.size < 2:
         return math.nan
     along = np.log(frequency)
@@ -148,7 +148,7 @@ def mean_width(frequency: Floats, width: Floats) -> float:
 
 
 def decades_of(frequency: Floats, width: Floats) -> list[tuple[float, float, float]]:
-    """(from, to, mean in dB) of each decade."""
+    """List of (from, to, mean width in dB) for each decade."""
     first, last = math.floor(math.log10(frequency[0])), math.ceil(math.log10(frequency[-1]))
     found = []
     for decade in range(first, last):

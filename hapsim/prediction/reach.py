@@ -1,5 +1,5 @@
-"""The pieces of their laws that a scene's links can be in, how far from each other its points can be, and where a
-steady push holds a hand, and the masses that it moves, in a state of their contacts."""
+"""Pieces of their laws that a scene's links can be in, distances that its points can have, and rests of a hand and its
+masses under a steady push in a state of their contacts."""
 
 from __future__ import annotations
 
@@ -23,40 +23,40 @@ from hapsim.theory.network import part_of
 from hapsim.theory.rows import Rows, stretches_of
 
 _MOST_STEPS = 100
-_AT_REST = 1e-12  # m, by which the last step still moves a mass
+_AT_REST = 1e-12  # m: movement of a mass in the last step
 _HALVINGS = 30
-_LEAST_STIFFNESS = 1e-9  # of the stiffest link: what holds a mass that nothing else holds
+_LEAST_STIFFNESS = 1e-9  # of the stiffest link, for a mass that no spring holds
 
 
 class Option(NamedTuple):
-    """A piece of a link's law, in which it is this spring and damper: its distance is between these two, m."""
+    """Piece of a link's law, with its spring and damper, between two distances, m."""
 
     state: str
     linear: Linear
     low: float = -math.inf
     high: float = math.inf
     through: bool = False
-    """Whether its ends have to meet before."""
+    """True if its ends have to meet before."""
     moved: float = 0.0
-    """By how much its ends have to move before, m."""
+    """Movement of its ends that it needs before, m."""
     period: float = 0.0
-    """m, in which the piece repeats; 0: it does not."""
+    """Period of the piece, m; 0: none."""
 
     def near(self, d: float) -> tuple[float, float]:
-        """From where to where the piece goes that is nearest to this distance, m."""
+        """Returns the ends of the copy of the piece that is nearest to this distance, m."""
         middle = 0.5 * (self.low + self.high)
         away = self.period * round((d - middle) / self.period) if self.period else 0.0
         return self.low + away, self.high + away
 
     @property
     def acts(self) -> bool:
-        """Whether it is a spring or a damper at all."""
+        """True if it is a spring or a damper at all."""
         return self.linear.stiffness != 0.0 or self.linear.damping != 0.0
 
 
 def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
-    """The pieces that a link of this law can be in, alike neighbours as one; one for a link that is always the same.
-    `fastest`: how fast its ends part, m/s."""
+    """Returns the pieces that a link of this law can be in, with equal neighbours joined; one for a linear link.
+    `fastest`: largest speed of its ends, m/s."""
     here = law.linear()
     pieces = [(piece, here._replace(stiffness=piece.slope, damping=piece.damping)) for piece in law.pieces]
     if math.isfinite(law.reach):
@@ -85,18 +85,18 @@ def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
 
 
 State = dict[str, Option]
-"""How each link of a part of the scene is, by name."""
+"""Piece of each link of a part of the scene, by name."""
 
 
-_MEETS = 1e-12  # m: what overlaps by less does not
+_MEETS = 1e-12  # m: smaller overlaps do not count
 
 
 class Reach:
-    """How far from each other the ends of a scene's contacts can be.
+    """Ranges of the distances between the ends of a scene's contacts.
 
     Attributes:
-        apart: (n, n): m, by how much the first may be further than the second from where each begins; n - 1 points
-            that contacts touch, and what is fixed.
+        apart: (n, n), m: limit of the first point's position minus the second's, relative to the start; n - 1 points
+            that contacts touch, and the fixed place.
     """
 
     def __init__(self, scene: Scene, linear: LinearScene, contacts: Collection[str]) -> None:
@@ -113,7 +113,7 @@ class Reach:
     def _limits(
         self, scene: Scene, linear: LinearScene, contacts: Collection[str]
     ) -> Iterator[tuple[str, str, float, float]]:
-        """Two points, and between which distances from where they begin to each other they stay, m."""
+        """Yields two points, and the least and most change of their distance from the start, m."""
         for name, hand in scene.device_points.items():
             low, high = scene.device.travels(scene.channels)[hand.channel]
             begins = self._begins[name]
@@ -124,7 +124,7 @@ class Reach:
             if name in contacts:
                 continue
             first, second = (STAYS if end in linear.fixed else end for end in link.between)
-            # A hand goes where it likes: what ties a mass to it says nothing of where that is.
+            # A hand moves freely, so a spring to it does not limit the position of a mass.
             if link.stiffness > 0.0 and first != second and not {first, second} & scene.device_points.keys():
                 speeds = (fast.get(end, (0.0, 0.0)) for end in link.between)
                 swung = sum(v * math.sqrt(m / link.stiffness) for v, m in speeds)
@@ -132,7 +132,7 @@ class Reach:
                 yield first, second, -way, way
 
     def met(self, between: tuple[str, str], options: tuple[Option, ...]) -> tuple[Option, ...]:
-        """These without those for which the ends have to meet, or to move by more, where they cannot."""
+        """Returns these options without those that need ends to meet, or to move by more, which they cannot."""
         begins = self._begins[between[0]] - self._begins[between[1]]
         i, j = (self._index.get(end, len(self._index) - 1) for end in between)
         options = tuple(one for one in options if one.moved <= self.apart[i, j] + self.apart[j, i])
@@ -140,7 +140,7 @@ class Reach:
         return tuple(one for one in options if not one.through or meet or one.low <= begins <= one.high)
 
     def limited(self, apart: Floats, between: tuple[str, str], option: Option) -> Floats | None:
-        """`apart` where this link is in such a piece; None where it cannot be."""
+        """Returns `apart` with this link in such a piece; None if it cannot be in it."""
         i, j = (self._index.get(end, len(self._index) - 1) for end in between)
         begins = self._begins[between[0]] - self._begins[between[1]]
         for one, other, most in ((i, j, option.high - begins), (j, i, begins - option.low)):
@@ -152,7 +152,8 @@ class Reach:
 
 
 def stretches_at_the_beginning(scene: Scene, linear: LinearScene) -> Floats:
-    """(L,): m, from rest, of the scene's links and of what its structures and material points consist of."""
+    """Stretches at the start (L,), m, of the scene's links and of the elements of its structures and material
+    points."""
     begins, found = beginnings(scene), []
     for link in (*linear.links.values(), *linear.inner):
         first, second = ("" if end == STAYS else end for end in link.between)
@@ -168,7 +169,7 @@ def stretches_at_the_beginning(scene: Scene, linear: LinearScene) -> Floats:
 
 
 def beginnings(scene: Scene) -> dict[str, float]:
-    """Where each point of the scene is when it begins, m: a hand at 0, or as near as its travel lets it."""
+    """Positions of all points at the start, m: a hand at 0, or as near as its travel permits."""
     found = {name: ground.position for name, ground in scene.grounds.items()}
     for name, point in scene.device_points.items():
         low, high = scene.device.travels(scene.channels)[point.channel]
@@ -181,7 +182,7 @@ def beginnings(scene: Scene) -> dict[str, float]:
 
 
 def _least_ways(near: dict[str, list[tuple[str, float]]], start: str) -> dict[str, float]:
-    """From `start` to every point that limits reach, the least sum of them (Dijkstra, 1959)."""
+    """Least sum of limits from `start` to every point that they reach (Dijkstra, 1959)."""
     found: dict[str, float] = {}
     waiting = [(0.0, start)]
     while waiting:
@@ -194,8 +195,8 @@ def _least_ways(near: dict[str, list[tuple[str, float]]], start: str) -> dict[st
     return found
 
 
-_INSIDE = 1e-2  # m: so far from the only edge of a state a hand is, where it need not press more than it can
-_STILL = 1e-12  # of the hand's way: a link that is stretched by less of it is not stretched
+_INSIDE = 1e-2  # m: distance of a hand from the only edge of a state, if its press is within the limit there
+_STILL = 1e-12  # of the hand's movement: smaller stretches of a link count as none
 
 
 def swing_of_part(
@@ -206,15 +207,15 @@ def swing_of_part(
     inside: Sequence[int],
     grown: Sequence[tuple[float, State]],
 ) -> Swing | None:
-    """How large a swing gets in a part of the scene, from where it rests in states in which something grows.
+    """Returns the oscillation in a part of the scene, from its rests in states in which a motion grows.
 
     Args:
         inside: the numbers of the part's points, ascending, which no link joins to another.
-        grown: by how much in a sample, and the state.
+        grown: growth in a sample, and the state.
 
     Returns:
-        None also where the part has several hands, masses that pull themselves, or links that remember. It is never
-        unnoticed where something grows in a state that has no rest, or while a damper is fast.
+        None also if the part has several hands, masses that pull themselves, or links with a memory. It is never
+        unnoticed if a motion grows in a state that has no rest, or while a damper is fast.
     """
     names, begins = [points[point] for point in inside], beginnings(scene)
     hands = [name for name in names if name in scene.device_points]
@@ -257,13 +258,13 @@ def rest_in(
     force_limit: float,
     growth: float,
 ) -> Rest | None:
-    """Where the part of a scene with one hand or none rests in the middle of this state, pressed no harder than the
-    force limit lets it; None where it does nowhere.
+    """Returns the rest, in the middle of this state, of a part of the scene with one hand or none, pressed no harder
+    than the force limit; None if there is none.
 
     Args:
-        network: the part, as its links are in this state.
-        fixed: (L,) m, what ends that do not move add to each link's distance.
-        laws, pieces: of the links that have several pieces, by number; from where to where this one goes, m.
+        network: the part, with its links in this state.
+        fixed: (L,) m, part of fixed ends in each link's distance.
+        laws, pieces: of the links that have several pieces, by number; ends of this piece, m.
         travel: of the hand, m. growth: in the state, of a sample.
     """
     stretches, hands, stiffness = stretches_of(network, sparse=False), network.channel_mass.size, network.stiffness
@@ -273,7 +274,7 @@ def rest_in(
         middle = 0.5 * (low + high) if math.isfinite(high - low) else low if math.isfinite(low) else high
         middle = middle if math.isfinite(middle) else 0.0
         force[link] = float(law.tension(middle)) + stiffness[link] * (fixed[link] - middle)
-    # The masses rest where they do with the hand at 0, and move evenly with it.
+    # The rest of the masses with the hand at 0, and its linear change with the hand.
     of_masses, of_hand = stretches[:, hands:], stretches[:, :hands].sum(axis=1)
     wanted = np.array([-of_masses.T @ force, -of_masses.T @ (stiffness * of_hand)]).T
     try:
@@ -299,7 +300,8 @@ def rest_in(
 
 
 def pressed_within(low: float, high: float, press: float, rise: float, most: float) -> tuple[float, float]:
-    """The part of a way, m, in which a force of press + rise x does not exceed `most`, N; empty where there is none."""
+    """Returns the part of a range, m, in which a force of press + rise x does not exceed `most`, N; empty if there is
+    none."""
     if not rise:
         return (low, high) if abs(press) <= most else (math.inf, -math.inf)
     near, far = sorted((side * most - press) / rise for side in (-1.0, 1.0))
@@ -307,28 +309,28 @@ def pressed_within(low: float, high: float, press: float, rise: float, most: flo
 
 
 class _Springs(NamedTuple):
-    """L links, those with `laws` first, and those inside structures, which are linear."""
+    """Links (L,): those with `laws` first, then those inside structures, which are linear."""
 
     joins: Rows
-    """(L, N): 1 at a link's first end, -1 at its second, where these are masses."""
+    """Incidence (L, N): 1 at a link's first end, -1 at its second, for masses."""
     fixed: Floats
-    """(L,): m, what ends that do not move add to its distance."""
+    """Part of fixed ends in its distance, (L,), m."""
     stiffness: Floats
-    """N/m, of the linear ones."""
+    """Stiffnesses of the linear ones, N/m."""
     laws: list[Law]
 
     def distances(self, x: Floats) -> Floats:
-        """(L,): m, with the masses at x."""
+        """Distances (L,), m, with the masses at x."""
         return np.asarray(self.joins @ x + self.fixed)
 
     def forces(self, x: Floats) -> Floats:
-        """(N,): N on each mass."""
+        """Force on each mass, (N,), N."""
         d, laws = self.distances(x), len(self.laws)
         of_laws = [float(law.tension(one)) for law, one in zip(self.laws, d[:laws], strict=True)]
         return np.asarray(-(self.joins.T @ np.append(of_laws, self.stiffness * d[laws:])))
 
     def stiffness_matrix(self, x: Floats) -> Rows:
-        """(N, N): N/m; 0 of a link whose tension falls."""
+        """Stiffness matrix (N, N), N/m; 0 for a link whose tension falls."""
         from scipy.sparse import csc_matrix, diags, identity
 
         of_laws = [law.slope(float(one)) for law, one in zip(self.laws, self.distances(x), strict=False)]
@@ -338,7 +340,7 @@ class _Springs(NamedTuple):
 
 
 def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]:
-    """The spring and damper of each link of the scene, by name, as of `distances_at_rest`."""
+    """Spring and damper of each link of the scene, by name, at `distances_at_rest`."""
     found = {}
     for name, d in distances_at_rest(scene, hands).items():
         law = scene.links[name].law()
@@ -348,8 +350,8 @@ def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]
 
 
 def distances_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, float]:
-    """m, of the ends of each link of the scene, by name, while the hands hold still at these places (m) and the masses
-    rest. A link that sticks has no force there. UsageError where no rest is found."""
+    """Distance of the ends of each link of the scene, m, by name, while the hands hold still at these positions (m) and
+    the masses rest. A stuck link has no force there. UsageError if no rest is found."""
     linear, begins, first = linear_scene(scene), beginnings(scene), len(scene.device_points)
     network, points = network_of(scene, linear)
     stretches, start = stretches_of(network, sparse=True), np.array([begins[name] for name in points])
@@ -363,7 +365,7 @@ def distances_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, flo
 
 
 def _relaxed(springs: _Springs, x: Floats) -> Floats:
-    """(N,): where the masses rest, m, by Newton's steps, each halved until the forces are less."""
+    """Returns the rest of the masses, (N,), m, by Newton's steps, each halved until the forces are less."""
     from scipy.sparse.linalg import spsolve
 
     if not x.size:

@@ -1,12 +1,12 @@
-"""The one judge of stability: for `check`, arming, live changes, sweeps and the page.
+"""Verdict on stability, the same for `check`, arming, live changes, sweeps and the page.
 
-A scene shakes the hand where a motion grows by more than rounding in a sample. Hands whose links all end on grounds are
-judged by the formula of one hand, which resolves poles that rounding would place on the circle: in every region of
-their travel (contacts, tables, detents, friction that sticks), without the pole that a snap or a free hand has by
-itself. Where such a region shakes a hand by less than a count and by next to no force, the scene may run. Whatever
-moves masses or other hands is judged by the poles of the network, in every state that its contacts can be in
-(`states.py`). What is neither stable nor shakes is at the limit, or was not worked out for the scheme by which the
-scene runs, or has more states than were judged: no reason to refuse it.
+A scene shakes the hand if a motion grows by more than rounding in a sample. Hands whose links all end on grounds are
+judged by the formula of one hand, which resolves poles that rounding would place on the circle. It covers every region
+of their travel (contacts, tables, detents, friction that sticks), and ignores the pole of a snap or of a free hand. If
+such a region shakes a hand by less than a count and by almost no force, the scene may run. All other parts, which move
+masses or other hands, are judged by the poles of the network, in every state that their contacts can be in
+(`states.py`). A scene that is neither stable nor shaken is at the limit, or its scheme has no poles here, or it has
+more states than were judged; it is not refused.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from hapsim.theory.network import SURELY, part_of, state_size
 
 RegionKind = Literal["held", "free", "snap"]
 
-_MOST_SWINGS = 4  # of parts, that are simulated
+_MOST_SWINGS = 4  # number of parts that are simulated
 _POINTS = 1025  # at which the energy of a curved snap is summed
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A region of a hand's travel, and what the hand feels there when it moves by little."""
+    """Region of a hand's travel, and the spring and damper that the hand feels there in small motions."""
 
     DOCUMENT = (
         "low_m=piece.low high_m=piece.high place_m=piece.place K=piece.stiffness B=piece.damping k=held.k b=held.b "
@@ -45,44 +45,45 @@ class Region:
     )
 
     piece: Piece
-    """Its place, the scene's K and B, and how the links are."""
+    """Position of the region, the scene's K and B, and the states of the links."""
     felt: Felt
-    """What is simulated there, and what it feels like."""
+    """Simulated K and B there, and the felt k and b."""
     linear: dict[str, LinearLink]
-    """The simulated links of the hand there, by name."""
+    """Simulated links of the hand there, by name."""
     hand: Characteristic
-    """The force of the scene on the hand, over its travel."""
+    """Force of the scene on the hand, over its travel."""
 
     @cached_property
     def kind(self) -> RegionKind:
-        """`held` by a spring, `free` without one, or a `snap`: a negative stiffness drives the hand on."""
+        """Kind of region: `held` by a spring, `free` without one, or a `snap`, whose negative stiffness drives the hand
+        on."""
         stiffness = self.felt.stiffness + self.felt.configuration.stiffness
         return "held" if stiffness > 0.0 else "snap" if stiffness < 0.0 else "free"
 
     @property
     def held(self) -> Felt | None:
-        """What the hand feels there, where a spring holds it."""
+        """Felt spring and damper, if a spring holds the hand there; else None."""
         return self.felt if self.kind == "held" else None
 
     @cached_property
     def growth(self) -> float:
-        """By how much the hand is shaken in a sample; 0 where nothing shakes it."""
+        """Factor by which the hand's motion grows in a sample; 0 if nothing shakes it."""
         if self.kind == "held" and self.felt.stable:
             return 0.0
-        # Without the pole that a snap or a free hand has by itself: the largest real one.
+        # The largest real pole is left out: it belongs to a snap or a free hand itself.
         grows = max(map(abs, without_real(self.felt.poles, int(self.kind != "held"))), default=0.0)
         return 0.0 if self.kind != "held" and grows < SURELY else grows
 
     @property
     def is_stable(self) -> bool:
-        """Whether nothing shakes the hand. In a snap: nothing but the snap itself; where it is free: nothing at all."""
+        """True if nothing shakes the hand, apart from the motion of a snap itself."""
         return self.growth == 0.0
 
     @property
     def rest(self) -> Rest | None:
-        """Where a steady push holds the hand: at its place, or where the scene asks for more than the force limit in
-        the middle of the part of the region in which it does not; friction sticks. None where it asks for more
-        everywhere: the force is constant there, and drives nothing."""
+        """Rest of the hand under a steady push, with sticking friction: at the region's place, or, if the force there
+        exceeds the limit, in the middle of the part in which it does not. None if the force exceeds the limit
+        everywhere: then it is constant, and drives no motion."""
         piece, hand, at = self.piece, self.hand, self.piece.place
         if abs(press := hand.press(at)) > hand.force_limit:
             low, high = piece.within
@@ -97,13 +98,13 @@ class Region:
 
     @property
     def force(self) -> float:
-        """N, with which a hand at rest at its place pushes towards larger x."""
+        """Force with which a hand at rest at its place pushes towards larger x, N."""
         return float(self.hand.force(self.piece.place))
 
     @cached_property
     def snap_energy(self) -> float:
-        """J, that a hand gets which pushes through with the force at which the snap begins: the work of that force over
-        its width, less that of the scene; 0 where it is none."""
+        """Energy that a hand gains when it pushes through the snap, J; 0 if the region is no snap. It is the work of
+        the force at the start of the snap over its width, minus that of the scene."""
         if self.kind != "snap" or not np.isfinite(self.piece.high - self.piece.low):
             return 0.0
         x = np.linspace(*self.piece.within, _POINTS if self.piece.is_curved else 2)
@@ -113,14 +114,14 @@ class Region:
 
 @dataclass(eq=False)
 class Judge(NetworkVerdict):
-    """The verdict on a scene; its poles are worked out where they are asked for.
+    """Verdict on a scene; its poles are computed on demand.
 
     Attributes:
         network, points: the whole scene as the theory sees it, and the names of its points.
         is_lone: whether it has nothing but hands, each an oscillator of its own.
-        regions: of every hand with links that are not the same everywhere.
-        loose: the lone hands that are not stable where they are taken to be, nor, where that is said, held anywhere.
-        states: of all other links that are not the same everywhere.
+        regions: of every hand with piecewise links.
+        loose: the single hands that are not stable at their assumed positions, and those that no region holds.
+        states: of all other piecewise links.
     """
 
     is_lone: bool
@@ -132,20 +133,20 @@ class Judge(NetworkVerdict):
 
     @cached_property
     def is_stable_as_taken(self) -> bool:
-        """Whether every motion dies out with the contacts as they are taken, wherever hands with regions are, as far as
-        the poles were worked out."""
+        """True if every motion decays in the assumed states of the contacts, in every region of the hands, for the
+        computed poles."""
         shaken = any(region.growth for regions in self.regions.values() for region in regions)
         return not shaken and not self.loose and (self.is_lone or self.solved.solution.is_stable)
 
     @cached_property
     def is_stable(self) -> bool:
-        """Whether it is stable as it is taken, and nothing grows in any state that its contacts can be in; not where
-        one of these was not judged."""
+        """True if the scene is stable as assumed, and no motion grows in any state that its contacts can be in; False
+        if a state was not judged."""
         return self.is_stable_as_taken and not self.states.growing and not self.states.unjudged
 
     @cached_property
     def shaking(self) -> Shaking | None:
-        """What will surely shake a hand; None where nothing does, or it is not sure."""
+        """Motion that will surely shake a hand; None if there is none, or if it is not certain."""
         if self._shaken_hand is not None:
             return self._shaken_hand
         for i, one in enumerate(self._grown):
@@ -156,7 +157,7 @@ class Judge(NetworkVerdict):
 
     @cached_property
     def _grown(self) -> list[Grown]:
-        """What grows in each part of the scene that is judged by the poles of the network, the fastest first."""
+        """Growing motions in parts of the scene that are judged by the poles of the network, the fastest first."""
         taken = None if self.is_lone else self.shaken_by_network()
         found = self.states.grown(taken is not None, self.regions)
         if found or taken is None or taken.module in self._unstable:
@@ -164,14 +165,14 @@ class Judge(NetworkVerdict):
         return [Grown(taken, [], [])]
 
     def _swing_of_part(self, number: int) -> Swing | None:
-        """Of one of these."""
+        """Returns the oscillation of one of these parts."""
         if number not in self._of_parts:
             self._of_parts[number] = self.states.swing_of(self._grown[number])
         return self._of_parts[number]
 
     def is_soon_stable(self, most_states: int) -> bool:
-        """Whether `shaking` is None, where that is found without poles of a network, nor squares of a transition with
-        more than `most_states` rows. False says nothing."""
+        """Returns True if `shaking` is None and this is found without poles of a network, and without squares of a
+        transition of more than `most_states` rows. False proves nothing."""
         is_quick = self.is_lone or state_size(self.network) <= most_states
         if not is_quick or self._unstable or self._shaken_hand is not None:
             return False
@@ -179,14 +180,14 @@ class Judge(NetworkVerdict):
 
     @cached_property
     def _unstable(self) -> dict[str, list[Region]]:
-        """The regions of each hand that surely shake it, where there are any."""
+        """Regions of each hand that surely shake it; hands without such regions are omitted."""
         shaken = {name: [one for one in every if one.growth > SURELY] for name, every in self.regions.items()}
         return {name: every for name, every in shaken.items() if every}
 
     @cached_property
     def swings(self) -> dict[str, Swing | None]:
-        """Of each hand that its regions shake, and of what moves most in other parts in which something grows (of some
-        of them at most), how far it swings; None where that was not found."""
+        """Oscillations of the hands that their regions shake, and of the point that moves most in each of the first
+        other parts with a growing motion; None where one was not found."""
         found: dict[str, Swing | None] = {}
         for i, one in enumerate(self._grown[:_MOST_SWINGS]):
             swing = self._swing_of_part(i)
@@ -194,8 +195,8 @@ class Judge(NetworkVerdict):
         return found | {name: self.swing_of(name) for name in self._unstable}
 
     def swing_of(self, name: str) -> Swing | None:
-        """Of a hand that its regions shake; None also where links are not simulated as they are written, for the state
-        that is read, or one is dry friction."""
+        """Returns the oscillation of a hand that its regions shake. None also if its links are not simulated as in the
+        scene, answer a predicted state, or include dry friction."""
         if name not in self._found:
             regions, self._found[name] = self._unstable[name], None
             hand, felt = regions[0].hand, [(one.felt, one.piece) for one in regions]
@@ -211,14 +212,15 @@ class Judge(NetworkVerdict):
 
     @cached_property
     def _shaken_hand(self) -> Shaking | None:
-        """The first hand that is shaken in one of its regions; of a scene of lone hands alone, the one shaken most."""
+        """First hand that is shaken in one of its regions; in a scene of single hands alone, the one that is shaken
+        most."""
         for name, regions in self._unstable.items():
             worst = max(regions, key=lambda region: region.growth)
             swing = self.swing_of(name)
             if swing is None or not swing.is_unnoticed:
                 where = max(worst.linear, key=lambda at: worst.linear[at].stiffness)
                 return Shaking(worst.growth, f"{name} in {where}", swing=swing)
-        loose = [felt for felt in self.loose if felt.name not in self._unstable]  # those were looked at
+        loose = [felt for felt in self.loose if felt.name not in self._unstable]  # those were tested above
         off = [Shaking(felt.spectral_radius, felt.name) for felt in loose] if self.is_lone else []
         if off and math.isnan(self.solved.solution.spectral_radius):
             return Shaking(math.inf, "")
@@ -226,16 +228,14 @@ class Judge(NetworkVerdict):
 
 
 Ranges = tuple[tuple[float, float], ...]
-"""Of factors, (from, to)."""
+"""Ranges of factors, (from, to)."""
 
 
 @dataclass(frozen=True)
 class LinkMargin:
-    """The factors on one link from which the whole scene is unstable, all else as it is.
-
-    Infinity where it never is. Where the scene is unstable as it stands: the largest factor below 1 that makes it
-    stable, 0 where there is none. NaN where it was not worked out.
-    """
+    """Factors on one link from which the whole scene is unstable, with everything else unchanged. Infinity if there is
+    none. For an unstable scene: the largest factor below 1 that makes it stable, 0 if there is none. NaN if it was not
+    computed."""
 
     DOCUMENT = (
         "stiffness_factor? damping_factor? stabilizing_stiffness_factors=stabilizing_stiffness "
@@ -246,17 +246,17 @@ class LinkMargin:
     stiffness_factor: float
     damping_factor: float
     stabilizing_stiffness: Ranges | None = None
-    """Of an unstable scene: the factors that make it stable, the nearest range below 1 and the nearest above, as far as
-    there are any. None where it is stable, or they were not worked out."""
+    """Factors that make an unstable scene stable: the nearest range below 1 and the nearest above, if any. None if the
+    scene is stable, or if they were not computed."""
     stabilizing_damping: Ranges | None = None
 
 
 def link_margins(
     linear: LinearScene, margins: Margins, felt: tuple[Felt, ...], regions: Iterable[Region]
 ) -> tuple[LinkMargin, ...]:
-    """Of each link the margin in the network, or the least in any of these regions in which its hand is held. Where a
-    hand's only link is all that holds it, by the closed formula; not where the scene is unstable, which another hand
-    may be to blame for."""
+    """Margin of each link: that in the network, or the least in any region in which its hand is held. For the only link
+    of a hand that nothing else holds it is computed by the closed formula, except in an unstable scene, where another
+    hand may be the cause."""
     lone = {one.name: one for one in felt if len(links_of(linear, one.name)) == 1}
     least: dict[str, LinkMargin] = {}
     stabilizing = margins.stabilizing or [Stabilizing(None, None)] * len(margins.links)
@@ -271,7 +271,7 @@ def link_margins(
             before = least.get(name)
             if before is None or before.stabilizing_stiffness is not None:
                 continue
-            # What all links may have together, without what the others have.
+            # Total of all links, minus the part of the others.
             stiffness = (stiffest - hand.stiffness) / link.stiffness + 1.0 if link.stiffness > 0.0 else math.inf
             damping = (strongest - hand.damping) / link.damping + 1.0 if link.damping > 0.0 else math.inf
             least[name] = replace(

@@ -1,9 +1,9 @@
-"""The states that a scene's contacts, plectra, tables and dry friction can be in, and what moves in each.
+"""States of a scene's contacts, plectra, tables and dry friction, and the motion that grows in each.
 
-A state says of every such link in which piece of its law it is. It can occur where the positions allow it: hands within
-their travel, masses as far from where they begin as springs let them. What holds a point by springs lets it go twice as
-far as the force limit deflects them at rest, and back through a stretch that they begin with. Links between a ground
-and a hand that moves nothing else are not among them: that hand has regions (`stability.Region`).
+A state lists for every such link the piece of its law that it is in. It can occur if the positions allow it: hands
+within their travel, masses as far from their start as springs allow. The springs of a point let it move twice as far as
+the force limit deflects them at rest, and back through a stretch at the start. Links between a ground and a hand that
+moves nothing else are not included: that hand has regions (`stability.Region`).
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ from hapsim.theory.network import LARGE, never_grows, part_of, part_of_each, sta
 from hapsim.theory.rows import stretches_of
 
 MOST_STATES = 1024
-"""Looked for in a part of the scene."""
+"""Limit of the states in one part of the scene."""
 _WORK = 4e8  # cubes of sizes of states: half a second on one core
-_OF_STATE = 4e5  # of one of which nothing has to be worked out
-_OF_EACH = 90.0  # added to the size: the time that does not grow with it
+_OF_STATE = 4e5  # cost of a state that needs no computation
+_OF_EACH = 90.0  # added to the size: the part of the time that does not grow with it
 _OF_LARGE = 1.6e5  # times the size of a large one
-_MOST_CONTACTS = 64  # of a part
+_MOST_CONTACTS = 64  # in one part
 
 
 class Grown(NamedTuple):
-    """A part of the scene in which something grows."""
+    """Part of the scene in which a motion grows."""
 
     shaking: Shaking
-    """What grows most."""
+    """Motion that grows fastest."""
     points: list[int]
-    """The numbers of its points."""
+    """Numbers of its points."""
     states: list[tuple[float, State]]
-    """By how much something grows in a sample in which state of its contacts."""
+    """Growth in a sample, and the state of the contacts in which it occurs."""
 
 
 class ContactStates:
-    """Those of a scene's links that are not the same everywhere, judged where that is asked for.
+    """States of a scene's piecewise links; each is judged when needed.
 
     Attributes:
-        parts: of the scene, that no link joins: for each the states that can occur.
-        is_complete: False where a part has more of them than are looked for.
+        parts: parts of the scene that no link joins: for each the states that can occur.
+        is_complete: False if a part has more states than the limit.
     """
 
     def __init__(self, scene: Scene, linear: LinearScene, network: Network, points: tuple[str, ...]) -> None:
-        """`linear`, `network`, `points`: the scene as it is taken."""
+        """`linear`, `network`, `points`: the linear form of the scene."""
         self._scene, self._linear, self._network, self._points = scene, linear, network, points
         hands = (name for name in scene.device_points if not why_coupled(scene, linear, name))
         alone = {name for name in hands if not has_more_than_regions(scene, name)}
@@ -85,22 +85,22 @@ class ContactStates:
 
     @property
     def count(self) -> int:
-        """How many states were found that can occur."""
+        """Number of possible states that were found."""
         return sum(map(len, self.parts))
 
     @property
     def growing(self) -> list[Shaking]:
-        """What surely grows, of each state in which something does."""
+        """Motions that surely grow, one for each state that has one."""
         return list(dict.fromkeys(one for one, _ in self._verdicts[0]))
 
     @property
     def unjudged(self) -> int:
-        """How many of the states found were not judged, for want of time; 1 at least where more can occur."""
+        """Number of states that were found but not judged, for lack of time; at least 1 if more states can occur."""
         return max(self._verdicts[1], int(not self.is_complete))
 
     @property
     def words(self) -> str:
-        """Where the verdict holds, in words that follow "stable" or "unstable"; "" where there is one state."""
+        """Phrase that follows "stable" or "unstable" and limits the verdict; "" if there is one state."""
         if self.growing:
             return f"while {max(self.growing, key=lambda one: one.growth).state}"
         if self.unjudged:
@@ -108,7 +108,8 @@ class ContactStates:
         return f"in all {self.count} states of its contacts; bounces are not judged" if self.count > 1 else ""
 
     def instead(self) -> dict[str, Linear]:
-        """The links that cannot be as they are taken while those before them are, and how they are then."""
+        """Links whose assumed state is impossible in the assumed states of the links before them, with their possible
+        states."""
         found: dict[str, Linear] = {}
         for names in (part[0] for part in self.parts if part):
             apart = self._reach.apart
@@ -140,8 +141,8 @@ class ContactStates:
 
     @cached_property
     def _verdicts(self) -> tuple[list[tuple[Shaking, State]], int]:
-        """What grows in which state, and how many states were not judged. One that is as it is taken is judged with the
-        whole scene; points that are joined in the same way in several states, once."""
+        """Growing motions with their states, and the number of states that were not judged. The assumed state is judged
+        with the whole scene; points that several states join in the same way are judged once."""
         verdicts, left, unjudged = dict[object, Shaking | None](), _WORK, 0
         found: list[tuple[Shaking, State]] = []
         for state in (one for part in self.parts for one in part):
@@ -167,8 +168,8 @@ class ContactStates:
         return found, unjudged
 
     def grown(self, is_unstable: bool, regional: Collection[str]) -> list[Grown]:
-        """What grows in each part of the scene in which something does, the fastest first; `is_unstable`: something
-        does as the scene is taken, but for hands that are `regional`."""
+        """Returns the fastest growing motion of each part of the scene that has one, the fastest first. `is_unstable`:
+        a motion grows in the assumed state too, apart from hands that are `regional`."""
         of_point = part_of_each(self._network.ends, len(self._points)).tolist()
         points = {its: [i for i, at in enumerate(of_point) if at == its] for its in dict.fromkeys(of_point)}
         part = {name: of_point[max(self._ends[name])] for one in self.parts for state in one for name in state}
@@ -187,19 +188,19 @@ class ContactStates:
         return [Grown(most[its], points[its], states[its]) for its in sorted(most, key=lambda its: -most[its].growth)]
 
     def swing_of(self, grown: Grown) -> Swing | None:
-        """How large a swing gets in this part of the scene; None where that was not found."""
+        """Returns the size of the oscillation in this part of the scene; None if it was not found."""
         return swing_of_part(self._scene, self._linear, self._network, self._points, grown.points, grown.states)
 
     @cached_property
     def _block(self) -> Indices:
-        """(points,): the same number for points that are joined in every state."""
+        """Block number of each point, (points,): equal for points that are joined in every state."""
         same = np.array([name not in self._options for name in self._linear.links], dtype=bool)
         same = np.append(same, np.ones(len(self._network.ends) - same.size, bool))
         acts = (self._network.stiffness != 0.0) | (self._network.damping != 0.0)
         return part_of_each(self._network.ends[same & acts], len(self._points))
 
     def _joined(self, state: State) -> Iterator[tuple[frozenset[int], list[str]]]:
-        """Blocks of points that the links join in this state, and the links of the state that end there."""
+        """Yields blocks of points that the links join in this state, and the links of the state that end there."""
         of_ends = {name: [int(self._block[end]) if end >= 0 else -1 for end in self._ends[name]] for name in state}
         every = sorted({block for ends in of_ends.values() for block in ends} - {-1})
         number = {block: i for i, block in enumerate(every)} | {-1: -1}
@@ -210,7 +211,7 @@ class ContactStates:
             yield blocks, [name for name, ends in of_ends.items() if blocks & {*ends}]
 
     def _part(self, blocks: frozenset[int], state: State) -> tuple[Network, tuple[str, ...]]:
-        """These points in this state, and their names."""
+        """Returns the network of these points in this state, and their names."""
         stiffness, damping = self._network.stiffness.copy(), self._network.damping.copy()
         for i, name in enumerate(self._linear.links):
             if name in state:
@@ -221,7 +222,7 @@ class ContactStates:
 
 
 def _snaps(network: Network) -> int:
-    """In how many ways the points are driven on where nothing moves: as many poles are a snap's own."""
+    """Number of unstable directions at rest: as many poles belong to a snap."""
     if not (network.stiffness < 0.0).any():
         return 0
     stretches = stretches_of(network, sparse=False)

@@ -1,7 +1,7 @@
-"""What grows in a network, and how large a swing gets where a rest is unstable.
+"""Growing motions of a network, and the size of the oscillation at an unstable rest.
 
-A swing is simulated: the loop of `theory`, on numbers, with the whole law of its links. A kick grows until pieces
-beside bound it; a hand that presses steadily holds the rest at any place.
+The oscillation is simulated: the loop of `theory`, on numbers, with the whole law of its links. A kick grows until the
+neighbouring pieces limit it. A hand that presses steadily holds the rest at any place.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from hapsim.theory.network import LARGE, SURELY, loop, state_size, transition
 from hapsim.theory.rows import stretches_of
 from hapsim.units import Units
 
-_PLACES = 256  # at most, of all unstable rests; of more no swing is unnoticed
+_PLACES = 256  # limit for all unstable rests; with more no oscillation counts as unnoticed
 _KICKS = (-10.0, -1.0, -0.1, 0.1, 1.0, 10.0)  # of a region's width
-_WIDE = 1e-2  # m: a region that is wider is kicked as one of that width
-_COUNTS = (3.0, 30.0, 300.0)  # by which a hand moves, a swing of which is to stay unnoticed
-_ASIDE = -0.7  # of a point's kick, that of the next
-_GROWN = 20.0  # e-folds, after which a kick has become what it can
+_WIDE = 1e-2  # m: largest width for a kick
+_COUNTS = (3.0, 30.0, 300.0)  # movements of a hand in counts, to test whether an oscillation stays unnoticed
+_ASIDE = -0.7  # ratio of a point's kick to that of the one before
+_GROWN = 20.0  # e-folds after which a kick is fully grown
 _MOST_SAMPLES = 4000
-_MOST_STATES = 100  # numbers in the state, of 4000 samples of which nobody waits for long
-_STEADY = 1.05  # a swing that is larger in the last quarter than in the one before by more still grows
-_DRIFT = 0.25  # of a swing, by which its middle moves in a quarter at the most
+_MOST_STATES = 100  # numbers in the state: limits the time of 4000 samples
+_STEADY = 1.05  # ratio of the last quarter to the one before, above which an oscillation still grows
+_DRIFT = 0.25  # of an oscillation: largest movement of its middle in a quarter
 _NOTICED = 0.02  # of the force limit
 
 
 class Swing(NamedTuple):
-    """From one end to the other, where it is widest."""
+    """Oscillation at its widest, from end to end."""
 
     point: str
-    """That moves most."""
+    """Point that moves most."""
     least: float
-    """m, of the kicks tried."""
+    """Smallest of the kicks tried, m."""
     most: float
     force: float
-    """N, at the most from end to end, on a hand."""
+    """Force on a hand, N, the largest from end to end."""
     is_unnoticed: bool
-    """Whether nothing moves by a count, and next to no force."""
+    """True if every point moves by less than a count, with almost no force."""
 
     def sentence(self, units: Units) -> str:
-        """How far and how hard, in words that follow "swings by"."""
+        """Returns the amplitude and force, to follow "swings by"."""
         unit = "mm" if self.most >= 1e-3 else "µm"
         ways = " to ".join(dict.fromkeys(units.number(way, unit, 3) for way in (self.least, self.most)))
         force = f" and up to {units(self.force, 'N', 2)}" if self.force else ""
@@ -58,42 +58,42 @@ class Swing(NamedTuple):
 
 
 def has_pieces(law: Law) -> bool:
-    """Whether a link of this law is more than one spring and one damper."""
+    """Returns whether a link of this law is more than one spring and one damper."""
     return len(law.pieces) > 1 or bool(law.speeds) or math.isfinite(law.reach)
 
 
 class Rest(NamedTuple):
-    """Where a steady push holds a hand and what it moves, or where what no hand moves rests by itself."""
+    """Rest under a steady push of a hand and the masses that it moves, or the natural rest of masses without a hand."""
 
     at: float
-    """m, of the hand."""
+    """Position of the hand, m."""
     distances: Sequence[float]
-    """m, of the links that have laws."""
+    """Distances of the links that have laws, m."""
     press: float
-    """N, of the scene on the hand."""
+    """Force of the scene on the hand, N."""
     width: float
-    """m, of the narrowest piece that a link is in; infinite where none has two ends."""
+    """Width of the narrowest piece that a link is in, m; infinite if none has two ends."""
     growth: float
-    """By how much a motion grows there in a sample."""
+    """Growth of a motion there in a sample."""
 
 
 class Swinging(NamedTuple):
-    """A part of the scene that no link joins to another: one hand or none, masses, and links some of which have laws
-    that say more than the network does."""
+    """Part of the scene that no link joins to another: one hand or none, masses and links; some of these have piecewise
+    laws."""
 
     network: Network
     points: Sequence[str]
     laws: Mapping[int, Law]
-    """By the number of the link."""
+    """Laws by the number of the link."""
     force_limit: float
     travel: tuple[float, float]
-    """m, of the hand."""
+    """Travel of the hand, m."""
     quantum: float
-    """m, of a position as the mock sends it."""
+    """Resolution of a position as the mock sends it, m."""
 
     @property
     def is_simulated(self) -> bool:
-        """Whether `_ends` moves it as a run does."""
+        """True if `_ends` moves this part exactly as a run does."""
         network, laws = self.network, self.laws.values()
         has_memory = any(math.isfinite(law.reach) or law.grips for law in laws)
         at_the_sample = network.scheme == "cordis" or all(network.outside[link] for link in self.laws)
@@ -101,11 +101,9 @@ class Swinging(NamedTuple):
         return is_small and network.substeps == 1 and at_the_sample and not has_memory
 
     def swing_at(self, rests: Sequence[Rest], is_all: bool = True) -> Swing | None:
-        """The largest at these rests, none of which is stable; `is_all`: something grows nowhere else.
-
-        None where it still grew at the end or grows too slowly to tell, where it drifts or dies out, where the hand
-        left its travel, and where a link remembers more than its damper does.
-        """
+        """Returns the largest oscillation at these rests, all unstable. `is_all`: there are no other unstable ones.
+        None if it still grew at the end or grows too slowly to decide, if it drifts or decays, if the hand left its
+        travel, or if a link has more memory than its damper."""
         if not rests or not self.is_simulated or not all(math.isfinite(one.growth) for one in rests):
             return None
         slowest = min(math.log(one.growth) for one in rests)
@@ -118,7 +116,7 @@ class Swinging(NamedTuple):
         hands = self.network.channel_mass.size
         before, after = (ends[:, 1, hands:] - ends[:, 0, hands:]).max(axis=1)
         drift = np.abs(np.diff(ends[:, :, hands:].mean(axis=1), axis=0)[0]).max(axis=0)
-        # A larger swing that is steady bounds one that grows.
+        # A larger steady oscillation bounds one that grows.
         if not np.isfinite(ends).all() or not stays or (after > _STEADY * before)[:, [0, -1]].any():
             return None
         moves = after >= np.abs(kicks).min(axis=1, keepdims=True)
@@ -136,7 +134,7 @@ class Swinging(NamedTuple):
             is_unnoticed=False,
         )
         is_small = is_all and len(every) == len(rests) and bool(moves.any(axis=1).all()) and self._is_small(ends[1])
-        if is_small:  # again after a hand has moved?
+        if is_small:  # again after a movement of the hand
             low, high = self.travel
             ways = [side * counts * self.quantum for side in (-1.0, 1.0) for counts in _COUNTS]
             kicks = np.array([[min(max(way, low - one.at), high - one.at) for way in ways] for one in every])
@@ -145,15 +143,16 @@ class Swinging(NamedTuple):
         return swing._replace(is_unnoticed=is_small)
 
     def _is_small(self, ends: Floats) -> bool:
-        """Whether nothing moves by a count, and next to no force."""
+        """Returns whether every point moves by less than a count, with almost no force."""
         spans, hands = ends[1] - ends[0], self.network.channel_mass.size
         force, way = spans[:hands].max(initial=0.0), spans[hands:].max()
         return bool(way < self.quantum and force < _NOTICED * self.force_limit)
 
     @np.errstate(all="ignore")
     def _ends(self, rests: Sequence[Rest], kicks: Floats, samples: int, aside: float) -> tuple[Floats, bool]:
-        """(2, 2, C + C + M, rests, kicks): of the last two quarters the least and the most, N on the hand and m of
-        every point; whether the hand stayed within its travel. `aside`: of a point's kick, that of the next."""
+        """Least and largest values (2, 2, C + C + M, rests, kicks) in the last two quarters: N on the hand and m of
+        every point; and whether the hand stayed within its travel. `aside`: ratio of a point's kick to that of the one
+        before."""
         links, hands, limit = [*self.laws], self.network.channel_mass.size, self.force_limit
         springs = self.network.stiffness.copy(), self.network.damping.copy()
         for linear in springs:
@@ -168,7 +167,7 @@ class Swinging(NamedTuple):
         at, press = (np.array([getattr(one, what) for one in rests])[each] for what in ("at", "press"))
         held = self._pulls(rest, 0.0 * rest)
         state, stays, found = np.zeros((len(change), kicks.size)), True, []
-        # Neighbours are kicked to either side, so that what is between them is too.
+        # Neighbours are kicked to opposite sides, to excite the links between them.
         state[: len(points)] = np.outer(aside ** np.arange(len(points)), kicks.ravel())
         for quarter in range(4):
             ends = np.full((2, hands + len(points), kicks.size), np.nan)
@@ -188,31 +187,31 @@ class Swinging(NamedTuple):
         return np.array(found[2:]), stays
 
     def _pulls(self, d: Floats, speed: Floats) -> Floats:
-        """(laws, n): N."""
+        """Pulls (laws, n), N."""
         pulls = [law.pull(*one) for law, *one in zip(self.laws.values(), d, speed, strict=True)]
         return np.array(pulls).reshape(d.shape)
 
 
-_MANY_STATES = 40  # eigenvalues of fewer take one thread anyway
-_SQUARED = 24  # times at most: a motion that takes longer than 2^24 samples to die out is close to the limit
-_GONE = 0.1  # of a power's norm: below 1 all moduli are
-_MOST_NORM = 1e5  # of the norms before: the squares' rounding, 1e-16 of their own, is far below that
+_MANY_STATES = 40  # fewer eigenvalues take one thread anyway
+_SQUARED = 24  # most squarings: a motion that takes more than 2^24 samples to decay is close to the limit
+_GONE = 0.1  # norm of a power, below which all moduli are below 1
+_MOST_NORM = 1e5  # of the norms before: above, rounding of the squares, 1e-16 of their own, would matter
 
 
 class Shaking(NamedTuple):
-    """A motion that surely grows."""
+    """Motion that surely grows."""
 
     growth: float
-    """By how much it is multiplied in a sample, above 1."""
+    """Factor in a sample, above 1."""
     module: str
-    """That moves most in it; "" where no motion was found that does."""
+    """Module that moves most in it; "" if its motion was not found."""
     state: str = ""
-    """How the contacts of its part of the scene are: "finger is apart"; "" where they are as they are taken."""
+    """State of the contacts in its part of the scene, such as "finger is apart"; "" in the assumed state."""
     swing: Swing | None = None
-    """How large it gets, where that was found."""
+    """Oscillation that it grows to, if found."""
 
     def sentence(self, units: Units) -> str:
-        """Without a full stop."""
+        """Returns the sentence, without a full stop."""
         by = "beyond all numbers" if self.growth > 1e300 else f"{self.growth:.3g}-fold"
         if self.growth < 2.0:
             by = f"by {100.0 * (self.growth - 1.0):.2g} %"
@@ -225,7 +224,8 @@ class Shaking(NamedTuple):
 
 
 def without_real(poles: Iterable[complex], count: int) -> list[complex]:
-    """The poles without the largest real positive ones, this many: the snaps themselves, which drive a point on."""
+    """Returns the poles without the ``count`` largest real positive ones: these are the snaps, which drive a point
+    on."""
     rest = list(poles)
     for _ in range(count):
         real = [pole for pole in rest if abs(pole.imag) <= 1e-6 * abs(pole) and pole.real > 0.0]
@@ -235,8 +235,7 @@ def without_real(poles: Iterable[complex], count: int) -> list[complex]:
 
 
 class Solved(NamedTuple):
-    """A network that was worked out, its poles and modes, and a sentence where it stands in place of another
-    (`instead_of`); else ""."""
+    """Network with its poles and modes, and a sentence if it stands in for another (`instead_of`); else ""."""
 
     network: Network
     solution: Solution
@@ -245,7 +244,7 @@ class Solved(NamedTuple):
 
 @dataclass(eq=False)
 class NetworkVerdict:
-    """A network's poles, and what grows in it, worked out where they are asked for.
+    """Poles of a network, and its growing motions, computed on demand.
 
     Attributes:
         network: as the theory sees it. points: the names of its points.
@@ -256,7 +255,7 @@ class NetworkVerdict:
 
     @cached_property
     def solved(self) -> Solved:
-        """The network with its poles and modes; where they are not worked out, what stands in its place."""
+        """Network with its poles and modes, or its stand-in if they cannot be computed."""
         with one_thread(_MANY_STATES < state_size(self.network) <= LARGE):
             try:
                 return Solved(self.network, solve(self.network), "")
@@ -267,8 +266,8 @@ class NetworkVerdict:
     @cached_property
     @np.errstate(all="ignore")
     def dies_out(self) -> bool:
-        """Whether every motion of the network dies out, where squares of its transition show it, in a fifth of the time
-        that eigenvalues take: False says nothing."""
+        """True if squares of the transition show that every motion decays, in a fifth of the time that eigenvalues
+        take. False proves nothing."""
         if state_size(self.network) > LARGE:
             return False
         try:
@@ -283,8 +282,8 @@ class NetworkVerdict:
         return False
 
     def shaken_by_network(self, snaps: int = 0) -> Shaking | None:
-        """What surely grows; None also where the poles were not worked out for the scheme. `snaps`: how many real poles
-        are a snap's own, which drives the points on before what grows more slowly is felt."""
+        """Returns the motion that surely grows; None also if the poles cannot be computed for the scheme. `snaps`:
+        number of real poles that belong to snaps; a snap moves the points on before a slower growth is felt."""
         if not snaps and self.dies_out:
             return None
         solution = self.solved.solution

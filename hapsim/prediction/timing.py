@@ -1,4 +1,5 @@
-"""How long an exchange takes on the wire, what delay that makes, and how long a force lasts when the host is silent."""
+"""Timing: the duration of an exchange on the wire, the resulting delay, and the end of the force after the host's
+last."""
 
 from __future__ import annotations
 
@@ -17,18 +18,18 @@ from hapsim.scene import Scene
 
 WireOf = Literal["port", "unknown", "mock", "none"]
 PACED = ("port", "mock")
-"""Wires whose times are known before the device runs."""
+"""Wires with times that are known before the device runs."""
 
 FIRST_SAMPLES = 64
-"""After arming, in which the device says how late its forces are."""
+"""Samples after arming in which the device reports how late its forces are."""
 
 _UARTS = re.compile(r"tty(S|USB|AMA|THS|mxc|O|PS|SC|UL)\d+|(cu|tty)\.usbserial.*")
 """Names of ports with a UART. USB of a board's own (ttyACM), a pseudo-terminal or a COM may ignore the baud rate."""
 
 
 def wire_of(scene: Scene) -> WireOf:
-    """The wire that the times are of: the port's UART; `unknown`, where the port may ignore its baud rate; the mock's
-    simulated one; or none, where the mock has none and the times are those of a UART at `device.baud`."""
+    """Returns the kind of wire: `port`, the port's UART; `unknown`, a port that may ignore its baud rate; `mock`, the
+    mock's simulated one; or `none`, a mock without one: the times are then those of a UART at `device.baud`."""
     if (port := scene.device.port) is not None:
         return "port" if _UARTS.fullmatch(os.path.basename(os.path.realpath(port))) else "unknown"
     mock = scene.mock_device
@@ -36,7 +37,7 @@ def wire_of(scene: Scene) -> WireOf:
 
 
 def wire_time_of(scene: Scene) -> WireTime:
-    """The duration of an exchange without a USB converter's latency. In virtual time the host's work takes none."""
+    """Duration of an exchange without a USB converter's latency. In virtual time the host's work takes none."""
     mock = scene.mock_device
     simulated = wire_of(scene) == "mock"
     host_work_s = 0.0 if simulated and scene.device.clock == "lockstep" else HOST_WORK_S
@@ -45,9 +46,8 @@ def wire_time_of(scene: Scene) -> WireTime:
 
 
 def samples_on_wire(scene: Scene) -> int:
-    """From a position to the force that answers it: 1 where that is in time, or is not known before the device runs.
-
-    Frames that queue up make every delay in turn, up to a force's time to live: the next force would never act."""
+    """Samples from a position to the force that answers it: 1 if it is in time, or if the wire is not known before the
+    device runs. If frames queue up, the delay grows to a force's time to live: the next force would never act."""
     if wire_of(scene) not in PACED:
         return 1
     oldest = time_to_live_samples(scene.rate) + 1
@@ -55,28 +55,28 @@ def samples_on_wire(scene: Scene) -> int:
 
 
 def samples_if_late(scene: Scene, round_trip_s: float) -> int:
-    """From a position to its force at least, on a wire on which forces are late. `round_trip_s`: the shortest time from
-    a question to its answer before arming, in which a device may have waited for its next tick."""
+    """Least number of samples from a position to its force, on a wire on which forces are late. `round_trip_s`: the
+    shortest time from a question to its answer before arming, in which a device may have waited for its next tick."""
     measured = 0.0 if scene.device.clock == "lockstep" else round_trip_s * scene.rate
     return max(2, samples_on_wire(scene), min(math.floor(measured), time_to_live_samples(scene.rate) + 1))
 
 
 def on_wire(scene: Scene) -> Scene:
-    """The scene with the delay with which it runs: `device.delay`, and what its wire adds."""
+    """Returns the scene with the delay of its run: `device.delay` plus that of its wire."""
     samples = samples_on_wire(scene)
     return scene if samples == 1 else with_wire_delay(scene, samples)
 
 
 def with_wire_delay(scene: Scene, samples: int) -> Scene:
-    """The scene on a wire that takes this number of samples, which is then part of `device.delay`."""
+    """Returns the scene on a wire that takes this number of samples, which is then part of `device.delay`."""
     device = scene.device.model_copy(update={"delay": scene.device.delay + samples - 1, "port": None})
     mock = scene.mock and scene.mock.model_copy(update={"baud": None, "turnaround": 0.0})
     return scene.model_copy(update={"device": device, "mock": mock})
 
 
 def wire_delay(scene: Scene) -> str:
-    """What the declared delay is on the scene's wire, and what costs the time: a sentence without a full stop; "" where
-    the wire adds nothing."""
+    """Sentence on the declared delay and the one on the scene's wire, with the parts of its time, without a full stop;
+    "" if the wire adds none."""
     samples, declared = samples_on_wire(scene), scene.device.delay
     if samples == 1:
         return ""
@@ -88,7 +88,7 @@ def wire_delay(scene: Scene) -> str:
 
 
 def why_late(scene: Scene, samples: int, round_trip_s: float) -> str:
-    """`samples_if_late`, and what may cost the time, in sentences."""
+    """Sentences on `samples_if_late` and possible causes."""
     why = f"{samples} samples or more. Before arming, a question and its answer took {duration(round_trip_s)}."
     name = os.path.basename(os.path.realpath(scene.device.port or ""))
     with contextlib.suppress(OSError, ValueError):
@@ -98,7 +98,7 @@ def why_late(scene: Scene, samples: int, round_trip_s: float) -> str:
 
 
 def wire_parts(budget: WireTime) -> str:
-    """What an exchange consists of."""
+    """Phrase that lists the parts of an exchange's time."""
     parts = {
         f"{budget.bytes_to_host} + {budget.bytes_to_device} bytes at {budget.baud} baud": budget.seconds,
         "the device's turnaround": budget.turnaround_s,
@@ -108,7 +108,7 @@ def wire_parts(budget: WireTime) -> str:
 
 
 def what_helps(budget: WireTime) -> str:
-    """What would shorten an exchange that does not fit into a sample."""
+    """Phrase on remedies for an exchange that does not fit into a sample."""
     if budget.least_baud is None and budget.turnaround_s > 0.0:
         return (
             "no baud rate shortens the turnaround, such as an FTDI's latency timer of 16 ms: use a lower rate, or let "
@@ -122,28 +122,29 @@ _WATCHDOG_S, _LEAST_WATCHDOG = 0.1, 10
 
 
 def time_to_live_samples(rate: float) -> int:
-    """How long each force may act without being replaced, at `rate` Hz: a fiftieth of a second."""
+    """Time to live of a force, in samples, at `rate` Hz: a fiftieth of a second."""
     return min(max(round(_LIVES_S * rate), _LEAST_LIVES), schema.MAX_TIME_TO_LIVE_SAMPLES)
 
 
 def watchdog_samples(rate: float, most: int = schema.MAX_WATCHDOG_SAMPLES) -> int:
-    """How long the host may be silent, at `rate` Hz: a tenth of a second, at most the device's own `most`."""
+    """Time that the host may be silent, in samples, at `rate` Hz: a tenth of a second, at most the device's own
+    `most`."""
     return min(max(round(_WATCHDOG_S * rate), _LEAST_WATCHDOG), most)
 
 
 @dataclass(frozen=True)
 class HostSilence:
-    """The end of the force when the host dies."""
+    """End of the force when the host dies."""
 
     time_to_live_samples: int
     watchdog_samples: int
     zero_force_after_s: float
-    """After the last force began to act: its time to live and one sample period."""
+    """Time after the last force began to act: its time to live and one sample period."""
     latched_after_s: float
-    """After the sample in which the last force came."""
+    """Time after the sample in which the last force came."""
 
 
 def host_silence(rate: float, most: int = schema.MAX_WATCHDOG_SAMPLES) -> HostSilence:
-    """The request of a run at `rate` Hz, to a device that allows a watchdog of `most` samples."""
+    """Returns the times of a run at `rate` Hz, on a device that allows a watchdog of `most` samples."""
     lives, watchdog = time_to_live_samples(rate), watchdog_samples(rate, most)
     return HostSilence(lives, watchdog, (lives + 1) / rate, (watchdog + 1) / rate)

@@ -1,5 +1,8 @@
-"""What a hand should know before a scene runs; among it modules that are too stiff, or damp too much, for CORDIS's
-scheme by themselves, and how many substeps carry them."""
+"""Warnings before a scene runs.
+
+They include modules that are too stiff, or damp too much, for CORDIS's scheme by themselves, and the substeps that they
+need.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from hapsim.theory.schemes import SCHEMES
 
 
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
-    """What a hand should know before `scene` runs, of which this was predicted: sentences, none where all is well."""
+    """Returns sentences on risks of `scene`, which has this prediction; an empty list if there are none."""
     warnings, limit = unlikely(scene), scene.mock_device.force_limit
     if not prediction.by_its_scheme:
         warnings.append(
@@ -85,7 +88,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
 
 
 def most_force(scene: Scene) -> str:
-    """What bounds the force of an unstable scene, in words: its limit, or what all links of a hand pull together."""
+    """Phrase for the bound of an unstable scene's force: its limit, or the sum of all links of a hand."""
 
     def of_link(link: Link) -> float:
         by_speed = isinstance(link, Nonlinear) and link.force_over_velocity
@@ -100,13 +103,13 @@ def most_force(scene: Scene) -> str:
 
 
 _MOST = 4.0  # of (K T² + 2 B T)/M
-_DENSE = 500  # masses, of which the largest value is found at once; of more by iteration
+_DENSE = 500  # masses for a dense computation of the largest value; above, by iteration
 _MOST_SUBSTEPS = 1000  # of a scene
 
 
 def own_limits(scene: Scene) -> Iterator[str]:
-    """Yields a sentence for each module of `scene` that passes its own limit; where none does, but all of them together
-    do, for the one that comes nearest."""
+    """Yields a sentence for each module of `scene` that exceeds its own limit. If only all of them together exceed it,
+    the sentence is about the one that comes nearest."""
     linear = linear_scene(scene)
     if SCHEMES[scene.scheme] is not None or not linear.masses:
         return
@@ -119,7 +122,7 @@ def own_limits(scene: Scene) -> Iterator[str]:
         return
     steps, largest = scene.substeps, whole
     while largest > _MOST and steps <= _MOST_SUBSTEPS:
-        steps = max(steps + 1, math.floor(steps * math.sqrt(largest / _MOST)))  # never beyond what springs need
+        steps = max(steps + 1, math.floor(steps * math.sqrt(largest / _MOST)))  # never more than the springs need
         largest = _largest(network, every, steps * scene.rate)
     remedy = f"{steps} substeps in place of {scene.substeps} carry it" if steps <= _MOST_SUBSTEPS else "add mass there"
     for name in [one for one in found if found[one] > _MOST] or [max(found, key=found.__getitem__)]:
@@ -133,8 +136,8 @@ def own_limits(scene: Scene) -> Iterator[str]:
 
 
 def _largest(network: Network, links: Any, rate: float) -> float:
-    """The largest (K T² + 2 B T)/M of a mode of these links, (L,) bools, at `rate` Hz. A damper that remembers
-    more than one position does not count: at z = -1 it damps less, or not at all."""
+    """Returns the largest (K T² + 2 B T)/M of a mode of these links, (L,) bools, at `rate` Hz. A damper that uses more
+    than the last two positions does not count: at z = -1 it damps less, or not at all."""
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import svds
 

@@ -1,9 +1,7 @@
 """Sampled-data mathematics of the temporary hybrid system, after Florens, Voda and Urma.
 
-It stands on NumPy (and, for scenes of hundreds of masses, on SciPy's sparse matrices), and on nothing else of the
-project: what it predicts and what a run measures are independent roads to the same number.
-
-Public is what `__all__` names; the rooms below are private.
+It depends on NumPy (and, for scenes of hundreds of masses, on SciPy's sparse matrices), and on nothing else of the
+project, so a prediction and the measurement of a run are independent. Public names are those in `__all__`.
 """
 
 from hapsim.theory.hand import Configuration, frequency_and_ratio

@@ -1,4 +1,4 @@
-"""The arrays that the theory is written in, the order that poles are listed in, and arguments that are refused."""
+"""Array types of the theory, the order in which poles are listed, and validation of arguments."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Indices = NDArray[np.intp]
 
 
 def sort_by_modulus(values: Complexes) -> Complexes:
-    """Along the last axis, by decreasing modulus; conjugates together, the one above the real axis first."""
+    """Sorts along the last axis by decreasing modulus; conjugates stay together, the one above the real axis first."""
     order = np.lexsort((-values.imag, -values.real, -np.abs(values)), axis=-1)
     return np.take_along_axis(values, order, axis=-1)
 
 
 def positive(name: str, value: Any) -> float:
-    """``value`` as a float; ValueError where it is not one finite number greater than zero."""
+    """Returns ``value`` as a float; raises ValueError unless it is one finite number greater than zero."""
     number = _finite(name, value)
     if number <= 0.0:
         raise ValueError(f"{name} is {number:g}, but it has to be greater than zero.")
@@ -30,7 +30,7 @@ def positive(name: str, value: Any) -> float:
 
 
 def not_negative(name: str, value: Any) -> float:
-    """``value`` as a float; ValueError where it is not one finite number, zero or greater."""
+    """Returns ``value`` as a float; raises ValueError unless it is one finite number, zero or greater."""
     number = _finite(name, value)
     if number < 0.0:
         raise ValueError(f"{name} is {number:g}, but it cannot be negative.")
@@ -48,7 +48,7 @@ def _finite(name: str, value: Any) -> float:
 
 
 def one_of(name: str, value: Any, known: Collection[str]) -> str:
-    """``value``; ValueError that lists the known names where it is none of them."""
+    """Returns ``value``; raises ValueError, with the list of known names, if it is none of them."""
     if not isinstance(value, str) or value not in known:
         raise ValueError(f"{name} is {value!r}, but it has to be one of: {', '.join(known)}.")
     return value
@@ -57,7 +57,7 @@ def one_of(name: str, value: Any, known: Collection[str]) -> str:
 def vector(
     name: str, value: Any, size: int | None = None, *, least: float = -math.inf, above: float = -math.inf
 ) -> Floats:
-    """``value`` as an array (size,); ValueError where it is not, or an element is out of range."""
+    """Returns ``value`` as an array (size,); raises ValueError if it is not one, or an element is out of range."""
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -74,7 +74,7 @@ def vector(
 
 
 def link_ends(name: str, value: Any, points: int) -> NDArray[np.intp]:
-    """``value`` as an array (L, 2) of point numbers, -1 a ground; ValueError where it is not."""
+    """Returns ``value`` as an array (L, 2) of point numbers, -1 for a ground; raises ValueError if it is not one."""
     array = np.array(value)
     if array.size == 0:
         return np.zeros((0, 2), dtype=np.intp)

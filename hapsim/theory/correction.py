@@ -1,11 +1,11 @@
-"""What a computer can do about the deformation: predict the state in which the mass will meet the force.
+"""Correction by prediction: an observer predicts the state in which the mass will receive the force.
 
-Florens et al. (§6.3) ask for it: "additional speed and acceleration sensor may be used to compensate the effect of
-delay". With the mass known, no sensor is needed. An observer keeps position, velocity and the steady push of the hand;
-from sample to sample the forces that acted lead them on, and what is read corrects them; the forces that are on their
-way lead them to the instant (n + delay) T. Of a mass that is the declared one, under no push, the state is exact from
-the second sample on, whatever it was before; a push that changes is found as the observer's poles say. The predictor
-may have been made for another mass than the real one: that is what its errors cost (`PredictedLoop`).
+Florens et al. (§6.3) propose sensors: "additional speed and acceleration sensor may be used to compensate the effect of
+delay". With a known mass, no sensor is needed. An observer holds position, velocity and the steady push of the hand. At
+each sample the forces that acted advance them, and the reading corrects them. The forces that are still delayed then
+advance them to the instant (n + delay) T. For a mass that equals the declared one, under no push, the state is exact
+from the second sample on, whatever it was before. A change of the push is found at the speed of the observer's poles.
+The predictor may assume another mass than the real one: `PredictedLoop` computes the resulting errors.
 """
 
 from __future__ import annotations
@@ -29,42 +29,40 @@ from hapsim.theory.network.network import BACKWARD
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
 STATES = 3  # position, velocity, push
 SLOWEST = 0.5
-"""The observer's double pole: nearer to 0 it costs noise, nearer to 1 it knows a new push later."""
+"""Double pole of the observer: nearer to 0 it has more noise, nearer to 1 it follows a new push more slowly."""
 
 
 class StatePredictor(NamedTuple):
-    """An observer of position (m), velocity (m/s) and push (N), and what it expects.
-
-    The columns (3 + lags) of ``step``, ``reading`` and ``ahead`` are the state's, and those of the forces that were
-    computed before the next sample: f[n-1], f[n-2], ... for sample n.
-    """
+    """Observer of position (m), velocity (m/s) and push (N), with its predictions. The columns (3 + lags) of ``step``,
+    ``reading`` and ``ahead`` are the state, and the forces that were computed before the next sample: f[n-1], f[n-2],
+    ... for sample n."""
 
     step: Floats
-    """(2, 3 + lags): position and velocity at sample n before its reading, from the state at sample n - 1."""
+    """Position and velocity at sample n before its reading, (2, 3 + lags), from the state at sample n - 1."""
     reading: Floats
-    """(R, 3 + lags): what will be read then: a position and, where the device ``senses`` it, a velocity."""
+    """Expected readings, (R, 3 + lags): a position and, where the device ``senses`` it, a velocity."""
     gains: Floats
-    """(3, R): how a reading that is other than expected corrects the state."""
+    """Corrections of the state, (3, R), for each unit of difference between a reading and the expected one."""
     first: Floats
-    """(2, R): the same of position and velocity, of the second sample that is read: no push is known yet."""
+    """Corrections of position and velocity at the second sample, (2, R): no push is known yet."""
     ahead: Floats
-    """(2, 3 + lags): position and velocity at (n + delay) T, just before the force that answers sample n."""
+    """Position and velocity at (n + delay) T, (2, 3 + lags), just before the force of sample n acts."""
     differences: bool = False
-    """Whether the damper that it is for takes the last two positions ahead, in place of the velocity ahead."""
+    """True if the damper uses the last two positions ahead instead of the velocity ahead."""
 
     @property
     def lags(self) -> int:
-        """How many past forces it knows."""
+        """Number of past forces that the predictor uses."""
         return int(self.ahead.shape[1]) - STATES
 
     @property
     def senses(self) -> bool:
-        """Whether it reads velocities."""
+        """True if the predictor reads velocities."""
         return len(self.reading) == 2
 
     def at_rest(self) -> Floats:
-        """(3, 2): position and velocity ahead, and push, of one metre that is read and does not change, and of what
-        each N of a force that does not change brings beside it."""
+        """Position and velocity ahead, and push, (3, 2), at rest: for a constant reading of one metre, and the
+        additions for each N of a constant force."""
         rows = np.vstack([self.step, self.reading[:1]])
         balance = np.vstack([np.eye(2, STATES), np.zeros(STATES)]) - rows[:, :STATES] * [[1.0], [1.0], [-1.0]]
         force = rows[:, STATES:].sum(axis=1) * [1.0, 1.0, -1.0]
@@ -74,18 +72,16 @@ class StatePredictor(NamedTuple):
         return np.vstack([ahead, state[2]])
 
     def for_compliance(self, compliance: float) -> StatePredictor:
-        """The same, where the position ahead moves this number of metres per newton of the push."""
+        """Returns this predictor with the position ahead moved by ``compliance`` metres per newton of push."""
         ahead = self.ahead.copy()
         ahead[0, 2] += compliance
         return self._replace(ahead=ahead)
 
 
 def state_predictor(model: Configuration, senses: bool = False, pole: float = SLOWEST) -> StatePredictor:
-    """The predictor of the mass that the model has, behind its hold, sampling and delay.
-
-    ``senses``: the device sends velocities, read as ``DamperModel`` says of the sensed damper. ``pole``: of the
-    observer, in the z-plane, twice where only positions are read; its others are zeros.
-    """
+    """Returns the predictor of the model's mass, with its hold, sampling and delay. ``senses``: the device sends
+    velocities, read as by the sensed damper of ``DamperModel``. ``pole``: of the observer, in the z-plane, double where
+    only positions are read; the other poles are zero."""
     own = model.friction / model.damping_unit, model.stiffness / model.stiffness_unit
     step = device_step(own[0], model.delay, model.hold, own[1], model.sampling)
     pushed = device_step(own[0], 0.0, "zoh", own[1], model.sampling).moves[1].sum(axis=1)
@@ -95,15 +91,15 @@ def state_predictor(model: Configuration, senses: bool = False, pole: float = SL
     every[:, :2], every[:, 2], every[:, STATES:] = step.moves[0], pushed, step.moves[1]
     moves = np.vstack([every[:2, :STATES], [0.0, 0.0, 1.0]])
     gains = (_of_velocities if senses else _of_positions)(moves, every[read, :STATES], pole)
-    # What is unknown of a free motion at the first sample.
+    # Unknown part of a free motion at the first sample.
     before = np.array([SAMPLINGS[model.sampling].lag, 1.0])
     first = gains[:2] if senses else (moves[:2, :2] @ before / (every[READING, :2] @ before))[:, None]
     return _in_si(model, every[:2], every[read], gains, first, _ahead(model, own, step, pushed))
 
 
 def as_read(model: Configuration) -> StatePredictor:
-    """What a link without a predictor answers, as one: the position as it is read, and the velocity that the damper
-    makes of positions. In place of the push it keeps the last difference of two positions."""
+    """Returns a link without a predictor in the form of one: the position as read, and the damper's velocity. In place
+    of the push its state has the last difference of two positions."""
     damper = damper_named(model.damper, model.cutoff, model.rate)
     if damper.senses:
         moves, gains = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
@@ -131,20 +127,21 @@ def _ahead(model: Configuration, own: tuple[float, float], step: DeviceStep, pus
     motion, made = through(segments, *own, max(ages_of(segments), 1))
     state += motion @ state
     state[:, 2] += through([Piece(fraction, level=(1.0,))], *own, 1)[1][:, 0] if segments else 0.0
-    older = made[:, 1:]  # age 0 is f[n], before which these segments end
+    older = made[:, 1:]  # age 0 is f[n]: it acts only after these segments
     forces[:, : older.shape[1]] += older
     return state
 
 
 def _of_positions(moves: Floats, read: Floats, pole: float) -> Floats:
-    """(3, 1): with which ``moves - gains read`` has its poles at (pole, pole, 0); Ackermann's formula."""
+    """Gains (3, 1) that place the poles of ``moves - gains read`` at (pole, pole, 0), by Ackermann's formula."""
     seen = np.vstack([read, read @ moves, read @ moves @ moves])
     wanted = (moves - pole * np.eye(STATES)) @ (moves - pole * np.eye(STATES)) @ moves
     return np.asarray(wanted @ np.linalg.inv(seen)[:, -1:])
 
 
 def _of_velocities(moves: Floats, read: Floats, pole: float) -> Floats:
-    """(3, 2): position and velocity as read, given the push, which takes 1 - pole of what that leaves unexplained."""
+    """Gains (3, 2) that take position and velocity as read, given the push; it takes 1 - pole of the remaining
+    difference."""
     at_once = moves[:2, :2] @ np.linalg.inv(read[:, :2])
     left = read[:, :2] @ (moves[:2, 2] - at_once @ read[:, 2]) + read[:, 2]
     return np.vstack([at_once, (1.0 - pole) * left / (left @ left)])
@@ -153,8 +150,8 @@ def _of_velocities(moves: Floats, read: Floats, pole: float) -> Floats:
 def _in_si(
     model: Configuration, step: Floats, reading: Floats, gains: Floats, first: Floats, ahead: Floats
 ) -> StatePredictor:
-    """From metres, sample periods and T²/m f."""
-    state = np.array([1.0, model.rate, model.stiffness_unit])  # one m, m a period and m of T²/m f
+    """Returns the predictor in SI units, from metres, sample periods and T²/m f."""
+    state = np.array([1.0, model.rate, model.stiffness_unit])  # one m, m per period and m of T²/m f
     columns = np.concatenate([state, np.full(step.shape[1] - STATES, model.stiffness_unit)])
     read = state[: len(reading)]
     return StatePredictor(
@@ -167,32 +164,30 @@ def _in_si(
 
 
 def forces_in_second_difference(model: Configuration) -> tuple[Floats, int]:
-    """(weights, first): y[n] - 2 y[n-1] + y[n-2] of the readings of a mass that nothing but the hold pushes is T²/m
-    times the sum of weights[i] f[n - first - i]; their sum is 1."""
+    """Returns (weights, first) of the second difference of the readings of a mass that only the hold drives. y[n] - 2
+    y[n-1] + y[n-2] is T²/m times the sum of weights[i] f[n - first - i]; the weights add up to 1."""
     hand = lone_hand(0.0, 0.0, model.delay, model.hold, model.sampling, BACKWARD, 0.0)
     of_forces = hand.polynomials[1]
     acting = np.flatnonzero(of_forces)
     return of_forces[acting[0] : acting[-1] + 1], int(acting[0])
 
 
-NOTHING_LEFT = 1e-12  # of the noise of long ago: its square is beyond rounding
-MOVES = 2  # numbers of the state that are the plant's: position and velocity
+NOTHING_LEFT = 1e-12  # of the oldest noise: its square is beyond rounding
+MOVES = 2  # numbers of the plant's state: position and velocity
 
 
 class PredictedLoop(NamedTuple):
-    """A real ``plant``, and the ``predictor`` whose state (x, v, push) the force f = -K x - B v - g push answers.
-
-    With ``static`` (N/m) the share g is the one with which a steady push meets this stiffness beside the device's own
-    spring; else it is 0. With the plant's mass in the predictor the loop has the two poles of the same mass without a
-    delay, those of the observer, and zeros.
-    """
+    """Closed loop of a real ``plant`` and a ``predictor`` with the state (x, v, push): f = -K x - B v - g push. The
+    share g is 0 without ``static``. With ``static`` (N/m) it makes a steady push meet this stiffness beside the
+    device's own spring. If the predictor has the plant's mass, the loop has the two poles of this mass without a delay,
+    those of the observer, and zeros."""
 
     plant: Configuration
     predictor: StatePredictor
     static: float | Floats | None = None
 
     def poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
-        """All poles (..., N) in the z-plane, by decreasing modulus; K in N/m, B in N·s/m; arrays broadcast."""
+        """Poles (..., N) in the z-plane, by decreasing modulus; K in N/m, B in N·s/m; arrays broadcast."""
         moves, pushes, _ = self._open_loop()
         answers = self._answers(K, B, len(moves))
         finite = np.isfinite(answers).all(axis=-1, keepdims=True)
@@ -200,7 +195,7 @@ class PredictedLoop(NamedTuple):
         return np.where(finite, sort_by_modulus(np.linalg.eigvals(closed).astype(complex)), np.nan)
 
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
-        """The real (k, b), N/m and N·s/m, that the hand feels, as of ``Configuration.equivalent``."""
+        """Felt (k, b) in N/m and N·s/m, as ``Configuration.equivalent`` defines them."""
         with np.errstate(all="ignore"):
             p, q, dominant = pair_of_poles(self.poles(K, B))
             sigma, kappa = oscillator_of_quadratic(p, q)
@@ -208,13 +203,13 @@ class PredictedLoop(NamedTuple):
             return np.where(dominant, k, np.nan)[()], np.where(dominant, b, np.nan)[()]
 
     def spectral_radius(self, K: ArrayLike, B: ArrayLike) -> Floats:
-        """The largest modulus of a pole."""
+        """Largest modulus of a pole."""
         return np.asarray(np.abs(self.poles(K, B)[..., 0]))[()]
 
     def impedance(self, K: float, B: float, frequency: ArrayLike) -> Complexes:
-        """Force over velocity, N·s/m, that is rendered at frequencies (n,) in Hz to a hand whose force the predictor
-        does not know, without the device's own; where no velocities are sent. NaN from the Nyquist frequency on, and
-        at 0."""
+        """Rendered impedance, force over velocity in N·s/m, at frequencies (n,) in Hz, without the device's own. The
+        predictor does not know the force of the hand, and no velocities are sent. NaN at 0 and from the Nyquist
+        frequency on."""
         f = np.asarray(frequency, dtype=float)
         theta = 2.0 * np.pi * f * self.plant.period
         some = (theta > 0.0) & (theta < np.pi)
@@ -224,12 +219,12 @@ class PredictedLoop(NamedTuple):
         return found
 
     def steady_stiffness(self, K: float, B: float) -> float:
-        """N/m: what a steady push meets, read with a velocity of 0, without the device's own spring."""
+        """Stiffness that a steady push meets, N/m, at a velocity reading of 0, without the device's own spring."""
         return float(self._stiffness_at(np.ones(1, dtype=complex), K, B)[0].real)
 
     def noise_gain(self, K: float, B: float) -> float:
-        """N rms of force that comes of each m rms of white noise on the positions, and of as much as that is in a
-        sample period on the velocities, while the loop is closed; infinity where it is unstable."""
+        """Noise gain of the closed loop: N rms of force per m rms of white noise on the positions, with an equal noise
+        per sample period on the velocities; infinity if unstable."""
         if not self.spectral_radius(K, B) < 1.0:
             return math.inf
         moves, pushes, reads = self._open_loop()
@@ -242,7 +237,7 @@ class PredictedLoop(NamedTuple):
         return float(np.sqrt(max(float(answers @ spread @ answers), 0.0)) * self.plant.stiffness_unit)
 
     def _stiffness_at(self, z: Complexes, K: float, B: float) -> Complexes:
-        """(n,) N/m: force over the position that is read, at z."""
+        """Force over the position that is read, (n,) N/m, at z."""
         moves, pushes, reads = self._open_loop(moved=False)
         answers = self._answers(K, B, len(moves))
         alone = moves - np.outer(pushes, answers)
@@ -252,7 +247,7 @@ class PredictedLoop(NamedTuple):
         return np.asarray(state[..., 0] @ answers * self.plant.stiffness_unit)
 
     def _answers(self, K: ArrayLike, B: ArrayLike, size: int) -> Floats:
-        """(..., size): -f, in T²/m f, of the state as `_open_loop` orders it."""
+        """Feedback (..., size): -f, as T²/m f, from the state in the order of `_open_loop`."""
         K, B = np.broadcast_arrays(np.asarray(K, float), np.asarray(B, float))
         if self.predictor.differences:
             damping = B * self.plant.rate
@@ -283,11 +278,11 @@ class PredictedLoop(NamedTuple):
         return moves, one.gains / state[:, None] * read, one.ahead / state[:2, None] * columns
 
     def _open_loop(self, moved: bool = True) -> tuple[Floats, Floats, Floats]:
-        """(N, N), (N,) and (N, R): the state at the next sample from that at sample n, from T²/m f[n], and from noise
-        on the readings. The state: position and velocity of the plant, the forces before f[n], the observer's.
-        ``moved``: whether the plant is there; where it is not, the readings are the noise."""
+        """Returns the open loop: (N, N) from the state at sample n, (N,) from T²/m f[n], (N, R) from noise on the
+        readings. The state: position and velocity of the plant, the forces before f[n], the observer's. Without
+        ``moved`` there is no plant, and the readings are the noise."""
         c = self.plant
-        if self.predictor.differences:  # the position ahead, a sample later: the last number of the state
+        if self.predictor.differences:  # last number of the state: the position ahead, one sample ago
             moves, pushes, reads = self._of_velocity()._open_loop(moved)
             ahead = self._of_velocity()._answers(c.stiffness_unit, 0.0, len(moves))
             moves = np.pad(np.vstack([moves, ahead]), ((0, 0), (0, 1)))
@@ -307,7 +302,7 @@ class PredictedLoop(NamedTuple):
         whole = np.zeros((size, size))
         whole[:MOVES], whole[-STATES:] = plant[:2], state
         whole[MOVES : MOVES + 1 + known, MOVES : MOVES + 1 + known] = np.eye(1 + known)
-        # What was f[n-1-i] is f[n-2-i] a sample later: the rows of the new state are those of the old, one further on.
+        # The force f[n-1-i] is f[n-2-i] one sample later: the rows of the new state are the old ones, shifted by one.
         rows = np.delete(whole, MOVES + known, axis=0)
         reads = np.zeros((size - 1, gains.shape[1]))
         reads[-STATES:] = gains

@@ -1,7 +1,7 @@
-"""One device channel over one sample period, exactly: the real mass, moved by the hold from sample to sample.
+"""Exact motion of one device channel over one sample period: the real mass, moved by the hold.
 
-Lengths in metres, times in sample periods, forces as T²/m f. All of it is written as changes, so that slow motions keep
-their digits. By the matrix exponential.
+Lengths in metres, times in sample periods, forces as T²/m f. Everything is written as changes, so that slow motions
+keep their digits. The method is the matrix exponential.
 """
 
 from __future__ import annotations
@@ -16,26 +16,23 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.interface import SAMPLINGS, hold_segments, whole_and_fraction
 from hapsim.theory.schemes import exactly
 
-# What is added to position and velocity; the position's integral beyond its beginning; the force; and the beginning.
+# Changes of position and velocity; integral of the change of position; the force and its slope; the initial values.
 POSITION, VELOCITY, TRAVEL, FORCE, SLOPE, FIRST_POSITION, FIRST_VELOCITY = range(7)
 SHORTEST = 1e-12  # sample periods
 BEGIN = np.eye(2)
 
 
 class DeviceStep(NamedTuple):
-    """What one sample period makes of a channel: rows (4) from the position and velocity before, ``motion`` (4, 2), and
-    from the computed forces, ``forces`` (4, ages), by their age in whole samples, the newest first.
-
-    The rows: what is added to position and velocity; by how much the new position is ahead of its reading; and the
-    velocity that is read.
-    """
+    """One sample period of a channel: ``motion`` (4, 2) multiplies the position and velocity before, ``forces`` (4,
+    ages) the computed forces by their age in whole samples, newest first. The four rows: change of position, change of
+    velocity, lead of the new position over its reading, velocity as read."""
 
     motion: Floats
     forces: Floats
 
     @property
     def moves(self) -> tuple[Floats, Floats]:
-        """(4, 2) and (4, ages): the new position and velocity, and the readings of them."""
+        """New position and velocity and their readings: (4, 2) and (4, ages)."""
         motion, forces = self.motion.copy(), self.forces.copy()
         motion[:2] += BEGIN
         motion[2], forces[2] = motion[0] - motion[2], forces[0] - forces[2]
@@ -44,7 +41,7 @@ class DeviceStep(NamedTuple):
 
 @lru_cache(maxsize=64)
 def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0, sampling: str = "ideal") -> DeviceStep:
-    """The step of a mass with the normalised friction b0 T/m and own spring k0 T²/m, and a delay in sample periods."""
+    """Returns the step of a mass with normalised friction b0 T/m, own spring k0 T²/m and a delay in sample periods."""
     whole, fraction = whole_and_fraction(delay)
     window = SAMPLINGS[sampling].window
     segments = hold_segments(hold, fraction)
@@ -63,7 +60,7 @@ def device_step(damping: float, delay: float, hold: str, stiffness: float = 0.0,
 
 
 def split(segments: list[Piece], at: float) -> tuple[list[Piece], list[Piece]]:
-    """The segments before ``at`` sample periods and those from there on; one that spans it is cut in two."""
+    """Splits the segments at ``at`` sample periods; a segment that spans this instant is divided."""
     before, after, begin = [], [], 0.0
     for piece in segments:
         first = at - begin
@@ -82,13 +79,13 @@ def split(segments: list[Piece], at: float) -> tuple[list[Piece], list[Piece]]:
 
 
 def ages_of(segments: list[Piece]) -> int:
-    """How many forces act in these segments of a hold."""
+    """Number of forces that act in these segments of a hold."""
     return max((len(weights) for _, *acting in segments for weights in acting), default=0)
 
 
 def through(segments: list[Piece], damping: float, stiffness: float, ages: int) -> tuple[Floats, Floats]:
-    """(2, 2) and (2, ages): what some segments of a hold add to position and velocity, from the position and velocity
-    before them and from the forces."""
+    """Changes of position and velocity over segments of a hold, from the position and velocity before, (2, 2), and from
+    the forces, (2, ages)."""
     moved = _moved(_at_begin(ages), segments, damping, stiffness)
     return moved[:2, :2], moved[:2, 2:]
 
@@ -100,7 +97,8 @@ def _at_begin(ages: int) -> Floats:
 
 
 def _moved(begin: Floats, segments: list[Piece], damping: float, stiffness: float) -> Floats:
-    """The mass, with friction and spring, after some segments of a hold, whose force grows evenly in each."""
+    """Returns the state of the mass, with friction and spring, after segments of a hold; the force is linear in
+    each."""
     rate = np.zeros((7, 7))
     rate[POSITION, [VELOCITY, FIRST_VELOCITY]] = rate[VELOCITY, FORCE] = rate[TRAVEL, POSITION] = 1.0
     rate[FORCE, SLOPE] = 1.0
@@ -112,6 +110,6 @@ def _moved(begin: Floats, segments: list[Piece], damping: float, stiffness: floa
         moved[[FORCE, SLOPE]] = 0.0
         moved[FORCE, 2 : 2 + len(level)] = level
         moved[SLOPE, 2 : 2 + len(slope)] = slope
-        with np.errstate(over="ignore", invalid="ignore"):  # infinite for a swing much faster than the period
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite for an oscillation much faster than the period
             moved += exactly(duration * rate, moved, 0.0 * moved)
     return moved

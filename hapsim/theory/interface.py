@@ -1,8 +1,8 @@
-"""Between a motion and the computer: the samplings, holds and dampers, by the names that a scene file uses, and delays.
+"""Interface of motion and computer: samplings, holds and dampers by the names in a scene file, and delays.
 
-A new sampling is an entry in `SAMPLINGS`, and its window in the mock. Holds are declared in `hapsim/holds.py`, dampers
-in `hapsim/dampers.py`: what is here follows from their transfer functions. The loop reads a sampling's window
-(``device_step.py``), an impedance its transfer function. That the two agree is a test of both.
+A new sampling is an entry in `SAMPLINGS`, and a window in the mock. Holds are declared in `hapsim/holds.py`, dampers in
+`hapsim/dampers.py`; this module derives the rest from their transfer functions. The loop uses a sampling's window
+(``device_step.py``), an impedance its transfer function. A test compares the two.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from hapsim.theory.arrays import Complexes, Floats
 
 
 def whole_and_fraction(delay: float) -> tuple[int, float]:
-    """A delay in sample periods as whole samples and the fraction of one, 0 <= fraction < 1."""
+    """Whole samples and the fraction of one, 0 <= fraction < 1, of a delay in sample periods."""
     whole = math.floor(delay)
     return whole, delay - whole
 
 
 class Sampling(NamedTuple):
-    """How a motion becomes a number.
+    """Sampling of a motion.
 
     Attributes:
         terms: of the transfer function from the position to the reading.
-        window: sample periods, 0 to 1, that end with the sample, over which the reading is the mean; 0 where the
-            position is read at the sample.
+        window: the reading is the mean position over this part (0 to 1) of the sample period before the sample; 0: it
+            is the position at the sample.
     """
 
     terms: tuple[Term, ...]
@@ -38,15 +38,14 @@ class Sampling(NamedTuple):
 
     @property
     def lag(self) -> float:
-        """Its mean delay in sample periods."""
+        """Mean delay in sample periods."""
         return 0.5 * self.window
 
 
 SAMPLINGS: dict[str, Sampling] = {
     # The computer reads the position at the instant of the sample.
     "ideal": Sampling(terms=(Term(1.0, 0.0, 0),), window=0.0),
-    # It reads the mean position over the sample period that has just ended: the paper's "1 sample integrator at input"
-    # (Florens et al., §6.2).
+    # It reads the mean position over the last sample period: "1 sample integrator at input" (Florens et al., §6.2).
     "average": Sampling(terms=(Term(1.0, 0.0, 1), Term(-1.0, 1.0, 1)), window=1.0),
 }
 
@@ -54,7 +53,7 @@ ROUNDING = 1e-12  # sample periods
 
 
 def hold_lag(hold: str) -> float:
-    """The mean delay of a hold in sample periods: how much later a slow motion meets its force."""
+    """Mean delay of a hold, in sample periods, for a slow motion."""
     return -math.fsum(
         weight * (-lag) ** (integrations + 1) / math.factorial(integrations + 1)
         for weight, lag, integrations in HOLDS[hold].terms
@@ -62,10 +61,8 @@ def hold_lag(hold: str) -> float:
 
 
 def hold_segments(hold: str, fraction: float) -> list[Piece]:
-    """One sample period of a hold in time, worked out from its transfer function.
-
-    A new force acts from ``fraction`` of the period on, 0 <= fraction < 1. The durations add up to 1.
-    """
+    """One sample period of a hold in time, computed from its transfer function. A new force acts from ``fraction`` of
+    the period on, 0 <= fraction < 1. The durations add up to 1."""
     terms = HOLDS[hold].terms
     ends = [0.0, 1.0]
     for change in (fraction, *((fraction + term.lag) % 1.0 for term in terms)):
@@ -77,14 +74,15 @@ def hold_segments(hold: str, fraction: float) -> list[Piece]:
     for begin, end in itertools.pairwise(ends):
         weights = [[_weight(terms, order, begin, start) for start in starts] for order in range(3)]
         for of_ages in weights:
-            while of_ages and abs(of_ages[-1]) < ROUNDING:  # nothing is written of forces that are over
+            while of_ages and abs(of_ages[-1]) < ROUNDING:  # forces that have ended are omitted
                 of_ages.pop()
         found.append(Piece(end - begin, *map(tuple, weights)))
     return found
 
 
 def _weight(terms: tuple[Term, ...], order: int, time: float, start: float) -> float:
-    """What one force that acts from ``start`` on contributes at ``time``: its impulse, level or slope, by ``order``."""
+    """Contribution at ``time`` of a force that acts from ``start`` on: an impulse, level or slope (``order`` 0, 1,
+    2)."""
     weight = 0.0
     for term in terms:
         since = time - (start + term.lag)
@@ -97,7 +95,7 @@ def _weight(terms: tuple[Term, ...], order: int, time: float, start: float) -> f
 
 
 def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:
-    """The damper of this name. ``cutoff`` and ``rate``: Hz; a filter needs its cutoff, and nothing else has one.
+    """Returns the damper of this name. ``cutoff`` and ``rate``: Hz; only a filter has a cutoff, and needs it.
 
     Raises:
         ValueError: the name is unknown, or the cutoff is missing, superfluous or not above zero.
@@ -114,36 +112,35 @@ def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:
 
 
 def damper_answer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
-    """v/y of the damper's recurrence; its weights of positions add up to zero, which leaves a factor 1 - 1/z = w/z."""
+    """Transfer function v/y of a damper; its weights of positions add up to zero, which gives a factor 1 - 1/z =
+    w/z."""
     from_positions = np.polyval(np.cumsum(damper.of_positions)[-2::-1], 1.0 / z)
     return w / z * from_positions / (1.0 - np.polyval([*damper.of_velocities[::-1], 0.0], 1.0 / z))
 
 
 def late_and_held(theta: Floats, delay: float, hold: str, sampling: str) -> Complexes:
-    """What delay, hold and sampling make of a force that swings with theta radians per sample: its fundamental."""
+    """Factor of delay, hold and sampling for a force that oscillates at theta radians per sample: its fundamental."""
     through = _through(HOLDS[hold].terms, theta) * _through(SAMPLINGS[sampling].terms, theta)
     return np.asarray(through * np.exp(-1j * delay * theta))
 
 
 def damper_gain(damper: DamperModel, theta: Floats) -> Complexes:
-    """The damper's velocity over the true one at theta: 1 where it is what it should be."""
+    """Ratio of the damper's velocity to the true one at theta; 1: exact."""
     if damper.senses:
         return np.ones_like(theta, dtype=complex)
     return np.asarray(velocity_read(damper, theta) / (1j * theta))
 
 
 def velocity_read(damper: DamperModel, theta: Floats) -> Complexes:
-    """What the damper makes of positions, in metres per sample, over the position, at z = exp(j theta)."""
-    w = 2j * np.sin(0.5 * theta) * np.exp(0.5j * theta)  # z - 1, to all its digits
+    """Transfer function of a damper from position to velocity, in metres per sample, at z = exp(j theta)."""
+    w = 2j * np.sin(0.5 * theta) * np.exp(0.5j * theta)  # z - 1, without loss of digits
     return damper_answer(damper, np.exp(1j * theta), w)
 
 
 def _through(terms: tuple[Term, ...], theta: Floats) -> Complexes:
-    """A transfer function at s = j theta, theta not 0.
-
-    All that the terms have of 1/s, 1/s², … cancels between them. So each is taken without it: exp(-lag s)/s^p less the
-    first p powers is (-lag)^p times the remainder of the exponential series, which has all its digits at small theta.
-    """
+    """Transfer function at s = j theta, theta not 0. The powers 1/s, 1/s², … of the terms cancel in the sum, so each
+    term is computed without them: exp(-lag s)/s^p without its first p powers is (-lag)^p times the remainder of the
+    exponential series. This keeps all digits at small theta."""
     through = np.zeros(theta.shape, complex)
     for weight, lag, power in terms:
         through += weight * (-lag) ** power * _remainder(power, -1j * lag * theta)
@@ -151,7 +148,7 @@ def _through(terms: tuple[Term, ...], theta: Floats) -> Complexes:
 
 
 def _remainder(power: int, z: Any) -> Complexes:
-    """sum of z^k / (k + power)!: the exponential series of z from z^power on, divided by it."""
+    """Sum of z^k / (k + power)!: the exponential series of z from z^power on, divided by z^power."""
     near, series = np.where(np.abs(z) < 1.0, z, 0.0), np.zeros_like(z)
     for k in reversed(range(20)):
         series = series * near + 1.0 / math.factorial(k + power)

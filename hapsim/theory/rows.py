@@ -1,11 +1,11 @@
-"""The sample of a closed loop, written once, on rows.
+"""One sample of a closed loop on rows: the same code builds the loop's matrix and simulates it.
 
-A row says what a signal is made of, out of the numbers that the loop remembers: the position of a point, a force on its
-way, what a damper takes for a velocity. One sample of the loop on rows in place of numbers, what is remembered then
-stacked, is the matrix that takes the state at one sample to the state at the next; what a scene lacks has no rows. On
-one column of numbers it is the simulation itself. Rows are arrays, or of a large scene scipy's sparse matrices.
+A row holds the weights with which the numbers that the loop remembers make up a signal: the position of a point, a
+force that is still delayed, the velocity that a damper uses. One sample of the loop, computed on rows and stacked, is
+the matrix from the state at one sample to the state at the next. Parts that a scene lacks have no rows. On one column
+of numbers the same code is the simulation. Rows are arrays, or scipy's sparse matrices for a large scene.
 
-Everything is written as a change, state' = state + change state: the poles are 1 + the eigenvalues of the change, and
+Everything is written as a change, state' = state + change state. The poles are 1 + the eigenvalues of the change, so
 slow motions keep their digits.
 """
 
@@ -23,19 +23,19 @@ from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network.network import Network, damping_links, inner_links, is_centred, touches_channel
 from hapsim.theory.schemes import SCHEMES
 
-MOST_DENSE = 30_000  # links times points; above, a sparse matrix of their ends takes less time
+MOST_DENSE = 30_000  # links times points; above, a sparse matrix is faster
 
 Rows = Any
-"""(n, N), an array or one of scipy's sparse matrices by compressed rows."""
+"""Rows (n, N): an array or one of scipy's sparse matrices in CSR format."""
 
 
 def times(factors: NDArray[Any], rows: Rows) -> Rows:
-    """Each row multiplied by its factor."""
+    """Returns each row multiplied by its factor."""
     return factors[:, None] * rows if isinstance(rows, np.ndarray) else rows.multiply(factors[:, None]).tocsr()
 
 
 def stack(parts: Sequence[Rows]) -> Rows:
-    """One below the other."""
+    """Returns the parts stacked vertically."""
     if isinstance(parts[0], np.ndarray):
         return np.vstack(parts)
     from scipy.sparse import vstack
@@ -44,7 +44,7 @@ def stack(parts: Sequence[Rows]) -> Rows:
 
 
 def unit_rows(count: int, sparse: bool) -> Rows:
-    """Each signal one of the numbers."""
+    """Returns the rows of ``count`` signals that are the numbers themselves: the identity."""
     if not sparse:
         return np.eye(count)
     from scipy.sparse import identity
@@ -53,7 +53,7 @@ def unit_rows(count: int, sparse: bool) -> Rows:
 
 
 def spread(rows: Rows, index: Indices, count: int) -> Rows:
-    """``count`` rows, of which those at ``index`` are given and the others zero."""
+    """Returns ``count`` rows: those given at ``index``, the others zero."""
     if isinstance(rows, np.ndarray):
         out = np.zeros((count, rows.shape[1]))
         out[index] = rows
@@ -72,14 +72,14 @@ def _matrix(row: Indices, column: Indices, value: Floats, shape: tuple[int, int]
 
 
 def stretches_of(network: Network, sparse: bool) -> Rows:
-    """(L, C + M): what each link is stretched by."""
+    """Stretch of each link, (L, C + M), from the positions of channels and masses."""
     link, end = np.nonzero(network.ends >= 0)
     shape = len(network.ends), network.channel_mass.size + network.point_mass.size
     return _matrix(link, network.ends[link, end], np.array([1.0, -1.0])[end], shape, sparse)
 
 
 def cut(rows: Rows, sizes: dict[str, int]) -> dict[str, Rows]:
-    """The rows as parts of these sizes."""
+    """Splits the rows into parts of these sizes."""
     ends = np.cumsum([0, *sizes.values()]).tolist()
     return {name: rows[end - size : end] for (name, size), end in zip(sizes.items(), ends[1:], strict=True)}
 
@@ -87,10 +87,11 @@ def cut(rows: Rows, sizes: dict[str, int]) -> dict[str, Rows]:
 class Tick:
     """One step of a scene's links and masses, on rows.
 
-    ``stretches`` (L, C + M): what each link is stretched by. ``older``, ``past``: by how far they look back, the links
-    whose dampers remember a step of their stretch, and a velocity. ``rates``: of a scheme other than CORDIS's, T A of
-    the masses' positions and steps, these in ``unit``, and where links inside ask for them of the channels' positions,
-    steps and sensed velocities (``theory.schemes``). ``inside``: (L,) 1 for a link that is in them.
+    ``stretches`` (L, C + M): stretch of each link. ``older``, ``past``: lists by lag of the links whose dampers
+    remember a step of their stretch or a velocity. ``inside`` (L,): 1 for a link whose force a scheme other than
+    CORDIS's includes in its rates. ``rates``: T A of such a scheme for the masses' positions and steps (in ``unit``),
+    and also for the channels' positions, steps and sensed velocities where inner links depend on them
+    (``theory.schemes``).
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
@@ -119,8 +120,9 @@ class Tick:
             self.rates, self.unit = self._rates_inside(sparse)
 
     def forces(self, x: Rows, step: Rows, sensed: Rows, older: list[Rows], past: list[Rows]) -> tuple[Rows, Rows, Rows]:
-        """Each link's pull on its first end back to its second, N, its stretch, and the velocity of its damper, m a
-        step: of positions and steps of the points, the velocities that the device senses, and what dampers remember."""
+        """Returns each link's pull from its first end to its second, N, its stretch, and its damper's velocity, m a
+        step. ``x``, ``step``: positions and steps of the points. ``sensed``: velocities that the device senses.
+        ``older``, ``past``: memories of the dampers, by lag."""
         stretch, moved = self.stretches @ x, self.stretches @ step
         if self.senses.any():
             aside = self.stretches[:, : self._channels] @ (sensed - step[: self._channels])
@@ -135,11 +137,9 @@ class Tick:
         return times(self._network.stiffness, stretch) + times(self.damping, rate), stretch, rate
 
     def masses(self, begun: dict[str, Rows], pull: Rows, pushed: Rows, unknown: Rows | None = None) -> tuple[Rows, ...]:
-        """What is added to the masses' positions and to their steps, of the links' pulls and of what else pushes (N).
-
-        ``unknown``: of a scheme whose change is not sparse, rows that stand for it; then the third is what
-        (1 - share rates) times it is.
-        """
+        """Returns the changes of the masses' positions and steps, from the links' pulls and other forces ``pushed``
+        (N). ``unknown``: rows that stand for the change of a scheme with no sparse one. The third part is then the
+        right-hand side of (1 - share rates) unknown."""
         count, of_masses = self._masses, self.stretches[:, self._channels :].T
         if self._scheme is None:
             faster = times(self._unit_force, pushed - of_masses @ pull)
@@ -156,19 +156,20 @@ class Tick:
         return unknown[:count], unknown[count : 2 * count] * self.unit, self.rates @ z + held
 
     def _sensed(self, begun: dict[str, Rows]) -> Rows:
-        """(C, .) the velocities that the device senses, m a step."""
+        """Sensed velocities of the channels, (C, .), m a step."""
         sensed = begun["sensed"] + begun["speeding"] if "speeding" in begun else begun["sensed"]
         return spread(sensed / self._network.substeps, sensed_channels(self._network), self._channels)
 
     def seen(self, begun: dict[str, Rows]) -> tuple[Rows, Rows, Rows]:
-        """What ``forces`` says as the hands have arrived."""
+        """Returns what ``forces`` returns, at the instant when the hands have arrived."""
         x, step = stack([begun["hand"] + begun["gain"], begun["mass"]]), stack([begun["gain"], begun["mass_step"]])
         older, past = _by_lag(begun["older"], self.older), _by_lag(begun["past"], self.past)
         return self.forces(x, step, self._sensed(begun), older, past)
 
     def step(self, begun: dict[str, Rows], pushed: Rows | None = None, unknown: Rows | None = None) -> dict[str, Rows]:
-        """What a step adds to each part of what it moves (``Sample``): the hands arrive, the links pull, the masses
-        move. ``pushed``: N, on the masses. ``unknown``: as of ``masses``; then with its equation, "unknown"."""
+        """Returns the change that a step makes in each part of ``begun``: hands arrive, links pull, masses move.
+        ``pushed``: other forces on the masses, N. ``unknown``: as in ``masses``; its equation is then the part
+        "unknown"."""
         network, gain, still = self._network, begun["gain"], 0.0 * begun["sensed"]
         pull, _, rate = self.seen(begun)
         force = -(self.stretches[:, : self._channels].T @ pull)
@@ -189,8 +190,8 @@ class Tick:
         return {name: out[name] for name in begun} | ({} if unknown is None else {"unknown": equation[0]})
 
     def _rates_inside(self, sparse: bool) -> tuple[Rows, float]:
-        """The rates (N, N), and about the radians that the fastest motion turns in a step: in this unit of the steps no
-        part of the rates dwarfs the others."""
+        """Returns the rates (N, N) and the unit of the steps: about the radians that the fastest motion turns in a
+        step. In this unit no part of the rates dwarfs the others."""
         count, channels, inside = self._masses, self._channels, self.inside
         of_masses, stiffness = self.stretches[:, channels:].T, inside * self._network.stiffness
         ends = np.asarray(abs(self.stretches).sum(axis=1)).ravel()
@@ -212,7 +213,7 @@ class Tick:
 
 @lru_cache(64)
 def of_steps(damper: DamperModel) -> tuple[float, ...]:
-    """The weights of y[n] - y[n-1], y[n-1] - y[n-2], ...: those of positions add up to 0."""
+    """Weights of y[n] - y[n-1], y[n-1] - y[n-2], ... in a damper whose weights of positions add up to 0."""
     return tuple(np.cumsum(damper.of_positions)[:-1].tolist())
 
 
@@ -228,7 +229,7 @@ def _by_lag(rows: Rows, lists: list[Indices]) -> list[Rows]:
 
 
 def _shifted(new: Rows, lists: list[Indices], before: Rows) -> Rows:
-    """What is added to what is remembered (by lag), as each moves one further back."""
+    """Returns the change of the memories (by lag) when each moves one step further back."""
     if not lists:
         return before
     memories = _by_lag(before, lists)
@@ -237,7 +238,7 @@ def _shifted(new: Rows, lists: list[Indices], before: Rows) -> Rows:
 
 
 def sensed_channels(network: Network) -> Indices:
-    """The channels whose velocity a link takes as the device senses it."""
+    """Numbers of the channels whose sensed velocity a link uses."""
     links = [link for link in damping_links(network).tolist() if network.damper[link].senses]
     ends = network.ends[links]
     return np.unique(ends[(ends >= 0) & (ends < network.channel_mass.size)])

@@ -1,4 +1,4 @@
-"""A sample of a whole loop, on rows (``rows.py``), and what it adds to the state: the loop's change."""
+"""One sample of a whole loop, on rows (``rows.py``): the change that it makes in the state."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from hapsim.theory.interface import SAMPLINGS
 from hapsim.theory.network.network import Network, damping_links
 from hapsim.theory.rows import Rows, Tick, cut, of_steps, sensed_channels, stack, times, unit_rows
 
-LARGE = 1000  # numbers in the state; above, eigenvalues of the whole matrix take longer than a user waits
+LARGE = 1000  # numbers in the state; above, the eigenvalues of the whole matrix take too long
 
 
 class Sample:
-    """A sample of the whole loop in three parts: what its steps begin with, the steps (``Tick``), and the device.
+    """One sample of the whole loop in three parts: the state at the start of its steps, the steps (``Tick``), the
+    device.
 
-    ``sizes``: of the state's parts, in metres: the channels' true positions and the masses'; the channels' velocities
-    times T; with averaged sampling by how much the positions are ahead of their readings; the last steps of these; with
-    averaged sampling the mean velocities that links sense, with substeps the last steps of what they sense; the masses'
-    steps; the forces computed for the channels, newest first and times T²/m, that a later sample still needs; and what
-    dampers remember. Nothing else is kept.
+    ``sizes``: sizes of the state's parts, in metres. They are the channels' true positions; the masses' positions; the
+    channels' velocities times T; the lead of the positions over their readings (averaged sampling); the last steps of
+    the readings; the mean velocities that links sense (averaged sampling); the last changes of the sensed velocities
+    (substeps); the masses' steps; the forces that a later sample still needs, newest first, times T²/m; and the
+    memories of the dampers. The state has no other parts.
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
@@ -46,13 +47,13 @@ class Sample:
             del self.step_sizes["speeding"]
 
     def points(self, state: dict[str, Rows]) -> Rows:
-        """(C + M): the positions as the computer has them."""
+        """Positions as the computer reads them, (C + M)."""
         read = state["position"] - state["lag"] if state["lag"].shape[0] else state["position"]
         return stack([read, state["mass"]])
 
     def begun(self, state: dict[str, Rows]) -> dict[str, Rows]:
-        """Before the first step the hands are where they were a sample ago; they, and the velocities that the device
-        senses, go on evenly to what is read now."""
+        """Returns the state before the first step: the hands at their readings of one sample ago. Over the steps, hands
+        and sensed velocities move evenly to the readings of now."""
         steps, read = self.network.substeps, self.points(state)[: len(self._motion)]
         sensed = state["mean_velocity"] if state["lag"].shape[0] else state["velocity"][self._sensed]
         out = {"hand": read - state["way"], "gain": state["way"] / steps, "sensed": sensed}
@@ -61,7 +62,8 @@ class Sample:
         return out | {name: state[name] for name in ("mass", "mass_step", "older", "past")} | {"force": 0.0 * read}
 
     def ended(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
-        """What a whole sample adds to the state, its steps ``moved``. ``pushed``: N, on the channels besides."""
+        """Returns the change of the state over a whole sample whose steps are ``moved``; ``pushed``: other forces on
+        the channels, N."""
         network, x, v = self.network, state["position"], state["velocity"]
         unit, force = 1.0 / network.channel_mass / network.rate**2, moved["force"]
         acting = times(unit, force if pushed is None else force + pushed)
@@ -91,12 +93,10 @@ class Sample:
 
 
 class Loop(NamedTuple):
-    """``change`` (n, n): what a sample adds to the state. ``points`` (C + M, n): positions as the computer has them.
-
-    Of the loop with its inputs: ``push`` (n, C + M): what a force of 1 N adds that is computed for a point (of a scene
-    whose points move once a sample; else the channels alone). ``force`` (C, n): N, computed for the channels.
-    ``stretches``, both (L, n): each link's stretch, and its damper's velocity in metres per sample period.
-    """
+    """Matrix of a loop: ``change`` (n, n), what a sample adds to the state; ``points`` (C + M, n), positions as read.
+    With inputs also ``push`` (n, C + M): the change from a force of 1 N computed for a point (for the channels alone
+    where points move several times a sample); ``force`` (C, n): forces computed for the channels, N; ``stretches``,
+    twice (L, n): each link's stretch, and its damper's velocity in metres per sample period."""
 
     change: Rows
     points: Rows
@@ -106,7 +106,7 @@ class Loop(NamedTuple):
 
 
 def sizes_of(network: Network) -> dict[str, int]:
-    """How many numbers each part of the state has, in their order (``Sample``)."""
+    """Sizes of the state's parts, in their order (``Sample``)."""
     channels, masses, sensed = network.channel_mass.size, network.point_mass.size, sensed_channels(network).size
     averaged, stepped = SAMPLINGS[network.sampling].window > 0.0, network.substeps > 1
     dampers = [network.damper[link] for link in damping_links(network).tolist()]
@@ -126,18 +126,18 @@ def sizes_of(network: Network) -> dict[str, int]:
 
 
 def state_size(network: Network) -> int:
-    """How many numbers the state has."""
+    """Count of the numbers in the state."""
     return sum(sizes_of(network).values())
 
 
 def is_large(network: Network) -> bool:
-    """Whether some of the poles are worked out in place of all."""
+    """Returns whether the scene has too many states to compute all its poles."""
     return state_size(network) > LARGE
 
 
 @np.errstate(all="ignore")  # numbers out of range become NaN
 def loop(network: Network, inputs: bool = False, sparse: bool = False) -> Loop:
-    """That of a scene that is not large; on sparse rows, of one whose points move once a sample, by CORDIS's scheme."""
+    """Loop of a scene that is not large. On sparse rows: only with CORDIS's scheme and one step a sample."""
     sample = Sample(network, sparse)
     size, points = sum(sample.sizes.values()), network.channel_mass.size + network.point_mass.size
     one = unit_rows(size + points * inputs, sparse)
@@ -157,13 +157,13 @@ def loop(network: Network, inputs: bool = False, sparse: bool = False) -> Loop:
 
 
 def step_of(sample: Sample) -> Floats:
-    """What a step adds to what it moves, an array."""
+    """Change that one step makes in what it moves, an array."""
     one = np.eye(sum(sample.step_sizes.values()))
     return stack([*sample.tick.step(cut(one, sample.step_sizes)).values()])
 
 
 def _power(step: Floats, count: int) -> Floats:
-    """(1 + step)^count - 1, from the highest bit down."""
+    """Returns (1 + step)^count - 1, computed from the highest bit down."""
     out = step
     for bit in bin(count)[3:]:
         out = 2.0 * out + out @ out
@@ -173,13 +173,13 @@ def _power(step: Floats, count: int) -> Floats:
 
 
 def transition(network: Network) -> Floats:
-    """The matrix that takes the state at one sample to the state at the next, of a scene that is not large."""
+    """Matrix from the state at one sample to the state at the next, of a scene that is not large."""
     change = loop(network).change
     return change + np.eye(len(change))
 
 
 def channel_steps(network: Network) -> list[DeviceStep]:
-    """What one sample period makes of each channel, in normalised units."""
+    """Step of each channel over one sample period, in normalised units."""
     mass, rate = network.channel_mass, network.rate
     friction = network.channel_friction / (mass * rate)
     stiffness = network.channel_stiffness / (mass * rate) / rate

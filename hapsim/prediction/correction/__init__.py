@@ -1,4 +1,4 @@
-"""What is run in place of a scene, so that the hand feels the scene: `device.correction`. Its kinds: `kind.py`."""
+"""Corrected scenes: they run in place of a scene, so that the hand feels the scene (`device.correction`; `kind.py`)."""
 
 from hapsim.prediction.correction.element import Remedies, felt_error, remedies_for, stable_masses
 from hapsim.prediction.correction.kind import CORRECTIONS, CorrectionKind

@@ -1,8 +1,8 @@
-"""The port's parameters of hands that move masses, or each other: those with which the slowest modes of the closed loop
-are the ones of the continuous scene.
+"""Parameters of the ports of hands that move masses, or each other: they place the slowest modes of the closed loop
+where the continuous scene has them.
 
-Each device point has two numbers to give, the stiffness and the damping of its links together; so one mode of its own,
-two poles, can be put where the continuous scene has it. The prediction shows what the other modes become.
+Each device point has two free numbers, the stiffness and the damping of its links together. So one mode of its own, two
+poles, can be placed where the continuous scene has it. The prediction shows the effect on the other modes.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import ContinuousMode, continuous_modes, poles_of, state_size
 
 MOST_STATES = 200
-"""Of a larger scene the modes are not searched: the neighbours of its hands are taken to stand still."""
+"""Limit of the search for modes; in a larger scene the neighbours of its hands count as fixed."""
 
-_MOVES = 0.05  # the hand's share of a mode's kinetic energy, from which it is one of the hand's
-_ON_THE_CIRCLE = 1e-7  # where a scene with something free has two poles, as rounding leaves them
-_AT_REST = 1e-6  # of the fastest root: a motion that no force brings back, as rounding leaves it
-_LEAST, _MOST = 1e-3, 10.0  # times what the scene has, between which the nearest is searched
+_MOVES = 0.05  # share of the hand in a mode's kinetic energy, above which the mode is one of the hand's
+_ON_THE_CIRCLE = 1e-7  # rounding of the two poles of a free motion
+_AT_REST = 1e-6  # of the fastest root: rounding of a motion without a restoring force
+_LEAST, _MOST = 1e-3, 10.0  # times the scene's values: range of the search for the nearest
 _SOLVED = 1e-9  # of the distance of the poles from z = 1
 
 
 Matched = tuple[list[tuple[float, float]], bool]
-"""(K, B) for each port in N/m and N·s/m, and whether they put the modes in place, or only near it."""
+"""Parameters (K, B) for each port in N/m and N·s/m, and whether they place the modes exactly."""
 
 
 def is_small(scene: Scene) -> bool:
-    """Whether the modes of this scene are searched."""
+    """Returns whether the modes of this scene are searched."""
     return state_size(_network(scene)) <= MOST_STATES
 
 
 def is_stable(scene: Scene) -> bool:
-    """Whether every motion of the scene dies out or stays as it is."""
+    """Returns whether every motion of the scene decays or stays constant."""
     return _is_stable(poles_of(_network(scene)))
 
 
@@ -55,11 +55,9 @@ def match_modes(
     damper: DamperScheme | None,
     starts: Sequence[Sequence[tuple[float, float]]],
 ) -> Matched | None:
-    """The elements of the ports, or the nearest; None where no mode is a hand's own, or nothing near is stable.
-
-    ``desired``: as it is written. ``as_seen``: the same, with the device as the loop sees it under the correction.
-    ``starts``: elements from which to search.
-    """
+    """Returns the elements of the ports, or the nearest; None if no mode is a hand's own, or none near is stable.
+    ``desired``: the scene as written. ``as_seen``: the same, with the device as the loop sees it under the correction.
+    ``starts``: elements from which to search."""
     network, names = network_of(desired, linear_scene(desired))
     pairs = _targets(continuous_modes(network), [names.index(port.name) for port in ports], desired.rate)
     if len(pairs) < len(ports):
@@ -99,8 +97,8 @@ def _is_stable(poles: Complexes) -> bool:
 
 
 def _targets(modes: list[ContinuousMode], hands: Sequence[int], rate: float) -> list[tuple[complex, complex]]:
-    """Two poles in the z-plane for each hand: of the slowest mode that moves it and is no other's; of real roots, the
-    two slowest. What moves all together, held by nothing, is no mode that a link changes."""
+    """Target poles in the z-plane, two for each hand: those of the slowest mode that moves it and is no other's; of
+    real roots, the two slowest. A free motion of all points together is no mode that a link changes."""
     still = _AT_REST * max((abs(mode.root) for mode in modes), default=0.0)
     pairs, left = [], [mode for mode in modes if abs(mode.root) > still]
     for hand in hands:
@@ -117,7 +115,7 @@ def _targets(modes: list[ContinuousMode], hands: Sequence[int], rate: float) -> 
 
 
 def _nearest_pairs(poles: Complexes, pairs: Sequence[tuple[complex, complex]]) -> Floats:
-    """(ports, 2): sum and product of the poles nearest to each pair."""
+    """Sum and product of the poles nearest to each pair, (ports, 2)."""
     found, left = [], poles
     for pair in pairs:
         nearest = []
@@ -130,6 +128,6 @@ def _nearest_pairs(poles: Complexes, pairs: Sequence[tuple[complex, complex]]) -
 
 
 def _sum_and_product(pair: tuple[complex, complex]) -> tuple[float, float]:
-    """Of two poles, from z = 1: so that slow ones keep their digits."""
+    """Sum and product of the distances of two poles from z = 1, in which slow ones keep their digits."""
     one, other = 1.0 - pair[0], 1.0 - pair[1]
     return (one + other).real, (one * other).real

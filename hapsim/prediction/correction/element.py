@@ -1,4 +1,4 @@
-"""The simulated (K, B) of a hand whose links all end on grounds: what is felt as desired, or comes nearest to it.
+"""Simulated (K, B) of a hand whose links all end on grounds: it feels as desired, or comes nearest to it.
 
 An adaptive correction has one for each mass of a span. That of a heavy hand is strong: when the hand releases a light
 device, it may be unstable before any estimate can follow. So only forces are used that are stable for every mass in the
@@ -29,21 +29,18 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.correction import PredictedLoop
 
 LEAST_DAMPING = 0.1
-"""An error of b counts against b, or against this part of the critical damping's half where b is smaller."""
+"""Least scale of an error of b, as a part of half the critical damping; above it, b itself is the scale."""
 
 _UNSTABLE, _NO_EQUIVALENT = 1e6, 1e3  # costs above every error that counts
 _GRID, _LEAST_GRID, _ZOOMS, _KEPT = 41, 9, 7, 0.15
-_WORK = 3e4  # points of a grid, times loops, times the cube of a sixth of the poles: fewer where the delay is long
-_MASSES = 5  # of a span, at which the worst error is looked for
+_WORK = 3e4  # points of a grid, times loops, times the cube of a sixth of the poles: fewer if the delay is long
+_MASSES = 5  # of a span, at which the worst error is computed
 _AT_THE_LIMIT = 1e-9
 
 
 class Element(NamedTuple):
-    """What is simulated in place of a (K, B): N/m and N·s/m.
-
-    ``made_for``: the mass in kg that a predictor assumes. ``reached``: whether the hand feels what is desired, with any
-    mass of its span. ``observer``: of a predictor.
-    """
+    """Simulated element in place of a (K, B): N/m and N·s/m. ``made_for``: the mass in kg that a predictor assumes.
+    ``reached``: whether the hand feels the desired k and b, with any mass of its span. ``observer``: of a predictor."""
 
     stiffness: float
     damping: float
@@ -52,16 +49,14 @@ class Element(NamedTuple):
     observer: Observer = Observer()
 
 
-@lru_cache(1024)  # what is run, predicted and warned of a scene asks for the same ones
+@lru_cache(1024)  # run, prediction and warnings of a scene need the same ones
 def element_for(
     kind: CorrectionKind, declared: Configuration, span: tuple[float, float], desired: tuple[float, float]
 ) -> Element:
-    """The element that is felt as ``desired`` (k in N/m, b in N·s/m, what is real included), or nearest to it.
-
-    ``declared``: the device, its delay and damper included. ``span``: the least and the most mass in kg; over a span
-    the worst error is minimised, and a predictor is made for the least mass: one that takes the hand for heavier than
-    it is loses its stability first.
-    """
+    """Returns the element that feels like ``desired`` (k in N/m, b in N·s/m, real parts included), or nearest to it.
+    ``declared``: the device, its delay and damper included. ``span``: the least and the most mass in kg. Over a span
+    the worst error is minimised, and a predictor is made for the least mass: one that assumes a heavier hand than the
+    real one loses its stability first."""
     least, most = span
     spring = desired[0] - declared.stiffness
     model = replace(declared, mass=least if kind.predicts and least < most else declared.mass)
@@ -82,11 +77,8 @@ def element_for(
 def felt_error(
     felt: tuple[Floats, Floats], desired: tuple[float | Floats, float | Floats], mass: float | Floats
 ) -> Floats:
-    """The larger of the relative errors of the felt k and b; infinite where none is felt.
-
-    That of b is relative to the desired b or to 0.1 sqrt(k m), whichever is larger; that of k, where none is desired,
-    to b²/m.
-    """
+    """Returns the larger of the relative errors of the felt k and b; infinite if none is felt. That of b is relative to
+    the desired b or to 0.1 sqrt(k m), whichever is larger; that of k, if none is desired, to b²/m."""
     (k, b), (k_wanted, b_wanted) = felt, desired
     critical = np.sqrt(np.abs(k_wanted) * mass)
     with np.errstate(all="ignore"):
@@ -99,7 +91,7 @@ def felt_error(
 def _nearest(
     loops: Sequence[ClosedLoop], masses: Sequence[float], declared: Configuration, desired: tuple[float, float]
 ) -> tuple[float, float]:
-    """(K, B), searched on grids, each finer than the one before, around the best."""
+    """Returns (K, B), searched on grids around the best, each finer than the one before."""
     k, b = desired
     most_K = min(2.0 * max(k, 0.0), 4.0 * declared.stiffness_unit)
     most_B = min(4.0 * max(b, math.sqrt(max(k, 0.0) * declared.mass)), 2.0 * declared.damping_unit)
@@ -121,7 +113,7 @@ def _nearest(
 
 
 def _cost(loop: ClosedLoop, K: Floats, B: Floats, desired: tuple[float, float], mass: float) -> Floats:
-    """The error; a loop without an equivalent costs more than any that has one, an unstable one more than any."""
+    """Returns the error; a loop without an equivalent costs more than any with one, an unstable one more than any."""
     radius = np.abs(loop.poles(K, B)[..., 0])
     cost = _UNSTABLE * radius
     stable = radius <= 1.0 + _AT_THE_LIMIT
@@ -138,12 +130,10 @@ _ON_THE_CIRCLE = 1e-9
 
 
 class Remedies(NamedTuple):
-    """What would make the desired (k, b) felt, everything else as it is; None where that alone does not.
-
-    ``rate_hz``: the least rate; the delay keeps its number of samples, and so becomes shorter. ``delay_samples``: the
-    longest delay. ``friction``: the least real friction in N·s/m, which takes its part of the desired damping.
-    ``predictor``: whether correction: predictor does it.
-    """
+    """Changes that would make the desired (k, b) felt, each by itself; None if it does not. ``rate_hz``: the least
+    rate; the delay keeps its number of samples, and so becomes shorter. ``delay_samples``: the longest delay.
+    ``friction``: the least real friction in N·s/m, which supplies part of the desired damping. ``predictor``: whether
+    correction: predictor achieves it."""
 
     rate_hz: float | None
     delay_samples: float | None
@@ -152,7 +142,7 @@ class Remedies(NamedTuple):
 
 
 def remedies_for(kind: CorrectionKind, declared: Configuration, desired: tuple[float, float]) -> Remedies:
-    """For the device as declared, and (k, b) in N/m and N·s/m, what is real included."""
+    """Returns the remedies for the declared device, and (k, b) in N/m and N·s/m, real parts included."""
 
     def is_had(configuration: Configuration, of: CorrectionKind = kind) -> bool:
         return bool(np.isfinite(of.seen_by_theory(configuration).simulated(*desired)).all())
@@ -172,8 +162,8 @@ def remedies_for(kind: CorrectionKind, declared: Configuration, desired: tuple[f
 def stable_masses(
     loop_of: Callable[[Configuration], ClosedLoop], made_for: Configuration, element: tuple[float, float]
 ) -> tuple[float, float]:
-    """The least and the most mass in kg, around the one that an element (K, B) is made for, at which the loop of a
-    configuration is stable: 0 and infinity where it is down, or up, to thirty times. NaN where it is at none."""
+    """Returns the least and greatest mass in kg, around the one that an element (K, B) is made for, at which the loop
+    of a configuration is stable. 0 and infinity beyond thirty times to either side. NaN if it is stable at none."""
 
     def is_stable(mass: float) -> bool:
         poles = loop_of(replace(made_for, mass=mass)).poles(*element)
@@ -190,7 +180,7 @@ def stable_masses(
 
 
 def _least(holds: Callable[[float], bool], start: float, stop: float) -> float | None:
-    """Where, from the start to the stop, it begins to hold; None where it does not at the stop."""
+    """Returns the first number from start to stop at which the condition holds; None if it does not at the stop."""
     if not stop > start or not holds(stop):
         return None
     return _boundary(holds, start, stop, lambda one, other: 0.5 * (one + other))
@@ -199,7 +189,8 @@ def _least(holds: Callable[[float], bool], start: float, stop: float) -> float |
 def _boundary(
     holds: Callable[[float], bool], bad: float, good: float, middle: Callable[[float, float], float]
 ) -> float:
-    """The end of what holds between two numbers, by bisection; the good one where both are the same."""
+    """Returns the end of the range between two numbers in which the condition holds, by bisection; the good one if both
+    are the same."""
     for _ in range(_HALVINGS if bad != good else 0):
         between = middle(bad, good)
         bad, good = (bad, between) if holds(between) else (between, good)
@@ -211,16 +202,16 @@ _SPAN_TRIED = 9  # masses of the span at which each row has to be stable
 
 
 class Schedule(NamedTuple):
-    """What is simulated for each of ROWS masses, kg, from the least to the most in equal ratios."""
+    """Elements for each of ROWS masses, kg, from the least to the most in equal ratios."""
 
     masses: Floats
     elements: tuple[Element, ...]
-    """Those above ``safe`` are the one for it."""
+    """Elements; those above ``safe`` are the one for it."""
     safe: float
-    """kg: the greatest mass whose element is stable for every mass in the span."""
+    """Greatest mass whose element is stable for every mass in the span, kg."""
 
     def settled(self, mass: float) -> Element:
-        """What is simulated once the estimate is this mass, in kg: between two of the elements."""
+        """Returns the element once the estimate is this mass, in kg, interpolated between two of the elements."""
         made_for = min(mass, self.safe)
         at = np.log(made_for / self.masses[0])
         logs = np.log(self.masses / self.masses[0])
@@ -238,12 +229,10 @@ def schedule_for(
     touched: Sequence[tuple[float, float]] = (),
     observed: Callable[[Configuration, Element], Observer] | None = None,
 ) -> Schedule:
-    """The schedule with which a hand of any mass of the span feels ``desired`` (k in N/m, b in N·s/m).
-
-    Where even the element of the least mass is not stable for all: the one that `element_for` finds for the span.
-    ``touched``: (K, B) of contacts, each of which has to leave an element stable. ``observed``: makes the observer that
-    an element has in place of its own.
-    """
+    """Returns the schedule with which a hand of any mass of the span feels ``desired`` (k in N/m, b in N·s/m). If even
+    the element of the least mass is not stable for all: the one that `element_for` finds for the span. ``touched``: (K,
+    B) of contacts, each of which has to leave an element stable. ``observed``: makes the observer of an element in
+    place of its own."""
     masses = np.geomspace(*span, ROWS)
     trues = tuple(replace(declared, mass=mass) for mass in np.geomspace(*span, _SPAN_TRIED).tolist())
     found: list[Element] = []

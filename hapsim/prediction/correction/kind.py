@@ -1,14 +1,13 @@
-"""The kinds of correction (`CORRECTIONS`), and the links of a device point that they act on (`Port`).
+"""Kinds of correction (`CORRECTIONS`), and the links of a device point that they act on (`Port`).
 
 `poles` gives the links at the device the (K, B) whose felt (k, b) is the desired one, by the closed form of the paper's
-Figure 4 (Florens et al., §5 and §6); nothing is added to the loop.
+Figure 4 (Florens et al., §5 and §6); the loop has no further parts.
 
-`predictor` lets them answer the state that the mass will have when their force acts. The loop of a mass that is the
-declared one is then that of a device without delay which senses its velocity (Florens et al., §6.3, ask for the sensor;
-``theory/correction.py`` says what takes its place): both of its poles can be placed wherever a mass may swing below
-half the rate.
+`predictor` lets them answer the state that the mass will have when their force acts. For the declared mass the loop is
+then that of a device without delay that senses its velocity. Florens et al., §6.3, ask for this sensor;
+``theory/correction.py`` describes its substitute. Both poles can be placed anywhere below half the rate.
 
-`adaptive` is the predictor for the mass of the temporary hybrid system that is estimated while it runs (`Schedule` in
+`adaptive` is the predictor for a mass that is estimated while the temporary hybrid system runs (`Schedule` in
 ``element.py``; ``loop/adaptive.py`` estimates).
 """
 
@@ -32,42 +31,42 @@ from hapsim.theory.correction import SLOWEST, PredictedLoop, StatePredictor, sta
 
 
 class ClosedLoop(Protocol):
-    """A hand on a spring and damper, whose mass may differ from what the correction was made for."""
+    """Hand on a spring and damper, whose mass may differ from the one that the correction was made for."""
 
     def poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
-        """(..., N) in the z-plane, by decreasing modulus."""
+        """Poles (..., N) in the z-plane, by decreasing modulus."""
 
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
-        """The (k, b) that it feels, N/m and N·s/m; NaN where none is equivalent."""
+        """Felt (k, b), N/m and N·s/m; NaN if none is equivalent."""
 
 
 class Observer(NamedTuple):
-    """How a predictor follows the hand that pushes, and what it makes of the push."""
+    """Parameters with which a predictor observes the push of the hand and answers it."""
 
     pole: float = SLOWEST
-    """Of ``state_predictor``."""
+    """Pole of ``state_predictor``."""
     compliance: float = 0.0
-    """m/N: by so much of the push the scene sees the device further."""
+    """Compliance, m/N: for the scene, the device is further by this times the push."""
     static: float | Floats | None = None
-    """N/m: in place of the compliance, the stiffness that a steady push is to meet, whatever (K, B) are simulated."""
+    """Stiffness for a steady push in place of the compliance, N/m, for any simulated (K, B)."""
     senses: bool = False
-    """Whether it reads velocities."""
+    """True if the observer reads velocities."""
 
 
 class CorrectionKind(NamedTuple):
-    """One of ``device.correction``."""
+    """Kind of ``device.correction``."""
 
     name: str
     with_damper: DamperScheme | None
-    """Where the dampers at the device take their velocity from; None: as the scene says."""
+    """Source of the dampers' velocity at the device; None: as in the scene."""
     predicts: bool
-    """Whether the loop hands the scene the state in which the mass will meet the force."""
+    """True if the loop gives the scene the state in which the mass will receive the force."""
     adapts: bool
-    """Whether what the force is made of follows an estimate of the mass."""
+    """True if the elements follow an estimate of the mass."""
     seen_by_theory: Callable[[Configuration], Configuration]
-    """The configuration whose poles the loop has where the declared mass is the true one."""
+    """Configuration with the loop's poles if the declared mass is the true one."""
     closed: Callable[[Configuration, Configuration, Observer], ClosedLoop]
-    """The loop of a true configuration, the first, with a correction that was made for another, the second."""
+    """Loop of a true configuration, the first, with a correction that was made for another, the second."""
 
 
 LINEAR = (ViscoElastic, Spring, Damper)
@@ -75,28 +74,28 @@ LINEAR = (ViscoElastic, Spring, Damper)
 
 
 class Port(NamedTuple):
-    """A device point, and the links that end there."""
+    """Device point, and the links that end there."""
 
     name: str
     channel: int
     linear: dict[str, ViscoElastic]
     contacts: dict[str, Buffer]
     others: tuple[str, ...]
-    """Links that are left as they are."""
+    """Links that are not corrected."""
 
     @property
     def stiffness(self) -> float:
-        """K of the linear links together, N/m."""
+        """Total K of the linear links, N/m."""
         return math.fsum(link.stiffness for link in self.linear.values())
 
     @property
     def damping(self) -> float:
-        """B of the linear links together, N·s/m."""
+        """Total B of the linear links, N·s/m."""
         return math.fsum(link.damping for link in self.linear.values())
 
 
 def ports_of(scene: Scene) -> list[Port]:
-    """Every device point that a link ends on. A link between two hands is taken with the first of them."""
+    """Returns every device point with a link. A link between two hands belongs to the first of them."""
     taken: set[str] = set()
     ports = []
     for name, point in scene.device_points.items():
@@ -111,7 +110,7 @@ def ports_of(scene: Scene) -> list[Port]:
 
 
 def as_viscoelastic(link: Link) -> ViscoElastic:
-    """A linear link as a spring and a damper, one of which may be nothing."""
+    """Returns a linear link as a spring and a damper, one of which may be zero."""
     if isinstance(link, ViscoElastic):
         return link
     stiffness = link.stiffness if isinstance(link, Spring) else 0.0
@@ -120,8 +119,8 @@ def as_viscoelastic(link: Link) -> ViscoElastic:
 
 
 def shared_out(port: Port, stiffness: float, damping: float, damper: DamperScheme | None) -> dict[str, ViscoElastic]:
-    """The linear links of the port with the sums K and B (N/m, N·s/m), each with the share that it has of the scene's:
-    of a stiffness or damping that none of them has, the share that it has of the other."""
+    """Returns the linear links of the port with the sums K and B (N/m, N·s/m), each with its share of the scene's. If
+    no link has a stiffness (or damping), the shares are those of the other quantity."""
     updates = {}
     for name, link in port.linear.items():
         of_stiffness = _share(link.stiffness, port.stiffness, link.damping, port.damping, len(port.linear))
@@ -129,12 +128,12 @@ def shared_out(port: Port, stiffness: float, damping: float, damper: DamperSchem
         values: dict[str, object] = {"stiffness": stiffness * of_stiffness, "damping": damping * of_damping}
         if damper is not None:
             values |= {"damper": damper, "cutoff": None}
-        updates[name] = link.model_copy(update=values)  # not validated: a simulated part may well be negative
+        updates[name] = link.model_copy(update=values)  # not validated: a simulated part may be negative
     return updates
 
 
 def with_modules(scene: Scene, changed: Mapping[str, Module]) -> Scene:
-    """The scene with some modules replaced, in their places; they are not validated."""
+    """Returns the scene with some modules replaced, in their places; they are not validated."""
     modules = {name: changed.get(name, module) for name, module in scene.modules.items()}
     return scene.model_copy(update={"modules": Table(modules)})
 
@@ -156,26 +155,24 @@ POLES = CorrectionKind(
 
 
 POLES_OF_THE_PUSH = (SLOWEST, 0.25, 0.0)
-"""One of these is the observer's: few, so that a scene that changes a little keeps its observer."""
+"""Possible poles of the observer: few, so that a scene that changes a little keeps its observer."""
 
 
 def without_delay(declared: Configuration) -> Configuration:
-    """As a mass that is the declared one sees the loop."""
+    """Returns the loop as a mass that equals the declared one sees it."""
     return replace(declared, delay=0.0, sampling="ideal", damper="sensed", cutoff=None, spring_lag=0.0)
 
 
 def predictor_for(declared: Configuration, observer: Observer) -> StatePredictor:
-    """What the loop runs."""
+    """Returns the predictor that the loop runs."""
     return state_predictor(declared, observer.senses, observer.pole).for_compliance(observer.compliance)
 
 
 def observer_of(declared: Configuration, given: Sequence[tuple[tuple[float, float], tuple[float, float]]]) -> Observer:
-    """The observer for some desired (k, b), what is real included, each with its simulated (K, B), 0 where not known
-    yet. Its poles decay at least twice as fast as the fastest of the desired ones.
-
-    K, of a sampled and held motion, is not k. With the compliance a steady push meets k all the same. Of several it is
-    the smallest, the stiffest's: with that of a soft spring a contact beside it would answer a push many times over.
-    """
+    """Returns the observer for some desired (k, b), real parts included, each with its simulated (K, B), 0 if not known
+    yet. Its poles decay at least twice as fast as the fastest of the desired ones. K, of a sampled and held motion, is
+    not k. With the compliance a steady push meets k nevertheless. With several, the smallest one is used, the
+    stiffest's: with that of a soft spring, a parallel contact would answer a push many times over."""
     pole = min((float(pole_of_push(declared, k, b)) for (k, b), _ in given), default=SLOWEST)
     rest, found = state_predictor(declared).at_rest(), []
     for (k, _), (K, B) in given:
@@ -186,7 +183,8 @@ def observer_of(declared: Configuration, given: Sequence[tuple[tuple[float, floa
 
 
 def pole_of_push(declared: Configuration, k: ArrayLike, b: ArrayLike) -> Floats:
-    """(...): the greatest of `POLES_OF_THE_PUSH` that decays twice as fast as either pole of the mass on (k, b)."""
+    """Returns the greatest of `POLES_OF_THE_PUSH`, (...), that decays twice as fast as either pole of the mass on (k,
+    b)."""
     k, b = np.asarray(k, float), np.asarray(b, float)
     decay = b + np.sqrt(np.maximum(b * b - 4.0 * k * declared.mass, 0.0))
     fast = np.exp(-decay / declared.mass * declared.period)
@@ -204,4 +202,4 @@ PREDICTOR = CorrectionKind(
 ADAPTIVE = PREDICTOR._replace(name="adaptive", adapts=True)
 
 CORRECTIONS: dict[str, CorrectionKind] = {kind.name: kind for kind in (POLES, PREDICTOR, ADAPTIVE)}
-"""By the names of `device.correction`; "none" is not among them."""
+"""Kinds by the names of `device.correction`, except "none"."""

@@ -1,4 +1,4 @@
-"""What runs in place of a scene, so that the hand feels the scene as it is written."""
+"""Scene that runs in place of another, so that the hand feels the scene as it is written."""
 
 from __future__ import annotations
 
@@ -34,70 +34,70 @@ _WHY_LEFT = "a force that is no spring and damper everywhere has no stiffness an
 
 
 class Corrected(NamedTuple):
-    """A correction at one device point."""
+    """Correction at one device point."""
 
     name: str
     channel: int
     desired: tuple[float, float]
-    """(k, b) in N/m and N·s/m, what is real included; NaN where the hand moves masses or other hands."""
+    """Desired (k, b) in N/m and N·s/m, real parts included; NaN if the hand moves masses or other hands."""
     written: tuple[float, float]
-    """(K, B) of the scene's linear links together."""
+    """Total (K, B) of the scene's linear links."""
     element: Element
-    """(K, B) of what is simulated in their place; of an adaptive correction for the declared mass."""
+    """Simulated (K, B) in their place; of an adaptive correction for the declared mass."""
     declared: Configuration
-    """The device, as the scene describes it."""
+    """Device as the scene describes it."""
     schedule: Schedule | None = None
-    """Of an adaptive correction: what is simulated for which mass."""
+    """Elements by mass of an adaptive correction."""
     rest: float = 0.0
-    """m: where the linear links together have no force, their other ends at rest."""
+    """Position at which the linear links together have no force, m, with their other ends at rest."""
 
     @property
     def rendered(self) -> tuple[float, float]:
-        """(K, B) that the linear links are given."""
+        """Simulated (K, B) of the linear links."""
         return self.element.stiffness, self.element.damping
 
     @property
     def made_for(self) -> float:
-        """The mass in kg for which the force is right."""
+        """Mass for which the force is right, kg."""
         return self.element.made_for
 
     @property
     def reached(self) -> bool:
-        """Whether the hand feels what is desired, by prediction."""
+        """True if the hand feels the desired k and b, by prediction."""
         return self.element.reached
 
     def settled(self, mass: float) -> Element:
-        """What is simulated for a hand of this mass, once an estimate has settled."""
+        """Returns the element for a hand of this mass, once an estimate has settled."""
         return self.element if self.schedule is None else self.schedule.settled(mass)
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """A scene, and what is run and predicted in its place."""
+    """Scene with the one that runs and the one that is predicted in its place."""
 
     desired: Scene
-    """The scene as it is written."""
+    """Scene as it is written."""
     scene: Scene
-    """The scene as it is run."""
+    """Scene as it is run."""
     seen: Scene
-    """The scene as the theory sees it: that, as late as its wire makes it, before a device without the delay where a
-    predictor acts, and for the declared mass where a correction adapts."""
+    """Scene as the theory sees it: the one that runs, with the delay of its wire. With a predictor the device has no
+    delay, with an adaptive correction the mass is the declared one."""
     kind: CorrectionKind | None
     ports: tuple[Corrected, ...]
     notes: tuple[str, ...]
-    """Sentences: what was not corrected, and why."""
+    """Sentences on parts that are not corrected, and why."""
 
     def predictor_of(self, port: Corrected) -> StatePredictor:
-        """The one whose state this port's force answers, once an estimate of the mass has settled."""
+        """Returns the predictor whose state this port's force answers, once an estimate of the mass has settled."""
         predictor = predictor_for(replace(port.declared, mass=port.made_for), port.element.observer)
         return predictor._replace(differences=port.rendered == (0.0, 0.0))  # contacts alone
 
     def predictors(self) -> dict[int, StatePredictor]:
-        """Of every channel of a device point; none where nothing is predicted."""
+        """Returns the predictor of every channel with a device point; empty if the correction has none."""
         if self.kind is None or not self.kind.predicts:
             return {}
         scene = self.desired
-        # Where no link ends yet, the least mass's: what may come there while it runs is simulated for that one.
+        # Without a link, the least mass is assumed: links that are added during the run are simulated for it.
         spans, observer = scene.device.mass_spans(scene.channels), Observer(senses=bool(scene.sensed_links))
         made = {point.channel: (spans[point.channel][0], observer) for point in scene.device_points.values()}
         for port in self.ports:
@@ -110,7 +110,7 @@ class Rendering:
 
 
 def rendered(scene: Scene) -> Rendering:
-    """What runs in place of `scene` so that the hand feels it, by its ``device.correction``."""
+    """Returns the scene that runs in place of `scene` so that the hand feels it, by its ``device.correction``."""
     kind = CORRECTIONS.get(scene.device.correction)
     if kind is None:
         return Rendering(scene, scene, on_wire(scene), None, (), ())
@@ -118,7 +118,7 @@ def rendered(scene: Scene) -> Rendering:
 
 
 class _Correction:
-    """A kind of correction before a scene: what the links of each of its ports are given."""
+    """Kind of correction applied to a scene: it finds the element of each port."""
 
     def __init__(self, kind: CorrectionKind, scene: Scene) -> None:
         self.kind, self.scene = kind, scene
@@ -128,7 +128,7 @@ class _Correction:
         self.why_coupled = {port.name: why_coupled(scene, self.linear, port.name) for port in self.ports}
 
     def rendering(self) -> Rendering:
-        """Returns what runs in place of the scene, with notes on what the correction leaves undone."""
+        """Returns the corrected scene, with notes on parts that the correction does not cover."""
         notes: list[str] = []
         elements: dict[str, Element] = {}
         schedules: dict[str, Schedule] = {}
@@ -172,11 +172,11 @@ class _Correction:
         return Rendering(self.scene, run, seen, self.kind, tuple(corrected), tuple(notes))
 
     def as_seen(self, scene: Scene) -> Scene:
-        """The scene before the device that the loop seems to have."""
+        """Returns the scene with the device that the loop seems to have."""
         return with_device(scene, delay=0.0, sampling="ideal") if self.kind.predicts else scene
 
     def desired(self, port: Port, K: float = 0.0, B: float = 0.0) -> tuple[float, float]:
-        """(k, b) at this port, what is real included; `K`, `B`: of a contact that is touched."""
+        """Desired (k, b) at this port, real parts included; `K`, `B`: of a contact that is touched."""
         declared = self.declared[port.name]
         return port.stiffness + K + declared.stiffness, port.damping + B + declared.friction
 
@@ -191,17 +191,17 @@ class _Correction:
         return with_modules(self.scene, changed)
 
     def lone(self, port: Port, more: tuple[float, float] = (0.0, 0.0)) -> Element:
-        """The element of a port whose neighbours stand still; `more`: K and B of a contact that is touched."""
+        """Returns the element of a port with fixed neighbours; `more`: K and B of a contact that is touched."""
         declared, span = self.declared[port.name], self.spans[port.channel]
         if port.stiffness + more[0] == 0.0 and port.damping + more[1] == 0.0:
-            # What a contact adds is searched for a predictor of the least mass, as that of links is.
+            # The element of a contact is searched for a predictor of the least mass, as that of links is.
             return Element(0.0, 0.0, span[0] if self.kind.predicts else declared.mass, True)
         return element_for(self.kind, declared, span, self.desired(port, *more))
 
     def touched(self, port: Port, contact: Buffer) -> Element:
-        """The element of a port while this contact is touched. A contact takes the difference of positions: where a
-        predictor hands it those of the mass, that of a loop without delay. Beside links, which get velocities, it is
-        taken to get them too."""
+        """Returns the element of a port while this contact is touched. A contact uses the difference of positions: with
+        a predictor, of the predicted ones, as in a loop without delay. Beside links, which use velocities, it is
+        assumed to use them too."""
         added, span = (contact.stiffness, contact.damping), self.spans[port.channel]
         if not self.kind.predicts or port.linear or span[0] < span[1]:
             return self.lone(port, added)
@@ -209,7 +209,7 @@ class _Correction:
         return element_for(POLES, device, span, self.desired(port, *added))
 
     def schedule(self, port: Port) -> Schedule | None:
-        """None where there is nothing to adapt, or no span to adapt in."""
+        """Returns the schedule of a port; None if it has no linear link, or no span of masses."""
         span = self.spans[port.channel]
         if span[0] == span[1] or port.stiffness == port.damping == 0.0:
             return None
@@ -220,8 +220,8 @@ class _Correction:
         return schedule_for(self.declared[port.name], span, self.desired(port), contacts, observed)
 
     def observer(self, port: Port, model: Configuration, element: Element) -> Observer:
-        """The observer of the element and of each contact that may come to it; without a compliance beside a link of
-        any other kind, whose stiffness is not known."""
+        """Returns the observer of the element and of each contact that may be added to it; without a compliance beside
+        a link of any other kind, whose stiffness is unknown."""
         given = [(self.desired(port), (element.stiffness, element.damping))]
         changed = self.contacts(port, element)
         for name, contact in port.contacts.items():
@@ -233,8 +233,8 @@ class _Correction:
         return observer._replace(compliance=0.0 if port.others else observer.compliance, senses=senses)
 
     def contacts(self, port: Port, base: Element) -> dict[str, Buffer]:
-        """Each contact with what it adds to the linear links while it is touched. Without those that stay as they are:
-        all where the links follow an estimate."""
+        """Returns each contact with its addition to the linear links while it is touched. Contacts that do not change
+        are omitted: all of them if the links follow an estimate."""
         changed: dict[str, Buffer] = {}
         for name, contact in ({} if self.kind.adapts else port.contacts).items():
             touched = self.touched(port, contact)
@@ -244,7 +244,7 @@ class _Correction:
         return changed
 
     def match(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
-        """Puts the elements of hands that move more than themselves among `elements`; what to say of them."""
+        """Adds the elements of hands that move more than themselves to `elements`; returns notes."""
         if not ports:
             return []
         alone = {port.name: self.lone(port) for port in ports}
@@ -266,7 +266,8 @@ class _Correction:
         return [*([] if is_reached else [near]), *self.over_the_spans(ports, elements)]
 
     def over_the_spans(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
-        """What to say of hands that move more than themselves and whose mass is a span: placed for its middle."""
+        """Returns notes on hands that move more than themselves and whose mass is a span: they are placed for its
+        middle."""
         open_ports = [port for port in ports if self.spans[port.channel][0] < self.spans[port.channel][1]]
         if not open_ports:
             return []
@@ -286,7 +287,7 @@ class _Correction:
         return [f"{placed}; stable with the least and with the most mass, too"]
 
     def rest(self, port: Port) -> float:
-        """m: where the linear links together have no force."""
+        """Position at which the linear links together have no force, m."""
         grounds = [
             (link.stiffness, self.scene.grounds[end].position)
             for link in port.linear.values()

@@ -1,4 +1,4 @@
-"""One haptic simulator as it deforms the parameter space: hand and device, rate, delay, hold, sampling, damper."""
+"""Parameters of one haptic simulator: hand and device, rate, delay, hold, sampling, damper."""
 
 from __future__ import annotations
 
@@ -34,39 +34,39 @@ from hapsim.theory.hand.poles import (
 from hapsim.theory.hand.wall_passivity import needed_friction
 from hapsim.theory.interface import SAMPLINGS, damper_gain, damper_named, hold_lag, late_and_held
 
-MOST_EIGENVALUES = 8  # poles: of a longer delay they take too long to look for a stable interval by
-_quietly = np.errstate(all="ignore")  # what is out of range becomes NaN
+MOST_EIGENVALUES = 8  # poles; beyond, a stable interval is sought without eigenvalues, which take too long
+_quietly = np.errstate(all="ignore")  # numbers out of range become NaN
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """The loop around a temporary hybrid system (Florens et al., §4 and §6).
+    """Loop around a temporary hybrid system (Florens et al., §4 and §6).
 
     A real mass, with the real friction of the device, is coupled to a simulated visco-elastic element (K, B) by a
-    position that is sampled and a force that is late and held. The hand feels the real oscillator of the same mass with
-    stiffness k and damping b, the device's own spring and friction included.
+    sampled position and a delayed, held force. The hand feels the real oscillator of the same mass with stiffness k and
+    damping b, the device's own spring and friction included.
 
     Methods take arrays, broadcast them against each other and return arrays of that shape (scalars for scalars). Where
-    there is no answer, or an argument is not finite, the answer is NaN (False for a verdict), without a warning.
+    no answer exists, or an argument is not finite, the answer is NaN (False for a verdict), without a warning.
 
     Attributes:
         mass: real mass, hand and moving part of the device, kg, > 0.
         rate: sample rate, Hz, > 0.
         friction: real viscous friction b0, N·s/m, >= 0.
         delay: from the sampling of a position to the change of the force that answers it, periods, >= 0.
-        hold: a name of ``hapsim.holds.HOLDS``: what the device makes of the forces that it receives.
+        hold: name in ``hapsim.holds.HOLDS``: the shape that the device gives to the forces that it receives.
         sampling: "ideal", the position at the sample; or "average", its mean over the last sample period.
         stiffness: real spring k0 of the device, N/m, >= 0.
         damper: the source of the simulated damper's velocity: "backward", the difference of the last two positions (the
             paper's); "centred", the difference across two periods; "filtered", a first-order low-pass behind the
             backward one; "sensed", the velocity that the device measures.
         cutoff: of the filtered damper, Hz, > 0; None for the others.
-        spring_lag: sample periods, >= 0, by which the simulated spring's force is that of an earlier place on the line
-            between the last two positions; only with the backward damper, and then B acts as B - K spring_lag T. The
-            mean of the forces of N substeps has (N - 1)/(2 N).
+        spring_lag: sample periods, >= 0. The simulated spring uses an earlier position, interpolated between the last
+            two; only with the backward damper, and then B acts as B - K spring_lag T. For the mean of the forces of N
+            substeps it is (N - 1)/(2 N).
 
     Raises:
-        ValueError: an argument is out of its range; the sentence says which, and what was expected.
+        ValueError: an argument is out of its range; the message states which, and the range.
     """
 
     mass: float
@@ -117,16 +117,16 @@ class Configuration:
 
     @quietly_in_blocks
     def simulated(self, k: ArrayLike, b: ArrayLike, *, dominant: bool = True) -> tuple[Floats, Floats]:
-        """The simulated (K, B) that the hand feels as the real (k, b): the paper's Figure 4, in closed form.
+        """Returns the simulated (K, B) that the hand feels as the real (k, b): the paper's Figure 4, in closed form.
 
         Args:
-            k: total stiffness that the hand is to feel, the device's own spring included, N/m.
-            b: total damping, real friction included, N·s/m; negative for a motion that grows.
-            dominant: require the two poles of (k, b) to be the slowest of the loop. Where a further pole decays no
-                faster the hand does not feel (k, b), and no other (K, B) makes it so.
+            k: desired total stiffness, the device's own spring included, N/m.
+            b: desired total damping, real friction included, N·s/m; negative for a motion that grows.
+            dominant: require the two poles of (k, b) to be the slowest of the loop. If another pole decays no faster,
+                no (K, B) makes the hand feel (k, b).
 
         Returns:
-            K in N/m and B in N·s/m; NaN at and above the Nyquist frequency, and as ``dominant`` says.
+            K in N/m and B in N·s/m; NaN at and above the Nyquist frequency, and where ``dominant`` is not met.
         """
         K, B, pair, good = self._element(k, b)
         if dominant:
@@ -136,58 +136,52 @@ class Configuration:
 
     @quietly_in_blocks
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
-        """The real (k, b) that the hand feels where (K, B) is simulated (Florens et al., §5), N/m and N·s/m.
-
-        Read from the slowest-decaying pair of poles, a complex pair or two positive real ones: s = ln(z)/T,
-        k = m s1 s2, b = -m (s1 + s2). NaN where ``dominant`` is False.
-        """
+        """Returns the real (k, b) that the hand feels for a simulated (K, B) (Florens et al., §5), N/m and N·s/m. It is
+        read from the slowest-decaying pair of poles, a complex pair or two positive real ones: s = ln(z)/T, k = m s1
+        s2, b = -m (s1 + s2). NaN where ``dominant`` is False."""
         lead, _ = self._solved(K, B)
         sigma, kappa = oscillator_of_quadratic(lead.p, lead.q)
-        held = (np.asarray(K) != 0.0) | (self.stiffness != 0.0)  # else what is left is rounding
+        held = (np.asarray(K) != 0.0) | (self.stiffness != 0.0)  # otherwise only rounding is left
         k = np.where(lead.dominant, held * kappa * self.stiffness_unit, np.nan)
         b = np.where(lead.dominant, sigma * self.damping_unit, np.nan)
         return k, b
 
     @quietly_in_blocks
     def dominant(self, K: ArrayLike, B: ArrayLike) -> Bools:
-        """Whether the slowest poles are a complex pair or two positive real ones, and all others decay faster."""
+        """Returns whether the slowest poles are a complex pair or two positive real ones, and all others decay
+        faster."""
         return self._solved(K, B)[0].dominant
 
     @quietly_in_blocks
     def dominant_poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
-        """The pair (..., 2) in the z-plane that ``equivalent`` reads; NaN where ``dominant`` is False."""
+        """Dominant pair (..., 2) in the z-plane, from which ``equivalent`` is read; NaN where ``dominant`` is False."""
         lead, poles = self._solved(K, B)
         return np.where(lead.dominant[:, None], poles[:, :2], np.nan)
 
     @quietly_in_blocks
     def poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
-        """All poles (..., N) of the loop in the z-plane, by decreasing modulus.
-
-        N is 2 for the impulse hold with ideal sampling and no delay, one more for each whole sample of delay, for a
-        fraction of one, for the zero-order hold, for averaged sampling and for what a damper remembers; a sensed one
-        remembers nothing.
-        """
+        """Poles (..., N) of the loop in the z-plane, by decreasing modulus. N is 2 for the impulse hold with ideal
+        sampling and no delay. It is one more for each whole sample of delay, for a fraction of one, for the zero-order
+        hold, for averaged sampling and for each memory of a damper (a sensed one has none)."""
         return self._solved(K, B)[1]
 
     def spectral_radius(self, K: ArrayLike, B: ArrayLike) -> Floats:
-        """The largest modulus of a pole: below 1 every motion dies out."""
+        """Largest modulus of a pole: below 1 every motion decays."""
         return np.abs(self.poles(K, B)[..., 0])
 
     @quietly_in_blocks
     def is_stable(self, K: ArrayLike, B: ArrayLike) -> Bools:
-        """Whether every motion dies out (Florens et al., §6.2: the limit is the curve b = 0).
-
-        Where ``dominant`` is True, whether k > 0 and b > 0, since the spectral radius of a slow motion rounds to 1.
-        """
+        """Returns whether every motion decays (Florens et al., §6.2: the limit is the curve b = 0). Where ``dominant``
+        is True the test is k > 0 and b > 0, since the spectral radius of a slow motion rounds to 1."""
         lead, poles = self._solved(K, B)
-        # Without a spring of the device's own, q has the sign of K, even where K is too small to be seen in it.
+        # Without a spring of the device, q has the sign of K, even where K is too small to change q.
         restores = lead.q > 0.0 if self.stiffness else np.asarray(K) > 0.0
-        held = (np.asarray(K) != 0.0) | (self.stiffness != 0.0)  # else a pole is 1
+        held = (np.asarray(K) != 0.0) | (self.stiffness != 0.0)  # otherwise a pole is 1
         return np.where(lead.dominant, restores & (lead.p > lead.q), held & (np.abs(poles[:, 0]) < 1.0))
 
     @_quietly
     def is_passive(self, K: ArrayLike, B: ArrayLike) -> Bools:
-        """Whether the wall gives no energy to any hand: K >= 0 and a friction above ``needed_friction``.
+        """Returns whether the wall gives no energy to any hand: K >= 0 and a friction above ``needed_friction``.
 
         Raises:
             ValueError: as ``needed_friction``.
@@ -197,14 +191,14 @@ class Configuration:
 
     @_quietly
     def needed_friction(self, K: ArrayLike, B: ArrayLike) -> Floats:
-        """The real friction, N·s/m, above which a wall (K, B) is passive (Colgate and Schenkel, 1997).
+        """Real friction, N·s/m, above which a wall (K, B) is passive (Colgate and Schenkel, 1997).
 
-        K T/2 + |B| for the backward damper without delay, K T (delay + 1/2) for a spring alone behind whole
-        samples of delay; for a fraction of one, more than that (see ``wall_passivity.py``).
+        K T/2 + |B| for the backward damper without delay, K T (delay + 1/2) for a spring alone behind whole samples of
+        delay; more for a delay with a fraction of a sample (see ``wall_passivity.py``).
 
         Raises:
-            ValueError: the hold is not "zoh", the sampling not "ideal" or the damper "sensed": the condition is
-                not derived. (A velocity that is sampled passes every image of a motion: no friction suffices.)
+            ValueError: the hold is not "zoh", the sampling not "ideal" or the damper "sensed": the condition is not
+                derived. (A sampled velocity passes every image of a motion: no friction suffices.)
         """
         if (
             HOLDS[self.hold].terms != HOLDS["zoh"].terms
@@ -223,42 +217,37 @@ class Configuration:
 
     @_quietly
     def stability_limit(self, frequency: ArrayLike) -> tuple[Floats, Floats]:
-        """(K, B) with which the hand swings for ever at a frequency in Hz: the curve b = 0 (§6.2), in closed form.
-
-        NaN from the Nyquist frequency on, and where a further pole of the loop lies outside the unit circle.
-        """
+        """Element (K, B) with which the hand oscillates without decay at a frequency in Hz: the curve b = 0 (§6.2),
+        closed form. NaN from the Nyquist frequency on, and where another pole of the loop lies outside the unit
+        circle."""
         k = self.mass * (2.0 * np.pi * np.asarray(frequency, dtype=float)) ** 2
         return self.simulated(k, 0.0)
 
     @_quietly
     def stable_stiffness(self, B: ArrayLike) -> tuple[Floats, Floats]:
-        """The lowest interval (least, most) of K, N/m, in which the loop is stable for B in N·s/m; NaN without one."""
+        """Lowest interval (least, most) of K, N/m, in which the loop is stable for B in N·s/m; NaN if there is none."""
         least, most = self._stable_interval(0, self._normalised(0.0, B)[1])
         return (least * self.stiffness_unit)[()], (most * self.stiffness_unit)[()]
 
     @_quietly
     def stable_damping(self, K: ArrayLike) -> tuple[Floats, Floats]:
-        """The lowest interval (least, most) of B, N·s/m, in which the loop is stable for K in N/m; NaN without one."""
+        """Lowest interval (least, most) of B, N·s/m, in which the loop is stable for K in N/m; NaN if there is none."""
         least, most = self._stable_interval(1, self._normalised(K, 0.0)[0])
         return (least * self.damping_unit)[()], (most * self.damping_unit)[()]
 
     @_quietly
     def linear_stiffness_limit(self, B: ArrayLike) -> Floats:
-        """(b0 + B)/(T/2 + delay T), N/m: the most stiffness near the origin, too much as B grows (Gil et al., 2004).
-
-        T/2 is the zero-order hold's mean delay; averaged sampling adds as much, ``spring_lag`` its own, the impulse
-        hold has none. Infinite where nothing is late.
-        """
+        """Largest stiffness near the origin, (b0 + B)/(T/2 + delay T), N/m; too large as B grows (Gil et al., 2004).
+        T/2 is the zero-order hold's mean delay; averaged sampling adds as much, ``spring_lag`` its own, and the impulse
+        hold has none. Infinite without any delay."""
         lag = self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag + self.spring_lag
         return ((self.friction + np.asarray(B, dtype=float)) / (lag * self.period))[()]
 
     @_quietly
     def fold(self, decay: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
-        """(K, B, k, b), N/m and N·s/m, on the curve where the map (K, B) -> (k, b) folds.
-
-        There the faster pole of the dominant pair is a double one; on the far side no spring and damper is equivalent.
-        ``decay``, of that pole in 1/s, > 0, parametrises the curve. NaN where another pair dominates.
-        """
+        """Fold of the map (K, B) -> (k, b) as (K, B, k, b), N/m and N·s/m. There the faster pole of the dominant pair
+        is a double one; on the far side no spring and damper is equivalent. The parameter of the curve is the ``decay``
+        of that pole in 1/s, > 0. NaN where another pair dominates."""
         decay = np.asarray(decay, dtype=float)
         fast = decay.ravel() * self.period
         kappa, beta, slow = double_pole(self.normalised_loop, fast)
@@ -268,11 +257,9 @@ class Configuration:
 
     @_quietly
     def impedance(self, K: ArrayLike, B: ArrayLike, frequency: ArrayLike) -> Complexes:
-        """Force over velocity, N·s/m, that the hand feels at a frequency in Hz (the paper's Figure 2).
-
-        With the device's friction and spring, without its mass; of a held force the part at the frequency itself. NaN
-        from the Nyquist frequency on, and at 0.
-        """
+        """Felt impedance, force over velocity in N·s/m, at a frequency in Hz (the paper's Figure 2). It includes the
+        device's friction and spring, but not its mass, and of a held force only the part at the frequency itself. NaN
+        at 0 and from the Nyquist frequency on."""
         f = np.asarray(frequency, dtype=float)
         jw, theta = 2j * np.pi * f, 2.0 * np.pi * f * self.period
         damping = np.asarray(B) - self.spring_lag * self.period * np.asarray(K)
@@ -283,23 +270,21 @@ class Configuration:
 
     @quietly_in_blocks
     def why_no_equivalent(self, K: ArrayLike, B: ArrayLike) -> NDArray[np.str_]:
-        """Why ``equivalent`` is NaN, in words; "" where it is not."""
+        """Reason why ``equivalent`` is NaN; "" where it is not."""
         lead, poles = self._solved(K, B)
         words = why_not_dominant(poles, lead.dominant)
         return words if self._own_swing_is_seen else np.full(words.shape, OWN_ABOVE_NYQUIST)
 
     @_quietly
     def characteristic(self, K: ArrayLike, B: ArrayLike) -> Floats:
-        """Coefficients (..., N + 1) of the monic characteristic polynomial in z, highest power first.
-
-        The paper's P K + Q B + R (§6) divided by its leading coefficient.
-        """
+        """Coefficients (..., N + 1) of the monic characteristic polynomial in z, highest power first. The polynomial is
+        the paper's P K + Q B + R (§6) divided by its leading coefficient."""
         kappa, beta = self._normalised(K, B)
         return np.stack(characteristic(self.normalised_loop, kappa, beta), axis=-1)
 
     @cached_property
     def normalised_loop(self) -> LoneHand:
-        """The loop without an element, in the paper's normalised units (§6), as rows of its state."""
+        """Loop without an element, in the paper's normalised units (§6), as rows of its state."""
         own = self.friction / self.damping_unit, self.stiffness / self.stiffness_unit
         damper = damper_named(self.damper, self.cutoff, self.rate)
         return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag)
@@ -318,7 +303,7 @@ class Configuration:
         return stiffness / self.stiffness_unit, damping / self.damping_unit
 
     def _element(self, k: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats, PolePair, Bools]:
-        """(K T²/m, B T/m, the poles of (k, b), whether there is an answer), further poles not taken into account."""
+        """Returns (K T²/m, B T/m, the poles of (k, b), whether an answer exists); other poles are not checked."""
         kappa, sigma = self._normalised(k, b)
         more_kappa, more_sigma = self._normalised(np.subtract(k, self.stiffness), np.subtract(b, self.friction))
         K, B, pair = element_of_oscillator(self.normalised_loop, (sigma, kappa), (more_sigma, more_kappa))
@@ -326,11 +311,12 @@ class Configuration:
 
     @cached_property
     def _own_swing_is_seen(self) -> bool:
-        """Whether mass and real spring swing below the Nyquist frequency: of what is faster only an image is seen."""
+        """True if mass and real spring oscillate below the Nyquist frequency; of a faster motion only an image is
+        sampled."""
         return bool(is_attainable(self.normalised_loop.damping, self.normalised_loop.stiffness))
 
     def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:
-        """The leading pair and all poles for (n,) stiffnesses and dampings."""
+        """Leading pair and all poles for (n,) stiffnesses and dampings."""
         K, B = np.asarray(K), np.asarray(B)
         return _solved_at(self, float(K[0]), float(B[0])) if K.size == 1 else self._solve(K, B)
 
@@ -339,12 +325,12 @@ class Configuration:
         return lead._replace(dominant=lead.dominant & self._own_swing_is_seen), poles
 
 
-@lru_cache(256)  # one element is asked for its k and b, its poles, its stability and why there is none
+@lru_cache(256)  # one element needs its k and b, poles, stability and reason
 def _solved_at(configuration: Configuration, K: float, B: float) -> tuple[LeadingPair, Complexes]:
     return configuration._solve([K], [B])
 
 
-@lru_cache(64)  # every region of a hand has the same
+@lru_cache(64)  # shared by all regions of a hand
 def _undamped(configuration: Configuration) -> Undamped:
     return undamped_curve(configuration.normalised_loop)
 
@@ -353,17 +339,17 @@ _POINTS, _ZOOMS = 61, 8  # of the search for the stiffest wall
 
 
 class StiffestWall(NamedTuple):
-    """K in N/m and B in N·s/m; (0, 0) where no wall with a spring qualifies."""
+    """Stiffest wall, K in N/m and B in N·s/m; (0, 0) if no wall with a spring qualifies."""
 
     stiffness: float
     damping: float
 
 
 def stiffest_passive(configuration: Configuration) -> StiffestWall:
-    """That no hand whatever makes unstable (Colgate and Schenkel, 1997), B >= 0.
+    """Returns the stiffest wall that is stable in every hand (Colgate and Schenkel, 1997), B >= 0.
 
-    The friction that passivity needs grows in proportion to the wall: along each direction of the (K, B) plane one wall
-    needs just what the device has.
+    The friction that passivity needs is proportional to the wall. Along each direction of the (K, B) plane one wall
+    needs exactly the friction of the device.
 
     Raises:
         ValueError: the passivity condition is not derived (``Configuration.needed_friction``).
@@ -380,7 +366,7 @@ def stiffest_passive(configuration: Configuration) -> StiffestWall:
 
 
 def stiffest_stable(configuration: Configuration) -> StiffestWall:
-    """That is stable with the hand's own mass, B >= 0."""
+    """Returns the stiffest wall that is stable with the hand's own mass, B >= 0."""
 
     def stiffness(B: Floats) -> Floats:
         most = np.asarray(configuration.stable_stiffness(B)[1])
@@ -391,7 +377,7 @@ def stiffest_stable(configuration: Configuration) -> StiffestWall:
 
 
 def _highest(function: Callable[[Floats], Floats], low: float, high: float) -> tuple[float, float]:
-    """(where, how much): the best point of a grid, then of finer ones about it."""
+    """Returns (argument, value) of the maximum: the best point of a grid, then of finer grids around it."""
     best, most = low, 0.0
     for _ in range(_ZOOMS):
         at = np.linspace(low, high, _POINTS)

@@ -1,9 +1,9 @@
-"""The simulated element that the hand feels as a given oscillator, the paper's Figure 4 in closed form; and by it where
-the loop is stable: the curve b = 0 (Florens et al., §6.2), and the stable interval of one of K and B.
+"""Inverse map: the simulated element that the hand feels as a given oscillator (the paper's Figure 4, in closed form).
 
-In normalised units, periods as time: sigma and kappa of s² + sigma s + kappa are asked for, K T²/m and B T/m answer.
-On the curve the hand feels an oscillator without damping, s = j theta, theta its frequency in radians per sample.
-Besides, a real pole may leave the unit circle at z = 1 (a spring pulled inside out) or at z = -1.
+From it follow the stability boundary, the curve b = 0 (Florens et al., §6.2), and the stable interval of K or of B.
+Units are normalised, with periods as time: from sigma and kappa of s² + sigma s + kappa to K T²/m and B T/m. On the
+curve the hand feels an oscillator without damping, s = j theta, with theta its frequency in radians per sample. A real
+pole may also leave the unit circle at z = 1 (a negative total stiffness) or at z = -1.
 """
 
 from __future__ import annotations
@@ -18,53 +18,53 @@ from hapsim.theory.hand.lone_hand import LoneHand, Relation, characteristic, ele
 from hapsim.theory.hand.pole_pair import PolePair, change_of_quadratic, pair_of_oscillator
 from hapsim.theory.hand.poles import all_within, roots, without_pair
 
-FASTEST = 10.0  # decay in a sample period, above which the double pole is lost in the rounding of the others
+FASTEST = 10.0  # decay in a sample period; above, the double pole is lost in the rounding of the others
 
 
 def element_of_oscillator(
     hand: LoneHand, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats, PolePair]:
-    """(K T²/m, B T/m, the pair of poles). Neither finite where the element cannot tell the two poles apart.
-
-    ``oscillator``: (sigma, kappa). ``more``: the same without the device's own friction and spring; apart, because
-    the small part that the element has to add would be lost in their sum.
-    """
+    """Returns (K T²/m, B T/m, the pair of poles); not finite where an element cannot distinguish the two poles.
+    ``oscillator``: (sigma, kappa). ``more``: the same without the device's own friction and spring. It is separate
+    because the small part that the element adds would be lost in the sum."""
     relation = relation_of_oscillator(hand, oscillator, more)
     return *element_of_relation(hand, relation), relation[0].pair
 
 
 def relation_of_oscillator(hand: LoneHand, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats]) -> Relation:
-    """``relation_on_pair`` of the oscillator's poles."""
+    """Returns ``relation_on_pair`` for the oscillator's poles."""
     pair = pair_of_oscillator(*oscillator)
     return relation_on_pair(hand, pair, change_of_quadratic(pair, oscillator, more, hand.damping, hand.stiffness))
 
 
 def undamped(hand: LoneHand, theta: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-    """``oscillator`` and ``more`` of a swing of theta radians per sample that neither grows nor dies away."""
+    """Returns ``oscillator`` and ``more`` of an oscillation of theta radians per sample without damping."""
     zero = np.zeros_like(theta)
     return (zero, theta**2), (zero - hand.damping, theta**2 - hand.stiffness)
 
 
 def is_attainable(sigma: Floats | float, kappa: Floats | float) -> Bools:
-    """Whether the oscillator swings below the Nyquist frequency."""
+    """Returns whether the oscillator's frequency is below the Nyquist frequency."""
     with np.errstate(over="ignore"):
         return np.asarray(kappa - 0.25 * np.square(sigma) < np.pi**2)
 
 
 def leads(hand: LoneHand, stiffness: Floats, damping: Floats, pair: PolePair) -> Bools:
-    """Whether every further pole of the loop decays faster than both of the pair."""
+    """Returns whether every other pole of the loop decays faster than both of the pair."""
     others = without_pair(characteristic(hand, stiffness, damping), pair)
     return all_within(others, pair.smaller_modulus)
 
 
 def double_pole(hand: LoneHand, decay: Floats) -> tuple[Floats, Floats, Floats]:
-    """(K T²/m, B T/m, decay of the slower pole) where the pole exp(-decay) is double and one further pole is slower.
+    """Returns (K T²/m, B T/m, decay of the slower pole) where the pole exp(-decay) is double and one other pole is
+    slower.
 
     There the map (K, B) -> (k, b) folds: two poles meet, and its Jacobian vanishes. Strongly damped hands reach it: the
     next pole of the loop passes the faster of their two real poles, and beyond it no spring and damper is equivalent. A
     double real pole belongs to a critically damped oscillator, so the curve is the paper's Figure 4 for that one.
 
-    NaN where none is, or more than one, or where it is not positive: then the dominant pair is not the one that folds.
+    NaN if no other pole is slower, or several, or one that is not positive: then the dominant pair is not the one that
+    folds.
     """
     oscillator = (2.0 * decay, decay**2)
     more = (2.0 * decay - hand.damping, decay**2 - hand.stiffness)
@@ -79,32 +79,32 @@ def double_pole(hand: LoneHand, decay: Floats) -> tuple[Floats, Floats, Floats]:
     return np.where(leads, kappa, np.nan), np.where(leads, beta, np.nan), slow_decay
 
 
-SLOWEST = 1e-9  # radians per sample: what swings more slowly is not looked for
+SLOWEST = 1e-9  # radians per sample, the lowest frequency of the search
 POINTS_PER_DECADE = 24  # of the slow frequencies
-POINTS_PER_SAMPLE = 48  # of the others, for each sample by which the loop is late
+POINTS_PER_SAMPLE = 48  # of the others, for each sample of delay
 BISECTIONS = 60
-IN_PHASE = 1e-9  # of its size: a part out of phase that is none
-ROUNDING = 1e-12  # an interval relatively narrower than this is none
+IN_PHASE = 1e-9  # relative size of an out-of-phase part that counts as zero
+ROUNDING = 1e-12  # relative width of an interval that counts as empty
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 class Undamped(NamedTuple):
-    """The curve b = 0 at frequencies theta (G,), in between which neither K T²/m nor B T/m turns back."""
+    """Curve b = 0 at frequencies theta (G,); between two of them K T²/m and B T/m are monotonic."""
 
     theta: Floats
     kappa: Floats
     beta: Floats
     tied: list[tuple[float, float]]
-    """(h, g) of frequencies at which a whole line K T²/m + B T/m h + g = 0 has its pole on the circle."""
+    """Lines K T²/m + B T/m h + g = 0, as (h, g), whose whole length has its pole on the unit circle."""
 
 
 def undamped_element(hand: LoneHand, theta: Floats) -> tuple[Floats, Floats]:
-    """(K T²/m, B T/m) with which the hand swings undamped, theta radians per sample."""
+    """Element (K T²/m, B T/m) with which the hand oscillates without decay, at theta radians per sample."""
     return element_of_oscillator(hand, *undamped(hand, theta))[:2]
 
 
 def undamped_curve(hand: LoneHand) -> Undamped:
-    """The whole curve, with its turning points among the frequencies."""
+    """Returns the whole curve, with its turning points among the frequencies."""
     late = hand.degree + 2
     slow = np.geomspace(SLOWEST, 0.05, 1 + POINTS_PER_DECADE * 8, endpoint=False)
     theta = np.concatenate([slow, np.linspace(0.05, np.pi, POINTS_PER_SAMPLE * late, endpoint=False)])
@@ -117,11 +117,9 @@ def undamped_curve(hand: LoneHand) -> Undamped:
 def stable_interval(
     hand: LoneHand, curve: Undamped, sought: int, given: Floats, is_stable: Callable[[Floats, Floats], Bools]
 ) -> tuple[Floats, Floats]:
-    """The lowest stable interval of kappa (``sought`` 0) or beta (1), for given values (n,) of the other.
-
-    Between two values at which a pole may cross the unit circle stability does not change: one test of each interval
-    is enough. Returns (least, most), NaN where nothing is stable, infinity where nothing ends it.
-    """
+    """Returns the lowest stable interval (least, most) of kappa (``sought`` 0) or beta (1), for values (n,) of the
+    other. Stability does not change between two values at which a pole may cross the unit circle, so one test of each
+    interval is enough. NaN if nothing is stable, infinity at an end without a limit."""
     with_real_pole = [at(hand, sought, given)[:, None] for at in (_with_pole_at_rest, _with_alternating_pole)]
     tied = [(-(g + h * given) if sought == 0 else -(g + given) / h)[:, None] for h, g in curve.tied]
     crossings = np.concatenate([*with_real_pole, *tied, _crossings(hand, curve, sought, given)], axis=-1)
@@ -134,7 +132,7 @@ def stable_interval(
     stable &= wide
     place = np.arange(stable.shape[1])
     first = np.argmax(stable, axis=-1)[:, None]
-    # Where a pole only touches the circle both sides are stable: the interval goes on to the next unstable one.
+    # A pole that only touches the circle leaves both sides stable: the interval extends to the next unstable one.
     broken = np.cumsum(wide & ~stable & (place > first), axis=-1) > 0
     last = np.max(np.where(stable & ~broken, place, 0), axis=-1)[:, None]
     least, most = (np.take_along_axis(edges, at, axis=-1)[:, 0] + 0.0 for at in (first, last + 1))
@@ -143,17 +141,18 @@ def stable_interval(
 
 
 def _between(low: Floats, high: Floats) -> Floats:
-    """A value inside each interval, halfway; beyond the last finite edge far out, but not beyond all numbers."""
+    """Returns the middle of each interval; beyond the last finite edge a value far outside, but in the range of
+    floats."""
     scale = np.maximum(np.abs(np.where(np.isfinite(low), low, 0.0)), np.abs(np.where(np.isfinite(high), high, 0.0)))
     low = np.where(np.isfinite(low), low, -3.0 * scale - 1.0)
     high = np.where(np.isfinite(high), high, 3.0 * scale + 1.0)
-    # Edges far apart in size: halfway on a logarithmic scale, where the small stiffnesses are.
+    # Edges of very different size: the middle on a logarithmic scale, where the small stiffnesses are.
     both = (low > 0.0) & (high > 4.0 * low)
     return np.where(both, np.sqrt(np.where(both, low * high, 1.0)), 0.5 * (low + high))
 
 
 def _with_pole_at_rest(hand: LoneHand, sought: int, given: Floats) -> Floats:
-    """The value that puts a pole at z = 1: nothing is left of what holds the hand in its place."""
+    """Value that puts a pole at z = 1: no stiffness holds the hand in place."""
     rest = PolePair(np.zeros(1), np.zeros(1))
     of_beta, of_device = (part.constant for part in relation_on_pair(hand, rest, (hand.p - rest.p, hand.q - rest.q)))
     if sought == 0:
@@ -162,15 +161,16 @@ def _with_pole_at_rest(hand: LoneHand, sought: int, given: Floats) -> Floats:
 
 
 def _with_alternating_pole(hand: LoneHand, sought: int, given: Floats) -> Floats:
-    """The value that puts a pole at z = -1: the force swings to and fro with every sample."""
+    """Value that puts a pole at z = -1: the force alternates with every sample."""
     constant, *slopes = hand.polynomials @ (-1.0) ** np.arange(hand.degree, -1, -1)
     slopes[0] -= hand.lag * slopes[1]
     return np.asarray(-(constant + slopes[1 - sought] * given) / slopes[sought])
 
 
 def _tied(hand: LoneHand, theta: Floats) -> list[tuple[float, float]]:
-    """Where the damper's reading is in phase with the position, and so is what moves the mass (a centred damper at half
-    the Nyquist frequency): K and B cannot be distinguished there, and the curve has a hole."""
+    """Lines (h, g) at frequencies where the damper's reading is in phase with the position and with the reaction of the
+    mass, as with a centred damper at half the Nyquist frequency. There K and B have the same effect: the curve has a
+    hole."""
 
     def slope(theta: Floats) -> Floats:
         return np.asarray(relation_of_oscillator(hand, *undamped(hand, theta))[0].slope) + 0.0 * theta
@@ -188,7 +188,7 @@ def _tied(hand: LoneHand, theta: Floats) -> list[tuple[float, float]]:
 
 
 def _crossings(hand: LoneHand, curve: Undamped, sought: int, given: Floats) -> Floats:
-    """(n, crossings): where the curve passes the given values, padded with NaN."""
+    """Crossings of the curve with the given values, (n, crossings), padded with NaN."""
     along = curve.beta if sought == 0 else curve.kappa
     above = along[None, :] > given[:, None]
     row, piece = np.nonzero(above[:, 1:] != above[:, :-1])
@@ -199,7 +199,7 @@ def _crossings(hand: LoneHand, curve: Undamped, sought: int, given: Floats) -> F
         is_above = undamped_element(hand, middle)[1 - sought] > given[row]
         low, high = np.where(is_above == low_above, middle, low), np.where(is_above == low_above, high, middle)
     element = undamped_element(hand, 0.5 * (low + high))
-    # A sign that changes through infinity is no crossing.
+    # A sign change through infinity is no crossing.
     reached = np.abs(element[1 - sought] - given[row]) <= 1e-6 * (np.abs(given[row]) + np.abs(along[piece]))
     found = np.full((given.size, 1 + np.bincount(row, minlength=1).max()), np.nan)
     place = np.arange(row.size) - np.searchsorted(row, row)
@@ -208,7 +208,7 @@ def _crossings(hand: LoneHand, curve: Undamped, sought: int, given: Floats) -> F
 
 
 def _turning_points(hand: LoneHand, which: int, theta: Floats, values: Floats) -> Floats:
-    """Frequencies at which K or B turns back along the curve, by golden section between the neighbours."""
+    """Frequencies of the extremes of K or B along the curve, by golden section between the neighbours."""
     rises = np.diff(values) > 0.0
     at = 1 + np.flatnonzero(rises[1:] != rises[:-1])
     low, high = theta[at - 1], theta[at + 1]

@@ -1,9 +1,9 @@
-"""The loop around a lone hand on an element (K, B), out of the rows of a sample (``theory/sample.py``).
+"""Loop around a single hand on an element (K, B), from the rows of a sample (``theory/sample.py``).
 
-In normalised units: kappa = K T²/m, beta = B T/m, times in sample periods, w = z - 1. The hand is moved by the force
--(kappa y + beta v) of its reading y and of its damper's v; both are rows of the state, so the loop is linear in kappa
-and beta (Florens et al., §6). Of a spring that acts ``lag`` samples later than the damper, the backward difference
-takes kappa lag from beta.
+In normalised units: kappa = K T²/m, beta = B T/m, times in sample periods, w = z - 1. The force -(kappa y + beta v)
+moves the hand, with its reading y and its damper's v. Both are rows of the state, so the loop is linear in kappa and
+beta (Florens et al., §6). If a spring acts ``lag`` samples later than the damper, the backward difference subtracts
+kappa lag from beta.
 """
 
 from __future__ import annotations
@@ -20,22 +20,21 @@ from hapsim.theory.network.network import Network
 from hapsim.theory.rows import cut
 from hapsim.theory.sample import loop, sizes_of
 
-UNFELT = 2.0**-300  # a damping: a damper without one has no memories, and beside this one all numbers stay as they are
-NOTHING = 2e-14  # of a polynomial's largest coefficient: the rounding of what is zero
+UNFELT = 2.0**-300  # a tiny damping: a damper without one has no memories, and this one changes no other number
+NOTHING = 2e-14  # relative to a polynomial's largest coefficient: rounding of a zero
 
 Relation = tuple[LinearOnPair, LinearOnPair]
 
 
 class LoneHand(NamedTuple):
-    """The loop without the element: ``change`` (n, n) of the state, ``push`` (n,) of a force, ``reads`` (2, n) of y and
-    of v.
+    """Loop without the element: ``change`` (n, n) of the state, ``push`` (n,) of a force, ``reads`` (2, n) of y and of
+    v.
 
-    ``moving``: where in the state position and velocity are, which without forces move by the factor w² + p w + q.
-    The other places, of which each reads those before it alone: the ``held`` forces, the newest first, what
-    ``averaged`` sampling remembers, the ``way`` of the reading since the last sample, and what the damper remembers.
-    ``numerator``, ``lead``: a force f is read as y = f numerator(z)/(z^lead (w² + p w + q)).
-    ``polynomials`` (3, N + 1): of the characteristic one, in z, highest power first, what does not depend on the
-    element, and the factors of kappa and beta.
+    ``moving``: places of position and velocity in the state; without forces they move by the factor w² + p w + q. Each
+    other place reads only those before it: the ``held`` forces, newest first; the memory of ``averaged`` sampling;
+    ``way``, the last step of the reading; and the memories of the damper. ``numerator``, ``lead``: a force f is read as
+    y = f numerator(z)/(z^lead (w² + p w + q)). ``polynomials`` (3, N + 1): parts of the characteristic polynomial in z,
+    highest power first: the part that does not depend on the element, and the factors of kappa and beta.
     """
 
     damping: float
@@ -66,7 +65,7 @@ class LoneHand(NamedTuple):
 def lone_hand(
     damping: float, stiffness: float, delay: float, hold: str, sampling: str, damper: DamperModel, lag: float
 ) -> LoneHand:
-    """The loop of a normalised real friction b0 T/m and spring k0 T²/m."""
+    """Returns the loop of a normalised real friction b0 T/m and spring k0 T²/m."""
     one = np.ones(1)
     network = Network(
         1.0, one, damping * one, delay, hold, sampling, one[:0], np.array([[0, -1]]), 0.0 * one, UNFELT * one,
@@ -78,7 +77,7 @@ def lone_hand(
     change = found.change + UNFELT * np.outer(push, reads[1])
     (x,), (v,), (way,) = (parts[name].tolist() for name in ("position", "velocity", "way"))
     read = list(np.flatnonzero(reads.any(axis=0)))
-    for row in read:  # and what is read for them, while the list grows
+    for row in read:  # and the places that these read, while the list grows
         read += [at for at in np.flatnonzero(change[row]) if at not in read]
     held, averaged, memories = (
         [at for name in names for at in parts[name].tolist() if at in read]
@@ -90,15 +89,15 @@ def lone_hand(
     numerator = _polynomials(free, change, push, reads[:1], seen)[1]
     first, last = np.flatnonzero(numerator)[[0, -1]].tolist()
     polynomials = _polynomials(free, change, push, reads, [*seen, *[way] * (way in read), *memories])
-    polynomials = polynomials[:, : np.flatnonzero(polynomials.any(axis=0))[-1] + 1]  # no motion shows the rest
+    polynomials = polynomials[:, : np.flatnonzero(polynomials.any(axis=0))[-1] + 1]  # the rest is not observable
     of_reading = numerator[first : last + 1], last - 2
     own = damping, stiffness, lag, damper, p, q
     return LoneHand(*own, change, push, reads, (x, v), held, averaged, way, memories, *of_reading, polynomials)
 
 
 def _polynomials(free: Floats, change: Floats, push: Floats, reads: Floats, state: list[int]) -> Floats:
-    """(1 + R, N + 1), in z, of some of the ``state``, position and velocity first: det(z - M), M = 1 + change, of which
-    all that is remembered is a factor by itself; and that times what is read of (z - M)⁻¹ push."""
+    """Polynomials (1 + R, N + 1) in z of part of the ``state``, position and velocity first: det(z - M) with M = 1 +
+    change, in which every memory is a factor of its own; and that times the readings of (z - M)⁻¹ push."""
     change, push, reads = change[np.ix_(state, state)], push[state], reads[:, state]
     whole, moved = np.convolve(free, np.poly(1.0 + np.diag(change)[2:])), push
     columns = [push]
@@ -111,23 +110,21 @@ def _polynomials(free: Floats, change: Floats, push: Floats, reads: Floats, stat
 
 
 def characteristic(hand: LoneHand, kappa: Floats, beta: Floats) -> list[Floats]:
-    """The monic characteristic polynomial in z, highest power first, one array for each coefficient."""
+    """Monic characteristic polynomial in z, highest power first, one array for each coefficient."""
     beta = beta - hand.lag * kappa
     return [constant + of_kappa * kappa + of_beta * beta for constant, of_kappa, of_beta in hand.polynomials.T.tolist()]
 
 
 def relation_on_pair(hand: LoneHand, pair: PolePair, change: tuple[Floats, Floats]) -> Relation:
-    """(H, r) on a pair of poles: there the equation is kappa + beta H + r = 0.
-
-    ``change``: (p, q) of the mass by itself less those of the pair: on it w² + p w + q is the line of these two.
-    """
+    """Returns (H, r) on a pair of poles, for the equation kappa + beta H + r = 0. ``change``: (p, q) of the mass alone
+    minus those of the pair. On the pair, w² + p w + q is the line of these two."""
     w, z, free = pair.w, pair.w.plus(1.0), LinearOnPair(change[1], change[0], pair)
     numerator = z.polynomial(hand.numerator)
     if hand.lead < 0:
         ratio = w.power(0).over(z.power(-hand.lead).times(numerator))
     else:
         ratio = z.power(hand.lead).over(numerator)
-    # All that a damper remembers is taken for a reading of 1: it knows nothing of how the mass came there.
+    # Each memory of a damper for a reading of 1: it does not depend on the cause of the motion.
     values = _sensed(hand, pair, free) if hand.damper.senses else {}
     values[hand.way] = w.over(z)
     for at in hand.memories:
@@ -140,11 +137,8 @@ def _sum(row: Floats, values: dict[int, LinearOnPair]) -> LinearOnPair:
 
 
 def _sensed(hand: LoneHand, pair: PolePair, free: LinearOnPair) -> dict[int, LinearOnPair]:
-    """The velocities, for a reading of 1.
-
-    First for a force that moves the mass by 1, times z for every sample that it is remembered: so nothing is divided by
-    what may be nearly zero.
-    """
+    """Velocities for a reading of 1. They are computed first for a force that moves the mass by 1, times z for each
+    sample of its memory, so that no divisor is nearly zero."""
     w, z, (x, v), rows = pair.w, pair.w.plus(1.0), hand.moving, np.column_stack([hand.change, hand.push])
     forces = dict(zip([len(rows), *hand.held], [z.power(age) for age in range(len(hand.held), -1, -1)], strict=True))
     of_x, of_v = _sum(rows[x], forces), _sum(rows[v], forces)
@@ -160,7 +154,7 @@ def _sensed(hand: LoneHand, pair: PolePair, free: LinearOnPair) -> dict[int, Lin
 
 
 def element_of_relation(hand: LoneHand, relation: Relation) -> tuple[Floats, Floats]:
-    """(kappa, beta) that put the pair in place; not finite where they cannot tell its two poles apart."""
+    """Returns (kappa, beta) that place the pair; not finite where they cannot distinguish its two poles."""
     (H, H_slope, _), (r, r_slope, _) = relation
     beta = -r_slope / H_slope
     kappa = -(r + beta * H)

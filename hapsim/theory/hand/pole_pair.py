@@ -1,9 +1,9 @@
-"""Functions on a pair of poles, kept accurate where the two poles meet.
+"""Functions on a pair of poles, accurate also where the two poles meet.
 
 A pair is two complex conjugates, two real poles or one double pole, which its two values cannot describe. Modulo the
-quadratic w² + p w + q whose roots they are, every function is a line, constant + slope w, with real coefficients: its
-slope is the divided difference of the two values, Im f/Im w for conjugates, the derivative for equals. Products and
-quotients of lines are lines, so the three cases are one, to full accuracy, without complex numbers.
+quadratic w² + p w + q whose roots they are, every function is a line, constant + slope w, with real coefficients. Its
+slope is the divided difference of the two values: Im f/Im w for conjugates, the derivative for a double pole. Products
+and quotients of lines are lines, so one code serves all three cases, to full accuracy and without complex numbers.
 
 The variable is w = z - 1, not z: slow poles, close to z = 1, keep all their digits.
 """
@@ -17,30 +17,30 @@ from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Bools, Complexes, Floats
 
-CANCELS = 0.1  # a difference smaller than this part of its terms is worked out from small quantities
+CANCELS = 0.1  # a difference smaller than this part of its terms is computed from small quantities
 
 
 class PolePair(NamedTuple):
-    """The two poles as the roots of w² + p w + q; arrays of one shape."""
+    """Pair of poles as the roots of w² + p w + q; arrays of one shape."""
 
     p: Floats
     q: Floats
 
     @property
     def w(self) -> LinearOnPair:
-        """The identity."""
+        """Identity function on the pair."""
         return LinearOnPair(0.0, 1.0, self)
 
     @property
     def smaller_modulus(self) -> Floats:
-        """The modulus |1 + w| of the faster of the two."""
+        """Modulus |1 + w| of the faster pole."""
         bend, product = 0.25 * self.p * self.p - self.q, np.abs(1.0 - self.p + self.q)
         real = np.abs(1.0 - 0.5 * self.p) + np.sqrt(np.maximum(bend, 0.0))
         return product / np.where(bend < 0.0, np.sqrt(product), real)
 
     @property
     def poles(self) -> Complexes:
-        """z = 1 + w, (..., 2): the one nearer to 1 first, of conjugates the upper."""
+        """Poles z = 1 + w, (..., 2): the one nearer to 1 first, of conjugates the upper."""
         swings, spread, near, far = roots_of_quadratic(self.p, self.q)
         turn = 1j * np.where(swings, spread, 0.0)
         middle = -0.5 * self.p
@@ -48,35 +48,35 @@ class PolePair(NamedTuple):
 
 
 class LinearOnPair(NamedTuple):
-    """A function on a pair: the line that it is modulo the pair's quadratic. Scalars stand for arrays of one value."""
+    """Function on a pair as a line modulo the pair's quadratic. Scalars stand for arrays of one value."""
 
     constant: Any
     slope: Any
     pair: PolePair
 
     def plus(self, constant: Any) -> LinearOnPair:
-        """The function plus a constant."""
+        """Returns the function plus a constant."""
         return LinearOnPair(self.constant + constant, self.slope, self.pair)
 
     def scaled(self, factor: Any) -> LinearOnPair:
-        """The function times a constant."""
+        """Returns the function times a constant."""
         return LinearOnPair(self.constant * factor, self.slope * factor, self.pair)
 
     def times(self, other: LinearOnPair) -> LinearOnPair:
-        """The product of two functions."""
+        """Returns the product of two functions."""
         (a, b, (p, q)), (c, d, _) = self, other
         square = b * d
         return LinearOnPair(a * c - square * q, a * d + b * c - square * p, self.pair)
 
     def over(self, other: LinearOnPair) -> LinearOnPair:
-        """The quotient of two functions."""
+        """Returns the quotient of two functions."""
         (c, d, (p, q)) = other
         turned = c - d * p
-        product = c * turned + d * d * q  # of the two values
+        product = c * turned + d * d * q  # of the values at the two poles
         return self.times(LinearOnPair(turned / product, -d / product, self.pair))
 
     def power(self, exponent: int) -> LinearOnPair:
-        """The function raised to an integer >= 0."""
+        """Returns the function raised to an integer >= 0."""
         if exponent == 0:
             return LinearOnPair(1.0, 0.0, self.pair)
         if exponent == 1:
@@ -85,7 +85,7 @@ class LinearOnPair(NamedTuple):
         return half.times(half).times(self) if exponent % 2 else half.times(half)
 
     def polynomial(self, coefficients: Floats) -> LinearOnPair:
-        """The polynomial of the function with scalar coefficients, highest power first."""
+        """Returns the polynomial of the function with scalar coefficients, highest power first."""
         result = LinearOnPair(float(coefficients[0]), 0.0, self.pair)
         for coefficient in coefficients[1:]:
             result = result.times(self).plus(float(coefficient))
@@ -93,14 +93,14 @@ class LinearOnPair(NamedTuple):
 
 
 def total(functions: list[LinearOnPair]) -> LinearOnPair:
-    """The sum of functions on one pair."""
+    """Returns the sum of functions on one pair."""
     constants, slopes, pairs = zip(*functions, strict=True)
     return LinearOnPair(sum(constants), sum(slopes), pairs[0])
 
 
 def roots_of_quadratic(p: Floats, q: Floats) -> tuple[Bools, Floats, Floats, Floats]:
-    """(swings, spread, near, far): the roots of x² + p x + q are -p/2 ± j spread where it swings, else near and far;
-    near is the one closer to zero, to all its digits."""
+    """Roots of x² + p x + q as (complex, spread, near, far): -p/2 ± j spread where complex, else near and far. The root
+    ``near`` is the one closer to zero, to all its digits."""
     half = 0.5 * p
     bend = half * half - q
     spread = np.sqrt(np.abs(bend))
@@ -109,7 +109,7 @@ def roots_of_quadratic(p: Floats, q: Floats) -> tuple[Bools, Floats, Floats, Flo
 
 
 def pair_of_oscillator(sigma: Floats, kappa: Floats) -> PolePair:
-    """The poles w = e^s - 1 of s² + sigma s + kappa = 0, periods as time."""
+    """Poles w = e^s - 1 of s² + sigma s + kappa = 0, periods as time."""
     is_complex, spread, near, far = roots_of_quadratic(sigma, kappa)
     # e^(a + jy) - 1 = (e^a - 1) + e^a (cos y - 1) + j e^a sin y
     one, angle = np.expm1(np.where(is_complex, -0.5 * sigma, near)), np.where(is_complex, 0.5 * spread, 0.0)
@@ -124,7 +124,7 @@ def pair_of_oscillator(sigma: Floats, kappa: Floats) -> PolePair:
 
 
 def quadratic_of_oscillator(sigma: float, kappa: float) -> tuple[float, float]:
-    """(p, q): the poles w = e^s - 1 of s² + sigma s + kappa = 0 are the roots of w² + p w + q."""
+    """Coefficients (p, q) of w² + p w + q, whose roots are the poles w = e^s - 1 of s² + sigma s + kappa = 0."""
     pair = pair_of_oscillator(np.array([sigma]), np.array([kappa]))
     return float(pair.p[0]), float(pair.q[0])
 
@@ -132,12 +132,10 @@ def quadratic_of_oscillator(sigma: float, kappa: float) -> tuple[float, float]:
 def change_of_quadratic(
     pair: PolePair, oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats], damping: float, stiffness: float
 ) -> tuple[Floats, Floats]:
-    """(p, q) of the mass by itself, with its ``damping`` and ``stiffness``, less those of the ``pair``.
-
+    """Returns (p, q) of the mass alone, with its ``damping`` and ``stiffness``, minus those of the ``pair``.
     ``oscillator``: (sigma, kappa) of the pair. ``more``: (sigma - damping, kappa - stiffness), which the caller knows
-    to all their digits: where the two oscillators are nearly the same, p and q cancel, and their changes are worked out
-    from these.
-    """
+    to all their digits. Between nearly equal oscillators p and q cancel, so their changes are computed from
+    ``more``."""
     own_p, own_q = quadratic_of_oscillator(damping, stiffness)
     p, q = pair
     p_change, q_change = own_p - p, own_q - q
@@ -155,7 +153,8 @@ def change_of_quadratic(
 def _small_change(
     oscillator: tuple[Floats, Floats], more: tuple[Floats, Floats], damping: float, stiffness: float
 ) -> tuple[Floats, Floats]:
-    """With e = exp(-sigma/2), u = kappa - sigma²/4, C = cos(sqrt u): p = 2 - 2 e C and q = (1 - e)² + 2 e (1 - C)."""
+    """Changes of p = 2 - 2 e C and q = (1 - e)² + 2 e (1 - C), with e = exp(-sigma/2), u = kappa - sigma²/4, C =
+    cos(sqrt u)."""
     (sigma, kappa), (more_damping, more_stiffness) = oscillator, more
     u, u0 = kappa - 0.25 * sigma**2, stiffness - 0.25 * damping**2
     of_u = more_stiffness - 0.25 * more_damping * (sigma + damping)
@@ -164,7 +163,7 @@ def _small_change(
     root, root0 = np.sqrt(u.astype(complex)), np.sqrt(complex(u0))
     cosine, cosine0 = np.cos(root).real, np.cos(root0).real
     of_cosine = -0.5 * of_u * (_sinc(0.5 * (root + root0)) * _sinc(0.5 * (root - root0))).real
-    # e C - e0 C0 in two parts, the difference of the cosines with the smaller factor: it may be large where e is small.
+    # e C - e0 C0 in two parts. The difference of the cosines gets the smaller factor: it may be large where e is small.
     heavier = more_damping > 0.0
     p_change = 2.0 * np.where(heavier, of_e * cosine0 + e * of_cosine, of_e * cosine + e0 * of_cosine)
     cosine_less_1 = -2.0 * (np.sin(0.5 * root) ** 2).real
@@ -173,15 +172,13 @@ def _small_change(
 
 
 def _sinc(x: Complexes) -> Complexes:
-    """sin(x)/x."""
+    """Returns sin(x)/x."""
     return np.where(x == 0.0, 1.0, np.sin(x) / np.where(x == 0.0, 1.0, x))
 
 
 def oscillator_of_quadratic(p: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """The (sigma, kappa) with s² + sigma s + kappa = 0 at s = ln(1 + w), of the roots of w² + p w + q.
-
-    NaN where a real pole z = 1 + w is not positive: no motion in continuous time looks like it.
-    """
+    """Returns (sigma, kappa) of s² + sigma s + kappa = 0 at s = ln(1 + w), for the roots of w² + p w + q. NaN where a
+    real pole z = 1 + w is not positive: no motion in continuous time matches it."""
     swings, spread, near, far = roots_of_quadratic(p, q)
     sigma = -np.log1p(q - p)
     swinging = (0.5 * sigma) ** 2 + np.arctan2(spread, 1.0 - 0.5 * p) ** 2
@@ -199,9 +196,8 @@ def frequency_and_ratio(mass: ArrayLike, k: ArrayLike, b: ArrayLike) -> tuple[Fl
         b: damping, N·s/m.
 
     Returns:
-        The undamped eigenfrequency sqrt(k/m)/(2 pi) in Hz and the damping ratio b/(2 sqrt(k m)), 1 where
-        critically damped. Both are NaN where k is negative; without a spring the frequency is 0 and the ratio
-        NaN.
+        The undamped eigenfrequency sqrt(k/m)/(2 pi) in Hz and the damping ratio b/(2 sqrt(k m)), 1 for critical
+        damping. Both are NaN if k is negative. Without a spring the frequency is 0 and the ratio NaN.
     """
     mass, k, b = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in (mass, k, b)))
     with np.errstate(all="ignore"):

@@ -1,8 +1,8 @@
 """Poles of the closed loop: the roots of its characteristic polynomial, and the pair that moves the hand.
 
-All of them are eigenvalues; the two slowest are then polished as one quadratic factor, in which slow poles and poles
-that meet keep their digits: as the one whose element is the given one. Everything here is in the normalised units
-kappa = K T²/m and beta = B T/m (see ``lone_hand.py``), arrays of one shape.
+All roots are computed as eigenvalues. Newton's method then refines the two slowest as one quadratic factor, the one
+whose element is the given one; slow poles and poles that meet keep their digits in it. Units are normalised, kappa = K
+T²/m and beta = B T/m (see ``lone_hand.py``), in arrays of one shape.
 """
 
 from __future__ import annotations
@@ -20,20 +20,18 @@ from hapsim.theory.hand.lone_hand import LoneHand, characteristic, element_of_re
 from hapsim.theory.hand.pole_pair import PolePair
 
 POLISH_STEPS = 8
-POLISH_DONE = 1e-9  # relative size of a step: of Newton's next one nothing would be seen
-POLISH_TRIES = 1e-5  # relative, of a pair beside it, by which the slope is worked out
-POLISH_ACCEPTED = 1e-6  # the same: close to a further pole the last digits do not settle
-POLISH_MAY_MOVE = 1e-5  # eigenvalues are better than that: a step further leads to another pair
+POLISH_DONE = 1e-9  # relative size of a step: Newton's next one would change nothing
+POLISH_TRIES = 1e-5  # relative change of the pair in a difference quotient
+POLISH_ACCEPTED = 1e-6  # relative size of the last step: close to another pole the last digits do not settle
+POLISH_MAY_MOVE = 1e-5  # eigenvalues are more accurate: a larger step leads to another pair
 FREE_MASS = 1e-40  # a p or q smaller than this is zero
-POINTS_AT_ONCE = 32768  # of large arrays: this number fits a core's cache
+POINTS_AT_ONCE = 32768  # block of large arrays: this number fits a core's cache
 
 
 def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
-    """For methods of two arrays (n,) that treat every pair of entries by itself: called with arrays of any shapes.
-
-    They are broadcast against each other, and the results have their shape; scalars give scalars. Numbers out of range
-    become NaN, without a warning.
-    """
+    """Decorates a method that treats each pair of entries of two arrays (n,) separately: it accepts arrays of any
+    shapes. The arrays are broadcast against each other, and the results have their shape; scalars give scalars. Numbers
+    out of range become NaN, without a warning."""
     takes = signature(method)
 
     @wraps(method)
@@ -55,7 +53,7 @@ def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class LeadingPair(NamedTuple):
-    """The slowest-decaying pair as w² + p w + q, and whether it alone moves the hand."""
+    """Slowest-decaying pair as w² + p w + q, and whether it alone moves the hand."""
 
     p: Floats
     q: Floats
@@ -63,7 +61,7 @@ class LeadingPair(NamedTuple):
 
 
 def all_poles(hand: LoneHand, kappa: Floats, beta: Floats) -> tuple[LeadingPair, Complexes]:
-    """The leading pair, for kappa and beta (n,), and all poles (n, N) by decreasing modulus."""
+    """Leading pair for kappa and beta (n,), and all poles (n, N) by decreasing modulus."""
     poles = roots(np.stack(characteristic(hand, kappa, beta), axis=-1))
     p, q, is_pair = _two_slowest(poles)
     others = poles[:, 2:]
@@ -87,13 +85,13 @@ def roots(coefficients: Floats) -> Complexes:
 
 
 def pair_of_poles(poles: Complexes) -> LeadingPair:
-    """The leading pair of poles (..., N) by decreasing modulus, as they are: of a loop without a ``LoneHand``."""
+    """Leading pair of poles (..., N) by decreasing modulus, without refinement: for a loop without a ``LoneHand``."""
     p, q, is_pair = _two_slowest(poles)
     return LeadingPair(p, q, is_pair & _decay_faster(poles[..., 2:], PolePair(p, q)))
 
 
 def _two_slowest(poles: Complexes) -> tuple[Floats, Floats, Bools]:
-    """(p, q) of the two slowest poles, and whether they are conjugates, or two positive ones."""
+    """Coefficients (p, q) of the two slowest poles, and whether they are conjugates, or two positive ones."""
     first, second = poles[..., 0], poles[..., 1]
     conjugates = (first.imag != 0.0) & (second == first.conj())
     positive = (first.imag == 0.0) & (second.imag == 0.0) & (first.real > 0.0) & (second.real > 0.0)
@@ -105,9 +103,10 @@ def _decay_faster(others: Complexes, pair: PolePair) -> Bools:
 
 
 def _polished(hand: LoneHand, kappa: Floats, beta: Floats, start: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-    """Newton's method on the map from the pair to its element; the start, where it does not converge nearby."""
+    """Returns (p, q) by Newton's method on the map from the pair to its element, or the start if this does not converge
+    nearby."""
     p, q, step = start[0].copy(), start[1].copy(), np.full(start[0].shape, np.inf)
-    some = np.arange(p.size)  # those under way: what has arrived stays, whatever its neighbours do
+    some = np.arange(p.size)  # entries that still iterate; the others keep their results
     for _ in range(POLISH_STEPS):
         size_p = np.abs(p[some]) + np.sqrt(np.abs(q[some])) + FREE_MASS
         size_q = np.abs(q[some]) + FREE_MASS
@@ -126,7 +125,7 @@ def _polished(hand: LoneHand, kappa: Floats, beta: Floats, start: tuple[Floats, 
 
 
 def _newton_step(hand: LoneHand, element: tuple[Floats, Floats], p: Floats, q: Floats, tries: Floats) -> Floats:
-    """The change of p and of q that makes the pair's element the given one."""
+    """Returns the changes of p and of q that make the pair's element the given one."""
     several_p, several_q = np.stack([p, p + tries[0], p]), np.stack([q, q, q + tries[1]])
     tries = np.stack([several_p[1] - p, several_q[2] - q])
     relation = relation_on_pair(hand, PolePair(several_p, several_q), (hand.p - several_p, hand.q - several_q))
@@ -137,7 +136,8 @@ def _newton_step(hand: LoneHand, element: tuple[Floats, Floats], p: Floats, q: F
 
 
 def all_within(coefficients: list[Floats], radius: Floats) -> Bools:
-    """Whether all roots of polynomials in z, highest power first, have a modulus below the radius, by Jury's test."""
+    """Returns whether all roots of polynomials in z, highest power first, have a modulus below the radius (Jury's
+    test)."""
     shrink = 1.0 / radius
     remaining, scale = [coefficients[0]], shrink
     for coefficient in coefficients[1:]:
@@ -153,7 +153,7 @@ def all_within(coefficients: list[Floats], radius: Floats) -> Bools:
 
 
 def without_pair(coefficients: list[Floats], pair: PolePair) -> list[Floats]:
-    """Monic polynomials in z, highest power first, divided by the pair's factor z² + (p - 2) z + 1 - p + q."""
+    """Returns monic polynomials in z, highest power first, divided by the pair's factor z² + (p - 2) z + 1 - p + q."""
     linear, constant = pair.p - 2.0, 1.0 - pair.p + pair.q
     quotient = [coefficients[0], coefficients[1] - linear]
     for coefficient in coefficients[2:-2]:
@@ -161,7 +161,7 @@ def without_pair(coefficients: list[Floats], pair: PolePair) -> list[Floats]:
     return quotient[: len(coefficients) - 2]
 
 
-# Why there is no answer, in words.
+# Reasons why no k and b exist.
 
 NOT_FINITE = "a number that is asked about is not finite, or beyond what can be worked out"
 NEGATIVE = "the slowest motion changes its sign with every sample, which no spring and damper does"
@@ -171,7 +171,7 @@ OWN_ABOVE_NYQUIST = "mass and spring of the device swing by themselves at or abo
 
 
 def why_not_dominant(poles: Complexes, dominant: Bools) -> NDArray[np.str_]:
-    """For poles (..., N) by decreasing modulus; "" where the pair is dominant."""
+    """Reasons for poles (..., N) by decreasing modulus; "" where the pair is dominant."""
     first, second = poles[..., 0], poles[..., 1]
     real = first.imag == 0.0
     conjugates = ~real & (second == first.conj())

@@ -1,4 +1,4 @@
-"""How much real friction a sampled virtual wall needs to be passive.
+"""Real friction that a sampled virtual wall needs to be passive.
 
 Colgate and Schenkel, "Passivity of a class of sampled-data systems" (1997). For a wall H(z) behind a zero-order hold
 and a whole number D of samples of delay, with theta = wT,
@@ -7,14 +7,14 @@ and a whole number D of samples of delay, with theta = wT,
 
 which is K T (D + 1/2) for a spring alone and K T/2 + |B| for a backward damper without delay.
 
-A fraction f of a sample is more than a phase: the hold's images of a motion, at theta + 2 pi n, are each late by a
-phase of their own, and a hand may move at all of them together. Their power is a form of rank two in the images, whose
-largest value is, by the sums over 1/(theta + 2 pi n)²,
+A fraction f of a sample is more than a phase. It delays each of the hold's images of a motion, at theta + 2 pi n, by
+another phase, and a hand may move at all of them at once. Their power is a quadratic form of rank two in the images. By
+the sums over 1/(theta + 2 pi n)², its largest value is
 
     (R + sqrt(R² + f (1 - f) (T |H|)²))/2,    R = (1 - f) h_D + f h_(D+1)
 
-between the two whole delays' demands and above them in the middle: 1.059 K T at a delay of half a sample, where
-K T (delay + 1/2) (Gil et al., "Stability analysis of a 1 DOF haptic interface", 2004) would be K T.
+At the middle of a sample it exceeds the demands of both whole delays: 1.059 K T at a delay of half a sample, where K T
+(delay + 1/2) (Gil et al., "Stability analysis of a 1 DOF haptic interface", 2004) would be K T.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.interface import velocity_read, whole_and_fraction
 
-POINTS_PER_SWING = 64  # of theta, for the fastest term to go from one extreme to the other
-REFINED_SPACING = (1.0, 0.02, 0.02)  # of that grid: the last parabola is good to rounding
+POINTS_PER_SWING = 64  # of theta, for a half oscillation of the fastest term
+REFINED_SPACING = (1.0, 0.02, 0.02)  # of that grid: the last parabola is accurate to rounding
 SLOWEST = 1e-7  # of theta: the demand is smooth and even at 0
 ROWS_AT_ONCE = 1024
 
 
 def needed_friction(elastic: Floats, viscous: Floats, delay: float, damper: DamperModel) -> Floats:
-    """(n,): the least upper bound, over theta, of the friction that each wall demands, N·s/m; of n walls K T and B in
+    """Least upper bound, over theta, of the friction that each wall demands, (n,) N·s/m, for n walls K T and B in
     N·s/m."""
     parts = (slice(i, i + ROWS_AT_ONCE) for i in range(0, elastic.size, ROWS_AT_ONCE))
     found = [_upper_bound(elastic[rows, None], viscous[rows, None], delay, damper) for rows in parts]
@@ -42,7 +42,7 @@ def needed_friction(elastic: Floats, viscous: Floats, delay: float, damper: Damp
 
 
 def _upper_bound(elastic: Floats, viscous: Floats, delay: float, damper: DamperModel) -> Floats:
-    """The best point of a grid, then parabolas through three points about it."""
+    """Returns the best point of a grid, refined by parabolas through three points around it."""
 
     def demand_at(theta: Floats) -> Floats:
         theta = np.maximum(np.abs(theta), SLOWEST)
@@ -51,7 +51,7 @@ def _upper_bound(elastic: Floats, viscous: Floats, delay: float, damper: DamperM
     late = delay + len(damper.of_positions) - len(damper.of_velocities)
     count = math.ceil(POINTS_PER_SWING * late)
     spacing = math.pi / count
-    # One point beyond either end, where the demand goes on smoothly.
+    # One point beyond either end, where the demand continues smoothly.
     theta = spacing * np.arange(-1.0, count + 2.0, dtype=np.float64)
     demand = demand_at(theta[None, :])
     rise, bend = _slope_and_bend(demand[:, :-2], demand[:, 1:-1], demand[:, 2:])
@@ -75,10 +75,10 @@ def _slope_and_bend(before: Floats, here: Floats, after: Floats) -> tuple[Floats
 
 
 def _demand(reaction: Complexes, theta: Floats, delay: float) -> Floats:
-    """What walls that react so demand at theta, (1 or n, points): (n, points)."""
+    """Friction that walls with this ``reaction`` demand at theta, (1 or n, points): (n, points)."""
 
     def at_whole(late: int) -> Floats:
-        """h_D, with (1 - exp(-j theta))/(2 (1 - cos theta)) = (1 + j cot(theta/2))/2."""
+        """Returns h_D, with (1 - exp(-j theta))/(2 (1 - cos theta)) = (1 + j cot(theta/2))/2."""
         turned = reaction * np.exp(-1j * late * theta)
         return np.asarray(0.5 * (turned.real - turned.imag / np.tan(0.5 * theta)))
 

@@ -1,4 +1,4 @@
-"""The closed loop of any linear scene: hands, masses and links together."""
+"""Closed loop of any linear scene: hands, masses and links together."""
 
 from hapsim.theory.network.felt import (
     CARRIED,

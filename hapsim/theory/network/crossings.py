@@ -1,7 +1,7 @@
-"""Every factor of one link's stiffness, or damping, at which a pole of the loop crosses the unit circle.
+"""Factors of one link's stiffness, or damping, at which a pole of the loop crosses the unit circle.
 
-The change is of rank one: with s u v' added to what a sample adds to the state, A, a pole stands at z where s g(z) = 1
-with g(z) = v'(z - M)^-1 u, M = 1 + A, and on the circle s is real where g(z) = g(1/z). Since
+The change is of rank one. With s u v' added to the change A of a sample, a pole stands at z if s g(z) = 1, where g(z) =
+v'(z - M)^-1 u and M = 1 + A. On the circle s is real if g(z) = g(1/z). Since
 
     (z - M)^-1 - (1/z - M)^-1 = (1/z - z) ((z - M)(1/z - M))^-1,      (z - M)(1/z - M) = A² + y M,
 
@@ -10,8 +10,8 @@ between 0 and 4, and z = 1 and z = -1. With P = A² + y0 M and G = P^-1 M the ze
 an eigenvalue of G - P^-1 u v'G/h(y0): as many as the state has numbers, in real arithmetic, and slow ones to all their
 digits. There s = 1/g.
 
-Of a large scene the circle is sampled for a few links, and a sign change of Im s refined: the least factor above 1 is
-the margin of a loop that is stable as it stands. Each place costs one factorisation of a sparse matrix.
+For a few links of a large scene the circle is sampled, and a sign change of Im s refined. The least factor above 1 is
+the margin of a stable loop. Each place costs one factorisation of a sparse matrix.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from hapsim.theory.network.network import Network
 from hapsim.theory.rows import Rows, cut, stretches_of, times, unit_rows
 from hapsim.theory.sample import loop, sizes_of
 
-OUTSIDE = 1e-12  # the circle's radius is 1 and this: poles that rest on 1, and what never loses energy, lie inside
-REAL = 1e-6  # of |y|: an imaginary part below this is rounding, or two crossings that nearly meet
+OUTSIDE = 1e-12  # radius of the circle minus 1: poles that rest on 1, or never lose energy, lie inside
+REAL = 1e-6  # of |y|: a smaller imaginary part is rounding, or two crossings that nearly meet
 SHIFTS = (-0.011, -0.037, -0.13, -0.41)
 AT_ONCE = 4_000_000  # complex numbers in memory
 
@@ -43,8 +43,8 @@ def in_blocks(count: int, size: int) -> Iterator[slice]:
 
 
 class LinkChanges(NamedTuple):
-    """A link's stiffness or damping, 1 + s times itself, adds s ``pushed`` ``read``' to ``change``: ``pushed``
-    (size, L), and ``read``, both (L, size), of stiffness and of damping."""
+    """Changes of links: a stiffness or damping that is multiplied by 1 + s adds s ``pushed`` ``read``' to ``change``.
+    ``pushed`` is (size, L), ``read`` (L, size), for stiffness and for damping."""
 
     change: Rows
     pushed: Rows
@@ -52,19 +52,19 @@ class LinkChanges(NamedTuple):
 
 
 def link_changes(network: Network, sparse: bool = False) -> LinkChanges:
-    """Of a scene whose points CORDIS's scheme moves once a sample."""
+    """Returns the changes for a scene whose points CORDIS's scheme moves once a sample."""
     change, _, push, _, (stretch, rate) = loop(network, inputs=True, sparse=sparse)
     read = times(-network.stiffness, stretch), times(-network.damping * network.rate, rate)
     return LinkChanges(change, push @ stretches_of(network, sparse).T, read)
 
 
 def on_circle(angle: Floats, outside: float = 0.0) -> Complexes:
-    """w = z - 1, to all its digits, at these angles on a circle whose radius is 1 and ``outside``."""
+    """Returns w = z - 1, to all its digits, at these angles on a circle of radius 1 + ``outside``."""
     return np.asarray(outside * np.exp(1j * angle) - 2.0 * np.sin(0.5 * angle) ** 2 + 1j * np.sin(angle))
 
 
 class Crossings:
-    """What all links have in common."""
+    """Crossings of a network; the parts that all links share are computed once."""
 
     def __init__(self, network: Network) -> None:
         self._links = link_changes(network)
@@ -74,14 +74,14 @@ class Crossings:
         self._shift = _far_from_poles(step)
         shifted = step @ step + self._shift * matrix
         self._reached, self._common = 0.0 * self._links.pushed, matrix
-        with suppress(np.linalg.LinAlgError):  # numbers too far apart: what is found is looked at anyway
+        with suppress(np.linalg.LinAlgError):  # numbers too far apart: all factors found are tested anyway
             self._common = np.linalg.solve(shifted, matrix)
             self._reached = np.linalg.solve(shifted, self._links.pushed)
 
     @np.errstate(all="ignore")
     def factors(self, link: int, quantity: int) -> Floats:
-        """Positive factors of the link's stiffness (0) or damping (1), ascending: all at which a pole crosses, and some
-        at which one only touches the circle."""
+        """Returns the positive factors of the link's stiffness (0) or damping (1), ascending, at which a pole crosses
+        the circle; also some at which one only touches it."""
         u, v, reached = self._links.pushed[:, link], self._links.read[quantity][link], self._reached[:, link]
         at_shift = float(v @ reached)
         angles = np.array([0.0, np.pi])
@@ -98,14 +98,14 @@ class Crossings:
 
 @np.errstate(all="ignore")  # a pole at 0 is infinitely far
 def _far_from_poles(step: Floats) -> float:
-    """A y below 0 at which no pole stands."""
+    """Returns a y below 0 that is far from every pole."""
     w = np.linalg.eigvals(step).astype(complex)
     y = np.nan_to_num(-(w**2) / (1.0 + w), nan=np.inf)
     return max(SHIFTS, key=lambda shift: float(np.abs(y / shift - 1.0).min(initial=1.0)))
 
 
 def _solved(matrices: Complexes, u: Floats) -> Complexes:
-    """(n, size): NaN where a matrix has no inverse."""
+    """Solutions (n, size); NaN where a matrix has no inverse."""
     try:
         return np.asarray(np.linalg.solve(matrices, u[:, None] + 0j))[..., 0]
     except np.linalg.LinAlgError:
@@ -116,15 +116,15 @@ def _solved(matrices: Complexes, u: Floats) -> Complexes:
 
 WORK = 1.2e7  # points times places on the circle: some seconds
 FEWEST, MOST = 400, 2500  # places
-TURN = 0.7  # between two places a change differs by less than a factor exp of it, in size and in angle
-CLOSE = 1e-9  # radians: places are not taken closer together
+TURN = 0.7  # logarithm of the largest factor between the changes at two places, in size and in angle
+CLOSE = 1e-9  # radians: smallest distance of two places
 RESTS = 1e-9  # a pole this close to the circle is on it
 NEARBY = (0.0, 1.0, 3.0)  # widths of a resonance at which its surroundings are sampled
-FAR = 2.0  # crossings are refined up to this multiple of the nearest one's distance from 1
+FAR = 2.0  # limit of the refined crossings, as a multiple of the nearest one's distance from 1
 
 
 def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> tuple[Floats, str]:
-    """(links, 2): the factors of stiffness and damping of a stable scene, and in words how they were found."""
+    """Returns the factors of stiffness and damping of a stable scene, (links, 2), and a phrase on the sampling."""
     matrix = _Changes(network)
     points = network.channel_mass.size + network.point_mass.size
     most = int(min(MOST, max(FEWEST, WORK / points)))
@@ -153,11 +153,8 @@ def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> 
 
 
 class _Changes:
-    """By what part of itself a link's stiffness, and its damping, has to grow for a pole to be at a place.
-
-    A mass's last step is 1 - 1/z times its place: of the two equations that CORDIS's scheme has of it that of the step
-    says both.
-    """
+    """Relative changes of a link's stiffness, and of its damping, that place a pole at a given z. A mass's last step is
+    1 - 1/z times its position. CORDIS's scheme has two equations for a mass; that of the step implies both."""
 
     def __init__(self, network: Network) -> None:
         change, self._pushed, self._read = link_changes(network, sparse=True)
@@ -172,7 +169,7 @@ class _Changes:
         self._of_rest, self._of_masses = one.multiply(~is_mass[:, None]), one.multiply(is_mass[:, None])
 
     def at(self, angles: Floats, links: Indices) -> Complexes:
-        """(2, links, n)"""
+        """Changes (2, links, n) at these angles."""
         pushed, read = self._pushed[:, links].toarray() + 0j, [rows[links].toarray().T for rows in self._read]
         found = np.full((2, links.size, angles.size), np.nan, dtype=complex)
         states = np.empty_like(pushed)
@@ -187,7 +184,7 @@ class _Changes:
 
 
 def _angles_about(poles: Complexes, most: int) -> Floats:
-    """From 0 to pi: evenly, slow ones by decades, and about each known pole as far as it is from the circle."""
+    """Angles from 0 to pi: evenly, slow ones by decades, and around each known pole by its distance from the circle."""
     shown = poles[(poles.imag >= 0.0) & (np.abs(poles) > 0.3)]
     slow = np.abs(shown - 1.0)
     least = max(1e-12, 0.01 * float(slow[slow > 1e-7].min(initial=1.0)))
@@ -200,7 +197,7 @@ def _angles_about(poles: Complexes, most: int) -> Floats:
 
 
 def _margin(matrix: _Changes, link: int, quantity: int, angles: Floats, change: Complexes) -> float:
-    """The least factor above 1 at which the change of a link's quantity is real; ``change``: at the angles."""
+    """Returns the least factor above 1 at which the change of a link's quantity is real; ``change``: at the angles."""
     from scipy.optimize import brentq
 
     if not np.isfinite(change[1:-1]).all():

@@ -1,14 +1,16 @@
-"""The springs and dampers that hands feel in a network, one hand or several, and how heavy its masses feel; and all of
-it in continuous time, M x'' + Z x' + K x = 0, every link a spring and a damper: what sampling, hold and delay deform.
+"""Springs and dampers that one hand or several feel in a network, and the mass that its masses feel like.
 
-Of the loop's motions by themselves, the hands' own are the slowest with nine tenths of the kinetic energy in the hands.
-Where these carry what the hands do, no other object than M x'' + b x' + k x = 0 has the same motions: with a real basis
-V of them, A V = V R, S = log(R)/T and X the hands' rows of V, [k b] = -M X S² [X; X S]⁻¹. One hand without masses feels
-the pair of Florens et al., §6.
+The same quantities are computed in continuous time, M x'' + Z x' + K x = 0 with every link a spring and a damper: the
+reference that sampling, hold and delay deform.
 
-A hand of stiffness kh, a spring beside the device, shakes what it holds. Of the slowest swing s a rigid mass
-M' = kh/|s|² - m would have the same, m the device's own. In continuous time the same rule says what of it is the
-coupling's: a mass behind a spring feels heavier the faster it is shaken.
+Among the loop's eigenmotions, the hands' own are the slowest with nine tenths of the kinetic energy in the hands. If
+these carry the hands' movement, only one object M x'' + b x' + k x = 0 has the same motions. With a real basis V of
+them, A V = V R, S = log(R)/T and X the hands' rows of V, it is [k b] = -M X S² [X; X S]⁻¹. For one hand without masses
+this is the pair of Florens et al., §6.
+
+A hand of stiffness kh, a spring beside the device, shakes the masses that it holds. For the slowest oscillation s a
+rigid mass M' = kh/|s|² - m would have the same s, where m is the device's own mass. The same rule in continuous time
+separates the part of the coupling: a mass behind a spring feels heavier the faster it is shaken.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from hapsim.theory.sample import is_large, loop, sizes_of
 
 
 class ContinuousMode(NamedTuple):
-    """One motion of the continuous scene by itself: a conjugate pair, or a real root.
+    """Eigenmotion of the continuous scene: a conjugate pair, or a real root.
 
     Attributes:
         root: s in 1/s; of a pair, the one above the real axis.
@@ -38,17 +40,17 @@ class ContinuousMode(NamedTuple):
 
     @property
     def frequency_hz(self) -> float:
-        """|s|/(2 pi), the undamped eigenfrequency."""
+        """Undamped eigenfrequency |s|/(2 pi)."""
         return abs(self.root) / (2.0 * math.pi)
 
     @property
     def damping_ratio(self) -> float:
-        """-Re s/|s|; NaN where it rests."""
+        """Damping ratio -Re s/|s|; NaN at rest."""
         return -self.root.real / abs(self.root) if self.root else math.nan
 
 
 def matrices(network: Network, sparse: bool = False) -> tuple[Rows, Rows, Rows]:
-    """(M, Z, K), each (C + M, C + M): kg, N·s/m, N/m."""
+    """Matrices (M, Z, K), each (C + M, C + M): kg, N·s/m, N/m."""
     mass, stretches = np.concatenate([network.channel_mass, network.point_mass]), stretches_of(network, sparse)
     one, others = unit_rows(mass.size, sparse), np.zeros(network.point_mass.size)
     Z, K = (
@@ -62,14 +64,14 @@ def matrices(network: Network, sparse: bool = False) -> tuple[Rows, Rows, Rows]:
 
 
 def first_order(network: Network) -> Floats:
-    """(2 C + 2 M, 2 C + 2 M): what the rates of positions and velocities are of these, 1/s."""
+    """Matrix (2 C + 2 M, 2 C + 2 M) from positions and velocities to their rates of change, 1/s."""
     M, Z, K = matrices(network)
     size, mass = len(M), np.diag(M)[:, None]
     return np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass, -Z / mass]])
 
 
 def continuous_modes(network: Network) -> list[ContinuousMode]:
-    """Every mode, the slowest to decay first; those at rest too."""
+    """Returns every mode, including those at rest, the slowest to decay first."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
     size = mass.size
     if size == 0:
@@ -83,15 +85,15 @@ def continuous_modes(network: Network) -> list[ContinuousMode]:
 
 
 OWN = 0.9
-"""Of a motion's kinetic energy: with more in the hands it is theirs."""
+"""Share of a motion's kinetic energy; with more in the hands it is one of their own."""
 CARRIED = 0.25
-"""Of the hands' velocity and position after an impulse, rms: with more in other motions no pair says what is felt."""
-_MEMORY = 1e-7  # a pole of smaller modulus is a memory that empties
-_RESTS = 1e-12  # radians and nepers in a sample: what moves by less rests
-_SAME = 1e-6  # relative: two numbers that rounding alone tells apart
-_WORST = 1e12  # condition of the motions that a pair is solved from
-_SHOWN = 0.1  # of the hands' velocity after an impulse, rms: a motion that the hands share in
-_TURNS = 10.0  # radians of the slowest motion of the hands: how long one is looked at that does not die out
+"""Limit of the share of other motions in the hands' velocity and position after an impulse, rms, for a felt pair."""
+_MEMORY = 1e-7  # a pole of smaller modulus is a memory
+_RESTS = 1e-12  # radians and nepers in a sample; less is rest
+_SAME = 1e-6  # relative difference that rounding alone causes
+_WORST = 1e12  # condition number of the motions from which a pair is solved
+_SHOWN = 0.1  # rms share of the hands' velocity after an impulse in a motion that the hands take part in
+_TURNS = 10.0  # radians of the slowest motion of the hands: time over which a motion without decay is summed
 
 TOO_LARGE = "the scene is too large for it"
 TOGETHER = "it swings together with what it holds"
@@ -99,39 +101,38 @@ FOLLOWS = "much of its movement follows what it holds"
 
 
 class FeltPair(NamedTuple):
-    """What n hands feel: k (n, n) in N/m and b (n, n) in N·s/m, the device's own included; NaN where there is none."""
+    """Stiffness k (n, n) in N/m and damping b (n, n) in N·s/m that n hands feel, the device's own included; NaN if
+    none."""
 
     k: Floats
     b: Floats
     share: float
-    """The least that the hands have of the kinetic energy of a motion of their own."""
+    """Smallest share of the hands in the kinetic energy of one of their own motions."""
     others: float
-    """What other motions carry of a hand's velocity or position after an impulse on one, rms: of these the most."""
+    """Largest rms share of other motions in a hand's velocity or position after an impulse on one hand."""
     frequencies_hz: tuple[float, ...]
-    """Of the motions that the hands share in, what carries most first."""
+    """Frequencies of the motions that the hands take part in, the largest part first."""
     reason: str = ""
-    """Why there is no pair."""
+    """Reason why there is no pair."""
 
 
 class _Motions(NamedTuple):
-    """n motions of C hands."""
+    """Motions (n) of C hands."""
 
     s: Complexes
-    """(n,): log of the pole."""
+    """Logarithm of the pole, (n,)."""
     hands: Complexes
-    """(C, n): positions."""
+    """Positions, (C, n)."""
     share: Floats
-    """(n,): the hands' part of the kinetic energy."""
+    """Share of the hands in the kinetic energy, (n,)."""
     carried: Complexes
-    """(C, C, n): velocity of a hand in it, after an impulse on another."""
+    """Velocity of a hand in each motion, after an impulse on another hand, (C, C, n)."""
 
 
 @np.errstate(all="ignore")
 def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None, most: float = CARRIED) -> FeltPair:
-    """What the hands of a part of a scene feel whose points links join, by the loop's motions.
-
-    ``eigen``: of ``Solution``, where they are known. ``most``: that other motions may carry.
-    """
+    """Returns the pair that the hands of one part of a scene feel, from the loop's motions. ``eigen``: of ``Solution``,
+    if known. ``most``: limit of the share of other motions."""
     hands, sizes = network.channel_mass.size, sizes_of(network)
     if is_large(network):
         return no_pair(hands, TOO_LARGE)
@@ -150,7 +151,7 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
 
 @np.errstate(all="ignore")
 def continuous_pair(network: Network, most: float = CARRIED) -> FeltPair:
-    """What they would feel in continuous time."""
+    """Returns the pair that the hands would feel in continuous time."""
     if is_large(network):
         return no_pair(network.channel_mass.size, TOO_LARGE)
     hands, size = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
@@ -162,7 +163,7 @@ def continuous_pair(network: Network, most: float = CARRIED) -> FeltPair:
 
 
 def static_stiffness(network: Network) -> Floats:
-    """(C, C): N/m, which steady pushes on the hands meet, the device's own springs included."""
+    """Static stiffness (C, C), N/m, that steady pushes on the hands meet, the device's own springs included."""
     _, _, K = matrices(network)
     hands = network.channel_mass.size
     follows = np.linalg.lstsq(K[hands:, hands:], K[hands:, :hands], rcond=None)[0]
@@ -170,12 +171,13 @@ def static_stiffness(network: Network) -> Floats:
 
 
 def no_pair(hands: int, reason: str, share: float = 0.0, others: float = 1.0, at: tuple[float, ...] = ()) -> FeltPair:
-    """Of these hands, with the reason in words."""
+    """Returns a ``FeltPair`` of NaN for this number of hands, with the reason."""
     return FeltPair(np.full((hands, hands), np.nan), np.full((hands, hands), np.nan), share, others, at, reason)
 
 
 def _motions(network: Network, s: Complexes, states: Complexes, speeds: Complexes, kick: Floats) -> _Motions:
-    """``speeds`` (C, n): the hands' velocities in each; ``kick`` (size, C): the state after an impulse on each hand."""
+    """Returns the motions. ``speeds`` (C, n): the hands' velocities in each. ``kick`` (size, C): the state after an
+    impulse on each hand."""
     mass, hands = np.concatenate([network.channel_mass, network.point_mass]), network.channel_mass.size
     energy = mass[:, None] * np.abs(states[: mass.size]) ** 2
     share = np.nan_to_num(energy[:hands].sum(axis=0) / energy.sum(axis=0))
@@ -187,14 +189,14 @@ def _motions(network: Network, s: Complexes, states: Complexes, speeds: Complexe
 
 
 def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
-    """``most``: that other motions may carry, but of one hand without masses, which has no others."""
+    """Returns the pair. ``most``: limit of the share of other motions, except for one hand without masses."""
     hands, rate, (s, at, share, carried) = network.channel_mass.size, network.rate, motions
     own = np.flatnonzero(share >= OWN)
     own = own[np.argsort(np.abs(s[own]), kind="stable")[: 2 * hands]]
     sums = _sums(s, own)
     others = _others(s, carried, own, sums)
     alone = (np.abs(carried) ** 2).sum(axis=(0, 1)) * np.diagonal(sums).real
-    least = (_SHOWN / 2.0) ** 2 * _squared(carried.reshape(-1, s.size), sums)  # of each of a conjugate pair
+    least = (_SHOWN / 2.0) ** 2 * _squared(carried.reshape(-1, s.size), sums)  # for each of a conjugate pair
     shown = [i for i in np.argsort(-alone) if s[i].imag > 0.0 and alone[i] > least]
     found = tuple(float(abs(s[i]) * rate / (2.0 * np.pi)) for i in shown)
     X, of = at[:, own], s[own] * rate
@@ -215,8 +217,8 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
 
 
 def _others(s: Complexes, carried: Complexes, own: Indices, sums: Complexes) -> float:
-    """What motions that are not the hands' own carry of the velocities, or of the positions, after an impulse on one of
-    the hands: the most of these, rms, of the whole. A light hand is not hidden by a heavy one so, nor what is slow."""
+    """Largest rms share of motions that are not the hands' own in the velocities, or positions, after an impulse on one
+    hand. Each hand counts by itself, so a heavy one does not hide a light one; positions show slow motions."""
     beside, most = np.setdiff1d(np.arange(s.size), own), 0.0
     moves = np.where(np.abs(s) > _RESTS, 1.0 / np.expm1(s), 0.0)
     for amounts in (carried, carried * moves):
@@ -228,8 +230,8 @@ def _others(s: Complexes, carried: Complexes, own: Indices, sums: Complexes) -> 
 
 
 def _sums(s: Complexes, own: Indices) -> Complexes:
-    """(n, n): the sum over all samples of the product of one motion and the conjugate of another; where one does not
-    die out, over as many as the slowest of the hands' own takes for some turns."""
+    """Sum (n, n) over all samples of the product of one motion and the conjugate of another. If one does not decay, the
+    sum covers a few turns of the slowest of the hands' own."""
     both = s[:, None] + s.conj()[None, :]
     if (s.real < 0.0).all():
         return np.asarray(1.0 / -np.expm1(both))
@@ -238,20 +240,18 @@ def _sums(s: Complexes, own: Indices) -> Complexes:
 
 
 def _squared(amounts: Complexes, sums: Complexes) -> float:
-    """The sum of squares of motions (rows, n) over those samples."""
+    """Returns the sum of squares of motions (rows, n) over those samples."""
     return float(np.nan_to_num((amounts.conj() @ sums.T) * amounts).sum().real)
 
 
-_ALONG = 0.3  # of the masses' way: by less the hand does not shake them
-_SWINGS = 1e-9  # of itself: what turns by less creeps
+_ALONG = 0.3  # of the masses' amplitude; a smaller one of the hand does not shake them
+_SWINGS = 1e-9  # relative imaginary part; a motion with less does not oscillate
 
 
 def felt_mass(network: Network, hand_stiffness: float) -> tuple[float, float]:
-    """kg, of the masses in the loop, and Hz: how fast a hand of this stiffness (N/m) shakes them; NaN where nothing
-    swings, and where the hand hardly moves in it: that swing is of the masses alone.
-
-    ``network``: one channel and what it moves, which is not large.
-    """
+    """Returns the mass in kg that the masses in the loop feel like, and the frequency in Hz at which a hand of this
+    stiffness (N/m) shakes them. NaN if nothing oscillates, or if the hand hardly moves and the masses oscillate by
+    themselves. ``network``: one channel and the masses that it moves; it is not large."""
     held = replace(network, channel_stiffness=np.array([hand_stiffness]))
     change, points, *_ = loop(held)
     w, states = np.linalg.eig(change)
@@ -261,7 +261,7 @@ def felt_mass(network: Network, hand_stiffness: float) -> tuple[float, float]:
 
 
 def continuous_mass(network: Network, hand_stiffness: float) -> float:
-    """kg, that the same masses have in continuous time."""
+    """Returns the mass in kg that the same masses feel like in continuous time."""
     held = replace(network, channel_stiffness=np.array([hand_stiffness]))
     roots, states = np.linalg.eig(first_order(held))
     return _of_slowest(held, np.asarray(roots, complex), states[: len(states) // 2])[0]

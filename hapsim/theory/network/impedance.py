@@ -1,18 +1,18 @@
 """Driving-point impedances of a scene at its device channels, force over velocity (Florens et al., §2.2, Figures 1, 2).
 
-Z (C, C) relates the forces on the channels to their velocities: Z[i, j] is the force on channel i while channel j
-moves and the others are held. Three of them, at one frequency f, s = 2 pi j f, z = exp(s T):
+Z (C, C) relates the forces on the channels to their velocities: Z[i, j] is the force on channel i while channel j moves
+and the others are held. Three of them, at one frequency f, s = 2 pi j f, z = exp(s T):
 
 * desired: the scene in continuous time, its springs, dampers and masses without sampling, hold and delay.
-* rendered: the force that the loop gives back, as it acts on the real mass: of the samples of a held, late force the
-  part at f itself (``late_and_held``). The velocity is the one that the device reads, s times the reading's position.
-* device: the real mass, friction and spring as the loop sees them, the force that a computed one becomes over the
-  velocity that is read. m s + b0 + k0/s, but for the images of the motion that sampling folds onto f.
+* rendered: the force of the loop as it acts on the real mass: of a held, delayed force the part at f itself
+  (``late_and_held``). The velocity is the one that the device reads, s times the reading's position.
+* device: the real mass, friction and spring as the loop sees them: the held, delayed force over the velocity that is
+  read. It is m s + b0 + k0/s, except for the images of the motion that sampling folds onto f.
 
-Their sum device + rendered is what an additional force of the loop meets: the closed loop's impedance.
+Their sum device + rendered is the impedance of the closed loop, which an additional force in the loop meets.
 
-A force f of the loop that is added moves its state by (w - change)^-1 push f, w = z - 1: out of that state are read the
-positions, and the forces of the scene. The f that is read at 1 is 1/G, G the device's answer, and those forces.
+An additional force f moves the loop's state by (w - change)^-1 push f, w = z - 1. From this state the positions and the
+forces of the scene are read. For a reading of 1, f is 1/G, where G is the device's response.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from hapsim.theory.network.network import Network, is_centred
 from hapsim.theory.rows import times, unit_rows
 from hapsim.theory.sample import is_large, loop, state_size
 
-MOST_DENSE = 60  # numbers in the state; above, sparse rows take less time
+MOST_DENSE = 60  # numbers in the state; above, sparse rows are faster
 
 
 class LoopImpedance(NamedTuple):
-    """(n, C, C) each, N·s/m."""
+    """Impedances of a loop, each (n, C, C), N·s/m."""
 
     device: Complexes
     rendered: Complexes
 
     @property
     def closed_loop(self) -> Complexes:
-        """What an additional force of the loop meets."""
+        """Impedance that an additional force in the loop meets."""
         return self.device + self.rendered
 
 
 def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
-    """What the sampled, held and late loop is at the device channels, at frequencies (n,) in Hz; NaN from the Nyquist
-    frequency on, and at 0.
+    """Returns the impedances of the sampled, held and delayed loop at the device channels, at frequencies (n,) in Hz;
+    NaN at 0 and from the Nyquist frequency on.
 
     Raises:
         NotWorkedOutError: the scene is large, and its scheme's matrix is not sparse.
@@ -67,8 +67,8 @@ def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
 
 
 def desired_impedance(network: Network, frequency: ArrayLike) -> Complexes:
-    """(n, C, C) N·s/m at frequencies (n,) in Hz above 0: the scene in continuous time, every damper an ideal one. The
-    device's own mass, friction and spring are not in it."""
+    """Impedance (n, C, C), N·s/m, of the scene in continuous time with ideal dampers, at frequencies (n,) in Hz above
+    0. It does not include the device's own mass, friction and spring."""
     channels = network.channel_mass.size
     none = np.zeros(channels)
     _, Z, K = matrices(replace(network, channel_friction=none, channel_stiffness=none), sparse=True)
@@ -85,7 +85,7 @@ def desired_impedance(network: Network, frequency: ArrayLike) -> Complexes:
 
 
 def device_forces(network: Network, w: Complexes) -> Complexes:
-    """(n, C): N z^n at places w = z - 1 (n,), by which each channel alone is read at 1 m z^n."""
+    """Forces (n, C), N z^n, that produce a reading of 1 m z^n on each channel alone, at w = z - 1 (n,)."""
     none = np.zeros(0)
     alone = replace(
         network, point_mass=none, ends=np.zeros((0, 2), int), stiffness=none, damping=none, damper=(), outside=()
@@ -94,8 +94,8 @@ def device_forces(network: Network, w: Complexes) -> Complexes:
 
 
 def _answers(network: Network, w: Complexes) -> Complexes:
-    """(2, n, C, C): the forces N z^n with which the scene pulls its channels back, and those that have to be added, for
-    each channel to be read at 1 m z^n while the others are read at 0."""
+    """Forces (2, n, C, C), N z^n, for a reading of 1 m z^n on one channel and of 0 on the others: those with which the
+    scene pulls its channels back, and those that have to be added."""
     channels, size = network.channel_mass.size, state_size(network)
     sparse = is_centred(network) and size > MOST_DENSE
     found = np.zeros((2, w.size, channels, channels), dtype=complex)
@@ -108,7 +108,7 @@ def _answers(network: Network, w: Complexes) -> Complexes:
             found[0, n] = -moved.forces(state) @ found[1, n]
         return found
     change, points, push, asked, _ = loop(network, inputs=True, sparse=sparse)
-    # The state and the added forces in one system, so that nothing is divided by the motion of a force.
+    # The state and the added forces are solved in one system, so that no divisor is the motion of a force.
     push, points, right = push[:, :channels], points[:channels], np.eye(size + channels, channels, -size) + 0j
     if not sparse:
         still, moving = np.block([[-change, -push], [points, np.zeros((channels, channels))]]), np.eye(size + channels)

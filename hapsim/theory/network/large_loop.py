@@ -1,4 +1,4 @@
-"""The loop of a large scene on sparse rows: what a sample makes of a state, and its shifted inverse.
+"""Loop of a large scene on sparse rows: its transition and the shifted inverse.
 
 No dense matrix of the state's size is ever formed.
 """
@@ -20,16 +20,16 @@ from hapsim.theory.schemes import SCHEMES, NotWorkedOutError
 
 Solve = Callable[[NDArray], NDArray]
 
-MOST_INVERSE = 200_000  # numbers of a state times steps in a sample period: some tens of inverses take half a minute
+MOST_INVERSE = 200_000  # numbers in a state times steps in a sample period: some tens of inverses take half a minute
 PIVOTS: dict[str, Any] = {
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.1,
 }  # rows of a loop are nearly symmetric
-A_CALL = 15_000  # numbers that are multiplied in the time that a multiplication takes to begin
+A_CALL = 15_000  # multiplications that take as long as the call of one product
 
 
 def factorised(matrix: Any, **how: Any) -> Solve | None:
-    """x -> matrix^-1 x; None where there is no inverse. ``how``: as for scipy's ``splu``."""
+    """Returns the function x -> matrix^-1 x; None if there is no inverse. ``options``: of scipy's ``splu``."""
     from scipy.sparse import linalg
 
     with warnings.catch_warnings():
@@ -42,7 +42,8 @@ def factorised(matrix: Any, **how: Any) -> Solve | None:
 
 
 class Implicit(NamedTuple):
-    """Of a scheme whose change is not sparse: numbers d with left d = rate state, of which the change has by d more."""
+    """Equation of a scheme whose change is not sparse: numbers d with left d = rate state add ``by`` d to the
+    change."""
 
     by: Rows
     rate: Rows
@@ -50,8 +51,8 @@ class Implicit(NamedTuple):
 
 
 class SparseTransition:
-    """The matrix that takes a state to the next, 1 + ``change``. ``work``: the cost of one step, in numbers of a state
-    that CORDIS's scheme moves. ``points`` (C + M, size), ``push`` (size, C), ``of_forces`` (C, size): of ``Loop``."""
+    """Matrix from a state to the next, 1 + ``change``. ``work``: cost of one step, in numbers of a state that CORDIS's
+    scheme moves. ``points`` (C + M, size), ``push`` (size, C), ``of_forces`` (C, size): as in ``Loop``."""
 
     points: Rows
     push: Floats
@@ -63,7 +64,7 @@ class SparseTransition:
         self.work = max(self.size, self.right.nnz // 4) if implicit is None else 3 * self.size
         self.is_finite = all(bool(np.isfinite(one.data).all()) for one in (change, *(implicit or ())))
         if implicit is not None and self.is_finite:
-            # Without looking for pivots: eliminating the positions leaves 1 + B T/2 m + K T²/4 m, which is definite.
+            # No pivoting: eliminating the positions leaves 1 + B T/2 m + K T²/4 m, which is definite.
             how: dict[str, Any] = {
                 "permc_spec": "MMD_AT_PLUS_A",
                 "diag_pivot_thresh": 0.0,
@@ -73,7 +74,7 @@ class SparseTransition:
             self.is_finite = self._solve is not None
 
     def __matmul__(self, state: NDArray) -> NDArray:
-        """States (size,) or (size, n) at the next sample."""
+        """Returns the states (size,) or (size, n) at the next sample."""
         after = np.asarray(self.right @ state)
         if self._implicit is None:
             return after
@@ -83,11 +84,11 @@ class SparseTransition:
         return after + np.asarray(self._implicit.by @ found)
 
     def forces(self, state: NDArray) -> NDArray:
-        """(C,) or (C, n): N, computed for the channels."""
+        """Forces computed for the channels, (C,) or (C, n), N."""
         return np.asarray(self.of_forces @ state)
 
     def power(self, most: int) -> tuple[Any, int]:
-        """(what moves a state by `steps` samples at once, steps): of 1, 2, 4, … up to `most` the quickest."""
+        """Returns the fastest power of the matrix and its steps, out of 1, 2, 4, … up to `most`."""
         if self._implicit is not None:
             return self, 1
         power, steps = self.right, 1
@@ -96,7 +97,7 @@ class SparseTransition:
         return power, steps
 
     def part(self, slots: slice) -> SparseTransition:
-        """What it makes of these numbers out of themselves."""
+        """Returns the transition of these numbers from themselves alone."""
         own = (self.right - unit_rows(self.size, True))[slots, slots]
         if self._implicit is None:
             return SparseTransition(own)
@@ -104,7 +105,7 @@ class SparseTransition:
         return SparseTransition(own, Implicit(by[slots], rate[:, slots], left))
 
     def inverse(self, shift: complex) -> Solve | None:
-        """x -> (transition - shift)^-1 x; None where the shift is a pole, exactly."""
+        """Returns the function x -> (transition - shift)^-1 x; None if the shift is exactly a pole."""
         from scipy.sparse import bmat
 
         whole = self.right - shift * unit_rows(self.size, True)
@@ -120,12 +121,13 @@ class SparseTransition:
 
 
 class LiftedTransition:
-    """The same of a scene with substeps, whose N-th power is never formed. A shifted inverse of it is
+    """Transition of a scene with substeps, whose N-th power is never formed. Its shifted inverse is
 
         (A^N - z)^-1 = 1/(N z) times the sum of w (A - w)^-1 over the N roots w of w^N = z
 
-    for what the steps move; the device's few numbers are eliminated. One system of all steps' numbers takes four times
-    as long to factorise. ``step``: a step; ``held``: the same of what it moves, the hands held still.
+    for the parts that the steps move; the few numbers of the device are eliminated. One system of all steps' numbers
+    would take four times as long to factorise. ``step``: one step. ``held``: the same without the device, the hands
+    held still.
     """
 
     def __init__(self, network: Network) -> None:
@@ -149,11 +151,11 @@ class LiftedTransition:
         self._power = self.step.power(self.steps & -self.steps) if self.is_finite else (self.step, 1)
 
     def __matmul__(self, state: NDArray) -> NDArray:
-        """States (size,) or (size, n) at the next sample."""
+        """Returns the states (size,) or (size, n) at the next sample."""
         return np.asarray(self.own @ state + self.by_last @ self._after_steps(state))
 
     def forces(self, state: NDArray) -> NDArray:
-        """(C,) or (C, n): N, computed for the channels."""
+        """Forces computed for the channels, (C,) or (C, n), N."""
         return self._after_steps(state)[self.by_last.shape[1] - self.push.shape[1] :]
 
     def _after_steps(self, state: NDArray) -> NDArray:
@@ -164,20 +166,20 @@ class LiftedTransition:
         return np.asarray(moved)
 
     def placed(self, held: NDArray) -> NDArray:
-        """States (size,) or (size, n) out of those of ``held``; what the device has is 0."""
+        """Returns states (size,) or (size, n) from those of ``held``; the device's numbers are 0."""
         state = np.zeros((self.size, *held.shape[1:]), held.dtype)
         state[self._scene] = held
         return state
 
     def power(self, _most: int) -> tuple[Any, int]:
-        """As of ``SparseTransition``: a sample."""
+        """Returns one sample, as ``SparseTransition.power``."""
         return self, 1
 
     def inverse(self, shift: complex) -> Solve | None:
-        """x -> (transition - shift)^-1 x; None where the shift is a pole, exactly.
+        """Returns the function x -> (transition - shift)^-1 x; None if the shift is exactly a pole.
 
         Raises:
-            NotWorkedOutError: that takes too long.
+            NotWorkedOutError: the computation takes too long.
         """
         if self.size * self.steps > MOST_INVERSE:
             raise NotWorkedOutError(f"{self.steps} substeps of as many masses take too long")
@@ -214,7 +216,7 @@ Transition = SparseTransition | LiftedTransition
 
 
 def sparse_transition(network: Network) -> Transition:
-    """The transition of a large scene.
+    """Returns the transition of a large scene.
 
     Raises:
         NotWorkedOutError: its scheme's matrix is not sparse.
@@ -251,7 +253,7 @@ def _implicit(sample: Sample, change: Rows, rate: Rows | None) -> Implicit | Non
 
 
 def sparse_step(sample: Sample) -> SparseTransition:
-    """What a step makes of what it moves."""
+    """Returns the transition of one step."""
     size, unknown = sum(sample.step_sizes.values()), _unknowns(sample)
     rows = unit_rows(size + unknown, True)
     moved = sample.tick.step(cut(rows[:size], sample.step_sizes), unknown=rows[size:] if unknown else None)

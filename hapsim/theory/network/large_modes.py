@@ -25,29 +25,29 @@ from hapsim.theory.rows import stretches_of
 from hapsim.theory.sample import is_large
 from hapsim.theory.schemes import SCHEMES
 
-BESIDE = 1e-6  # a shift stands this far beside 1, where a free motion's pole would make it singular
-ASIDE = 1e-7  # and this far beside a pole that was found
+BESIDE = 1e-6  # distance of a shift from 1, where a free motion's pole would make it singular
+ASIDE = 1e-7  # distance of a shift from a pole that was found
 APPROACHES = 6
-LOWEST = 24  # poles, of a scene with substeps
-EDGE = 1.05  # a bound of the fastest motion this close to it is the shift
-ROW = 0.1  # a pole further from the shift is another
-SAME = 1e-9  # two poles found by two searches are one within this
-TRUSTED = 1e-8  # residual of a pole and its motion, of the motion's own size
-STATE_STEPS = 6e8  # the most that the search for a motion that grows may take: steps times numbers in the state,
+LOWEST = 24  # poles of a scene with substeps
+EDGE = 1.05  # if a bound of the fastest motion is this close to it, the bound is the shift
+ROW = 0.1  # a pole further from the shift is another one
+SAME = 1e-9  # tolerance for one pole from two searches
+TRUSTED = 1e-8  # residual of a pole and its motion, relative to the motion
+STATE_STEPS = 6e8  # limit of the search for a motion that grows: steps times numbers in the state,
 MOST_STEPS = 200_000  # and steps
-BREATH = 16  # steps between two measurements of its size
-GREW = 1.6  # a motion that is larger in the last quarter by more than this; a free mass drifts by 4/3
+BREATH = 16  # steps between two measurements of the motion's size
+GREW = 1.6  # growth of a motion in the last quarter; a free mass drifts by 4/3
 MOST_HANDS = 16
 REFINEMENTS = 5
-SLOPE_OVER = 1e-4  # of z - 1: how far from z the slope is taken
-NEAR = 1e-5  # a pole that would move further stays where it was found
-REAL = 1e-14  # an imaginary part below this is rounding
+SLOPE_OVER = 1e-4  # of z - 1: step of the difference quotient
+NEAR = 1e-5  # a pole that would move further keeps its first value
+REAL = 1e-14  # a smaller imaginary part is rounding
 ROUNDING = float(np.finfo(float).eps)
 
 
 class PoleSearch(NamedTuple):
-    """``most`` poles nearest to ``shift``; ``where`` says it in words; ``start``: a motion of the first points, about
-    that of a pole near the shift from which to search, None: from the shift."""
+    """Search for the ``most`` poles nearest to ``shift``; ``where``: its description. ``start``: initial motion of the
+    first points, for a pole near the shift; None: search from the shift itself."""
 
     shift: complex
     most: int
@@ -56,7 +56,7 @@ class PoleSearch(NamedTuple):
 
 
 def solve(network: Network) -> Solution:
-    """The poles and modes: all of them, or of a large scene those that matter, and how they were found.
+    """Returns the poles and modes: all of them, or the important ones of a large scene.
 
     Raises:
         NotWorkedOutError: the scene is large, and its scheme's matrix is not sparse.
@@ -69,14 +69,14 @@ def solve(network: Network) -> Solution:
 
 @np.errstate(all="ignore")  # numbers out of range become NaN
 def _some_modes(network: Network) -> Solution:
-    """The poles that the searches find, each with its motion; ``method`` says which those are."""
+    """Returns the poles that the searches find, each with its motion; ``method`` describes them."""
     matrix = sparse_transition(network)
     if not matrix.is_finite:
         return not_finite(matrix.size)
     searches = [(search, *_nearest(matrix, search)) for search in _searches(network)]
     steps = int(min(MOST_STEPS, STATE_STEPS / matrix.work))
     *grown, growth = _growing(matrix, steps)
-    # A random motion has to outgrow all the others before its end.
+    # A random motion must exceed all the others before its end.
     least_seen = max(4.0 * math.log(GREW), math.log(matrix.size) / 1.5) / steps
     places = [search.where for search, poles, _ in searches if poles.size]
     found = [*(one[1:] for one in searches), tuple(grown)]
@@ -96,7 +96,7 @@ def _some_modes(network: Network) -> Solution:
 
 
 def _searches(network: Network) -> Iterator[PoleSearch]:
-    # In steps, motions of every pitch come close to any place of the plane: few of them are looked for there.
+    # Counted in substeps, motions of every pitch approach any place of the plane: each search takes few of them.
     few = network.substeps > 1
     yield PoleSearch(1.0 + BESIDE, 4 if few else 32, "1")
     if not few:
@@ -112,7 +112,7 @@ def _searches(network: Network) -> Iterator[PoleSearch]:
 
 
 def _nearest(matrix: Transition, search: PoleSearch) -> tuple[Complexes, NDArray]:
-    """The poles nearest to the shift that converged, of pairs the upper, and their motions (N, n)."""
+    """Poles nearest to the shift that converged, of pairs the upper, and their motions (N, n)."""
     from scipy.sparse import linalg
 
     size = matrix.size
@@ -123,17 +123,15 @@ def _nearest(matrix: Transition, search: PoleSearch) -> tuple[Complexes, NDArray
     if solve is None:
         return np.zeros(0, complex), np.zeros((size, 0))
     inverse = linalg.LinearOperator((size, size), solve, dtype=type(shift))
-    # Of a crowd of aliases nothing converges soon; what stands apart does.
+    # A crowd of aliases converges slowly; an isolated pole converges fast.
     values, motions = _largest(inverse, search.most, 4 if isinstance(matrix, LiftedTransition) else 40)
     return _trusted(matrix, shift + 1.0 / values, motions)
 
 
 def _beside_a_pole(matrix: Transition, near: complex, start: Floats) -> complex:
-    """A shift beside a pole near this one, by inverse iterations and then Rayleigh's.
-
-    Where poles stand in a row, and the shift beside the row, all of them are as far from it; from a place in the
-    row they differ, and the search ends soon.
-    """
+    """Returns a shift close to a pole near this one, by inverse iterations and then Rayleigh's. If poles stand in a row
+    and the shift is outside it, all of them are equally far away. From a place in the row their distances differ, and
+    the search converges fast."""
     motion = np.zeros(matrix.size, complex)
     motion[: start.size] = start
     pole = near
@@ -149,10 +147,10 @@ def _beside_a_pole(matrix: Transition, near: complex, start: Floats) -> complex:
 
 
 def _lowest(matrix: LiftedTransition) -> tuple[Complexes, NDArray]:
-    """The poles of the motions that are lowest in pitch, wherever in the plane a whole sample period puts them: those
-    of a step with the hands held still, followed by inverse iterations to where the hands move, and their motions."""
+    """Poles and motions of the lowest pitch, wherever a whole sample period places them in the plane. The search starts
+    from a step with the hands held still; inverse iterations follow each pole to the scene with moving hands."""
     poles, held = _nearest(matrix.held, PoleSearch(1.0 + BESIDE, LOWEST, ""))
-    once = np.unique(np.round(poles, 9), return_index=True)[1]  # of a pair both were found
+    once = np.unique(np.round(poles, 9), return_index=True)[1]  # both of a pair were found
     followed = [_followed(matrix, complex(poles[i]) ** matrix.steps, held[:, i]) for i in once]
     motions = np.array([motion for _, motion in followed]).reshape(-1, matrix.size).T
     poles = np.array([pole for pole, _ in followed], complex)
@@ -176,10 +174,8 @@ def _followed(matrix: LiftedTransition, pole: complex, held: NDArray) -> tuple[c
 
 
 def _growing(matrix: Transition, samples: int) -> tuple[Complexes, NDArray, float]:
-    """The poles of the greatest modulus and their motions, where a random motion grows by more than a free one would.
-
-    And by how much it grows in a sample period, where no pole was found that does.
-    """
+    """Poles of the largest modulus and their motions, if a random motion grows by more than a free one would. The third
+    value is its growth in a sample period if no growing pole was found, else 0."""
     from scipy.sparse import linalg
 
     none = np.zeros(0, complex), np.zeros((matrix.size, 0))
@@ -195,7 +191,7 @@ def _growing(matrix: Transition, samples: int) -> tuple[Complexes, NDArray, floa
             return *none, size
         motion /= size
         logarithm[n + 1] = logarithm[n] + math.log(size)
-    # By their peaks: a slow motion's size swings.
+    # Peaks are compared, because the size of a slow motion oscillates.
     quarter = breaths // 4
     last = float(logarithm[-quarter:].max() - logarithm[-2 * quarter : -quarter].max())
     if last < math.log(GREW):
@@ -207,7 +203,7 @@ def _growing(matrix: Transition, samples: int) -> tuple[Complexes, NDArray, floa
 
 
 def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> tuple[Complexes, NDArray]:
-    """The eigenvalues of the greatest modulus that converged, and their vectors."""
+    """Eigenvalues of the largest modulus that converged, and their vectors."""
     from scipy.sparse import linalg
 
     size = operator.shape[0]
@@ -221,7 +217,7 @@ def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> t
 
 
 def _trusted(matrix: Transition, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
-    """Those whose motion is indeed multiplied by the pole, of pairs the upper."""
+    """Returns the poles that really multiply their motions, of pairs the upper."""
     lower = poles.imag < 0.0
     poles, motions = np.where(lower, poles.conj(), poles), np.where(lower, motions.conj(), motions)
     residual = np.linalg.norm(matrix @ motions - motions * poles, axis=0)
@@ -230,11 +226,9 @@ def _trusted(matrix: Transition, poles: Complexes, motions: NDArray) -> tuple[Co
 
 
 def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Complexes, list[int]]:
-    """The poles, and which they are, without those that an earlier search had found; equal parts of a scene that do not
-    touch count once.
-
-    But those that are known to be 1 as many times as they are: the searches find some of them, and about.
-    """
+    """Returns the poles, and their indices, without those of an earlier search; equal separate parts of a scene count
+    once. Poles that are known to be 1 are repeated as often as they occur: the searches find only some, and
+    approximately."""
     known, rests = poles_at_rest(network), at_rest(network, poles, motions, SAME_AS_REST)
     resting = np.flatnonzero(rests) if known else np.zeros(0, np.intp)
     kept = np.resize(resting, known if resting.size else 0).tolist()
@@ -248,7 +242,7 @@ def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Co
 
 
 def _hand_alone(network: Network, channel: int) -> complex:
-    """The slowest pole, on or above the real axis, of a channel whose neighbours are held still."""
+    """Slowest pole, on or above the real axis, of a channel whose neighbours are held still."""
     still = replace(network, ends=np.where(network.ends == channel, channel, -1), scheme="cordis", outside=())
     alone = part_of(still, np.array([channel]))
     if is_large(alone):
@@ -258,8 +252,8 @@ def _hand_alone(network: Network, channel: int) -> complex:
 
 
 def _highest(network: Network) -> tuple[complex, Floats | None] | None:
-    """A shift about the fastest motion of the simulated masses, of their springs alone, the device held still; and that
-    motion (C + M,), None where the shift is above all of them."""
+    """Shift near the fastest motion of the simulated masses on their springs, with the device held still, and that
+    motion (C + M,); None for the motion if the shift is above all of them."""
     from scipy.sparse import coo_matrix, linalg
 
     channels, count = network.channel_mass.size, network.point_mass.size
@@ -280,7 +274,7 @@ def _highest(network: Network) -> tuple[complex, Floats | None] | None:
     rate = network.rate * network.substeps
     kappa = float(network.stiffness[links] @ stretched) / rate**2
     beta = float(network.damping[links] @ stretched) / rate
-    # No motion is faster than where neighbours move against each other by as much as they do themselves.
+    # No motion is faster than one in which neighbours move against each other with equal amplitudes.
     bound = float(abs(springs).sum(axis=1).max()) / rate**2 * (1.0 + BESIDE)
     beside = bound < EDGE * kappa
     if beside:
@@ -297,14 +291,15 @@ def _highest(network: Network) -> tuple[complex, Floats | None] | None:
 
 
 def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
-    """The poles (n,) moved to where x' D(z) x is zero; ``motions`` (points, n): about those of the poles.
+    """Returns the poles (n,) moved to the zeros of x' D(z) x; ``motions`` (points, n): approximate motions of the
+    poles.
 
-    A motion x z^n of the points obeys D(z) x = 0, D of the masses' m/T² (z - 2 + 1/z), of the channels' forces over the
-    positions that they read, and for each link of K + (B/T) v(z) at its two ends, v its damper's velocity over the
-    position. Where no velocity comes from the device D is symmetric. So x' D(z) x is zero at a z that is as much nearer
-    to the pole than x is to the motion as a square is to its root (Rayleigh's quotient). Of two poles of which the
-    motions are almost one, those of a slow swing beside 1, iterations find the mean well and the difference badly: they
-    move such a pole off the circle, by the root of rounding and more.
+    A motion x z^n of the points satisfies D(z) x = 0. D consists of the masses' m/T² (z - 2 + 1/z), of the channels'
+    forces over the positions that they read, and for each link of K + (B/T) v(z) at its two ends, where v is its
+    damper's velocity over the position. D is symmetric if no velocity comes from the device. Then x' D(z) x is zero at
+    a z whose error is of the order of the square of the error of x (Rayleigh's quotient). Iterations find the mean of
+    two poles with almost equal motions, those of a slow oscillation near 1, well and their difference badly. They move
+    such a pole off the circle, by the root of rounding and more.
     """
     if not is_centred(network) or any(network.damper[link].senses for link in damping_links(network).tolist()):
         return poles
@@ -329,7 +324,7 @@ def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
 
 
 def at_rest(network: Network, poles: Complexes, motions: NDArray, same: float) -> Bools:
-    """(n,) which poles within ``same`` of 1 are of ``motions`` (points, n) that stretch nothing, and not a brake's."""
+    """Flags (n,): poles within ``same`` of 1 whose motions, (points, n), stretch nothing and are not a brake's."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
     inertia = mass @ np.abs(motions) ** 2 * network.rate
     links = acting_links(network)

@@ -1,8 +1,8 @@
-"""Gain margins: what multiplies one link's stiffness, or damping, where the whole loop becomes unstable.
+"""Gain margins: the factors on one link's stiffness, or damping, at which the whole loop becomes unstable.
 
-For a scene of CORDIS's scheme that is small enough, one eigenvalue problem for each link and quantity gives every
-factor at which a pole crosses the unit circle, and for a large one the circle is sampled (both: ``crossings.py``). For
-the other schemes, and with substeps, the factors are searched by the poles.
+For a small scene under CORDIS's scheme, one eigenvalue problem for each link and quantity gives every factor at which a
+pole crosses the unit circle. For a large one the circle is sampled (both: ``crossings.py``). For the other schemes, and
+with substeps, a search tests the poles at many factors.
 """
 
 from __future__ import annotations
@@ -23,51 +23,47 @@ from hapsim.theory.network.modes import SURELY, settled
 from hapsim.theory.network.network import Network, is_centred, margin_links, touches_channel
 from hapsim.theory.sample import loop, state_size
 
-MOST_STATES = 300  # numbers in the state of a scene whose crossings are all worked out
-MANY_STATES = 40  # eigenvalues of fewer take one thread anyway
-WORK = 1.5e9  # the cost of all margins at most: eigenvalue problems times the cube of the state's size
-EIGENVALUES = 6  # problems for the two margins of a link: the crossings, and two looks at the poles
-SEARCHES = 140  # the same, of a search by the poles; four times as many for the ranges of an unstable loop
-ONE_AT_LEAST = 200  # numbers in the state of the largest scene of another scheme of which one link is always searched
+MOST_STATES = 300  # numbers in the state of a scene whose crossings are all computed
+MANY_STATES = 40  # fewer eigenvalues take one thread anyway
+WORK = 1.5e9  # limit of the cost of all margins: eigenvalue problems times the cube of the state's size
+EIGENVALUES = 6  # problems for the two margins of a link: the crossings, and two tests of the poles
+SEARCHES = 140  # the same for a search by the poles; four times as many for the ranges of an unstable loop
+ONE_AT_LEAST = 200  # numbers in the state up to which one link is always searched under another scheme
 FOLLOWED = 16  # links of a large scene
-FURTHER_THAN_ROUNDING = 1.001  # a pole outside of this radius is unstable, whatever rounding does
+FURTHER_THAN_ROUNDING = 1.001  # a pole outside this radius is unstable in spite of rounding
 SAME = 1e-9  # two factors closer than this are one
 STEPS = 10.0 ** np.concatenate([np.arange(0.04, 1.0, 0.04), np.arange(1.0, 10.0, 0.3)])  # of a search, from 1 on
 
 Range = tuple[float, float]
-"""Of factors: from, to."""
+"""Range of factors: (from, to)."""
 SEARCHED = f"searched up to {STEPS[-1]:.0e} times, in steps of a tenth, beyond tenfold of double"
-"""How far and how finely the margins of other schemes, and with substeps, are looked for."""
+"""Range and resolution of the search for margins under other schemes, and with substeps."""
 
 
 class Margin(NamedTuple):
-    """The factors on a link's stiffness, and on its damping, from which the loop is unstable, all else as it is.
-
-    Infinity where it never is. Where the loop is unstable as it stands: the largest factor below 1 under which it is
-    stable, 0 where there is none. NaN where it was not worked out.
-    """
+    """Factors on a link's stiffness, and on its damping, from which the loop is unstable, with everything else
+    unchanged. Infinity if there is none. For an unstable loop: the largest factor below 1 under which it is stable, 0
+    if there is none. NaN if it was not computed."""
 
     stiffness_factor: float
     damping_factor: float
 
 
 class Stabilizing(NamedTuple):
-    """The factors on a link's stiffness, and on its damping, that make an unstable loop stable, all else as it is.
-
-    The nearest range (from, to) below 1, and the nearest above, as far as there are any: from 0, or to infinity, where
-    it has no other end. None where they were not worked out.
-    """
+    """Factors on a link's stiffness, and on its damping, that make an unstable loop stable, with everything else
+    unchanged. They are the nearest range (from, to) below 1 and the nearest above, if any; open ends are 0 or infinity.
+    None if they were not computed."""
 
     stiffness: tuple[Range, ...] | None
     damping: tuple[Range, ...] | None
 
 
 class Margins(NamedTuple):
-    """Each link's, in their order; in a scene with many links or masses some are NaN.
+    """Margins of each link, in their order; some are NaN in a scene with many links or masses.
 
     Attributes:
-        links: (L,). method: in words, which were worked out and how surely; "" for every one.
-        stabilizing: (L,), of a loop that is unstable as it stands; else none.
+        links: (L,). method: which were computed, and how reliably; "" for every one.
+        stabilizing: (L,), of an unstable loop; else empty.
     """
 
     links: list[Margin]
@@ -76,7 +72,8 @@ class Margins(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """How many links are worked out at most, from the first on; how; and the ranges of factors of a link's quantity."""
+    """Search for margins: the largest number of links, from the first on; the method; the ranges of factors of a
+    link."""
 
     most: int
     method: str
@@ -84,10 +81,8 @@ class _Search(NamedTuple):
 
 
 def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
-    """By how much each link may be stiffer, or damp more, before the scene becomes unstable.
-
-    ``poles``: those of the scene, where they are known already.
-    """
+    """Returns the gain margins of each link: how far its stiffness and damping can grow before the scene becomes
+    unstable. ``poles``: those of the scene, if known."""
     poles = solve(network).poles if poles is None else poles
     if not np.isfinite(poles).all():
         unknown = [Margin(math.nan, math.nan)] * len(network.ends)
@@ -149,7 +144,8 @@ def _along_circle(network: Network, links: Indices, asked: int, poles: Complexes
 def _collected(
     network: Network, links: Indices, found: dict[tuple[int, int], tuple[Range, ...] | None], unstable: bool
 ) -> Margins:
-    """``links``: those whose margins are asked for; ``found``: their ranges, None where a factor changes nothing."""
+    """Returns the margins. ``links``: all links with margins; ``found``: their ranges, None where a factor changes
+    nothing."""
     nothing = 0.0 if unstable else math.inf
     factors = np.full((len(network.ends), 2), nothing)
     factors[links] = math.nan
@@ -167,18 +163,16 @@ def _collected(
 
 
 class ChangedLink:
-    """A link of a network whose stiffness (``quantity`` 0) or damping (1) is multiplied by a factor.
-
-    A range of a stable loop is that about 1, as far as it goes up. Those of an unstable one are the nearest below 1 and
-    the nearest above 1 in which it becomes stable.
-    """
+    """Link of a network whose stiffness (``quantity`` 0) or damping (1) is multiplied by a factor. The range of a
+    stable loop is the one around 1, up to its upper end. Those of an unstable loop are the nearest below 1 and the
+    nearest above 1 in which it becomes stable."""
 
     def __init__(self, network: Network, link: int, quantity: int) -> None:
         self._network, self._link = network, link
         self._name = ("stiffness", "damping")[quantity]
 
     def is_stable(self, factor: float) -> bool:
-        """Whether no pole is outside of the circle with that factor; not where the loop's matrix is not finite."""
+        """Returns whether no pole is outside the circle with that factor; False if the loop's matrix is not finite."""
         value = getattr(self._network, self._name).copy()
         value[self._link] *= factor
         changed = replace(self._network, **{self._name: value})
@@ -191,10 +185,8 @@ class ChangedLink:
         return bool(np.abs(poles).max(initial=0.0) <= SURELY)
 
     def ranges_between(self, crossings: Floats, unstable: bool) -> tuple[Range, ...]:
-        """The ranges by one look between each two crossings, where stability does not change.
-
-        Where a look contradicts the verdict at 1 the ranges are searched by the poles alone.
-        """
+        """Returns the ranges from one test between each two crossings, where stability does not change. If a test
+        contradicts the verdict at 1, the ranges are searched by the poles alone."""
         up = [1.0, *_apart(crossings[crossings > 1.0 + SAME]), math.inf]
         down = [1.0, *_apart(crossings[crossings < 1.0 - SAME][::-1]), 0.0]
         if self.is_stable(_between(*up[:2])) == unstable:
@@ -205,7 +197,7 @@ class ChangedLink:
         return tuple(one for one in found if one is not None)
 
     def ranges_searched(self, unstable: bool) -> tuple[Range, ...]:
-        """The ranges by the poles alone: steps outward from 1, and bisection."""
+        """Returns the ranges from the poles alone: steps outward from 1, and bisection."""
         found = []
         for looks, end in ((1.0 / STEPS, 0.0), (STEPS, math.inf)) if unstable else ((STEPS, math.inf),):
             factors = [1.0, *looks.tolist()]
@@ -215,8 +207,8 @@ class ChangedLink:
         return tuple(one for one in found if one is not None)
 
     def _first(self, looks: Sequence[float], edge: Callable[[int], float], unstable: bool, end: float) -> Range | None:
-        """The first stable range along factors that lead away from 1 to ``end``; ``edge`` (i): where stability changes
-        between the look before i and look i."""
+        """Returns the first stable range along factors that lead away from 1 to ``end``; ``edge`` (i): factor at which
+        stability changes between the test before i and test i."""
         near = None if unstable else 1.0
         for i, factor in enumerate(looks):
             stable = self.is_stable(factor)
@@ -228,7 +220,7 @@ class ChangedLink:
         return None if near is None else (min(near, end), max(near, end))
 
     def _edge(self, one: float, other: float) -> float:
-        """Where stability changes between two factors, to the stable side, by bisection."""
+        """Returns the factor between the two at which stability changes, on the stable side, by bisection."""
         stable, unstable = (one, other) if self.is_stable(one) else (other, one)
         while abs(stable / unstable - 1.0) > SAME:
             middle = math.sqrt(stable * unstable)
@@ -237,12 +229,12 @@ class ChangedLink:
 
 
 def _apart(factors: Floats) -> list[float]:
-    """Sorted factors without those that are one with the one before."""
+    """Returns sorted factors without those that equal the one before."""
     return [float(one) for i, one in enumerate(factors) if not i or abs(one / factors[i - 1] - 1.0) > SAME]
 
 
 def _between(one: float, other: float) -> float:
-    """A factor inside of the range."""
+    """Returns a factor inside the range."""
     low, high = sorted((one, other))
     if math.isinf(high):
         return 3.0 * low

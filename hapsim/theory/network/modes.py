@@ -1,4 +1,4 @@
-"""A scene's modes, and what is known of them: all of a small scene's, some of a large one's."""
+"""Modes and poles of a scene: all of them for a small scene, some for a large one."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from hapsim.theory.rows import cut, stack, unit_rows
 from hapsim.theory.sample import Sample, is_large, loop, step_of
 from hapsim.theory.schemes import SCHEMES
 
-NO_MOTION = 1e-12  # a pole of smaller modulus is a memory that empties, not a motion
+NO_MOTION = 1e-12  # a pole of smaller modulus is a memory, not a motion
 SURELY = 1.0 + 1e-9
-"""A motion that grows by more in a sample is not at the limit: it does not rest, nor swing for ever."""
+"""Growth in a sample above which a motion surely grows: it neither rests nor oscillates with a constant amplitude."""
 AT_THE_LIMIT = 1e-12  # a modulus this close to 1 is 1, to rounding
-MOST_DENSE = 150  # numbers of a state; above, sparse steps take less time
-SAME_AS_REST = 1e-4  # a double pole at 1 comes out of the eigenvalues this far off, at the worst
+MOST_DENSE = 150  # numbers in a state; above, sparse steps are faster
+SAME_AS_REST = 1e-4  # largest error of a double pole at 1 among the eigenvalues
 
 
 class Mode(NamedTuple):
-    """One motion of the scene by itself: a conjugate pair of poles, or a real pole.
+    """Eigenmotion of the scene: a conjugate pair of poles, or a real pole.
 
     Attributes:
         pole: in the z-plane; of a pair, the one above the real axis.
-        frequency_hz: |s|/(2 pi) with s = ln(pole)/T, the undamped eigenfrequency. With substeps a motion may turn
-            further in a sample period than the logarithm says: s is then of what it turns.
+        frequency_hz: undamped eigenfrequency |s|/(2 pi) with s = ln(pole)/T. With substeps a motion may turn by more
+            than pi in a sample period: s then includes the whole turns.
         damping_ratio: -Re s/|s|; 1 for a real pole that decays, NaN for one that rests (s = 0).
         participation: (C + M,) each point's share of the kinetic energy, sum 1, device channels first.
     """
@@ -43,14 +43,14 @@ class Mode(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What has been worked out of a scene's poles.
+    """Poles and modes of a scene, as far as they are computed.
 
     Attributes:
         poles: (n,) by decreasing modulus. modes: the slowest to decay first.
-        all: how many poles the scene has, memories included; n where every one was worked out.
-        method: in words, which were worked out and what that says of the others; "" for every one.
-        growth: by how much a motion was seen to grow in a sample period of which no pole was found; else 0.
-        eigen: the eigenvalues (n,) of the loop's change and its eigenvectors (n, n), where every pole was worked out.
+        all: number of poles of the scene, memories included; n if every one was computed.
+        method: sentence on which poles were computed and on the others; "" for every one.
+        growth: growth in a sample period of a motion that grew, but whose pole was not found; else 0.
+        eigen: eigenvalues (n,) of the loop's change and its eigenvectors (n, n), if every pole was computed.
     """
 
     poles: Complexes
@@ -62,21 +62,19 @@ class Solution(NamedTuple):
 
     @property
     def spectral_radius(self) -> float:
-        """The largest modulus of a pole, of those worked out; 0 for a scene without points."""
+        """Largest modulus of the computed poles; 0 for a scene without points."""
         return float(np.abs(self.poles).max(initial=self.growth))
 
     @property
     def is_stable(self) -> bool:
-        """Whether every motion dies out, as far as the poles were worked out; at the limit it does not."""
+        """True if every motion decays, for the computed poles; False at the limit."""
         return self.spectral_radius < 1.0 - AT_THE_LIMIT
 
 
-@np.errstate(all="ignore")  # what is out of range becomes NaN
+@np.errstate(all="ignore")  # numbers out of range become NaN
 def all_modes(network: Network) -> Solution:
-    """Every pole, memories included, and every motion, from the eigenvalues of the whole loop.
-
-    Without modes, and poles NaN, where the loop is not finite.
-    """
+    """Returns every pole, memories included, and every motion, from the eigenvalues of the whole loop. If the loop is
+    not finite, the poles are NaN and there are no modes."""
     change, points, *_ = loop(network)
     size = len(change)
     if not np.isfinite(change).all():
@@ -89,7 +87,7 @@ def all_modes(network: Network) -> Solution:
 
 @np.errstate(all="ignore")
 def poles_of(network: Network) -> Complexes:
-    """Every pole, memories included, of a scene that is not large; NaN where the loop is not finite."""
+    """Returns every pole, memories included, of a scene that is not large; NaN if the loop is not finite."""
     change = loop(network).change
     if not np.isfinite(change).all():
         return not_finite(len(change)).poles
@@ -97,23 +95,23 @@ def poles_of(network: Network) -> Complexes:
 
 
 def not_finite(size: int) -> Solution:
-    """Of a scene whose numbers are out of range."""
+    """Returns the solution of a scene whose numbers are out of range."""
     return Solution(np.full(size, complex(np.nan, np.nan)), [], size)
 
 
 def settled(network: Network, change: Floats, poles: Complexes) -> Complexes:
-    """The poles, 1 + the eigenvalues of the change, without what rounding alone makes of them."""
+    """Returns the poles, 1 + the eigenvalues of the change, without the effects of rounding on verdicts."""
     return snap_to_rest(network, snap_to_circle(change, poles))
 
 
 @np.errstate(divide="ignore")
 def snap_to_circle(change: Floats, poles: Complexes) -> Complexes:
-    """The poles, those on the circle that rounding may have moved outside of it.
+    """Returns the poles; those that rounding may have moved off the unit circle are put back on it.
 
-    Rounding is as a change E of the matrix by its last digit (LAPACK Users' Guide, §4.8), which moves a pole by E over
-    the product of its left and right vectors, of length one. Those of a double pole are at right angles: it becomes
-    the two poles at p ± d, where that is half of d. Very stiff springs, which the midpoint scheme lets swing at half
-    the rate, have such a double pole at -1.
+    Rounding acts like a change E of the matrix by its last digit (LAPACK Users' Guide, §4.8). It moves a pole by E over
+    the product of its left and right vectors, of length one. For a double pole these are at right angles: it becomes
+    the two poles at p ± d, and the estimate is half of d. Very stiff springs under the midpoint scheme have such a
+    double pole at -1: they oscillate at half the rate.
     """
     radius = np.abs(poles)
     if not (radius > 1.0).any():
@@ -122,12 +120,13 @@ def snap_to_circle(change: Floats, poles: Complexes) -> Complexes:
 
     balanced = matrix_balance(change, permute=False)[0]
     size, digit = float(np.linalg.norm(balanced)), float(np.finfo(float).eps)
-    # Further than rounding moves a double pole; of enormous numbers it says nothing, and no pole is on the circle.
+    # Beyond the reach of rounding for a double pole. For enormous numbers no reach is known, and no pole is on the
+    # circle.
     if radius.max() > 1.0 + min(math.sqrt(digit) * size, 1.0):
         return poles
     found, left, right = eig(balanced, left=True)
     reach = 2.0 * digit * size / np.abs((left.conj() * right).sum(axis=0))
-    # The same poles once more, rounded otherwise: each takes the reach of the nearest.
+    # The same poles, with other rounding: each takes the reach of the nearest.
     beyond = np.flatnonzero(radius > 1.0)
     nearest = np.abs(poles[beyond, None] - 1.0 - found).argmin(axis=1)
     moved = beyond[radius[beyond] - 1.0 <= reach[nearest]]
@@ -137,10 +136,8 @@ def snap_to_circle(change: Floats, poles: Complexes) -> Complexes:
 
 
 def snap_to_rest(network: Network, poles: Complexes) -> Complexes:
-    """The poles with those that are known to be 1 there exactly: the free motions, a double pole each.
-
-    Rounding moves a double pole by the root of its own size, which would make a verdict of it.
-    """
+    """Returns the poles with those that are known to be 1 exactly there: the free motions, a double pole each. Rounding
+    moves a double pole by the root of its own size, which would change the verdict."""
     poles = poles.copy()
     nearest = np.argsort(np.abs(poles - 1.0), kind="stable")[: poles_at_rest(network)]
     poles[nearest[np.abs(poles[nearest] - 1.0) < SAME_AS_REST]] = 1.0
@@ -148,7 +145,8 @@ def snap_to_rest(network: Network, poles: Complexes) -> Complexes:
 
 
 def modes_of(network: Network, poles: Complexes, motions: NDArray, states: NDArray) -> list[Mode]:
-    """The modes, the slowest to decay first, of the poles' ``motions`` (C + M, n) and whole ``states`` (size, n)."""
+    """Returns the modes, the slowest to decay first, of poles with ``motions`` (C + M, n) and whole ``states`` (size,
+    n)."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
     order = np.lexsort((-poles.real, -np.abs(poles)))
     kept = [i for i in order if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]
@@ -160,15 +158,16 @@ def modes_of(network: Network, poles: Complexes, motions: NDArray, states: NDArr
     modes = []
     for i in kept:
         pole = complex(poles[i])
-        s = network.rate * (cmath.log(pole) + 2j * math.pi * float(turns[i]))  # whole turns beside the pole's angle
+        s = network.rate * (cmath.log(pole) + 2j * math.pi * float(turns[i]))  # whole turns added to the pole's angle
         ratio = -s.real / abs(s) if s else math.nan
         modes.append(Mode(pole, abs(s) / (2.0 * math.pi), ratio, energy[:, i] / energy[:, i].sum()))
     return modes
 
 
 def _steps_of_motions(network: Network, poles: Complexes, states: NDArray) -> tuple[Floats, Floats]:
-    """Of motions (size, n) of a scene with substeps: the radians (n,) that they turn in a sample period, from step to
-    step, each point for as much energy as it has; and this energy (points, n), in any unit."""
+    """Angle (n,), in radians, by which each motion (size, n) of a scene with substeps turns in a sample period, and its
+    energy by point (points, n), in any unit. The angle adds up from step to step, weighted by the energy of each
+    point."""
     sparse = is_large(network) or (SCHEMES[network.scheme] is None and len(states) > MOST_DENSE)
     sample = Sample(network, sparse)
     begun = sample.begun(cut(unit_rows(len(states), sparse), sample.sizes))

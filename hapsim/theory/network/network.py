@@ -1,4 +1,4 @@
-"""The closed loop of any linear scene as arrays: device channels, CORDIS masses and visco-elastic links."""
+"""Linear scene as arrays: device channels, CORDIS masses and visco-elastic links."""
 
 from __future__ import annotations
 
@@ -26,37 +26,36 @@ class Network:
 
     Points are numbered: 0 to C - 1 the device channels, C to C + M - 1 the simulated masses, -1 a ground. CORDIS's
     scheme moves a simulated mass by m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n]; for the others see ``theory/schemes.py``. A
-    link's force on its first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on its second; its damper makes
-    v, in metres per sample period, of x (``DamperModel``). A channel's x[n] is its measured sample; the sum of its
-    links' forces acts on its real mass from (n + delay) T on, by the hold. The mass itself moves in continuous time,
-    exactly: m x'' + b0 x' + k0 x = F (Florens et al., §6 and Figure 5).
+    link's force on its first end is -K (xa - xb)[n] - (B/T) (va - vb)[n], the opposite on its second; its damper
+    computes v, in metres per sample period, from x (``DamperModel``). A channel's x[n] is its measured sample; the sum
+    of its links' forces acts on its real mass from (n + delay) T on, by the hold. The mass itself moves in continuous
+    time, exactly: m x'' + b0 x' + k0 x = F (Florens et al., §6 and Figure 5).
 
-    At an end that is a channel, a damper that senses takes the velocity that the device reads: with ideal sampling the
-    real one at the instant of the sample, before any change of the force at that instant; with averaged sampling its
-    mean over the period that has just ended.
+    At an end that is a channel, a damper that senses uses the velocity that the device reads. With ideal sampling it is
+    the real one at the instant of the sample, before any change of the force at that instant; with averaged sampling
+    its mean over the last period.
 
     Attributes:
         rate: sample rate, Hz, > 0.
         channel_mass: (C,) real masses, kg, > 0.
         channel_friction: (C,) real viscous frictions b0, N·s/m, >= 0.
         delay: sample periods from the sampling of a position to the change of the force that answers it, >= 0.
-        hold: a name of HOLDS. sampling: "ideal" or "average". As for ``Configuration``.
+        hold: name in HOLDS. sampling: "ideal" or "average". As for ``Configuration``.
         point_mass: (M,) simulated masses, kg, > 0.
         ends: (L, 2) the two points that each link joins.
         stiffness: (L,) K in N/m.
         damping: (L,) B in N·s/m.
         channel_stiffness: (C,) real springs k0 from the channels' masses to x = 0, N/m, >= 0. Default: none.
-        damper: (L,) each link's, as ``interface.damper_named`` makes it. Default: all backward.
-        margin_links: the number of links, from the first on, whose margins are worked out. Default: all.
-        scheme: the scheme that moves the masses, one of ``theory.schemes``.
-        outside: (L,) the links whose force a scheme always takes at the sample, whatever they join
-            (``theory/schemes.py``). Default: none.
-        substeps: N, how often the masses move in a sample period (``theory/sample.py``); the T and the n of the masses
-            and of ``damper`` are then those of a step.
-        decimation: the force on a channel: that of the "last" step, or the "mean" of all N.
+        damper: (L,) damper of each link, from ``interface.damper_named``. Default: all backward.
+        margin_links: number of links, from the first on, whose margins are computed. Default: all.
+        scheme: integration scheme of the masses, one of ``theory.schemes``.
+        outside: (L,) links whose force a scheme always takes at the sample (``theory/schemes.py``). Default: none.
+        substeps: N, steps of the masses in a sample period (``theory/sample.py``); for the masses and for ``damper``, T
+            and n are then those of a step.
+        decimation: force on a channel: that of the "last" step, or the "mean" of all N.
 
     Raises:
-        ValueError: an argument is out of its range or its shape does not fit; the sentence says which.
+        ValueError: an argument is out of its range or its shape does not fit; the message states which.
     """
 
     rate: float
@@ -108,29 +107,29 @@ class Network:
 
 
 def is_centred(network: Network) -> bool:
-    """Whether everything moves once a sample, and the masses by CORDIS's scheme, if there are any."""
+    """Returns whether all points move once a sample, and the masses, if any, by CORDIS's scheme."""
     return network.substeps == 1 and (SCHEMES[network.scheme] is None or network.point_mass.size == 0)
 
 
 def acting_links(network: Network) -> Indices:
-    """The links that join two different points, or a point and a ground."""
+    """Links that join two different points, or a point and a ground."""
     return np.flatnonzero(network.ends[:, 0] != network.ends[:, 1])
 
 
 def damping_links(network: Network) -> Indices:
-    """The links that act and damp."""
+    """Acting links with a damping."""
     links = acting_links(network)
     return links[network.damping[links] != 0.0]
 
 
 def margin_links(network: Network) -> Indices:
-    """The links that act and whose margins are asked for."""
+    """Acting links whose margins are wanted."""
     links = acting_links(network)
     return links if network.margin_links is None else links[links < network.margin_links]
 
 
 def inner_links(network: Network) -> Indices:
-    """The links that act and that the scheme asks between two samples; of CORDIS's scheme none."""
+    """Acting links whose forces the scheme computes between two samples; none for CORDIS's scheme."""
     scheme = SCHEMES[network.scheme]
     if scheme is None or is_centred(network):
         return np.zeros(0, np.intp)
@@ -141,7 +140,7 @@ def inner_links(network: Network) -> Indices:
 
 
 def touches_channel(network: Network, links: Indices) -> Bools:
-    """(n,) which of these links end at a channel."""
+    """Flags (n,): which of these links end at a channel."""
     ends = network.ends[links]
     return np.any((ends >= 0) & (ends < network.channel_mass.size), axis=1)
 
@@ -152,12 +151,13 @@ def _nature(damper: DamperModel, at_channel: bool) -> LinkNature:
 
 
 def remembers_nothing(damper: DamperModel) -> bool:
-    """Whether its velocity is one of the newest two positions, or sensed."""
+    """Returns whether the damper's velocity depends on the newest two positions alone, or is sensed."""
     return len(damper.of_positions) <= 2 and not damper.of_velocities
 
 
 def part_of_each(ends: Indices, points: int) -> Indices:
-    """(points,): the same number for the points that links, (L, 2) ends, join, a ground (-1) joining none."""
+    """Part of the scene of each point, (points,): equal numbers for points that links, (L, 2) ends, join. A ground (-1)
+    joins none."""
     parent = list(range(points))
 
     def part(point: int) -> int:
@@ -172,7 +172,7 @@ def part_of_each(ends: Indices, points: int) -> Indices:
 
 
 def part_of(network: Network, points: Indices) -> Network:
-    """These points, ascending, and the links that join no other."""
+    """Returns the network of these points, ascending, and of the links that join no other point."""
     number = np.full(network.channel_mass.size + network.point_mass.size + 1, -2)
     number[points], number[-1] = np.arange(points.size), -1
     ends = number[network.ends]
@@ -193,12 +193,13 @@ def part_of(network: Network, points: Indices) -> Network:
 
 
 def never_grows(network: Network) -> bool:
-    """Whether it is clear at once that no motion grows: masses without a channel, by CORDIS's scheme, on springs and
-    backward dampers that are not negative, nor too stiff for the step T. False says nothing.
+    """Returns True if a simple test proves that no motion grows; False if it proves nothing. It applies to masses
+    without a channel, under CORDIS's scheme, on springs and backward dampers that are not negative, nor too stiff for
+    the step T.
 
-    Of a motion v, the poles solve z² m + z (k T² + b T - 2 m) + m - b T = 0, where m = v* M v and so on are real: no
-    root is outside of the unit circle where k, b >= 0 and 4 m >= k T² + 2 b T (Jury), which no v violates if it holds
-    for the sum of each row's absolute values (Gershgorin).
+    For a motion v, the poles solve z² m + z (k T² + b T - 2 m) + m - b T = 0, with real m = v* M v and so on. No root
+    is outside the unit circle if k, b >= 0 and 4 m >= k T² + 2 b T (Jury). Every v satisfies this if the sum of each
+    row's absolute values does (Gershgorin).
     """
     if network.channel_mass.size or SCHEMES[network.scheme] is not None:
         return False

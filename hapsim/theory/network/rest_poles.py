@@ -1,17 +1,17 @@
-"""The rigid motions of a scene: those that stretch, or bend, nothing that would pull back.
+"""Rigid motions of a scene: those that cause no elastic force.
 
-With M the masses, B the dampings and K the stiffnesses, a motion n with K n = 0 rests wherever it is: one pole at 1.
-Where nothing brakes it either, n' B n = 0, it continues at constant velocity: a second pole at 1; with positive masses
-there is no third. The device's delay changes nothing of this, since there is no force.
+With M the masses, B the dampings and K the stiffnesses, a motion n with K n = 0 rests at any amplitude: one pole at 1.
+Without a brake, n' B n = 0, it continues at constant velocity: a second pole at 1. With positive masses there is no
+third. The device's delay has no effect, since there is no force.
 
-Where all stiffnesses are positive, each part that neither a ground nor a held channel is tied to has one such motion,
-its translation. A spring of negative stiffness, as bending has, allows others, such as the tilt of a free bar; in parts
-with one they are counted.
+If all stiffnesses are positive, each part without a ground and without a held channel has one such motion, its
+translation. A spring of negative stiffness, as in bending, allows others, such as the tilt of a free bar; in parts with
+such springs they are counted.
 
-A long bar's slowest bending is softer than its stiffness by the fourth power of its length, so that no tolerance
-separates it from a rigid motion. The count is therefore exact: each floating-point number, an integer times a power of
-two, is taken as it is, in the integers modulo a prime. `scipy.linalg.null_space` finds 18 poles in place of 4 for a
-free bar of 100 masses whose stiffnesses span twelve decades.
+A long bar's slowest bending is softer than its stiffness by the fourth power of its length, so no tolerance separates
+it from a rigid motion. The count is therefore exact: each floating-point number, an integer times a power of two, is
+represented exactly in the integers modulo a prime. `scipy.linalg.null_space` finds 18 poles in place of 4 for a free
+bar of 100 masses whose stiffnesses span twelve decades.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ Row = dict[int, int]  # column: element, without zeros
 
 
 class TooMuchWorkError(Exception):
-    """The elimination takes more multiplications than MOST_WORK."""
+    """Raised if the elimination takes more than MOST_WORK multiplications."""
 
 
 def poles_at_rest(network: Network) -> int:
-    """How many poles are 1 by the structure of the scene alone."""
+    """Number of poles that are 1 by the structure of the scene alone."""
     springs = network.stiffness != 0.0
     brakes = springs | (network.damping != 0.0)
     tied = _at_points(network, network.channel_stiffness) > 0.0
@@ -53,12 +53,12 @@ def poles_at_rest(network: Network) -> int:
 
 
 def _at_points(network: Network, of_channels: Floats) -> Floats:
-    """(C + M,): the channels' own, and 0 for the masses."""
+    """Values of all points, (C + M,): the channels' own, and 0 for the masses."""
     return np.concatenate([of_channels, np.zeros(network.point_mass.size)])
 
 
 def _free_parts(network: Network, links: Bools, held: Bools) -> int:
-    """How many parts, joined by these links, neither reach a ground nor one of the points that are held."""
+    """Number of parts, joined by these links, that reach neither a ground nor a held point."""
     part = part_of_each(network.ends[links], held.size)
     ends = network.ends[links]
     grounded = ends[(ends == -1).any(axis=1)].max(axis=1, initial=-1)
@@ -67,7 +67,7 @@ def _free_parts(network: Network, links: Bools, held: Bools) -> int:
 
 
 def _parts_with(network: Network, some: Bools, links: Bools) -> list[tuple[Indices, Indices]]:
-    """The points and the links of each part, joined by ``links``, that contains one of ``some``."""
+    """Points and links of each part, joined by ``links``, that contains one of ``some``."""
     part = part_of_each(network.ends[links], network.channel_mass.size + network.point_mass.size)
     acting = np.flatnonzero(links & (network.ends[:, 0] != network.ends[:, 1]))
     own = part[network.ends[acting].max(axis=1)]
@@ -75,7 +75,7 @@ def _parts_with(network: Network, some: Bools, links: Bools) -> list[tuple[Indic
 
 
 def _counted(network: Network, points: Indices, links: Indices) -> int:
-    """The poles at 1 of one part: the dimension of K's null space, and of what no damper brakes in it."""
+    """Number of poles at 1 of one part: the dimension of K's null space, plus that of its unbraked subspace."""
     place = {point: i for i, point in enumerate(points.tolist())}
     ends = [[place.get(end, -1) for end in pair] for pair in network.ends[links].tolist()]
     stiffness = _matrix(ends, network.stiffness[links], _at_points(network, network.channel_stiffness)[points])
@@ -87,7 +87,7 @@ def _counted(network: Network, points: Indices, links: Indices) -> int:
 
 
 def _matrix(ends: list[list[int]], of_links: Floats, of_points: Floats) -> list[Row]:
-    """The rows of sum k e e' over the links, e their two ends, and of the points' own on the diagonal."""
+    """Rows of the sum k e e' over the links, e their two ends, with the points' own values on the diagonal."""
     exact = cache(residue)
     rows: list[Row] = [defaultdict(int, {i: exact(own)} if own else {}) for i, own in enumerate(of_points.tolist())]
     for pair, value in zip(ends, of_links.tolist(), strict=True):
@@ -100,13 +100,13 @@ def _matrix(ends: list[list[int]], of_links: Floats, of_points: Floats) -> list[
 
 
 def residue(value: float) -> int:
-    """A finite number modulo the prime, exactly."""
+    """Returns a finite number modulo the prime, exactly."""
     numerator, power_of_two = value.as_integer_ratio()
     return numerator * pow(power_of_two, -1, PRIME) % PRIME
 
 
 def null_space(rows: Iterable[Row], columns: int) -> list[list[int]]:
-    """A basis of the vectors (columns,), modulo the prime, that all rows map to zero.
+    """Returns a basis of the vectors (columns,), modulo the prime, that all rows map to zero.
 
     Raises:
         TooMuchWorkError: after ``MOST_WORK`` multiplications.
@@ -123,7 +123,7 @@ def null_space(rows: Iterable[Row], columns: int) -> list[list[int]]:
 
 
 def _echelon(rows: Iterable[Row]) -> dict[int, Row]:
-    """Rows that span the same space, each by its first column, where it has a one."""
+    """Returns rows that span the same space, by their first columns, where each has a one."""
     echelon: dict[int, Row] = {}
     work = 0
     for given in rows:

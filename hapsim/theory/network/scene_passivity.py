@@ -1,22 +1,23 @@
-"""How much real friction makes a whole scene passive, masses, strings and several hands: stable in any passive hands.
+"""Real friction that makes a whole scene passive, with masses, strings and several hands: stable in any passive hands.
 
-Colgate and Schenkel, "Passivity of a class of sampled-data systems" (1997). What is a sampled wall there is here a
-scene that answers the positions of C hands by forces H(z), (C, C). Behind a zero-order hold and w + f samples of delay,
-w whole, with sigma_n = j (theta + 2 pi n) the images of a motion, the force at image n is
+Colgate and Schenkel, "Passivity of a class of sampled-data systems" (1997). Their sampled wall is here a scene that
+answers the positions of C hands by forces H(z), (C, C). Behind a zero-order hold and w + f samples of delay, w whole,
+with sigma_n = j (theta + 2 pi n) the images of a motion, the force at image n is
 
     -T a_n H(z) sum_m v_m/sigma_m,      a_n = (1 - 1/z) z^-w exp(-f sigma_n)/sigma_n
 
-of the velocities v_m (C,) at all images, which hands may have at once. The power that they get is largest in the plane
-of a and of the conjugates of 1/sigma. With sum |1/sigma_n|² = 1/(4 sin²(theta/2)), sum |a_n|² = 1 and
+for the velocities v_m (C,) at all images; hands may have all of them at once. The power that the hands receive is
+largest in the plane of a and of the conjugates of 1/sigma. With sum |1/sigma_n|² = 1/(4 sin²(theta/2)), sum |a_n|² = 1
+and
 
     g = sum a_n/sigma_n = -(1 - 1/z) z^-w (1 - f + f/z)/(4 sin²(theta/2))
 
 it is the largest eigenvalue of the Hermitian part of -T [[g H, 0], [sqrt(f (1 - f)) H, 0]], (2 C, 2 C): the friction
-that theta needs. A lone wall's is that of ``hand/passivity.py``. Where the scene has a motion of its own that does not
-die out while the hands are held, and that they feel, no friction suffices; nor where its static stiffness is negative.
+that theta needs. For a single wall this is the result of ``hand/wall_passivity.py``. No friction suffices if the scene
+has a motion that the hands feel and that does not decay while they are held, or if its static stiffness is negative.
 
-It peaks at the resonances of the held scene. So a grid that is dense about each, by the residues of its poles, and the
-highest peaks followed.
+The needed friction peaks at the resonances of the held scene. So it is computed on a grid that is dense around each, by
+the residues of its poles, and the highest peaks are refined.
 """
 
 from __future__ import annotations
@@ -35,27 +36,27 @@ from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.network import Network
 from hapsim.theory.sample import is_large, loop, sizes_of
 
-LASTS = 1e-9  # of itself: a motion that loses less in a sample does not die out
+LASTS = 1e-9  # relative loss in a sample; a motion with less does not decay
 _FELT = 1e-9  # of the largest force: a motion with less is not felt
-_SAME = 1e-9  # relative: residues that are good
+_SAME = 1e-9  # relative error of accurate residues
 _POINTS = 400  # of theta, evenly; and for each sample of delay
-_SLOW = 60  # of theta near 0, in steps of a factor
+_SLOW = 60  # of theta near 0, in geometric steps
 _WIDTHS = np.array([-30.0, -10.0, -3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0, 10.0, 30.0])  # of a resonance
 _SWINGS = 0.3  # a pole of smaller modulus is no resonance
-_MOST_EXACT = 100  # numbers of a held scene whose residues are not good
+_MOST_EXACT = 100  # numbers of a held scene without accurate residues
 _PEAKS, _ZOOMS = 4, 10
-_REST = 1e-9  # z - 1, at which what the hands meet is the static stiffness
+_REST = 1e-9  # z - 1 at which the impedance is the static stiffness
 
 
 class Passivity(NamedTuple):
-    """What makes a scene passive.
+    """Passivity condition of a scene.
 
     Attributes:
-        friction: N·s/m that each hand needs; infinite where none suffices. Of hands with different frictions it is the
-            mean, their proportions being kept.
-        frequency_hz: at which it is needed.
-        lasting: (C + M,) how far each point moves in the motion that does not die out; empty where every one does.
-        pushes_away: whether at rest the scene pushes hands on, so that no friction suffices.
+        friction: N·s/m that each hand needs; infinite if none suffices. For hands with different frictions it is the
+            mean, in unchanged proportions.
+        frequency_hz: frequency at which it is needed.
+        lasting: (C + M,) amplitude of each point in the motion that does not decay; empty if every motion decays.
+        pushes_away: whether at rest the scene drives hands on, so that no friction suffices.
     """
 
     friction: float
@@ -65,7 +66,7 @@ class Passivity(NamedTuple):
 
 
 def why_not_derived(network: Network) -> str:
-    """In words; "" where it is."""
+    """Reason why the condition is not derived; "" if it is."""
     if network.hold != "zoh" or network.sampling != "ideal":
         return "it is derived for a zero-order hold and ideal sampling"
     if any(damper.senses for damper in network.damper):
@@ -75,14 +76,14 @@ def why_not_derived(network: Network) -> str:
 
 @dataclass(frozen=True, eq=False)
 class HeldScene:
-    """The scene without its hands: forces by positions. One for which ``why_not_derived`` has no reason."""
+    """Scene without its hands: forces from positions. Only for scenes for which ``why_not_derived`` returns ""."""
 
     network: Network
 
     @cached_property
     def _rows(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """What a sample adds to the scene's own state, of itself and of positions and ways of hands; and forces of
-        both. The ways are those from the last sample."""
+        """Rows of the scene's own state: its change in a sample, from itself and from the hands' positions and last
+        steps; and the forces from both."""
         change, _, _, force, _ = loop(self.network, inputs=True)
         starts, own, given = 0, np.zeros(len(change), bool), np.zeros(len(change), bool)
         for name, size in sizes_of(self.network).items():
@@ -93,7 +94,7 @@ class HeldScene:
 
     @cached_property
     def _eigen(self) -> tuple[Complexes, Complexes, Complexes]:
-        """Eigenvalues of what a sample adds, w, eigenvectors, and how much of each the hands' inputs are."""
+        """Eigenvalues w of the change in a sample, eigenvectors, and the parts of the hands' inputs in each."""
         own, driven, *_ = self._rows
         w, states = np.linalg.eig(own)
         amounts = np.linalg.lstsq(states, driven.astype(complex), rcond=None)[0]
@@ -101,12 +102,11 @@ class HeldScene:
 
     @property
     def poles(self) -> Complexes:
-        """(n,): of the scene while its hands are held."""
+        """Poles (n,) of the scene while its hands are held."""
         return np.asarray(1.0 + self._eigen[0])
 
     def forces(self, w: Complexes) -> Complexes:
-        """(n, C, C): with which the hands are pulled back at z = 1 + w, of 1 m z^n of each alone; NaN where that is not
-        worked out."""
+        """Forces (n, C, C) that pull the hands back at z = 1 + w, for 1 m z^n of each alone; NaN if not computed."""
         return self._by_residues(w) if self._has_residues else self._by_solving(w)
 
     @cached_property
@@ -131,30 +131,30 @@ class HeldScene:
         return found
 
     def _given(self, w: Complexes) -> Complexes:
-        """(n, 2 C, C): positions and ways."""
+        """Positions and last steps of the hands, (n, 2 C, C)."""
         one = np.eye(self.network.channel_mass.size)
         return np.concatenate([np.ones(w.size)[:, None, None] * one, (w / (1.0 + w))[:, None, None] * one], axis=1)
 
     @cached_property
     def largest(self) -> float:
-        """N/m, of forces at some frequencies: what is far less is rounding."""
+        """Largest force at some frequencies, N/m; far smaller ones are rounding."""
         return float(np.abs(self.forces(on_circle(np.array([0.1, 1.0, 2.0, 3.0])))).max(initial=0.0))
 
     def lasting(self) -> int | None:
-        """Which of ``poles`` does not die out and is felt, the fastest to grow; None where none is."""
+        """Index of the fastest growing of ``poles`` that does not decay and is felt; None if there is none."""
         at, states, amounts = self._eigen
         felt = np.linalg.norm(self._rows[2] @ states, axis=0) * np.linalg.norm(amounts, axis=1)
         lasts = np.flatnonzero((np.abs(1.0 + at) > 1.0 - LASTS) & (felt > _FELT * self.largest))
         return int(lasts[np.argmax(np.abs(1.0 + at[lasts]))]) if lasts.size else None
 
     def moved(self, pole: int) -> Floats:
-        """(C + M,): how far each point goes in the motion of one of ``poles``."""
+        """Amplitude of each point, (C + M,), in the motion of one of ``poles``."""
         masses = np.abs(self._eigen[1][: self.network.point_mass.size, pole])
         return np.concatenate([np.zeros(self.network.channel_mass.size), masses])
 
     @cached_property
     def angles(self) -> Floats:
-        """Of a grid of theta, from slow to half the rate, dense about each resonance."""
+        """Grid of theta, from slow to half the rate, dense around each resonance."""
         z = self.poles[np.abs(self.poles) > _SWINGS]
         width = np.maximum(np.abs(1.0 - np.abs(z)), LASTS)
         about = np.abs(np.angle(z))[:, None] + width[:, None] * _WIDTHS
@@ -164,7 +164,8 @@ class HeldScene:
         return np.unique(np.clip(every, 1e-7, math.pi))
 
     def driving_impedance(self, theta: Floats, channel: int) -> Complexes:
-        """(n,) N·s/m at theta, that a hand on this channel meets which moves at no image; nothing holds the others."""
+        """Impedance (n,), N·s/m, at theta, that a hand on this channel meets; it moves at no image, and the others are
+        free."""
         network, one = self.network, np.eye(self.network.channel_mass.size)
         s = 1j * theta[:, None] * network.rate
         device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
@@ -175,7 +176,7 @@ class HeldScene:
 
 @np.errstate(all="ignore")
 def passivity_of(scene: HeldScene) -> Passivity:
-    """The friction that a scene needs; NaN where that is not worked out."""
+    """Returns the friction that a scene needs; NaN if not computed."""
     network = scene.network
     own = network.channel_friction
     mean = float(own.mean())
@@ -197,7 +198,7 @@ def passivity_of(scene: HeldScene) -> Passivity:
 
 
 def _needed(network: Network, theta: Floats, forces: Complexes) -> Floats:
-    """(n,) N·s/m at theta."""
+    """Needed friction (n,), N·s/m, at theta."""
     whole, fraction = whole_and_fraction(network.delay)
     w, sine = on_circle(theta), 4.0 * np.sin(0.5 * theta) ** 2
     later = 1.0 / (1.0 + w)
@@ -215,14 +216,14 @@ def _needed(network: Network, theta: Floats, forces: Complexes) -> Floats:
 
 
 def peaks_of(values: Floats) -> Indices:
-    """The places of the peaks of values (n,), the highest first; ends count."""
+    """Places of the peaks of values (n,), the highest first; ends count."""
     padded = np.concatenate([[-np.inf], values, [-np.inf]])
     peaks = np.flatnonzero((values >= padded[:-2]) & (values > padded[2:]))
     return np.asarray(peaks[np.argsort(-values[peaks], kind="stable")])
 
 
 def highest(values: Callable[[Floats], Floats], theta: Floats) -> tuple[float, float]:
-    """Where on a grid, and between its points, a function of theta is largest, and how large; NaN where it is that."""
+    """Returns (theta, value) of the maximum of a function on a grid and between its points; NaN if a value is NaN."""
     found = values(theta)
     if np.isnan(found).any():
         return math.nan, math.nan
