@@ -57,7 +57,7 @@ class Units:
         return cls(each, in_degrees and each == {"rotary"})
 
     @classmethod
-    def said_by(cls, motion: object) -> Units:
+    def parse(cls, motion: object) -> Units:
         """Returns the units of the motions that a document names: a word, or a list with one per channel."""
         return cls.of(one for one in MOTIONS if one in str(motion))
 

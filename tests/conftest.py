@@ -21,7 +21,7 @@ import pytest
 
 import firmware_protocol
 from hapsim import cli
-from hapsim.cli.output import speak_in
+from hapsim.cli.output import set_output_units
 from hapsim.units import LINEAR
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
@@ -100,7 +100,7 @@ def hapsim(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -
         return Answer(int(caught.value.code or 0), captured.out, captured.err)
 
     yield call
-    speak_in(LINEAR)
+    set_output_units(LINEAR)
 
 
 class Forked:

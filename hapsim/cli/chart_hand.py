@@ -20,7 +20,7 @@ from hapsim.cli.command_options import (
     require_positive,
     scene_name,
 )
-from hapsim.cli.output import document, say, show, speak_of, spoken, stdout, table
+from hapsim.cli.output import document, output_units, print_line, show, stdout, table, use_channel_units
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import between, number, percent
@@ -122,7 +122,7 @@ class ChartOutput(PictureOptions):
         if self.json:
             print(document(summary | pick(self, "picture data")))
         else:
-            self.say_written()
+            self.print_written()
 
 
 def hands_of(
@@ -140,7 +140,7 @@ def hands_of(
         raise UsageError(
             f"--channel {channel}: no hand there whose links all end on grounds; such hands are on: {known}"
         )
-    speak_of(chosen.channel or 0)
+    use_channel_units(chosen.channel or 0)
     return chosen, [hand for hand in hands if hand is not chosen]
 
 
@@ -150,12 +150,12 @@ def print_hands(drawn: list[Hand], others: list[Hand]) -> None:
         if hand.is_simulated:
             stdout().print(_felt_sentence(hand))
     for other in others:
-        say(f"{other.name} has a plane of its own: --channel {other.channel}")
+        print_line(f"{other.name} has a plane of its own: --channel {other.channel}")
 
 
 def _felt_sentence(hand: Hand) -> str:
     """Returns what is simulated and felt, and for which K and B the loop is stable."""
-    known, units = hand.summary(), spoken()
+    known, units = hand.summary(), output_units()
     felt = "no spring and damper is equivalent"
     if known["dominant"]:
         felt = (
@@ -217,7 +217,7 @@ def plane(
         B_to=B_to and B_to * scale.damping - scale.offset,
     )
     chart = plane_of(drawn, view, scale)
-    title = described(drawn[0].configuration, mass=len(masses) < 2, normalised=normalised, units=spoken())
+    title = described(drawn[0].configuration, mass=len(masses) < 2, normalised=normalised, units=output_units())
     output.write(chart.columns, lambda path: draw_plane(chart, title, path))
     if not output.json:
         print_hands(drawn, [other for other in others if other not in drawn])
@@ -248,13 +248,13 @@ def felt(
         hand, masses = hand.normalised(masses)
     chosen, _ = hand.hands(masses[0] if masses else None, as_written=True)
     chart = felt_chart(chosen)
-    title = described(chosen.configuration, normalised=normalised, units=spoken())
+    title = described(chosen.configuration, normalised=normalised, units=output_units())
     output.write(chart.columns, lambda path: draw_felt(chart, title, path))
     if not output.json:
         headings = ("<correction", *(percent(within, 3) for within in WITHIN))
         rows = [(name, *(percent(felt.share(within), 3) for within in WITHIN)) for name, felt in chart.felt.items()]
         stdout().print(table("Share of the plane felt within", headings, rows))
-        say(
+        print_line(
             f"Limit of any controller: {percent(chart.limit, 3)}, the motions below half the rate; samples do not "
             "distinguish faster ones. Where no (K, B) is felt as desired, hapsim simulates the nearest, which counts "
             "here as not felt."
@@ -308,13 +308,13 @@ def force(
 
     output.choose("force.svg")
     loaded = load(scene)
-    require_positive("--speed", speed, spoken().si.name("m/s"))
+    require_positive("--speed", speed, output_units().si.name("m/s"))
     hands = {point.channel: name for name, point in loaded.device_points.items()}
     name = hands.get(min(hands) if channel is None else channel)
     if name is None:
         known = ", ".join(map(str, hands))
         raise UsageError(f"--channel {channel}: the scene has nothing there; its device points are on: {known}")
-    speak_of(loaded.device_points[name].channel)
+    use_channel_units(loaded.device_points[name].channel)
     if speed is None:
         speed = _SPEED[loaded.device.motions(loaded.channels)[loaded.device_points[name].channel]]
     chart = force_chart(loaded, name, speed)
@@ -348,7 +348,7 @@ def transparency(
         if not chosen.is_simulated:
             raise UsageError("--simulated-stiffness is missing: without a SCENE, it says what is simulated")
         chart, summary = transparency_of(chosen), chosen.summary()
-        units = spoken()
+        units = output_units()
         pair = f"K = {units(chosen.stiffness, 'N/m', '.6g')}, B = {units(chosen.damping, 'N·s/m', '.6g')}"
         title = f"{pair}; {described(chosen.configuration, units=units)}"
         if not output.json:
@@ -384,7 +384,7 @@ def _of_scene(
     if others := [one for one, value in given.items() if value is not None and one not in ("scene", "channel")]:
         why = prediction.coupled.get(name, "is answered by a predictor")
         raise UsageError(f"--{others[0].replace('_', '-')}: {name} {why}; it is drawn as it is, leave that out")
-    speak_of(channel)
+    use_channel_units(channel)
     shared = next((one for one in prediction.together if name in one.names), None)
     motion = lone or (shared and shared.own_motion)
     chart = transparency_in(prediction, name, motion.frequency_hz if motion else math.nan)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from hapsim.cli.chart_hand import Channel, ChartOutput, hands_of
 from hapsim.cli.command_options import SceneFile, argument, flag, load, names, numbers, option, require_positive
 from hapsim.cli.live import live_line, live_words
-from hapsim.cli.output import say, speak_in, stderr, stdout, table
+from hapsim.cli.output import print_line, set_output_units, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import relative_difference
 from hapsim.recording.trace import load_trace
@@ -46,8 +46,8 @@ def table1(
         corrected = loaded.device.correction if as_scene else "none"
     elif correction not in (known := get_args(choices.CorrectionName)):
         raise UsageError(f"--correction: found '{correction}', expected {one_of(known)}")
-    with live_line(stderr()) as tell:
-        chart = table1_of(hand, as_scene=as_scene, correction=corrected, on_progress=tell)
+    with live_line(stderr()) as show_progress:
+        chart = table1_of(hand, as_scene=as_scene, correction=corrected, on_progress=show_progress)
     units = loaded.units_of(hand.channel)
     tuned = f"K = {units(chart.K, 'N/m', '.6g')}, k = {units(chart.k, 'N/m', '.6g')}, correction: {corrected}"
     output.write(chart.columns, lambda path: draw_table1(chart, f"{tuned}; {described(chart.configuration)}", path))
@@ -100,14 +100,14 @@ def speed_accuracy(
         raise UsageError(f"--rounds: found {rounds}, expected a whole number of at least 1")
     output.choose("speed-accuracy.svg")
     rows = [] if peers is None else peers_in(peers, [one.name for one in chosen])
-    with live_words(stderr()) as tell:
-        rows = compare(chosen, at, rounds, tell, by) + rows
+    with live_words(stderr()) as show_progress:
+        rows = compare(chosen, at, rounds, show_progress, by) + rows
     on_front = [row for front in fronts(rows).values() for row in front]
     output.write(lambda: columns(rows, on_front), lambda path: draw_speed_accuracy(chosen, rows, path))
     verdicts = {one.name: verdict(one, rows) for one in chosen}
     if not output.json:
         for sentence in verdicts.values():
-            say(sentence)
+            print_line(sentence)
     output.close({"objects": verdicts, "rows": rows})
 
 
@@ -126,7 +126,7 @@ def trace(
     require_positive("--last", last, "seconds")
     output.choose("trace.svg")
     recorded = load_trace(file)
-    speak_in(recorded.report.units_of())
+    set_output_units(recorded.report.units_of())
     if recorded.sample.size == 0:
         raise UsageError(f"{file}: it has no rows to draw")
     if last is not None:
@@ -135,7 +135,7 @@ def trace(
     about = f"{file.name}: {_about(recorded)}"
     output.write(lambda: columns_of(recorded), lambda path: draw_trace(recorded, about, path))
     if not output.json:
-        say(about)
+        print_line(about)
     output.close({"trace": file, "rows": recorded.sample.size, "report": recorded.report})
 
 

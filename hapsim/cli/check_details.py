@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from hapsim.cli.output import Line, Table, spoken, table
+from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import (
     Desired,
@@ -69,7 +69,7 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
 
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:
-    robustness, device, units = robustness_of(felt), felt.configuration, spoken(felt.channel)
+    robustness, device, units = robustness_of(felt), felt.configuration, output_units(felt.channel)
     own = f" (+ {device.stiffness:.6g} real)" if device.stiffness else ""
     least, most = robustness.stable_masses
     masses = "none" if math.isnan(least) else f"{least:.3g} to {most:.3g}"
@@ -115,7 +115,7 @@ def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
         least, most = map(float, hand.stable_damping(_FAINT * hand.stiffness_unit))
     if not most > 0.0:
         return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
-    span = spoken(felt.channel)(between(max(least, 0.0), most, " and "), "N·s/m")
+    span = output_units(felt.channel)(between(max(least, 0.0), most, " and "), "N·s/m")
     return f"{becomes} where the damping is between {span}"
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.markup import escape
 
-from hapsim.cli.output import Line, Table, spoken, table
+from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.number_format import duration, number, rounded_down, rounded_up
@@ -196,7 +196,7 @@ def _pair_rows(together: FeltTogether) -> Iterator[tuple[str, str, str, str, str
     for i, name in enumerate(names):
         others = [(j, 1.0, name) if j == i else (j, -1.0, f"{name} of {names[j]}") for j in range(len(names))]
         for j, sign, who in sorted(others, key=lambda one: one[0] != i):
-            unit = spoken(together.channels[i])
+            unit = output_units(together.channels[i])
             k, b = (number(sign * float(one[i, j])) for one in (felt.k, felt.b))
             wanted_k, wanted_b = (number(sign * float(one[i, j])) for one in (asked.k, asked.b))
             yield f"{who}: k", wanted_k, k, number(sign * float(static[i, j])), unit.name("N/m")
@@ -216,7 +216,7 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
             )
         else:
             yield f"{whys}: no single k and b say what it feels, for {felt.reason}{_modes(felt.frequencies_hz)}"
-            yield from (_at_frequencies(one, i, spoken(channel)) for i, channel in enumerate(one.channels))
+            yield from (_at_frequencies(one, i, output_units(channel)) for i, channel in enumerate(one.channels))
         if (weight := _weight_of(prediction, one)) is not None:
             yield _weight(weight)
 

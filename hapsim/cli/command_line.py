@@ -20,8 +20,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from hapsim.cli.command_options import choose_cache, on_command_line, take_cache
-from hapsim.cli.output import complain, document, log_as_json, speak_in
-from hapsim.cli.streams import output_failure, standing_streams
+from hapsim.cli.output import document, log_as_json, print_message, set_output_units
+from hapsim.cli.streams import output_failure, resilient_streams
 from hapsim.errors import HapsimError, UsageError, refused_by_system
 from hapsim.scene.issue import as_argument
 from hapsim.scene.shipped import shipped_boards, shipped_scenes, shipped_scripts
@@ -230,17 +230,17 @@ def run_command() -> int:
     """Runs what `sys.argv` asks for, and returns the exit status."""
     if os.environ.get("COLUMNS", "").strip("0") == "":
         os.environ.pop("COLUMNS", None)  # a terminal that does not know its width says 0: nothing would be printed
-    with standing_streams():
+    with resilient_streams():
         log_as_json(False)
-        speak_in(LINEAR)
+        set_output_units(LINEAR)
         ended = _run_app()
         log_as_json(False)  # writes what a log still has
         # A disk that a command found full may be the output's, too: that is one sentence.
         status, failure = (ended, output_failure()) if isinstance(ended, int) else (0, ended)
         if failure is not None:
             status = _fail(f"hapsim: the output cannot be written: {failure.strerror}", UsageError.exit_status)
-    if "hapsim.loop.beside" in sys.modules:
-        sys.modules["hapsim.loop.beside"].leave_unfinished(status)
+    if "hapsim.loop.background" in sys.modules:
+        sys.modules["hapsim.loop.background"].exit_with_unfinished(status)
     return status
 
 
@@ -277,7 +277,7 @@ def _run_app() -> int | OSError:
 
 
 def _fail(problem: str, status: int) -> int:
-    complain(problem)
+    print_message(problem)
     _print_failure(problem, status)
     return status
 

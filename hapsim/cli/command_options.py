@@ -19,7 +19,7 @@ from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import typer
 
-from hapsim.cli.output import say, speak_in, spoken
+from hapsim.cli.output import output_units, print_line, set_output_units
 from hapsim.errors import UsageError
 from hapsim.scene.issue import as_argument
 
@@ -248,19 +248,19 @@ class PictureOptions:
         if self.picture is not None:
             from hapsim.chart.figure import labelled_in
 
-            with labelled_in(spoken()):
+            with labelled_in(output_units()):
                 draw(self.picture)
 
-    def say_written(self) -> None:
+    def print_written(self) -> None:
         """Prints which files were written."""
-        say_written("Picture", self.picture)
-        say_written("Its numbers", self.data)
+        print_written("Picture", self.picture)
+        print_written("Its numbers", self.data)
 
 
-def say_written(what: str, path: Path | None) -> None:
+def print_written(what: str, path: Path | None) -> None:
     """Prints which file was written, if one was."""
     if path is not None:
-        say(f"{what}: {path}")
+        print_line(f"{what}: {path}")
 
 
 def print_next(command: str, scene: str, *words: str) -> None:
@@ -275,7 +275,7 @@ def load(path: str, port: str | None = None) -> Any:
     from hapsim.scene.load import read_scene
 
     scene = read_scene(sys.stdin.buffer, scene_name(path)) if path == _STANDARD_INPUT else load_scene(path)
-    speak_in(scene.units, *map(scene.units_of, range(scene.channels)))
+    set_output_units(scene.units, *map(scene.units_of, range(scene.channels)))
     return scene if port is None else on_port(scene, port)
 
 

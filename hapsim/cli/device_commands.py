@@ -12,7 +12,7 @@ from rich.markup import escape
 
 from hapsim.cli.command_options import Json, SceneFile, flag, load, option
 from hapsim.cli.live import live_line
-from hapsim.cli.output import complain, document, stderr, stdout, table
+from hapsim.cli.output import document, print_message, stderr, stdout, table
 
 Link = Annotated[Path | None, option("PATH", "Also give the port this name (a link).")]
 
@@ -36,8 +36,8 @@ def serve(assemble: Callable[[], Any], link: Path | None, realtime: bool, json: 
     def announce(path: str) -> None:
         print(document({"port": path}) if json else path, flush=True)
 
-    with live_line(stderr()) as tell:
-        serve_until_stopped(assemble, link, announce, tell, realtime)
+    with live_line(stderr()) as show_progress:
+        serve_until_stopped(assemble, link, announce, show_progress, realtime)
 
 
 def ports(json: Json = False) -> None:
@@ -50,7 +50,7 @@ def ports(json: Json = False) -> None:
     elif found:
         show_ports(stdout(), found)
     else:
-        complain("No serial port was found. `hapsim mock SCENE` serves a device without hardware.")
+        print_message("No serial port was found. `hapsim mock SCENE` serves a device without hardware.")
 
 
 def sound(json: Json = False) -> None:
@@ -75,7 +75,7 @@ def sound(json: Json = False) -> None:
         headings = ("number", "<name", "<system", "channels", "rate  Hz", "latency  ms")
         stdout().print(table("Sound cards", headings, rows))
     else:
-        complain("No sound card was found. `hapsim run SCENE --sound-file FILE.wav` writes a file without one.")
+        print_message("No sound card was found. `hapsim run SCENE --sound-file FILE.wav` writes a file without one.")
 
 
 _NOT_KNOWN = "n/a"  # as pyserial says it

@@ -25,7 +25,7 @@ from hapsim.cli.command_options import (
     transport_kind,
 )
 from hapsim.cli.live import live_words
-from hapsim.cli.output import Table, complain, document, fitted, stderr, stdout, table
+from hapsim.cli.output import Table, document, fitted, print_message, stderr, stdout, table
 from hapsim.doctor.examine import RATES_HZ, examine
 from hapsim.doctor.exchanges import EXCHANGE, IN_TIME, MOCK, ON_THE_MOCK, Exchanges, Verdict
 from hapsim.documents import pick
@@ -81,12 +81,12 @@ def doctor(
         print(document(examination_document(found)))
     else:
         show_examination(stdout(), found)
-        picture.say_written()
+        picture.print_written()
     if found.stopped:
-        complain(f"hapsim: {found.stopped}")
+        print_message(f"hapsim: {found.stopped}")
         raise typer.Exit(INTERRUPTED)
     if found.device_failed is not None:
-        complain(found.device_failed.failure)
+        print_message(found.device_failed.failure)
         raise typer.Exit(found.device_failed.exit_status)
 
 

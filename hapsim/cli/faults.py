@@ -16,7 +16,7 @@ from hapsim.bringup.faults import KINDS, Injector, load_script, parse_script
 from hapsim.bringup.faults.relay import PassingTimes, Relay
 from hapsim.cli.command_options import Baud, Json, argument, flag, load, option, seconds
 from hapsim.cli.live import live_line, live_words
-from hapsim.cli.output import complain, document, failure_document, spoken, stderr, stdout, table
+from hapsim.cli.output import document, failure_document, output_units, print_message, stderr, stdout, table
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
@@ -67,11 +67,11 @@ def faults(
     ):
         name = relay.name
         if json:
-            complain(name)
+            print_message(name)
         else:
             print(name, flush=True)
-        with live_words(stderr()) as say:
-            is_whole = relay.run(duration, lambda: say(passing_on(injector)))
+        with live_words(stderr()) as show:
+            is_whole = relay.run(duration, lambda: show(passing_on(injector)))
     gone = DeviceError(f"{port or scene}: the device went away (unplugged, or its port was closed)")
     failure = None if is_whole else gone
     if json:
@@ -79,7 +79,7 @@ def faults(
     else:
         show_faults(stdout(), injector, relay.unread_bytes, relay.passing)
     if failure is not None:
-        complain(failure)
+        print_message(failure)
         raise typer.Exit(failure.exit_status)
 
 
@@ -119,8 +119,8 @@ def _device(port: str | None, scene: str | None, baud: int) -> Iterator[int]:
     loaded = None if scene is None else load(scene)
     with contextlib.ExitStack() as stack:
         if loaded is not None:
-            with live_line(stderr()) as tell:
-                counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
+            with live_line(stderr()) as show_progress:
+                counted = Counted(lambda name, share: show_progress(Progress("compiling", name, share=share)))
                 with on_compilation(counted.add):
                     port = stack.enter_context(serving(assemble_mock(loaded)))
         yield stack.enter_context(raw_port(port or "", baud))
@@ -183,7 +183,7 @@ def _at_the_device(injector: Injector) -> Iterator[str]:
 
 
 def _newtons(force: float) -> str:
-    return "a force of unknown scale" if math.isnan(force) else spoken()(force, "N", ".4g")
+    return "a force of unknown scale" if math.isnan(force) else output_units()(force, "N", ".4g")
 
 
 def faults_document(

@@ -21,7 +21,7 @@ from firmware_protocol.capture import REASONS, Capture, Decoded, Refused
 from firmware_protocol.frames import SETUP, Format
 from hapsim.cli.command_options import Baud, Json, argument, flag, option, seconds
 from hapsim.cli.live import live_words
-from hapsim.cli.output import complain, failure_document, say, speak_in, spoken, stderr
+from hapsim.cli.output import failure_document, output_units, print_line, print_message, set_output_units, stderr
 from hapsim.cli.streams import output_ended
 from hapsim.device.connection import Connection
 from hapsim.device.ports import leads_to, open_portable_port
@@ -71,7 +71,7 @@ def frames(
                 failure = show.all_of(Capture(_SENDERS[sender]), pieces)
     show.close({"stopped": bool(stopped)} | about | failure_document(failure))
     if failure is not None:
-        complain(failure)
+        print_message(failure)
         raise typer.Exit(failure.exit_status)
 
 
@@ -89,7 +89,7 @@ class _Output:
         try:
             for data, time_s in pieces:
                 for found in capture.feed(data):
-                    speak_in(Units.of(capture.registers.motions))
+                    set_output_units(Units.of(capture.registers.motions))
                     self._show(entry_of(capture, found, time_s, self._hex_too))
                 if time_s is not None:
                     sys.stdout.flush()
@@ -98,7 +98,7 @@ class _Output:
         for found in capture.finish():
             self._show(entry_of(capture, found, time_s, self._hex_too))
         self._counters += capture.counters
-        self.say(_summary(capture.counters, self._sender))
+        self.print_line(_summary(capture.counters, self._sender))
         return failure
 
     def _show(self, entry: dict[str, Any]) -> None:
@@ -106,12 +106,12 @@ class _Output:
             sys.stdout.write(self._before + _json(entry))
             self._before = ",\n"
         else:
-            say(text_of(entry), indent=_TEXT_INDENT)
+            print_line(text_of(entry), indent=_TEXT_INDENT)
 
-    def say(self, sentence: str) -> None:
+    def print_line(self, sentence: str) -> None:
         """Shows a sentence; a document has none."""
         if not self._json:
-            say(sentence)
+            print_line(sentence)
 
     def close(self, about: dict[str, Any]) -> None:
         """Writes what a document says at its end."""
@@ -140,10 +140,10 @@ def _show_report(path: Path, show: _Output, sender: str) -> dict[str, Any]:
     document has of it."""
     report = read_report(path)
     registers = {int(number): value for number, value in report.about["registers"].items()}
-    show.say(f"{report.about['when']}  {report.about['sentence']}")
+    show.print_line(f"{report.about['when']}  {report.about['sentence']}")
     for from_host, data in ((False, report.wire.from_device), (True, report.wire.to_device)):
         if from_host in _SENDERS[sender]:
-            show.say("\nto the device:" if from_host else "\nfrom the device:")
+            show.print_line("\nto the device:" if from_host else "\nfrom the device:")
             capture = Capture((from_host,))
             capture.registers.update(registers)
             show.all_of(capture, iter([(data, None)]))
@@ -340,7 +340,7 @@ def _words(entry: dict[str, Any]) -> str:
 
 def _values(counts: list[int], scaled: list[float | None], unit: str) -> str:
     return ", ".join(
-        f"{count} counts" + ("" if value is None else f" ({spoken()(value, unit)})")
+        f"{count} counts" + ("" if value is None else f" ({output_units()(value, unit)})")
         for count, value in zip(counts, scaled, strict=False)
     )
 

@@ -16,7 +16,17 @@ from hapsim.cli.command_options import (
     seconds,
 )
 from hapsim.cli.live import live_line
-from hapsim.cli.output import Table, complain, document, say, speak_of, spoken, stderr, stdout, table
+from hapsim.cli.output import (
+    Table,
+    document,
+    output_units,
+    print_line,
+    print_message,
+    stderr,
+    stdout,
+    table,
+    use_channel_units,
+)
 from hapsim.device.ports import is_new
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -76,10 +86,10 @@ def identify(
         require_rewritable(device.scene)
     if channel is None:
         channel = next(iter(scene.device_points.values())).channel
-    speak_of(channel)
+    use_channel_units(channel)
     scene, travel = _within_travel(scene, channel, travel)
-    complain(_before_pushing(bounds_of(scene, channel, push, travel), channel, port, duration or SECONDS))
-    with live_line(stderr()) as tell:
+    print_message(_before_pushing(bounds_of(scene, channel, push, travel), channel, port, duration or SECONDS))
+    with live_line(stderr()) as show_progress:
         found = identify_device(
             scene,
             channel=channel,
@@ -87,7 +97,7 @@ def identify(
             travel=travel,
             duration=duration,
             transport=kind,
-            on_progress=tell,
+            on_progress=show_progress,
             stop_on_signals=True,
         )
     if port:
@@ -98,17 +108,16 @@ def identify(
         picture.write(lambda: residual_columns(found), lambda path: draw_device_residual(found, path))
     _show(device.scene, scene, found, write, json)
     if not json:
-        picture.say_written()
+        picture.print_written()
 
 
 def _before_pushing(bounds: Bounds, channel: int, port: str | None, seconds: float) -> str:
     device = "the built-in mock" if port is None else f"the device at {port}"
+    force, travel = output_units()(bounds.force, "N", "g"), output_units()(bounds.travel, "mm", "g")
     return (
-        f"Pushing channel {channel} of {device} now: at most {spoken()(bounds.force, 'N', 'g')} to either side, "
-        f"{seconds:g} s and what "
-        f"it takes to find out how hard; stopped if the device moves more than {spoken()(bounds.travel, 'mm', 'g')} "
-        "from where "
-        "it stands. Let it move freely, held as it will be held: the hand is part of the mass. Ctrl-C releases it."
+        f"Pushing channel {channel} of {device} to both sides with at most {force}. This takes about {seconds:g} s, "
+        f"plus the time to find the push. It stops if the device moves more than {travel} from where it is now. Hold "
+        "it as it will be held, and let it move freely: the hand is part of the mass. Ctrl-C releases it."
     )
 
 
@@ -126,10 +135,10 @@ def _within_travel(scene: Scene, channel: int, travel: float | None) -> tuple[Sc
     here = device.origins(scene.channels)[channel] is None
     room = min(most, -least) if here else 0.5 * (most - least)
     if here and room <= 0.0:
+        found = f"{output_units().number(least, 'm', 'g')} to {output_units()(most, 'm', 'g')}"
         raise UsageError(
-            f"device.travel: found {spoken().number(least, 'm', 'g')} to {spoken()(most, 'm', 'g')} from where it is "
-            "armed (origin: here), expected room "
-            "to both sides to push it; put it in the middle of its travel, and leave out travel and origin for this"
+            f"device.travel: found {found} from the position at arming (origin: here), expected room to push to both "
+            "sides. Move the device to the middle of its travel, and omit travel and origin for this command"
         )
     if here:
         none = {"travel": None, "travel_margin": None, "origin": None}
@@ -152,7 +161,7 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
         hand = next(name for name, point in scene.device_points.items() if point.channel == channel)
         stdout().print("", _table(found, declared, hand))
         for sentence in _sentences(found):
-            say(sentence)
+            print_line(sentence)
     values = _values_to_write(found, declared, has_span=least < most) if write and not found.stopped else None
     if values is not None:
         rewrite_device(path, values, channel)
@@ -164,11 +173,11 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
         )
     elif values is None:
         why = "it was stopped before all was recorded" if write else "--write writes what was found into its `device`"
-        say(f"The file was not changed; {why}.")
+        print_line(f"The file was not changed; {why}.")
     else:
         written = ", ".join(f"{name}: {value}" for name, value in values.items())
         stays = " The mass stays: the file gives a span for it, and this is one hand's." if least < most else ""
-        say(f"Wrote into `device` of {path}: {written}.{stays}")
+        print_line(f"Wrote into `device` of {path}: {written}.{stays}")
 
 
 def _values_to_write(found: DeviceIdentification, declared: Mapping[str, float], has_span: bool) -> Written:
@@ -209,7 +218,7 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
             off = relative_difference(estimate.value, said) if said else f"{estimate.value:+.2g}"
         rows.append(
             (
-                f"{what}  {spoken().name(unit)}",
+                f"{what}  {output_units().name(unit)}",
                 "–" if said is None else f"{said:g}",
                 _rounded(estimate),
                 f"{estimate.uncertainty:.1g}",
@@ -221,7 +230,7 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
 
 
 def _sentences(found: DeviceIdentification) -> list[str]:
-    units = spoken()
+    units = output_units()
     pairs = ", ".join(f"({drive.stiffness:.3g}, {drive.damping:.2g})" for drive in found.drives)
     stopped = "It was stopped before all was recorded. " if found.stopped else ""
     sentences = [

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.command_options import chosen_cache, flag, names, option
-from hapsim.cli.output import complain, json_log, spoken, warn
+from hapsim.cli.output import json_log, output_units, print_message, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
 from hapsim.stopping import note_work
@@ -36,16 +36,16 @@ _STEP_S = 5.0  # between two lines of a kind, where the output is no terminal
 
 
 @contextlib.contextmanager
-def live_line(error: Console, warns_of_unkept: bool = True) -> Iterator[Callable[[Progress], None]]:
+def live_line(error: Console, warn_not_cached: bool = True) -> Iterator[Callable[[Progress], None]]:
     """Yields a function that shows a Progress: in place on a terminal, elsewhere now and then as a line or in the
-    log. At the end, `warns_of_unkept` warns if something was compiled that could not be kept, or not where the user
+    log. At the end, `warn_not_cached` warns if something was compiled that could not be kept, or not where the user
     wants it."""
     words = _Words()
-    with _shown(error, words) as tell:
-        yield tell
-    if warns_of_unkept and words.compiled and (problem := _kept().why_not_kept()):
-        warn(unkept(problem), "unkept")
-    elif warns_of_unkept and "numba" in sys.modules:
+    with _shown(error, words) as show_progress:
+        yield show_progress
+    if warn_not_cached and words.compiled and (problem := _kept().why_not_kept()):
+        warn(not_cached(problem), "unkept")
+    elif warn_not_cached and "numba" in sys.modules:
         warn_if_elsewhere(_kept().directory_of_kept_code(found=True))
 
 
@@ -63,7 +63,7 @@ def warn_if_elsewhere(directory: Path | None) -> bool:
     return True
 
 
-def unkept(problem: str) -> str:
+def not_cached(problem: str) -> str:
     """Returns the warning that compiled code is not kept."""
     return (
         f"compiled code is not kept, and the next start compiles again: {problem}. Name another directory with "
@@ -91,7 +91,7 @@ def _shown(error: Console, words: _Words) -> Iterator[Callable[[Progress], None]
         event = "running" if progress.phase == "ended" else progress.phase  # its end is an event of its own
         if is_due(event):
             fields = asdict(progress) if event == "running" else {"text": progress.text}
-            log.say("info", event, text, **fields)
+            log.write("info", event, text, **fields)
 
     yield write
 
@@ -123,11 +123,11 @@ def at_work(error: Console, text: str, in_pipes: bool = False) -> Iterator[Calla
         return
     texts, over = [text], threading.Event()
 
-    def tell() -> None:
+    def repeat() -> None:
         while not over.wait(_STEP_S if error.is_terminal else 2.0 * _STEP_S):
             error.print(texts[-1], soft_wrap=True)
 
-    threading.Thread(target=tell, daemon=True).start()
+    threading.Thread(target=repeat, daemon=True).start()
     try:
         yield texts.append
     finally:
@@ -184,7 +184,7 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
     if progress.seen_rate_hz is not None:
         yield f"{progress.seen_rate_hz:.1f} Hz"
     moved = enumerate(zip(progress.position[:_MOST_CHANNELS], progress.force, strict=False))
-    yield ", ".join(_position_and_force(spoken(c), x, force) for c, (x, force) in moved)
+    yield ", ".join(_position_and_force(output_units(c), x, force) for c, (x, force) in moved)
     yield f"age {progress.age_samples}"
     yield f"misses {progress.deadline_misses}"
     for what, count in progress.shown("live"):
@@ -193,7 +193,7 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
         yield f"sound {1e3 * progress.sound_latency_s[0]:.1f} ms late, {progress.resampling_ppm or 0.0:+.1f} ppm"
     known = zip(progress.estimated_mass_kg, progress.estimated_mass_uncertainty_kg, strict=True)
     if masses := " ".join(f"{kg:.3g} ± {unsure:.1g}" for kg, unsure in known if kg is not None):
-        yield f"mass {spoken()(masses, 'kg')}"
+        yield f"mass {output_units()(masses, 'kg')}"
 
 
 def _position_and_force(units: Units, x: float, force: float) -> str:
@@ -243,7 +243,7 @@ class LiveOptions:
         server.start()
         try:
             for url in (view.url for view in views if view.url):
-                complain(f"Serving at {url}", "serving", "info", url=url)
+                print_message(f"Serving at {url}", "serving", "info", url=url)
             yield hub
         finally:
             server.close()
@@ -299,4 +299,4 @@ class LiveOptions:
 
 
 def _warn(sentence: str) -> None:
-    complain(sentence, "live", "warning")
+    print_message(sentence, "live", "warning")

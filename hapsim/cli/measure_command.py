@@ -21,8 +21,8 @@ from hapsim.cli.command_options import (
     flag,
     position,
     print_next,
+    print_written,
     require_positive,
-    say_written,
 )
 from hapsim.cli.live import live_line
 from hapsim.cli.measure_remarks import (
@@ -35,7 +35,18 @@ from hapsim.cli.measure_remarks import (
     weight_sentence,
     with_hand,
 )
-from hapsim.cli.output import Table, complain, document, failure_document, show, speak_of, spoken, stderr, stdout, table
+from hapsim.cli.output import (
+    Table,
+    document,
+    failure_document,
+    output_units,
+    print_message,
+    show,
+    stderr,
+    stdout,
+    table,
+    use_channel_units,
+)
 from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
@@ -106,7 +117,7 @@ def _measure_pair(
     hands = {point.channel: name for name, point in scene.device_points.items()}
     channel = next(iter(hands)) if excitation.channel is None else excitation.channel
     if channel in hands:
-        speak_of(channel)
+        use_channel_units(channel)
     at = position(excitation.at, scene)
     if excitation.mass and channel in hands:
         scene = with_hand(
@@ -121,9 +132,9 @@ def _measure_pair(
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
     try:
-        with live_line(stderr()) as tell:
+        with live_line(stderr()) as show_progress:
             options = excitation.for_runs(kind, unstable)
-            measurement = measure_scene(scene, channel=channel, at=at, on_progress=tell, **options)
+            measurement = measure_scene(scene, channel=channel, at=at, on_progress=show_progress, **options)
     except RunError as error:
         if error.trace is None:
             raise
@@ -145,11 +156,11 @@ def _measure_pair(
         (show_report if explain else show_run)(stdout(), measurement.trace.report)
         if on_wire is not None or prediction.wire_delay:
             show(stdout(), wire_lines(prediction, on_wire, explain=True))
-        picture.say_written()
-        say_written("Trace", record.record)
+        picture.print_written()
+        print_written("Trace", record.record)
         _print_next(device, scene, prediction, measurement, channel, unstable)
     if measurement.failure is not None:
-        complain(measurement.failure)
+        print_message(measurement.failure)
         raise typer.Exit(measurement.failure.exit_status)
 
 
@@ -183,8 +194,8 @@ def _end_failed(
         print(document({"scene": scene} | _run_document(prediction, error.trace.report, channel, error)))
     else:
         show_report(stdout(), error.trace.report)
-        say_written("Trace", record)
-    complain(error)
+        print_written("Trace", record)
+    print_message(error)
     raise typer.Exit(error.exit_status)
 
 
@@ -279,8 +290,8 @@ def _side_by_side(
     """Returns the table of prediction and measurement, to the digits that the uncertainty leaves."""
     rows: list[tuple[str, ...]] = []
     for label, key, uncertainty in (
-        (f"k  {spoken().name('N/m')}", "k", measurement.k_uncertainty),
-        (f"b  {spoken().name('N·s/m')}", "b", measurement.b_uncertainty),
+        (f"k  {output_units().name('N/m')}", "k", measurement.k_uncertainty),
+        (f"b  {output_units().name('N·s/m')}", "b", measurement.b_uncertainty),
         ("eigenfrequency  Hz", "frequency_hz", measurement.frequency_uncertainty_hz),
         ("damping ratio", "damping_ratio", measurement.damping_ratio_uncertainty),
     ):
@@ -297,7 +308,8 @@ def _side_by_side(
         )
     known = measurement.mass_uncertainty
     mass = number(measurement.mass) if known is None else rounded(measurement.mass, known)
-    rows.append((f"mass  {spoken().name('kg')}", "", "", mass, of_mass if known is None else number(known, 1), ""))
+    unit, off = output_units().name("kg"), of_mass if known is None else number(known, 1)
+    rows.append((f"mass  {unit}", "", "", mass, off, ""))
     return table(title, ("", "desired", "predicted", "measured", "±", "off by"), rows)
 
 

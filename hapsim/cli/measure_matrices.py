@@ -11,9 +11,9 @@ import typer
 from rich.markup import escape
 
 from hapsim.cli.check_details import assumption_lines
-from hapsim.cli.command_options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions, say_written
+from hapsim.cli.command_options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions, print_written
 from hapsim.cli.live import live_line
-from hapsim.cli.output import Table, complain, document, show, spoken, stderr, stdout, table
+from hapsim.cli.output import Table, document, output_units, print_message, show, stderr, stdout, table
 from hapsim.cli.run_command import predict_before_arming, print_warnings, require_stable, with_mock
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -68,9 +68,9 @@ def measure_hands(
         raise UsageError(f"--hands: the hand on channel {channel} is linked to no other; leave the option out")
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
-    with live_line(stderr()) as tell:
+    with live_line(stderr()) as show_progress:
         found = rings.measure_hands(
-            scene, channels=one.channels, on_progress=tell, **excitation.for_runs(kind, unstable)
+            scene, channels=one.channels, on_progress=show_progress, **excitation.for_runs(kind, unstable)
         )
     if json:
         print(document({"scene": device.scene, "warnings": warnings, "hands": hands_document(one, found)}))
@@ -90,7 +90,7 @@ def measure_hands(
 
 def _rows(one: FeltTogether, found: HandsMeasurement, i: int, j: int) -> list[tuple[str, ...]]:
     name = escape(one.names[i]) if i == j else f"{escape(one.names[i])} of {escape(one.names[j])}"
-    sign, unit = 1.0 if i == j else -1.0, spoken(one.channels[i])
+    sign, unit = 1.0 if i == j else -1.0, output_units(one.channels[i])
     rows: list[tuple[str, ...]] = []
     for what, of_unit in (("k", "N/m"), ("b", "N·s/m")):
         predicted, measured = (sign * float(getattr(side, what)[i, j]) for side in (one.felt, found))
@@ -130,8 +130,8 @@ def measure_impedance(
     record.require_writable()
     predict_before_arming(device.scene, scene, unstable)
     options = excitation.for_runs(device.kind(), unstable) | {"travel": excitation.travel}
-    with live_line(stderr()) as tell:
-        options["on_progress"] = tell
+    with live_line(stderr()) as show_progress:
+        options["on_progress"] = show_progress
         try:
             measured = measure(scene, **options)
         except StoppedError as stopped:
@@ -155,11 +155,11 @@ def measure_impedance(
         shown = list(range(len(predicted.names))) if place is None else [place]
         show_impedance(stdout(), predicted, measured, shown)
         stdout().print("", _width_table(predicted, measured.channels, widths, walls))
-        picture.say_written()
-        say_written("Trace", record.record)
+        picture.print_written()
+        print_written("Trace", record.record)
     if measured.stopped:
         ignore_stops()
-        complain(_STOPPED)
+        print_message(_STOPPED)
         raise typer.Exit(INTERRUPTED)
     if not json:
         device.print_next_run(scene, unstable)
@@ -204,7 +204,7 @@ def _walls(scene: Scene, measured: MeasuredImpedance, widths: Widths, options: d
     }
     if without := [str(channel) for channel in measured.channels if channel not in walls]:
         which = f"{'channel' if len(without) == 1 else 'channels'} {', '.join(without)}"
-        complain(f"{which}: no wall is passive there, or it is not derived; its Z-width is not measured")
+        print_message(f"{which}: no wall is passive there, or it is not derived; its Z-width is not measured")
     if not walls:
         return {}
     long_enough = {"duration": options["duration"] or _WALL_PERIODS * measured.period_s}
@@ -248,7 +248,7 @@ def _table(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int, n
         for n in _shown(predicted.frequency)
     ]
     where = f"{predicted.names[i]}, channel {measured.channels[i]}"
-    unit = spoken(measured.channels[i]).name("N·s/m")
+    unit = output_units(measured.channels[i]).name("N·s/m")
     return table(f"{words} at {escape(where)}, {unit}", ("f  Hz", "desired", "predicted", "measured", "±"), rows)
 
 
@@ -261,7 +261,7 @@ def _springs(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int)
         cells = [f"{k[n]:.5g}, {b[n]:.4g}" for k, b in pairs]
         rows.append((f"{f[n]:.4g}", *cells, f"{2.0 * np.pi * f[n] * off[n]:.1g}, {off[n]:.1g}"))
     where = f"{escape(predicted.names[i])}, channel {measured.channels[i]}"
-    units = spoken(measured.channels[i])
+    units = output_units(measured.channels[i])
     title = f"The same rendered at {where} as k, b: {units.name('N/m')}, {units.name('N·s/m')} (a mass has k below 0)"
     return table(title, ("f  Hz", "desired", "predicted", "measured", "±"), rows)
 
@@ -286,7 +286,7 @@ def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> li
         apart = abs(getattr(measured, name).value[worst] - getattr(predicted, name)[worst])
         found.append(
             f"[yellow]The {words} impedance: prediction and measurement do not agree: at "
-            f"{frequency[worst[0]]:.4g} Hz {spoken()(apart, 'N·s/m', '.3g')}, {off[worst]:.2g} times the "
+            f"{frequency[worst[0]]:.4g} Hz {output_units()(apart, 'N·s/m', '.3g')}, {off[worst]:.2g} times the "
             "uncertainty.[/yellow]"
         )
     found.append(
@@ -295,8 +295,8 @@ def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> li
         "friction and spring, which is what the hand feels."
     )
     found += [
-        f"Channel {channel} was excited with up to {spoken(channel)(force, 'N', '.3g')}, which moved it by "
-        f"{spoken(channel)(travel, 'mm', '.3g')}; "
+        f"Channel {channel} was excited with up to {output_units(channel)(force, 'N', '.3g')}, which moved it by "
+        f"{output_units(channel)(travel, 'mm', '.3g')}; "
         f"{periods + 1} periods of {measured.period_s:.3g} s count."
         for channel, force, travel, periods in zip(
             measured.channels, measured.peak_force, measured.travel, measured.periods, strict=True
@@ -359,7 +359,8 @@ def _width_table(predicted: PredictedImpedance, channels: tuple[int, ...], width
                 rows.append(["", "measured", "", "", *_means(width.frequency, found.width_db)])
                 rows.append(["", "±", "", "", *_means(width.frequency, found.uncertainty_db, ".1g")])
     of_bands = (f"{low:.3g} to {high:.3g} Hz" for low, high, _ in bands)
-    headings = ("<at", "<wall", f"K  {spoken().name('N/m')}", f"B  {spoken().name('N·s/m')}", "all", *of_bands)
+    units = output_units()
+    headings = ("<at", "<wall", f"K  {units.name('N/m')}", f"B  {units.name('N·s/m')}", "all", *of_bands)
     return table("Z-width: from the device alone to its stiffest wall, mean dB", headings, rows)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hapsim.cli.output import spoken
+from hapsim.cli.output import output_units
 from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.measuring.diagnosis import Diagnosis
@@ -29,13 +29,14 @@ def attempts(measurement: Measurement) -> Iterator[str]:
     its region."""
     for one, following in pairwise(measurement.attempts):
         why = f"the hand left its region ({one.left})" if one.left else _unsure(one.uncertainty)
-        most, next_most = spoken()(one.push_n, "N", 3), spoken()(following.push_n, "N", 3)
+        most, next_most = output_units()(one.push_n, "N", 3), output_units()(following.push_n, "N", 3)
         yield f"With pushes of {most} {why}; repeated with {next_most}."
     if measurement.left_region:
+        push = output_units()(measurement.push_n or 0.0, "N", 3)
         yield (
-            f"[yellow]With pushes of {spoken()(measurement.push_n or 0.0, 'N', 3)} the hand left its region[/yellow] "
-            f"({measurement.left_region}): what is measured mixes several slopes, and says nothing of the device. "
-            "Without --push, hapsim finds a push that stays in the region."
+            f"[yellow]With pushes of {push} the hand left its region[/yellow] ({measurement.left_region}): k and b "
+            "mix several slopes, and do not describe the device. Without --push, hapsim finds a push that stays in the "
+            "region."
         )
 
 
@@ -43,7 +44,7 @@ def smaller_push(asked: float | None, measurement: Measurement) -> Iterator[str]
     """Yields how hard the hand was pushed, where that is less than the N that were asked for."""
     most = measurement.push_n
     if asked is not None and most is not None and most < 0.99 * asked:
-        pushed = spoken()(most, "N", 3)
+        pushed = output_units()(most, "N", 3)
         yield f"Pushed with {pushed} at most: more would exceed the force limit, or take the hand too far."
 
 
@@ -115,10 +116,10 @@ def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -
         share = mass.factor
         yield (
             f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], "
-            f"{spoken()(mass.mass, 'kg', '.4g')}: with it "
+            f"{output_units()(mass.mass, 'kg', '.4g')}: with it "
             "the prediction has the eigenfrequency and the damping ratio that were measured, and the hand feels "
-            f"k = {spoken()(share * measurement.k, 'N/m', '.6g')}, b = "
-            f"{spoken()(share * measurement.b, 'N·s/m', '.6g')}. `hapsim identify --write` "
+            f"k = {output_units()(share * measurement.k, 'N/m', '.6g')}, b = "
+            f"{output_units()(share * measurement.b, 'N·s/m', '.6g')}. `hapsim identify --write` "
             "measures and stores it."
         )
     elif diagnosis.is_another_device:
@@ -177,7 +178,7 @@ def measured_weight(
 
 def weight_sentence(weight: MeasuredWeight, channel: int) -> str:
     """Returns it in words."""
-    units = spoken(channel)
+    units = output_units(channel)
     hand = f"a hand of {units(weight.hand_stiffness, 'N/m', 4)}"
     if not math.isfinite(weight.measured):
         return f"Held by {hand} nothing was seen to swing: how heavy it feels is not known"

@@ -65,18 +65,18 @@ def _console(**options: Any) -> Console:
 _units: list[Units] = []
 
 
-def speak_in(units: Units, *of_channels: Units) -> None:
+def set_output_units(units: Units, *of_channels: Units) -> None:
     """Prints from now on in these units, of a scene and of each of its channels."""
     _units[:] = units, *of_channels
 
 
-def speak_of(channel: int) -> None:
+def use_channel_units(channel: int) -> None:
     """Prints from now on in the units of this channel of the scene."""
     if _units:
-        _units[0] = spoken(channel)
+        _units[0] = output_units(channel)
 
 
-def spoken(channel: int | None = None) -> Units:
+def output_units(channel: int | None = None) -> Units:
     """Returns the units in which everything is printed; of a channel, those of its motion."""
     place = 0 if channel is None else channel + 1
     return _units[place] if place < len(_units) else LINEAR
@@ -178,7 +178,7 @@ def table(
     return Table(title, [headings[i] for i in shown], kept, caption, options)
 
 
-def say(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) -> None:
+def print_line(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) -> None:
     """Prints sentences to `stream` [default: standard output], broken at words on a terminal.
 
     rich would also break a long path, which has to stay whole to be copied.
@@ -224,7 +224,7 @@ class JsonLog:
         self._last: dict[tuple[str, str], float] = {}
         self._left_out: dict[tuple[str, str], int] = {}
 
-    def say(self, level: Level, event: str, message: str, about: str = "", **fields: Any) -> None:
+    def write(self, level: Level, event: str, message: str, about: str = "", **fields: Any) -> None:
         """Writes a line, or counts it as dropped. `about`: distinguishes it from others of its event."""
         key = event, about
         with self._lock:
@@ -264,16 +264,15 @@ def json_log() -> JsonLog | None:
     return _log
 
 
-def complain(problem: object, event: str = "failed", level: Level = "error", label: str = "", **fields: Any) -> None:
-    """Prints a problem or an event on standard error. `label`: stands before it where people read. `fields`: in the
+def print_message(text: object, event: str = "failed", level: Level = "error", label: str = "", **fields: Any) -> None:
+    """Prints an error, a warning or an event on standard error. `label`: precedes the sentence. `fields`: for the
     log."""
-    problem = str(problem)
     if _log is not None:
-        _log.say(level, event, problem, about=problem, **fields)
+        _log.write(level, event, str(text), about=str(text), **fields)
     else:
-        say(f"{label}{problem}", sys.stderr)
+        print_line(f"{label}{text}", sys.stderr)
 
 
 def warn(warning: object, event: str) -> None:
     """Prints a warning on standard error."""
-    complain(warning, event, "warning", "Warning: ")
+    print_message(warning, event, "warning", "Warning: ")

@@ -12,8 +12,8 @@ import typer
 import firmware_protocol
 import hapsim
 from hapsim.cli.command_options import Json, Port, SceneFile, Watch, argument, flag, load, option, require_file
-from hapsim.cli.live import LiveOptions, live_line, unkept, warn_if_elsewhere
-from hapsim.cli.output import complain, document, say, stderr, warn
+from hapsim.cli.live import LiveOptions, live_line, not_cached, warn_if_elsewhere
+from hapsim.cli.output import document, print_line, print_message, stderr, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
 from hapsim.scene.issue import as_argument
@@ -48,7 +48,7 @@ def new(
     with whole_file(path) as file:
         text = shipped_scene(from_ or "first_touch") if board is None else shipped_board(board)
         file.write_text(text, encoding="utf-8")
-    say(f"Wrote {path}. Next:")
+    print_line(f"Wrote {path}. Next:")
     for command in ("check", "measure"):
         print(
             f"  hapsim {command} {shlex.quote(as_argument(str(path)))}"
@@ -63,8 +63,8 @@ def scenes(json: Json = False) -> None:
         print(document({name: {"path": str(SCENES / f"{name}.yaml"), "title": title} for name, title in known.items()}))
         return
     for name, title in known.items():
-        say(f"{name:24}{title}", indent=" " * 24)
-    say("`hapsim check NAME` and the other commands find them by name; `hapsim new --from NAME` copies one.")
+        print_line(f"{name:24}{title}", indent=" " * 24)
+    print_line("`hapsim check NAME` and the other commands find them by name; `hapsim new --from NAME` copies one.")
 
 
 def files(json: Json = False) -> None:
@@ -110,19 +110,19 @@ def compile_(
     from hapsim.running.compile_ahead import prepare
 
     loaded = [load(path) for path in scenes or ()]
-    with live_line(stderr(), warns_of_unkept=False) as tell:
-        prepared = prepare(loaded, tell)
+    with live_line(stderr(), warn_not_cached=False) as show_progress:
+        prepared = prepare(loaded, show_progress)
     kept = prepared.directory
     if json:
         directory = None if kept is None else str(kept)
         print(document({"functions": prepared.functions, "seconds": prepared.seconds, "directory": directory}))
     elif prepared.functions:
         compiled = f"Compiled {plural(prepared.functions, 'function')} in {prepared.seconds:.1f} s"
-        say(f"{compiled}; kept in {kept}" if kept else compiled)
+        print_line(f"{compiled}; kept in {kept}" if kept else compiled)
     else:
-        say(f"Nothing to compile: everything is kept in {kept}")
+        print_line(f"Nothing to compile: everything is kept in {kept}")
     if prepared.problem:
-        warn(unkept(prepared.problem), "unkept")
+        warn(not_cached(prepared.problem), "unkept")
     if prepared.problem or warn_if_elsewhere(kept):
         raise typer.Exit(UsageError.exit_status)
 
@@ -159,4 +159,4 @@ def service(
         return
     print(text, end="")
     folder, control = ("~/.config/systemd/user", "systemctl --user") if user else ("/etc/systemd/system", "systemctl")
-    complain(f"Save it as {folder}/{name}, then `{control} daemon-reload` and `{control} enable --now {name}`.")
+    print_message(f"Save it as {folder}/{name}, then `{control} daemon-reload` and `{control} enable --now {name}`.")

@@ -11,7 +11,7 @@ import typer
 from hapsim.bringup.probe import Leave, judge, open_wire, steps_of
 from hapsim.cli.command_options import Json, argument, option, require_positive
 from hapsim.cli.live import live_words
-from hapsim.cli.output import complain, document, speak_in, stderr, stdout
+from hapsim.cli.output import document, print_message, set_output_units, stderr, stdout
 from hapsim.device.ports import is_new
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
@@ -56,12 +56,12 @@ def probe(
                 leave=leave,
                 steps=steps,
                 on_step=lambda step, number, of: show(f"{step}: step {number} of {of}"),
-                say=complain,
+                say=print_message,
             )
     if any(check.name == "sign" and check.result in ("pass", "FAIL") for check in judgement.checks):
         is_new(port)  # from now on not
     if judgement.device is not None:
-        speak_in(Units.of(judgement.device.motions))
+        set_output_units(Units.of(judgement.device.motions))
     if json:
         print(document(_judgement_document(judgement)))
     else:

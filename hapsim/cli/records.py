@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hapsim.cli.command_options import Json, PictureOptions, RecordOptions, argument, flag, load, option, say_written
+from hapsim.cli.command_options import Json, PictureOptions, RecordOptions, argument, flag, load, option, print_written
 from hapsim.cli.device_commands import Link, serve
 from hapsim.cli.live import at_work
-from hapsim.cli.output import complain, document, say, speak_in, spoken, stderr, warn
+from hapsim.cli.output import document, output_units, print_line, print_message, set_output_units, stderr, warn
 from hapsim.documents import pick
 from hapsim.errors import RecordError, UsageError
 from hapsim.number_format import number, plural
@@ -47,16 +47,16 @@ def replay(
         RecordOptions(overwrite=overwrite).require_free(sound_file)
     recorded = Record(record)
     other = None if scene is None else load(scene)
-    speak_in(recorded.scene.units, *map(recorded.scene.units_of, range(recorded.scene.channels)))
+    set_output_units(recorded.scene.units, *map(recorded.scene.units_of, range(recorded.scene.channels)))
     found = compare(recorded, other, sound_file, with_curves=pictures.wanted)
     if pictures.wanted:
         _draw(found, pictures, f"{record.name}{'' if scene is None else f', answered by {Path(scene).name}'}")
     if json:
         print(document({"record": record, "scene": scene} | _document(found, recorded.reader.is_finished)))
     else:
-        _say(recorded, scene, found)
-        pictures.say_written()
-        say_written("Sound", sound_file)
+        _print(recorded, scene, found)
+        pictures.print_written()
+        print_written("Sound", sound_file)
     if not recorded.reader.is_finished:
         warn(f"{record}: {unfinished(found.ticks)}", "incomplete")
     if scene is None and found.difference is not None:
@@ -71,7 +71,7 @@ def _serve(record: Path, link: Path | None, json: bool, is_alone: bool) -> None:
         raise UsageError("--device serves the record alone: it goes with --link and --json, and --link goes with it")
     served = device_of(record)
     serve(served.assemble, link, False, json)
-    complain(f"{plural(served.forces, 'force')} taken since it was last armed", "served", "info")
+    print_message(f"{plural(served.forces, 'force')} taken since it was last armed", "served", "info")
 
 
 def _draw(found: Comparison, pictures: PictureOptions, title: str) -> None:
@@ -80,21 +80,21 @@ def _draw(found: Comparison, pictures: PictureOptions, title: str) -> None:
     pictures.write(lambda: replay_columns(found), lambda path: draw_replay(found, title, path))
 
 
-def _say(record: Record, scene: str | None, found: Comparison) -> None:
+def _print(record: Record, scene: str | None, found: Comparison) -> None:
     ticks = f"{plural(found.ticks, 'sample')}, {plural(found.changes, 'change')}"
     if scene is None and found.difference is None:
-        say(f"{record.path}: {ticks}: every force is as it was, to the last bit")
+        print_line(f"{record.path}: {ticks}: every force is as it was, to the last bit")
     elif scene is None:
         first = found.difference
         assert first is not None
-        say(f"{record.path}: {ticks}: sample {first.sample} is the first that differs. {first.what}{found.why}")
+        print_line(f"{record.path}: {ticks}: sample {first.sample} is the first that differs. {first.what}{found.why}")
     else:
         of_the_hand = f"{plural(found.ticks, 'sample')} of the hand, answered by {scene}"
         has_changes = any("tick" in note for note in record.notes)
-        say(f"{record.path}: {of_the_hand}{'; the changes of its own scene do not apply' if has_changes else ''}")
+        print_line(f"{record.path}: {of_the_hand}{'; changes of its own scene are ignored' if has_changes else ''}")
         for c, rms in enumerate(zip(found.rms_recorded, found.rms_replayed, found.rms_apart, strict=True)):
-            was, now, apart = (spoken(c)(one, "N") for one in rms)
-            say(f"Channel {c}: the force was {was} rms and would be {now} rms; they are {apart} rms apart")
+            was, now, apart = (output_units(c)(one, "N") for one in rms)
+            print_line(f"Channel {c}: the force was {was} rms and would be {now} rms; they are {apart} rms apart")
 
 
 def _document(found: Comparison, is_complete: bool) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def export(
     for sentence in missing:
         warn(f"{record}: {sentence}", "incomplete")
     scale = f"; full scale is {number(full_scale)} {unit}".rstrip() if full_scale else ""
-    say(f"{out}: {plural(columns.count, 'row')} of {plural(columns.channels, 'channel')}{scale}")
+    print_line(f"{out}: {plural(columns.count, 'row')} of {plural(columns.channels, 'channel')}{scale}")
 
 
 def _missing(columns: Columns) -> list[str]:

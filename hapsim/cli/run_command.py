@@ -21,19 +21,19 @@ from hapsim.cli.command_options import (
     flag,
     on_port,
     option,
+    print_written,
     require_file,
-    say_written,
     scene_name,
     seconds,
 )
 from hapsim.cli.live import LiveOptions, live_line
 from hapsim.cli.output import (
-    complain,
     document,
     failure_document,
     json_log,
     log_as_json,
-    spoken,
+    output_units,
+    print_message,
     stderr,
     stdout,
     table,
@@ -42,7 +42,7 @@ from hapsim.cli.output import (
 from hapsim.device.ports import is_new
 from hapsim.documents import pick
 from hapsim.errors import UsageError
-from hapsim.loop.beside import Beside
+from hapsim.loop.background import BackgroundWork
 from hapsim.loop.counts import Progress
 from hapsim.measuring.trace_quality import kept_rate
 from hapsim.number_format import percent, plural
@@ -51,7 +51,7 @@ from hapsim.prediction.force_bounds import refused_slew
 from hapsim.running.reconnecting import RunObserver, keep_running, together
 from hapsim.running.requirements import why_not_armed
 from hapsim.running.service import Notifier
-from hapsim.running.status import AUTO, RunState, path_for, telling
+from hapsim.running.status import AUTO, RunState, path_for, serving_status
 from hapsim.running.watch import WatchedFile
 from hapsim.stopping import undisturbed
 
@@ -96,7 +96,7 @@ class ServiceOptions:
         if self.status is None:
             return contextlib.nullcontext()
         path = path_for(port) if self.status == AUTO else Path(self.status)
-        return telling(path, lambda: document(state.document()) + "\n", gives_way=gives_way)
+        return serving_status(path, lambda: document(state.document()) + "\n", gives_way=gives_way)
 
 
 @dataclass
@@ -150,7 +150,7 @@ def run(
     if service.watch:
         require_file(device.scene, "--watch")
     notifier = Notifier(service.reconnect)
-    with notifier.told_of_failures():
+    with notifier.notifying_failures():
         scene, kind = device.load(), device.kind()
         record.require_writable()
         playing = sound.values(record)
@@ -158,9 +158,9 @@ def run(
     port = scene.device.port if kind == "auto" else None
     place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
     state, gives_way = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
-    told, status, served = notifier.told_of_failures(), service.serving, live.serving
-    with told, status(state, port, gives_way), served(scene, place, gives_way) as hub, live_line(stderr()) as tell:
-        reporter = _Reporter(tell, port or "", kind, WatchedFile(device.scene) if service.watch else None)
+    failures, status, served = notifier.notifying_failures(), service.serving, live.serving
+    with failures, status(state, port, gives_way), served(scene, place, gives_way) as hub, live_line(stderr()) as show:
+        reporter = _Reporter(show, port or "", kind, WatchedFile(device.scene) if service.watch else None)
         lifetime = keep_running(
             scene,
             together(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),
@@ -174,8 +174,8 @@ def run(
             portable=portable,
             unstable=unstable,
             judges_energy=True,
-            on_progress=tell,
-            on_warning=complain,
+            on_progress=show,
+            on_warning=print_message,
             **playing,
             **(hub.options if hub else {}),
         )
@@ -185,7 +185,7 @@ def run(
     with undisturbed():
         _show(lifetime, reporter.grants, warnings, json)
         if lifetime.failure is not None:
-            complain(lifetime.failure)
+            print_message(lifetime.failure)
             raise typer.Exit(lifetime.failure.exit_status)
 
 
@@ -224,23 +224,28 @@ def _show(lifetime: Lifetime, grants: Sequence[PrivilegeResult], warnings: list[
     log, report = json_log(), lifetime.report
     if log is not None:
         ended = f"the run ended after {report.ticks} ticks: {report.ending}"
-        log.say("info", "ended", ended, ticks=report.ticks, ending=report.ending, reconnections=lifetime.reconnections)
+        about: dict[str, Any] = {
+            "ticks": report.ticks,
+            "ending": report.ending,
+            "reconnections": lifetime.reconnections,
+        }
+        log.write("info", "ended", ended, **about)
     if json:
         print(document(lifetime_document(lifetime, grants) | {"warnings": warnings}))
         return
     show_report(stdout(), report, lifetime.reconnections)
     for file in lifetime.records:
-        say_written("Trace", file if file.exists() else None)
+        print_written("Trace", file if file.exists() else None)
     for file in lifetime.sound_files:
-        say_written("Sound", file if file.exists() else None)
+        print_written("Sound", file if file.exists() else None)
 
 
 class _Reporter:
     """Reports that a run has started, and what becomes of edits of its scene while it runs."""
 
-    def __init__(self, tell: Callable[[Progress], None], port: str, kind: Any, file: WatchedFile | None) -> None:
-        """`tell`: shows progress. `port`: "" for the mock. `kind`: the TransportKind. `file`: the one to follow."""
-        self._tell, self._port, self._kind, self._file = tell, port, kind, file
+    def __init__(self, show: Callable[[Progress], None], port: str, kind: Any, file: WatchedFile | None) -> None:
+        """`show`: shows progress. `port`: "" for the mock. `kind`: the TransportKind. `file`: the one to follow."""
+        self._show, self._port, self._kind, self._file = show, port, kind, file
         self.grants: list[PrivilegeResult] = []
         self._is_placed = False  # whether the position at arming has been looked at
         self._is_frozen = False  # whether a position stood still at the last look
@@ -252,14 +257,14 @@ class _Reporter:
             arming=self._meet,
             started=self._started,
             running=self._running,
-            waiting=lambda: self._tell(Progress("waiting", self._port)),
-            tell=lambda event, sentence: complain(sentence, event, "info" if event == "reconnected" else "warning"),
+            waiting=lambda: self._show(Progress("waiting", self._port)),
+            report=lambda event, text: print_message(text, event, "info" if event == "reconnected" else "warning"),
         )
 
     def _meet(self) -> None:
         """Reports of a device that answers for the first time what has not been judged yet."""
         if self._port and is_new(self._port):
-            complain(
+            print_message(
                 f"First run at {self._port}: `hapsim probe {self._port} --push 0.5`, or `hapsim identify`, judges "
                 "whether its motor pushes the right way. Hold it loosely until then.",
                 "new device",
@@ -270,14 +275,14 @@ class _Reporter:
         """The device is armed. From now on the file is followed, in a thread of its own."""
         self.grants, self._is_placed = session.grants, False
         if (log := json_log()) is not None:
-            log.say("info", "armed", f"the device is armed; {session.scene.path or 'the scene'} runs")
+            log.write("info", "armed", f"the device is armed; {session.scene.path or 'the scene'} runs")
         for grant in session.grants:
             word = "granted" if grant.granted else "denied"
             sentence = f"{word} {grant.privilege}: {grant.detail}"
-            complain(sentence, word, "info" if grant.granted else "warning", **vars(grant))
+            print_message(sentence, word, "info" if grant.granted else "warning", **vars(grant))
         if self._file is not None:
             file = self._file
-            Beside(lambda: self._follow(file, session), session.gives_way)
+            BackgroundWork(lambda: self._follow(file, session), session.gives_way)
 
     def _running(self, progress: Progress) -> None:
         """Shows progress; and reports, once for each arming, that the device was armed outside its travel, and each
@@ -285,17 +290,18 @@ class _Reporter:
         if progress.phase in ("running", "ended") and progress.ticks > 0 and not self._is_placed:
             self._is_placed = True
             if progress.faded_ticks == progress.ticks:
-                places = spoken()(", ".join(spoken().number(one, "m", ".6g") for one in progress.position), "m")
-                complain(
+                units = output_units()
+                places = units(", ".join(units.number(one, "m", ".6g") for one in progress.position), "m")
+                print_message(
                     f"the device was armed outside device.travel (it is at {places}): there the force fades, and is "
                     "zero beyond the band. Move it within, or say with device.origin where its zero is",
                     "outside",
                     "warning",
                 )
         if progress.frozen and not self._is_frozen:
-            complain(progress.frozen, "frozen", "warning")
+            print_message(progress.frozen, "frozen", "warning")
         self._is_frozen = bool(progress.frozen)
-        self._tell(progress)
+        self._show(progress)
 
     def _follow(self, file: WatchedFile, session: Session) -> None:
         while not session.wait(_LOOK_S):
@@ -303,9 +309,9 @@ class _Reporter:
             if news is None:
                 continue
             if news.refused:
-                complain(f"{news.refused}\nNothing was changed.", "refused", "warning")
+                print_message(f"{news.refused}\nNothing was changed.", "refused", "warning")
             for change in news.changed:
-                complain(f"changed: {change}", "changed", "info")
+                print_message(f"changed: {change}", "changed", "info")
             if news.changed:
                 scene = with_mock(session.scene, self._kind)
                 print_warnings(scene, predict(scene, with_margins=False))
@@ -367,7 +373,7 @@ def _rows(report: Report, reconnections: int) -> Iterator[tuple[str, str]]:
     for channel, mass in enumerate(report.estimated_mass_kg):
         if mass is not None:
             yield (
-                f"estimated mass, channel {channel}  {spoken(channel).name('kg')}",
+                f"estimated mass, channel {channel}  {output_units(channel).name('kg')}",
                 _estimated_mass(report, channel, mass),
             )
     if report.released is False:

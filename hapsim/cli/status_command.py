@@ -81,7 +81,7 @@ def show_status(out: Console, document: Mapping[str, object]) -> None:
     """Prints a row for each value that there is; a value without a label goes by its key. On a terminal a sentence
     breaks at its words, and a path in it stays whole."""
     keys = [*(key for key in _LABELS if key in document), *(key for key in document if key not in _LABELS)]
-    units = Units.said_by(document.get("motion"))
+    units = Units.parse(document.get("motion"))
     values = {units.filled(_LABELS[key]) if key in _LABELS else key: _value(key, document) for key in keys}
     rows = {label: value for label, value in values.items() if value}
     width = min(max(map(len, rows), default=0), _WIDEST)

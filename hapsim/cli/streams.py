@@ -44,7 +44,7 @@ class _Stream:
 
 
 @contextlib.contextmanager
-def standing_streams() -> Iterator[None]:
+def resilient_streams() -> Iterator[None]:
     """While open, standard output and standard error take everything and raise nothing (`output_failure`)."""
     _hold_descriptors()
     if sys.stdin is None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.command_options import Json, PictureOptions, SceneFile, argument, flag, load, option, seconds
 from hapsim.cli.live import live_words
-from hapsim.cli.output import document, say, stderr, stdout, table
+from hapsim.cli.output import document, print_line, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent, plural
 from hapsim.stopping import note_work
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from hapsim.sweeping.sweep_points import Points
 
-_MOST_SAID = 3  # failures
+_ERRORS_SHOWN = 3  # failures
 _DEVIATION = 2  # digits
 
 
@@ -112,8 +112,8 @@ def sweep(
     if json:
         print(document({"scene": scene, "out": out, "points": len(chosen), **summary_of(dataset)}))
     else:
-        _say(dataset, scene, out)
-        pictures.say_written()
+        _print(dataset, scene, out)
+        pictures.print_written()
 
 
 class _Progress:
@@ -126,7 +126,7 @@ class _Progress:
         self._calls += 1
         if self._calls == 1 and done:
             going_on = "; going on" if done < every else ""
-            say(f"{self._out}: {done} of {every} points are there from before{going_on}", sys.stderr)
+            print_line(f"{self._out}: {done} of {every} points are there from before{going_on}", sys.stderr)
         if self._calls <= 2:  # the first points to be finished wait for the compiler
             self._first, self._begun = done, time.monotonic()
         left = ""
@@ -162,21 +162,21 @@ def summary_of(dataset: xarray.Dataset) -> dict[str, Any]:
         if {f"measured_{what}", f"predicted_{what}"} <= {*dataset.data_vars}:
             off = abs(dataset[f"measured_{what}"] - dataset[f"predicted_{what}"]).values
             scale, unsure = abs(dataset[f"predicted_{what}"]).values, dataset[f"measured_{what}_uncertainty"].values
-            says = scale > unsure  # a share of less says nothing
-            share = off[says] / scale[says]
+            is_known = scale > unsure
+            share = off[is_known] / scale[is_known]
             if share.size:
                 deviations[what] = {"median": float(np.median(share)), "most": float(share.max())}
     errors = [str(one) for one in dataset["error"].values.ravel() if one]
     return {
         "dimensions": dict(dataset.sizes),
         "failed": len(errors),
-        "errors": errors[:_MOST_SAID],
+        "errors": errors[:_ERRORS_SHOWN],
         "variables": found,
         "measured_off_predicted": deviations,
     }
 
 
-def _say(dataset: xarray.Dataset, scene: str, out: Path) -> None:
+def _print(dataset: xarray.Dataset, scene: str, out: Path) -> None:
     summary = summary_of(dataset)
     rows = [
         (f"{name}  {one['unit']}".rstrip(), *(number(one[what]) for what in ("least", "median", "most")))
@@ -186,9 +186,9 @@ def _say(dataset: xarray.Dataset, scene: str, out: Path) -> None:
         stdout().print(table(f"{scene} at {dataset['error'].size} points", ("<", "least", "median", "most"), rows))
     for what, one in summary["measured_off_predicted"].items():
         median, most = (percent(one[which], _DEVIATION) for which in ("median", "most"))
-        say(f"Measured {what} is off the predicted one by {most} at most, {median} in the median")
+        print_line(f"Measured {what} is off the predicted one by {most} at most, {median} in the median")
     if summary["failed"]:
-        say(f"{plural(summary['failed'], 'point')} without a value, with the reason in the variable error; first:")
+        print_line(f"{plural(summary['failed'], 'point')} failed. The variable error has each reason; the first:")
         for error in summary["errors"]:
-            say(f"  {error}")
-    say(f"Results: {out}")
+            print_line(f"  {error}")
+    print_line(f"Results: {out}")

@@ -87,13 +87,13 @@ class Hub:
         session = self.session
         return None if session is None else session.state()
 
-    def listen(self, hear: Callable[[Event], None]) -> Callable[[], None]:
-        """Has `hear` called with every event, from whichever thread; it must return at once and not raise. Returns what
-        ends that."""
-        self._listeners.append(hear)
-        return lambda: self._listeners.remove(hear)
+    def listen(self, receive: Callable[[Event], None]) -> Callable[[], None]:
+        """Calls `receive` with every event, from any thread; it must return at once and not raise. Returns a function
+        that ends the calls."""
+        self._listeners.append(receive)
+        return lambda: self._listeners.remove(receive)
 
-    def tell(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> None:
+    def publish(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> None:
         """Reports an event to all who listen."""
         self.on_event(Event(kind, sentence, values or {}))
 
@@ -101,8 +101,8 @@ class Hub:
         """What a session calls with its events."""
         if event.kind not in ("changed", "rejected"):  # of which there may be a thousand a second
             self.events.append(event)
-        for hear in self._listeners.copy():
-            hear(event)
+        for receive in self._listeners.copy():
+            receive(event)
 
     @property
     def phase(self) -> Literal["running", "waiting", "ended"]:
@@ -161,7 +161,7 @@ class Hub:
     @property
     def observer(self) -> RunObserver:
         """What keeps the hub up to date."""
-        return RunObserver(started=self._started, over=self._over, tell=self.tell)
+        return RunObserver(started=self._started, over=self._over, report=self.publish)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -174,12 +174,12 @@ class Hub:
             self._is_over = True
             self._news.notify()
         if isinstance(failure, GuardError):
-            self.tell("guard", str(failure))
-        self.tell("ended", str(failure or ""))
+            self.publish("guard", str(failure))
+        self.publish("ended", str(failure or ""))
 
     def _started(self, session: Session) -> None:
         self.session, self._known = session, session.parameters
-        self.tell("armed", f"{session.scene.path or 'the scene'} runs on {session.name}")
+        self.publish("armed", f"{session.scene.path or 'the scene'} runs on {session.name}")
 
     def _over(self) -> None:
         if self.session is not None:
@@ -213,7 +213,7 @@ class Hub:
         except Exception as error:  # a defect must not end this thread
             known = error if isinstance(error, HapsimError) else UsageError(f"a defect of hapsim itself: {error!r}")
             if or_reject:
-                self.tell("rejected", str(known), values)
+                self.publish("rejected", str(known), values)
                 together[0].done.set_exception(known)
             return False
         for change in together:

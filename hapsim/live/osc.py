@@ -46,7 +46,7 @@ class OscView(asyncio.DatagramProtocol):
         self.subscriptions: dict[tuple[str, int], _Subscription] = {}
         self._latest: Future[None] | None = None  # of the changes
         self._second, self._answered = 0, 0  # errors of that second
-        self._deaf: Callable[[], None] = lambda: None
+        self._stop_listening: Callable[[], None] = lambda: None
 
     @property
     def url(self) -> str:
@@ -65,11 +65,11 @@ class OscView(asyncio.DatagramProtocol):
                 "or a port that is free, with --osc-at HOST:PORT"
             ) from error
         self.address = self.address._replace(port=self._transport.get_extra_info("sockname")[1])
-        self._deaf = self.hub.listen(self._hear)
+        self._stop_listening = self.hub.listen(self._receive)
 
     async def close(self) -> None:
         """Ends that."""
-        self._deaf()
+        self._stop_listening()
         for timer in self._waiting:
             timer.cancel()
         for one in [*self.subscriptions.values()]:
@@ -226,7 +226,7 @@ class OscView(asyncio.DatagramProtocol):
         if not self._transport.is_closing() and self._transport.get_write_buffer_size() < _MOST_UNSENT:
             self._transport.sendto(packet, receiver)
 
-    def _hear(self, event: Event) -> None:
+    def _receive(self, event: Event) -> None:
         if event.kind == "armed" or (event.kind == "changed" and not event.values):
             self._known = {}  # there may be others
 

@@ -103,16 +103,16 @@ class WebView:
         self._loop = loop
         self._server: Server
         self._server, self.address = await serve_at(self.address, "--serve", self._process, self._serve, LONGEST)
-        self._unlisten = self.hub.listen(lambda event: self._call(self._heard, event))
+        self._stop_listening = self.hub.listen(lambda event: self._call(self._receive, event))
 
     async def close(self) -> None:
         """Sends what is left, closes all connections."""
-        self._unlisten()
-        self._tell_changed()
+        self._stop_listening()
+        self._send_changed()
         self._is_closing = True
         tasks = [task for task in self._viewers.values() if task is not None]
         for viewer in self._viewers:
-            viewer.tell(None)
+            viewer.send(None)
         if tasks:
             await asyncio.wait(tasks, timeout=_CLOSING_S)
         self._server.close()
@@ -204,32 +204,32 @@ class WebView:
 
     # Events
 
-    def _heard(self, event: Event) -> None:
+    def _receive(self, event: Event) -> None:
         """Tells all viewers. What changes within a moment is one event; so is what is rejected."""
         if event.kind == "changed" and event.values:
             self._changed |= event.values
             self._last_change = event
             if self._flush is None:
-                self._flush = self._loop.call_later(_TOGETHER_S, self._tell_changed)
+                self._flush = self._loop.call_later(_TOGETHER_S, self._send_changed)
             return
         if event.kind == "rejected":
             if self._loop.time() < self._rejected_at + _TOGETHER_S:
                 return
             self._rejected_at = self._loop.time()
-        self._tell_changed()
-        self._tell_all(event_message(event))
+        self._send_changed()
+        self._send_to_all(event_message(event))
 
-    def _tell_changed(self) -> None:
+    def _send_changed(self) -> None:
         if self._flush is not None:
             self._flush.cancel()
             self._flush, values, self._changed = None, self._changed, {}
             last = self._last_change
-            self._tell_all(EventMessage(kind="changed", sentence="", values=values, sample=last.sample, at=last.at))
+            self._send_to_all(EventMessage(kind="changed", sentence="", values=values, sample=last.sample, at=last.at))
 
-    def _tell_all(self, message: EventMessage) -> None:
+    def _send_to_all(self, message: EventMessage) -> None:
         text = text_of(message)
         for viewer in self._viewers:
-            viewer.tell(text)
+            viewer.send(text)
 
 
 class Viewer:
@@ -261,7 +261,7 @@ class Viewer:
             for one in (*tasks, *([self._feed] if self._feed else [])):
                 one.cancel()
 
-    def tell(self, text: str | None) -> None:
+    def send(self, text: str | None) -> None:
         """Sends an event soon. None: closes the connection once everything is sent."""
         try:
             self._events.put_nowait(text)

@@ -23,7 +23,7 @@ from hapsim.cordis.program import compile_scene, fixed_modules, parameter_values
 from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
-from hapsim.loop.beside import Beside
+from hapsim.loop.background import BackgroundWork
 from hapsim.loop.guards.energy_guard import follow_scene
 from hapsim.loop.posted import Posts
 from hapsim.prediction import surely_shaken_by
@@ -137,7 +137,7 @@ class LiveScene:
 
     def _beside_loop(self, work: Callable[[], object]) -> None:
         if self._gives_way:
-            Beside(work).result()
+            BackgroundWork(work).result()
         else:
             work()
 

@@ -49,7 +49,7 @@ class RunObserver:
     """A session has ended, in whatever way: nothing is armed."""
     waiting: Callable[[], None] = lambda: None
     """Now and then while the run waits for the port."""
-    tell: Callable[[OfDevice, str], None] = lambda _event, _sentence: None
+    report: Callable[[OfDevice, str], None] = lambda _event, _sentence: None
     """(event, sentence): `lost`, `waiting` (a try failed), `reconnected`."""
 
 
@@ -192,7 +192,7 @@ class _Reconnector:
             self.lost_at, why = time.monotonic(), str(failure)
             at = datetime.now(UTC).isoformat(timespec="milliseconds")
             self.interruptions.append(Interruption(why, at, 0.0, came_back=False))
-            self.observer.tell("lost", f"{why}. Waiting for {self._port} to answer again")
+            self.observer.report("lost", f"{why}. Waiting for {self._port} to answer again")
             failure = self._come_back(why)
         records, sound_files = (tuple(one.names[: len(self.runs)]) for one in (self.records, self.sound_files))
         return Lifetime(_report_of_all(self.runs), failure, tuple(self.interruptions), records, sound_files)
@@ -222,7 +222,7 @@ class _Reconnector:
                 self.short += 1
                 if str(error) != said:
                     said = str(error)
-                    self.observer.tell("waiting", f"{said}. It is tried again until {self._port} answers")
+                    self.observer.report("waiting", f"{said}. It is tried again until {self._port} answers")
         self._end_wait(came_back=False)
         if not self.stopped:
             return DeviceError(
@@ -287,7 +287,7 @@ class _Reconnector:
                     reset = "The device restarted: its position 0 is where it powered up or homed"
                     told = f"armed again after {waited_s:.1f} s; the scene goes on as it is now"
                     told += f". {reset}" if session.restarted else ""
-                    self.observer.tell("reconnected", f"{self._port}: {told}")
+                    self.observer.report("reconnected", f"{self._port}: {told}")
                 self.observer.started(session)
                 follow(session, self.observer.running)
             trace = session.trace

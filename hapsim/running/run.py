@@ -60,7 +60,7 @@ def run_to_end(
     **options: Any,
 ) -> Trace:
     """Does what `run` does. A KeyboardInterrupt is passed to `on_interrupt` [default: raised]."""
-    tell = options.get("on_progress") or (lambda _: None)
+    show = options.get("on_progress") or (lambda _: None)
     armed: Session | None = None
     stopped = False
 
@@ -84,7 +84,7 @@ def run_to_end(
         try:
             if on_start is not None:
                 on_start(session)
-            follow(session, tell)
+            follow(session, show)
         except KeyboardInterrupt as interrupt:
             if on_interrupt is None:
                 raise

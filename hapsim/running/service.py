@@ -180,7 +180,7 @@ class Notifier:
         if not self._address:
             return RunObserver()
         return RunObserver(
-            started=self._started, running=self._running, over=self._over, waiting=self._waiting, tell=self._tell
+            started=self._started, running=self._running, over=self._over, waiting=self._waiting, report=self._report
         )
 
     def stopping(self, why: object = "") -> None:
@@ -188,8 +188,8 @@ class Notifier:
         self._send("STOPPING=1", *([f"STATUS={_one_line(why)}"] if why else []))
 
     @contextlib.contextmanager
-    def told_of_failures(self) -> Iterator[None]:
-        """Around a run: notifies of a failure before arming, too."""
+    def notifying_failures(self) -> Iterator[None]:
+        """While open, notifies of every failure, also before arming."""
         try:
             yield
         except Exception as failure:
@@ -213,7 +213,7 @@ class Notifier:
         if not self._reconnects:
             self.stopping()
 
-    def _tell(self, _event: str, sentence: str) -> None:
+    def _report(self, _event: str, sentence: str) -> None:
         self._status_at = -1e9
         self._status(sentence)
 

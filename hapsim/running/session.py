@@ -98,7 +98,7 @@ class Session(SessionView):
                     )
         self._in_python = options.portable or options.between is not None or bool(missing_calls())
         self.gives_way = scene.device.clock != "lockstep" and not self._in_python
-        """Whether work beside the loop gives way to it (hapsim.loop.beside)."""
+        """Whether work beside the loop gives way to it (hapsim.loop.background)."""
         self._over, self._done = threading.Event(), threading.Event()  # the loop has ended; everything has
         self._ending: int | None = None
         self._failure: BaseException | None = None
@@ -170,8 +170,8 @@ class Session(SessionView):
         """Opens the device and asks for its description. Compiles what loop and mock need; the mock before it has to
         answer, the loop on a port only once the port is open."""
         options = self._options
-        tell = options.on_progress or _ignore
-        counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
+        show = options.on_progress or _ignore
+        counted = Counted(lambda name, share: show(Progress("compiling", name, share=share)))
         stack.enter_context(on_compilation(counted.add))
         require_possible_here(self._place, portable=options.portable or options.between is not None)
         loop = () if self._in_python else ("loop",)
@@ -423,11 +423,11 @@ def start(scene: SceneSource, **options: Any) -> Session:
     return session
 
 
-def follow(session: Session, tell: Callable[[Progress], None]) -> None:
+def follow(session: Session, show: Callable[[Progress], None]) -> None:
     """Waits until the session has ended, and reports its progress meanwhile."""
     while not session.wait(_LOOK_S):
-        tell(session.progress())
-    tell(session.progress())
+        show(session.progress())
+    show(session.progress())
 
 
 _NAME = "mock in memory"

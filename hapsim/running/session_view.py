@@ -273,7 +273,7 @@ class SessionView:
         """
         self._require_running()
         self._live.set(changes, over)
-        self._tell(
+        self._publish(
             "changed", values={f"{part}.{key}": value for part, keys in changes.items() for key, value in keys.items()}
         )
 
@@ -289,11 +289,11 @@ class SessionView:
         """
         self._require_running()
         self._live.adopt(scene, over)
-        self._tell("changed")
+        self._publish("changed")
 
     def mark(self, text: str = "") -> Event:
         """Notes that something happened at this sample; returns the event. `markers` lists them."""
-        event = self._tell("marker", text)
+        event = self._publish("marker", text)
         self.markers.append(event)
         return event
 
@@ -308,7 +308,7 @@ class SessionView:
             if Path(path).exists():
                 raise UsageError(f"{path}: the file exists; it was not touched")
             self._recorder.use_file(self._begin_record(self.scene, Path(path)))
-        self._tell("recording", str(path))
+        self._publish("recording", str(path))
 
     @property
     def recording(self) -> Path | None:
@@ -323,10 +323,10 @@ class SessionView:
         if file is None:
             return None
         file.finish(outcome.report_of(self.scene, self._loop, "running"), outcome.statistics_of(self._loop))
-        self._tell("recorded", file.problem or str(file.path))
+        self._publish("recorded", file.problem or str(file.path))
         return file.path
 
-    def _tell(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> Event:
+    def _publish(self, kind: EventKind, sentence: str = "", values: Mapping[str, Any] | None = None) -> Event:
         event = Event(kind, sentence, values or {}, int(self._loop.state.sample))
         if self._options.on_event is not None:
             self._options.on_event(event)

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hapsim.errors import UsageError
-from hapsim.loop.beside import Beside
+from hapsim.loop.background import BackgroundWork
 from hapsim.loop.counts import Progress
 from hapsim.running.reconnecting import RunObserver
 from hapsim.running.session import Session
@@ -37,13 +37,13 @@ _LONGEST = 1 << 20
 
 
 @contextlib.contextmanager
-def telling(path: Path, document: Callable[[], str], gives_way: bool = True) -> Iterator[None]:
+def serving_status(path: Path, document: Callable[[], str], gives_way: bool = True) -> Iterator[None]:
     """While open, sends what `document` returns to each client of `path`. Replaces the socket of a process that was
     killed. Raises UsageError where no socket can be made. `gives_way`: the answering thread has idle priority."""
     listening = _listen(path)
     asked_to_stop, stop = socket.socketpair()
     try:
-        work = Beside(lambda: _serve(listening, asked_to_stop, document), gives_way)
+        work = BackgroundWork(lambda: _serve(listening, asked_to_stop, document), gives_way)
         try:
             yield
         finally:
@@ -187,7 +187,7 @@ class RunState:
     @property
     def observer(self) -> RunObserver:
         """Keeps the state up."""
-        return RunObserver(started=self._started, over=self._over, waiting=self._waiting, tell=self._tell)
+        return RunObserver(started=self._started, over=self._over, waiting=self._waiting, report=self._report)
 
     def document(self) -> dict[str, Any]:
         """Returns the state under the names of `--json`, for the session that runs, or else the last one. Force,
@@ -226,7 +226,7 @@ class RunState:
     def _waiting(self) -> None:
         self._phase = "waiting"
 
-    def _tell(self, event: str, sentence: str) -> None:
+    def _report(self, event: str, sentence: str) -> None:
         self._news = sentence
         if event == "lost":
             self._lost = sentence  # later events are about the port

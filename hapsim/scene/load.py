@@ -101,7 +101,7 @@ def recorded_scene(document: dict[str, Any], name: str, in_degrees: bool) -> Sce
 def _units(data: object) -> Units:
     """The units in which a file's device moves, so far as it says so."""
     device = data.get("device") if isinstance(data, dict) else None
-    return Units.said_by(device.get("motion") if isinstance(device, dict) else None)
+    return Units.parse(device.get("motion") if isinstance(device, dict) else None)
 
 
 def read_scene(stream: BinaryIO, name: str) -> Scene:

@@ -105,7 +105,7 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        around = ModuleContext.of(self.modules, Units.said_by(self.device.motion))
+        around = ModuleContext.of(self.modules, Units.parse(self.device.motion))
         issues = cross_check_issues(around, self._per_channel(), dict(self))
         lines = [f"{'.'.join(map(str, issue.path))}: {issue.sentence}" for issue in issues]
         if lines:

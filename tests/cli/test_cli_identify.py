@@ -30,8 +30,10 @@ def test_it_says_what_it_will_do_and_tells_declared_beside_found(hapsim: Hapsim,
     before = wrong_scene.read_bytes()
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--force", 2)
     assert answer.status == 0
-    assert answer.err.startswith("Pushing channel 0 of the built-in mock now: at most 2 N to either side, 1 s ")
-    assert "more than 5 mm from where it stands" in answer.err
+    assert answer.err.startswith(
+        "Pushing channel 0 of the built-in mock to both sides with at most 2 N. This takes about 1 s, "
+    )
+    assert "more than 5 mm from where it is now" in answer.err
     row = next(line for line in answer.out.splitlines() if "mass  kg" in line)
     assert [cell.strip() for cell in row.split("│")][2] == "0.2"
     assert "-25 %" in row

@@ -51,9 +51,9 @@ def test_an_event_comes_once_a_second_with_how_many_did_not() -> None:
     now, lines = [0.0], []
     log = JsonLog(lines.append, clock=lambda: now[0])
     for now[0] in (0.0, 0.5, 0.9, 1.0, 1.2):
-        log.say("info", "lost", "gone", position=float("nan"))
-        log.say("info", "changed", "other", about=str(now[0]))
-    log.say("info", "back", "here")
+        log.write("info", "lost", "gone", position=float("nan"))
+        log.write("info", "changed", "other", about=str(now[0]))
+    log.write("info", "back", "here")
     log.close()
     log.close()
     told = [(line["event"], line.get("left_out")) for line in lines_of("".join(lines)) if line["event"] != "changed"]

@@ -13,7 +13,7 @@ import pytest
 
 from hapsim.cli.command_options import load
 from hapsim.cli.live import _Words
-from hapsim.cli.output import speak_in, stdout
+from hapsim.cli.output import set_output_units, stdout
 from hapsim.cli.status_command import show_status
 from hapsim.errors import SceneError, UsageError
 from hapsim.live.messages import channels_of
@@ -181,8 +181,8 @@ def test_a_unit_alone_and_within_a_text_of_ours() -> None:
     turns = Units.of(["rotary"], in_degrees=True)
     assert (turns.name("m per count"), turns.si.name("m per count")) == ("° per count", "rad per count")
     assert turns.si.filled("points [‹m/s›, ‹N›], m of N") == "points [rad/s, N·m], m of N"
-    assert Units.said_by(["linear", "rotary"]).name("N") == "N or N·m"
-    assert Units.said_by(None) == Units.of([])
+    assert Units.parse(["linear", "rotary"]).name("N") == "N or N·m"
+    assert Units.parse(None) == Units.of([])
 
 
 def test_check_of_a_knob_marks_where_the_hand_is_and_says_what_repeats(hapsim: Hapsim) -> None:
@@ -275,7 +275,7 @@ def test_the_live_line_of_a_scene_with_degrees(tmp_path: Path) -> None:
     load(str(scene))
     progress = Progress(phase="running", position=(math.radians(12.0),), force=(0.25,))
     assert "+12.00° +0.250 N·m" in _Words().of(progress)
-    speak_in(LINEAR)
+    set_output_units(LINEAR)
 
 
 def test_the_page_gets_values_in_rad_and_that_people_read_degrees(knob: Path) -> None:

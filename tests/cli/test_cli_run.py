@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from hapsim.cli.live import live_line
-from hapsim.cli.output import speak_in
+from hapsim.cli.output import set_output_units
 from hapsim.cli.run_command import _Reporter, show_report, show_run
 from hapsim.loop.counts import Progress
 from hapsim.recording.trace import load_trace
@@ -130,7 +130,7 @@ def test_a_rate_that_is_surely_another_than_was_asked_for_is_marked(
 
 @pytest.mark.parametrize(("elapsed", "told"), [(0.002, "running 0.0 s ·"), (0.3, "running 0.3 s · 7165.5 Hz ·")])
 def test_the_live_line_tells_a_rate_once_it_is_one_and_no_minus_before_a_zero(elapsed: float, told: str) -> None:
-    speak_in(LINEAR)
+    set_output_units(LINEAR)
     console = Console(file=io.StringIO(), width=200)
     with live_line(console) as tell:
         tell(

@@ -80,8 +80,8 @@ def test_a_run_without_standard_streams_keeps_their_numbers_free(scene_file: Sce
     program = (
         "import os, sys\n"
         "from hapsim import cli\n"
-        "from hapsim.cli.streams import standing_streams\n"
-        "with standing_streams():\n"
+        "from hapsim.cli.streams import resilient_streams\n"
+        "with resilient_streams():\n"
         "    assert os.open(os.devnull, os.O_RDONLY) > 2\n"
         "    print(1, file=sys.stderr)\n"
         "cli.main()\n"

@@ -267,7 +267,7 @@ def test_a_refused_value_is_shown_with_its_reason_beside_it_until_another_is_tri
 ) -> None:
     type_into(page, "touch.stiffness", typed)
     page.until(lambda: said(page, ROW))
-    page.served.hub.tell("marker", "something else happens")
+    page.served.hub.publish("marker", "something else happens")
     page.served.session.set({"touch": {"damping": 6.0}})
     later(page, 2.0)  # counters come once a second
     text = said(page, ROW)
@@ -289,7 +289,7 @@ def test_what_is_no_number_is_refused_in_words(page: Page) -> None:
 def test_a_refusal_stays_when_the_controls_are_made_anew_and_goes_when_it_is_closed(page: Page) -> None:
     type_into(page, "touch.stiffness", "9e9")
     page.until(lambda: said(page, ROW))
-    page.served.hub.tell("changed")  # the scene may be another: all is asked for again
+    page.served.hub.publish("changed")  # the scene may be another: all is asked for again
     later(page, 0.5)
     assert "was refused" in said(page, ROW)
     page.browser.find_element("xpath", f"{ROW}/p/button").click()

@@ -79,11 +79,11 @@ class Bench:
             if self.waited == 3:
                 on_waiting()
 
-        def tell(event: str, sentence: str) -> None:
+        def report(event: str, sentence: str) -> None:
             self.told.append(event)
             self.sentences.append(sentence)
 
-        observer = RunObserver(started=started, waiting=waiting, tell=tell)
+        observer = RunObserver(started=started, waiting=waiting, report=report)
         return keep_running(scene, observer, **{"reconnect": True} | how)
 
 

@@ -149,7 +149,7 @@ def test_the_command_leads_pushes_and_says_what_became_of_it(hapsim: Any, tmp_pa
     assert [one["push_n"] for one in found["attempts"]] == [0.02]
     assert found["left_region"]
     told = hapsim("measure", path, "--push", "0.02").out
-    assert "says nothing of the device" in " ".join(told.split())
+    assert "do not describe the device" in " ".join(told.split())
     assert "not as the scene declares it" not in told
     wrong = hapsim("measure", path, "--at", "a notch")
     assert (wrong.status, "--at: found 'a notch', expected a position" in wrong.err) == (2, True)

@@ -10,12 +10,12 @@ import threading
 
 import pytest
 
-from hapsim.loop.beside import Beside
+from hapsim.loop.background import BackgroundWork
 
 
 def test_what_comes_of_it_comes_back() -> None:
-    assert Beside(lambda: 7).result() == 7
-    failed = Beside(lambda: {}["lost"])
+    assert BackgroundWork(lambda: 7).result() == 7
+    failed = BackgroundWork(lambda: {}["lost"])
     for _ in range(2):
         with pytest.raises(KeyError, match="lost"):
             failed.result()
@@ -26,7 +26,7 @@ def test_what_comes_of_it_comes_back() -> None:
 @pytest.mark.parametrize("gives_way", [True, False])
 def test_its_thread_alone_gives_way(gives_way: bool) -> None:
     before = os.sched_getscheduler(0)
-    policy, thread = Beside(lambda: (os.sched_getscheduler(0), threading.get_ident()), gives_way).result()
+    policy, thread = BackgroundWork(lambda: (os.sched_getscheduler(0), threading.get_ident()), gives_way).result()
     assert policy == (os.SCHED_IDLE if gives_way else before)
     assert thread != threading.get_ident()
     assert os.sched_getscheduler(0) == before != os.SCHED_IDLE
@@ -37,14 +37,14 @@ def test_where_there_is_no_such_scheduling_it_is_done_all_the_same(monkeypatch: 
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    assert Beside(lambda: 7).result() == 7
+    assert BackgroundWork(lambda: 7).result() == 7
     monkeypatch.delattr(os, "sched_setscheduler")
-    assert Beside(lambda: 7).result() == 7
+    assert BackgroundWork(lambda: 7).result() == 7
 
 
 def test_an_interrupt_ends_the_waiting_and_not_the_work() -> None:
     goes_on = threading.Event()
-    work = Beside(lambda: goes_on.wait(60.0))
+    work = BackgroundWork(lambda: goes_on.wait(60.0))
     threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
         work.result()
@@ -58,10 +58,10 @@ def test_a_program_that_ends_does_not_wait_for_it(seconds: float, status: int) -
     """It ends with its own status, what it printed printed, and no complaint."""
     text = f"""
 import time
-from hapsim.loop.beside import Beside, leave_unfinished
-Beside(lambda: time.sleep({seconds}))
+from hapsim.loop.background import BackgroundWork, exit_with_unfinished
+BackgroundWork(lambda: time.sleep({seconds}))
 print("done")
-leave_unfinished(3)
+exit_with_unfinished(3)
 """
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=False, timeout=30)
     assert (done.returncode, done.stdout, done.stderr) == (status, "done\n", "")

@@ -84,7 +84,7 @@ def test_the_watchdog_hears_of_it_only_while_the_ticks_go_on(manager: Manager) -
     now[0] = 9.0
     observer.waiting()
     assert manager.told() == ["WATCHDOG=1"]
-    observer.tell("lost", "the device\nwent away")
+    observer.report("lost", "the device\nwent away")
     assert manager.told() == ["STATUS=the device went away"]
     observer.over()
     assert manager.told() == ["STOPPING=1"]
@@ -121,7 +121,7 @@ def test_a_manager_that_is_gone_ends_nothing(manager: Manager, tmp_path: Path) -
     manager.close()
     for where in (str(manager.path), str(tmp_path / "nowhere"), "@hapsim/nobody", ""):
         notifying = Notifier(False, {"NOTIFY_SOCKET": where})
-        notifying.observer.tell("lost", "gone")
+        notifying.observer.report("lost", "gone")
         notifying.stopping()
 
 
@@ -144,7 +144,7 @@ def test_the_command_notifies_of_arming_and_end(
 
 def test_a_defect_is_told_and_a_name_is_no_command(manager: Manager) -> None:
     notifying = notifier(manager, [0.0])
-    with pytest.raises(ZeroDivisionError), notifying.told_of_failures():
+    with pytest.raises(ZeroDivisionError), notifying.notifying_failures():
         _ = 1 // 0
     (told,) = manager.told()
     assert told.startswith("STOPPING=1\nSTATUS=a defect of hapsim: ZeroDivisionError(")

@@ -14,7 +14,7 @@ _NAME = "beside the loop"
 _GRACE_S, _SLICE_S = 0.5, 0.1
 
 
-class Beside(Generic[Result]):
+class BackgroundWork(Generic[Result]):
     """Work in a thread of its own. The end of the program does not wait for it.
 
     `gives_way`: the thread gets a processor only where no other wants it (SCHED_IDLE). On a machine with few processors
@@ -54,7 +54,7 @@ class Beside(Generic[Result]):
             self._over.set()
 
 
-def leave_unfinished(status: int) -> None:
+def exit_with_unfinished(status: int) -> None:
     """Ends the process with this exit status if work is not done: the interpreter would crash over it as it ends."""
     left = [thread for thread in threading.enumerate() if thread.name == _NAME]
     for thread in left:
