@@ -336,7 +336,7 @@ def places_of(scene: Scene) -> list[str]:
     hands = ((name, characteristic_of(scene, name)) for name in scene.device_points)
     pieces = ((name, piece_at(one, name)) for name, one in hands if one is not None and one.is_regional)
     return [
-        f"{name} is taken where {', '.join(f'{link} is {state}' for link, state in piece.states.items())}"
+        f"{name} is in the region where {', '.join(f'{link} is {state}' for link, state in piece.states.items())}"
         for name, piece in pieces
     ]
 
@@ -348,7 +348,7 @@ def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
     if at is None:
         return one.held(pieces) or one.at(min(max(0.0, one.low), one.high), pieces)
     if not one.low <= at <= one.high:
-        found = f"found {one.units(at, 'm')}, which {name} does not reach"
+        found = f"found {one.units(at, 'm')}, outside the travel of {name}"
         reach = f"{one.units.number(one.low, 'm')} to {one.units(one.high, 'm')}"
         raise UsageError(f"at: {found}; expected a position from {reach}")
     piece = one.at(at, pieces)

@@ -68,7 +68,7 @@ def below_a_count(scene: Scene, force_scale: Iterable[float]) -> str:
         return ""
     unit = scene.units.name("N/s")
     return (
-        f"device.slew_limit: found {slew:g} {unit}, which is less than a count of the device's force in a sample; "
+        f"device.slew_limit: found {slew:g} {unit}, less than a count of the device's force per sample; "
         f"expected at least {rounded_up(max(scales) * scene.rate / ONE_PERIOD)} {unit}"
     )
 
@@ -90,11 +90,10 @@ def slow_slew(scene: Scene, prediction: Prediction) -> str:
     unit = scene.units.name("N/s")
     return (
         f"device.slew_limit: found {slew:g} {unit}, with which the force takes {duration(limit / slew)} from zero to "
-        f"the force limit of {scene.units(limit, 'N', 'g')}; a quarter of the period of the fastest swing of a hand "
-        f"({fastest:.4g} Hz) is {duration(0.25 / fastest)}, and one that reaches the limit asks for "
-        f"{math.ceil(steepest)} {unit}. What is "
-        "predicted is without a slew limit: with this one the force may come so late that it shakes the hand. Use a "
-        "slew_limit well above that, a lower force_limit, or less stiffness."
+        f"the force limit of {scene.units(limit, 'N', 'g')}. The fastest oscillation of a hand ({fastest:.4g} Hz) has "
+        f"a quarter period of {duration(0.25 / fastest)}; up to the limit it needs {math.ceil(steepest)} {unit}. The "
+        "prediction does not include the slew limit: the late force may shake the hand. Use a slew_limit well above "
+        "that, a lower force_limit, or less stiffness."
     )
 
 
@@ -112,12 +111,12 @@ def hidden_sign(scene: Scene, prediction: Prediction) -> str:
         least = units(enough, "m/s²", "g")
         why = f"its force limit accelerates the mass by {units(pull, 'm/s²', '.2g')}, less than {least}"
     elif 0.0 < fastest < _SIGN_HZ:
-        why = f"it swings at {fastest:.2g} Hz, below {_SIGN_HZ:g} Hz, as a hand does"
+        why = f"it oscillates at {fastest:.2g} Hz, below {_SIGN_HZ:g} Hz, like a hand"
     else:
         return ""
     return (
-        f"Behind a port, a motor that is wired the wrong way may not be found while this scene runs: {why}. "
-        "`hapsim probe PORT --push N` finds it before."
+        f"A run of this scene may not reveal a motor that is wired the wrong way: {why}. "
+        "`hapsim probe PORT --push N` finds it before a run."
     )
 
 
@@ -150,9 +149,9 @@ def refused_travel(scene: Scene) -> str:
             least = rounded_up(units.scaled(device.force_limit / stable, "m"))
             return (
                 f"device.travel_margin: the force of up to {units(device.force_limit, 'N', 'g')} fades over "
-                f"{units(margin, 'm', 'g')}{where}, which is a stiffness of "
-                f"{units(device.force_limit / margin, 'N/m', '.4g')} and shakes the hand: with no damper but the "
-                f"hand's {units(damping, 'N·s/m', 'g')} and the device's friction this loop renders up to "
+                f"{units(margin, 'm', 'g')}{where}, a stiffness of "
+                f"{units(device.force_limit / margin, 'N/m', '.4g')} that shakes the hand: with only the hand's "
+                f"{units(damping, 'N·s/m', 'g')} and the device's friction as dampers, this loop is stable up to "
                 f"{units(stable, 'N/m', '.4g')}; expected at least {units(least, 'm')}, or a lower "
                 f"device.force_limit{hints}"
             )

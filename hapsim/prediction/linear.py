@@ -125,13 +125,15 @@ def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
     for link, module in links_of(linear, name).items():
         (other,) = set(module.between) - {name}
         if other in linear.masses:
-            return f"moves a mass of the scene too ({other}, by {link})"
+            return f"also moves a mass of the scene ({other}, by {link})"
         if other in scene.device_points:
-            return f"is tied to another hand ({other}, by {link})"
+            return f"is joined to another hand ({other}, by {link})"
     kinds = dampers_of(linear, name)
     other_than_backward = [f"{link}: {kind}" for (kind, _), link in kinds.items() if kind != "backward"]
     if other_than_backward and late_by_mean(scene):
-        return f"gets the mean force of its substeps, with a damper that is not backward ({other_than_backward[0]})"
+        return (
+            f"receives the mean force of its substeps and has a damper that is not backward ({other_than_backward[0]})"
+        )
     if len(kinds) < 2:
         return ""
     words = (
@@ -176,17 +178,16 @@ def instead_of(network: Network, reason: NotWorkedOutError) -> tuple[Network, st
     """Returns a network that stands in for one whose poles cannot be computed, and a sentence about it."""
     if network.substeps == 1:
         sentence = (
-            "the masses are taken to move by CORDIS's scheme; up to where they are stable under "
-            f"{network.scheme}, and how fast they swing, is not worked out: {reason}"
+            "the masses are assumed to move by CORDIS's scheme; their stability and frequencies under "
+            f"{network.scheme} are not worked out: {reason}"
         )
         return replace(network, scheme="cordis"), sentence
     steps, lag = network.substeps, hold_lag(network.hold)
     delay = steps * (network.delay + lag) - lag + (0.5 * (steps - 1) if network.decimation == "mean" else 0.0)
     fast = replace(network, rate=steps * network.rate, delay=delay, scheme="cordis", substeps=1)
     sentence = (
-        "the device is taken to sample with every substep, as late as it is, and the masses to move by CORDIS's "
-        "scheme; what the device's own rate does to the hand and to what is stable is not worked out: "
-        f"{reason}"
+        "the device is assumed to sample with every substep, with the same delay, and the masses to move by CORDIS's "
+        f"scheme; the effect of the device's own rate on the hand and on stability is not worked out: {reason}"
     )
     return fast, sentence
 
@@ -226,7 +227,7 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
 def require_within_numbers(scene: Scene) -> None:
     """Raises UsageError if the device's values exceed the range of floating point."""
     if not 1e-9 <= scene.rate <= 1e9:
-        raise UsageError(f"rate: found {scene.rate:g} Hz, which is beyond what is worked out (1e-9 to 1e9 Hz)")
+        raise UsageError(f"rate: found {scene.rate:g} Hz, outside the range of the prediction (1e-9 to 1e9 Hz)")
     device, channels = scene.device, scene.channels
     each = zip(device.mass_spans(channels), device.frictions(channels), device.stiffnesses(channels), strict=True)
     for channel, ((mass, _), friction, stiffness) in enumerate(each):
@@ -234,6 +235,6 @@ def require_within_numbers(scene: Scene) -> None:
             units = scene.units_of(channel)
             raise UsageError(
                 f"device: found {units(friction, 'N·s/m', 'g')} of friction and a spring of "
-                f"{units(stiffness, 'N/m', 'g')} on {units(mass, 'kg', 'g')}, which is beyond what is worked out: "
-                "expected a larger mass, or less of them"
+                f"{units(stiffness, 'N/m', 'g')} on {units(mass, 'kg', 'g')}, outside the range of the prediction; "
+                "expected a larger mass, or less friction and stiffness"
             )

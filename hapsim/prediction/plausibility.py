@@ -39,8 +39,8 @@ RANGES = {
     "kg": Range(1e-3, 10.0, "a moving part and the hand that holds it weigh grams to 3 kg", _MASSES),
     "modules kg": Range(1e-7, 10.0, "simulated masses weigh a milligram to some kg", _MASSES),
     "rate": Range(50.0, 1e5, "devices sample at 200 Hz to 20 kHz", (("kHz", 1e3), ("the period in s", 0.0), _LESS)),
-    "force_limit": Range(0.05, 250.0, "devices give 0.2 to 50 N", _FORCES),
-    "N": Range(1e-3, 250.0, "a hand feels 10 mN and more, and devices give up to 50 N", _FORCES),
+    "force_limit": Range(0.05, 250.0, "devices render 0.2 to 50 N", _FORCES),
+    "N": Range(1e-3, 250.0, "a hand feels 10 mN and more, and devices render up to 50 N", _FORCES),
     "N·s/m": Range(0.0, 500.0, "a firm grip has 20 N·s/m", _DAMPINGS),
     "N/m": Range(1.0, 1e5, "springs of devices and hands have 10 to 1000 N/m", _STIFFNESSES),
     "modules N/m": Range(0.0, math.inf, "", _STIFFNESSES),  # `_of_spring` judges these two by rate and mass
@@ -48,7 +48,7 @@ RANGES = {
     "m": Range(5e-6, 1.0, "devices move 2 mm to 0.5 m, in steps of 10 µm and more", _LENGTHS),
     "travel": Range(2e-4, 1.0, "devices move 2 mm to 0.5 m", _LENGTHS),
     "m/s": Range(0.0, 20.0, "hands move at up to 5 m/s", (("mm/s", 1e-3),)),
-    "m per count": Range(1e-13, 5e-4, "encoders count 1 nm to 0.1 mm", _LENGTHS),
+    "m per count": Range(1e-13, 5e-4, "encoders have counts of 1 nm to 0.1 mm", _LENGTHS),
     "m rms": Range(0.0, 5e-4, "position sensors have less than 0.1 mm of noise", _LENGTHS),
     "turnaround": Range(0.0, 0.02, "devices answer within milliseconds", (("ms", 1e-3), ("µs", 1e-6))),
     "cutoff": Range(1.0, math.inf, "below 1 Hz a filtered velocity comes too late for any hand", (("kHz", 1e3),)),
@@ -63,15 +63,15 @@ _INERTIAS = (("g·cm²", 1e-7), ("kg·cm²", 1e-4), _MORE)
 ROTARY = {
     "kg": Range(1e-8, 0.5, "a knob has 1e-6 kg·m², a steering wheel 0.1", _INERTIAS),
     "modules kg": Range(1e-10, 0.5, "a knob has 1e-6 kg·m², a steering wheel 0.1", _INERTIAS),
-    "force_limit": Range(5e-4, 50.0, "knobs give 5 mN·m and more, steering wheels up to 20 N·m", _TORQUES),
-    "N": Range(1e-5, 50.0, "knobs give 5 mN·m and more, steering wheels up to 20 N·m", _TORQUES),
+    "force_limit": Range(5e-4, 50.0, "knobs render 5 mN·m and more, steering wheels up to 20 N·m", _TORQUES),
+    "N": Range(1e-5, 50.0, "knobs render 5 mN·m and more, steering wheels up to 20 N·m", _TORQUES),
     "N·s/m": Range(0.0, 5.0, "a hand on a wheel has 0.5 N·m·s/rad", (_MORE, _LESS)),
     "N/m": Range(1e-5, 100.0, "springs of knobs and wheels have 0.001 to 10 N·m/rad", (_MORE, _LESS)),
     "m": Range(1e-5, 20.0, "angles are in rad, or written as 90 deg", _ANGLES),
     "travel": Range(1e-3, 200.0, "angles are in rad, or written as 90 deg", _ANGLES),
     "pitch": Range(1e-4, 7.0, "a turn has 6.28 rad", _ANGLES),
     "m/s": Range(0.0, 500.0, "hands turn at up to 60 rad/s", _ANGLES),
-    "m per count": Range(1e-13, 0.1, "encoders count 1e-7 to 0.01 rad", _ANGLES),
+    "m per count": Range(1e-13, 0.1, "encoders have counts of 1e-7 to 0.01 rad", _ANGLES),
     "m rms": Range(0.0, 0.02, "angle sensors have less than 0.01 rad of noise", _ANGLES),
 }
 """Ranges where every channel turns. If only some turn, a value has to be outside both ranges."""
@@ -202,14 +202,14 @@ def _of_device(scene: Scene) -> Iterator[_Value]:
     named = f"the force limit of {scene.units(limit, 'N')}"
     most = max(_LATE_SAMPLES, _LATE_S * scene.rate)
     slips = (("seconds", scene.rate), ("µs", 1e-6 * scene.rate))
-    late = Range(_DELAYED, most, f"it counts sample periods, here of {duration(scene.period)}", slips)
+    late = Range(_DELAYED, most, f"its unit is the sample period, here {duration(scene.period)}", slips)
     for part, delay in (("device", device.delay), ("mock", mock.delay or 0.0)):
         yield _Value(f"{part}.delay", delay, "samples", late)
     scales = device.scales(scene.channels)
     least = min((one.brief for one in scales), default=0.0)
-    brief = Range(least * limit, math.inf, f"{named} gives that within {scene.units(least, 'mm', 'g')}", (_MORE,))
+    brief = Range(least * limit, math.inf, f"{named} does that work within {scene.units(least, 'mm', 'g')}", (_MORE,))
     yield _Value("device.energy_limit", device.energy_limit or 0.0, "J", brief)
-    start = Range(scene.period, math.inf, "nothing ramps within a sample period", (_MORE,))
+    start = Range(scene.period, math.inf, "a ramp takes at least a sample period", (_MORE,))
     yield _Value("device.soft_start", device.soft_start or 0.0, "s", start)
     for one, scale in zip(device.stiffnesses(scene.channels), scales, strict=True):
         why = f"{named} stretches it by less than {scene.units(scale.rigid, 'mm', 'g')}"
@@ -221,7 +221,7 @@ def _of_device(scene: Scene) -> Iterator[_Value]:
         mass, friction, own = (values(scene.channels)[point.channel] for values in of_channel)
         held = (getattr(link, "stiffness", 0.0) for link in scene.links.values() if name in link.between)
         critical = 2.0 * math.sqrt(max(own, *held, 0.0) * mass)
-        why = f"a free hand of {units(mass, 'kg')} stops in {short_duration(mass / (friction or math.inf))} then"
+        why = f"a free hand of {units(mass, 'kg')} then stops in {short_duration(mass / (friction or math.inf))}"
         if friction > _CREEPS * critical > 0.0:
             why = f"critical damping is {units(critical, 'N·s/m', 3)}, so the hand creeps"
         most = min(mass / _STOPS_S, _FRICTION, _CREEPS * critical or math.inf)
@@ -276,7 +276,7 @@ def _of_spring(scene: Scene, name: str, mass: float, hand: str, moves: bool = Tr
     elif scene.scheme in ("exact", "midpoint"):
         most = [math.inf, math.inf]
     takes = frequency(rate * math.sqrt(max(stiffness / hardest, 1.0)))
-    hard, soft = f"{why} damping, and takes some {takes}", f"a cm of it is {units(0.01 * stiffness, 'N', 2)}"
+    hard, soft = f"{why} damping, and needs about {takes}", f"1 cm of it is {units(0.01 * stiffness, 'N', 2)}"
     strong, weak = f"{why} stiffness", f"at {units(0.1, 'm/s')} it is {units(0.1 * damping, 'N', 2)}"
     k = Range(least[0], most[0], soft if stiffness < least[0] else hard, _STIFFNESSES)
     b = Range(least[1], most[1], weak if damping < least[1] else strong, _DAMPINGS)
@@ -311,6 +311,6 @@ def _jumps(scene: Scene) -> Iterator[str]:
             if abs(place) < _FAR_M or scene.units.is_rotary:
                 if not total > _PRESSES * limit:
                     continue
-                hint = f"look at the stiffness of {name}, and where its ends are."
+                hint = f"check the stiffness of {name} and the positions of its ends."
             pushes = f"at arming the scene pushes {hand} with {units(short(total), 'N')}"
-            yield f"{pushes}, its limit is {units(limit, 'N')}: {hint}"
+            yield f"{pushes}; the force limit is {units(limit, 'N')}: {hint}"

@@ -132,7 +132,7 @@ class Prediction:
     def together(self) -> tuple[FeltTogether, ...]:
         """Predictions for the device points that are `coupled`, by the parts of the scene that no link joins."""
         kind, (network, solution, _) = self._rendering.kind, self.judge.solved
-        not_predicted = f"with correction: {kind.name} it is not worked out" if kind and kind.predicts else ""
+        not_predicted = f"it is not worked out with correction: {kind.name}" if kind and kind.predicts else ""
         written = self._network if kind is None else self._written
         return tuple(
             FeltTogether(
@@ -159,7 +159,7 @@ class Prediction:
     def any_hands(self) -> tuple[AnyHand, ...]:
         """Stability in hands other than the declared one, by the parts of the scene that no link joins."""
         kind, network = self._rendering.kind, self.judge.solved.network
-        why = "it is not derived where a predictor answers" if kind and kind.predicts else ""
+        why = "the condition is not derived for a predictor" if kind and kind.predicts else ""
         return tuple(
             AnyHand(names, channels, why, part_of(network, inside), tuple(self.points[at] for at in inside))
             for names, channels, inside in self._parts(self.scene.device_points)
@@ -288,8 +288,8 @@ class Prediction:
         if (at := self.scene.device.mass_at) is not None:
             pose = ", ".join(units.number(one, "m", "g") for one in per_channel(at, channels))
             instead.append(
-                f"k and b hold near {units(pose, 'm')} (device.mass_at): elsewhere the device has another mass and "
-                "friction, and a force on one channel moves another too"
+                f"k and b are valid near {units(pose, 'm')} (device.mass_at): elsewhere the device has another mass "
+                "and friction, and a force on one channel also moves others"
             )
         return (*self._linear.assumptions, *instead)
 

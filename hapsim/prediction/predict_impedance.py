@@ -66,8 +66,8 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
         loop = loop._replace(rendered=_of_predictors(rendering, f))
         if np.isnan(loop.rendered).any(axis=(1, 2)).all():
             assumptions.append(
-                "what a predictor renders is worked out for hands whose links end on grounds and a device without a "
-                "velocity sensor, not here"
+                "the rendered impedance of a predictor is worked out only for hands whose links end on grounds, on a "
+                "device without a velocity sensor: it is missing here"
             )
     s = 2j * np.pi * f[:, None]
     real = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s

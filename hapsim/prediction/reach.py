@@ -344,7 +344,7 @@ def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]
     found = {}
     for name, d in distances_at_rest(scene, hands).items():
         law = scene.links[name].law()
-        taken = f"is taken as {law.state(d)}, as it is where the masses rest" if law.assumption else ""
+        taken = f"is taken as {law.state(d)}: its state where the masses rest" if law.assumption else ""
         found[name] = law.linear(d)._replace(assumption=taken)
     return found
 
@@ -381,4 +381,4 @@ def _relaxed(springs: _Springs, x: Floats) -> Floats:
                 break
             step = 0.5 * step
         x, forces = x + step, springs.forces(x + step)
-    raise UsageError("at: no place was found where the scene's masses rest while the hand holds still there")
+    raise UsageError("at: no rest of the scene's masses was found for a hand held at this position")

@@ -104,7 +104,7 @@ class ContactStates:
         if self.growing:
             return f"while {max(self.growing, key=lambda one: one.growth).state}"
         if self.unjudged:
-            return "as its contacts are taken, not judged in every state of them"
+            return "with its contacts as assumed; not every state of them was judged"
         return f"in all {self.count} states of its contacts; bounces are not judged" if self.count > 1 else ""
 
     def instead(self) -> dict[str, Linear]:
@@ -120,7 +120,9 @@ class ContactStates:
                 one, nearer = next(((one, limit) for one, limit in limits if limit is not None), (None, None))
                 apart = apart if nearer is None else nearer
                 if one is not None and one not in taken:
-                    words = f"is taken as {one.state}: it cannot be {taken[0].state} while those before it are as taken"
+                    words = (
+                        f"is taken as {one.state}: it cannot be {taken[0].state} with the links before it as assumed"
+                    )
                     found[name] = one.linear._replace(assumption=words)
         return found
 

@@ -212,15 +212,15 @@ class Shaking(NamedTuple):
 
     def sentence(self, units: Units) -> str:
         """Returns the sentence, without a full stop."""
-        by = "beyond all numbers" if self.growth > 1e300 else f"{self.growth:.3g}-fold"
+        by = "beyond the range of numbers" if self.growth > 1e300 else f"{self.growth:.3g}-fold"
         if self.growth < 2.0:
             by = f"by {100.0 * (self.growth - 1.0):.2g} %"
         whose = f"the motion of {self.module}" if self.module else "a motion"
         when = f" while {self.state}" if self.state else ""
         if self.swing is not None:
-            when += f", to a swing of {self.swing.sentence(units)}"
+            when += f", to an oscillation of {self.swing.sentence(units)}"
         remedy = "reduce the stiffness there, change its damping, add mass or raise the rate"
-        return f"{whose} grows {by} a sample{when}; {remedy}"
+        return f"{whose} grows {by} per sample{when}; {remedy}"
 
 
 def without_real(poles: Iterable[complex], count: int) -> list[complex]:

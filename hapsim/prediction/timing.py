@@ -93,7 +93,7 @@ def why_late(scene: Scene, samples: int, round_trip_s: float) -> str:
     name = os.path.basename(os.path.realpath(scene.device.port or ""))
     with contextlib.suppress(OSError, ValueError):
         if (timer := int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text("ascii"))) > 1:
-            why += f" The latency timer of {name} is {timer} ms, whatever the baud rate: see `hapsim doctor`."
+            why += f" The latency timer of {name} is {timer} ms, at any baud rate: see `hapsim doctor`."
     return why
 
 
@@ -111,7 +111,7 @@ def what_helps(budget: WireTime) -> str:
     """Phrase on remedies for an exchange that does not fit into a sample."""
     if budget.least_baud is None and budget.turnaround_s > 0.0:
         return (
-            "no baud rate shortens the turnaround, such as an FTDI's latency timer of 16 ms: use a lower rate, or let "
+            "no baud rate shortens the turnaround, such as an FTDI's latency timer of 16 ms: use a lower rate, or make "
             "the device answer sooner"
         )
     return "use a higher baud rate or a lower rate"

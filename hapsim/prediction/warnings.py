@@ -30,35 +30,35 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     warnings, limit = unlikely(scene), scene.mock_device.force_limit
     if not prediction.by_its_scheme:
         warnings.append(
-            f"how stable the scene is was worked out for scheme: cordis, not for {scene.scheme}, by which it runs."
+            f"stability was worked out for scheme: cordis; the scene runs with scheme: {scene.scheme}."
             if scene.substeps == 1
-            else "how stable the scene is was worked out for a device that samples with every substep, not as it runs."
+            else "stability was worked out for a device that samples with every substep; the scene's device does not."
         )
     elif is_surely_unstable(prediction):
         warnings.append(
             "the scene is predicted unstable: `hapsim run` and `measure` refuse it. With --unstable the device "
             f"oscillates with up to {most_force(scene)}, until the energy guard ends the run "
-            "(hapsim/STABILITY.md says what it finds)."
+            "(hapsim/STABILITY.md describes the guard)."
         )
         warnings += own_limits(scene)
     for name in prediction.trembles:
         swing = prediction.judge.swings[name]
         warnings.append(
-            f"{name} swings by itself where a piece of its links is too stiff for the loop: by "
-            f"{swing.sentence(scene.units) if swing else ''}, less than a count. Smoother tables do not."
+            f"{name} oscillates by {swing.sentence(scene.units) if swing else ''}, less than a count, where a piece of "
+            "its links is too stiff for the loop. A smoother table prevents it."
         )
     if prediction.states.unjudged:
         warnings.append(
-            "whether the scene is stable in every state of its contacts was not worked out: they are too many, or take "
-            "too long. In one of them it may shake the hand."
+            "not every state of the contacts was judged: they are too many, or take too long. The scene may shake the "
+            "hand in one of them."
         )
     for name in prediction.regions:
         hand = hand_at(scene, name)
         x = max(hand.edges(), key=lambda x: abs(float(hand.force(x))), default=0.0)
         if abs(float(hand.force(x))) > limit:
             warnings.append(
-                f"{name} at {hand.units(x, 'm')}: the scene asks for {hand.units(abs(float(hand.force(x))), 'N')}, of "
-                f"which the hand feels {hand.units(limit, 'N', 'g')}, the force limit."
+                f"{name} at {hand.units(x, 'm')}: the scene's force is {hand.units(abs(float(hand.force(x))), 'N')}; "
+                f"the force limit clips it to {hand.units(limit, 'N', 'g')}."
             )
     slow = slow_slew(scene, prediction)
     warnings += [slow] if slow else []
@@ -67,22 +67,22 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
         units = scene.units_of(scene.device_points[one.name].channel)
         warnings.append(
             f"correction {scene.device.correction} does not reach k = {units(one.k, 'N/m', '.6g')}, "
-            f"b = {units(one.b, 'N·s/m', '.6g')} at {one.name}: what comes nearest is simulated{off}. `hapsim check` "
-            "shows what would reach it."
+            f"b = {units(one.b, 'N·s/m', '.6g')} at {one.name}: the nearest that it reaches is simulated{off}. "
+            "`hapsim check` lists the remedies."
         )
     budget = prediction.wire_time
     is_explained = any(one.startswith(("rate: ", "device.baud: ")) for one in warnings)
     if prediction.wire_delay:
         warnings.append(f"{prediction.wire_delay}. The prediction is for that delay.")
     elif prediction.wire_of == "unknown" and not budget.fits and not is_explained:
-        late = (
-            f"{budget.delay_samples} samples of delay in place of one (`hapsim check` shows what the hand feels then)"
-        )
-        delay = "the frames queue up" if budget.is_saturated else late
+        delay = "the frames queue up"
+        if not budget.is_saturated:
+            felt = "`hapsim check` prints what the hand then feels"
+            delay = f"the delay is {budget.delay_samples} samples instead of one ({felt})"
         warnings.append(
-            f"an exchange takes {budget.exchange_s * 1e3:.4g} ms at {scene.device.baud} baud with the host's work, the "
-            f"sample period is {budget.period * 1e3:.4g} ms: on a UART {delay}. "
-            "A USB device's own port does not mind."
+            f"an exchange takes {budget.exchange_s * 1e3:.4g} ms at {scene.device.baud} baud, including the host's "
+            f"work; the sample period is {budget.period * 1e3:.4g} ms. On a UART {delay}. "
+            "A USB device without a UART is not affected."
         )
     return warnings
 
@@ -124,14 +124,14 @@ def own_limits(scene: Scene) -> Iterator[str]:
     while largest > _MOST and steps <= _MOST_SUBSTEPS:
         steps = max(steps + 1, math.floor(steps * math.sqrt(largest / _MOST)))  # never more than the springs need
         largest = _largest(network, every, steps * scene.rate)
-    remedy = f"{steps} substeps in place of {scene.substeps} carry it" if steps <= _MOST_SUBSTEPS else "add mass there"
+    remedy = f"use {steps} substeps instead of {scene.substeps}" if steps <= _MOST_SUBSTEPS else "add mass there"
     for name in [one for one in found if found[one] > _MOST] or [max(found, key=found.__getitem__)]:
         own, alone = owner == name, found[name] > _MOST
         stiffness, damping = (float(values[own].max()) for values in (network.stiffness, network.damping))
         damps = 2.0 * damping * rate > stiffness
         value, unit = damping if damps else stiffness, scene.units_at(name).name("N·s/m" if damps else "N/m")
-        most = f"more than the {rounded_down(value * _MOST / found[name], 5)} {unit} that its masses carry"
-        why = most if alone else "with what it is joined to, more than its masses carry"
+        most = f"more than the {rounded_down(value * _MOST / found[name], 5)} {unit} with which its masses are stable"
+        why = most if alone else "too much, with the modules joined to it,"
         yield f"{name}: {number(value)} {unit} is {why} in steps of {frequency(rate)}; {remedy}."
 
 

@@ -104,7 +104,7 @@ def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:
         raise ValueError(f"damper is {name!r}, but it has to be one of: {', '.join(DAMPERS)}.")
     if not DAMPERS[name].has_cutoff:
         if cutoff is not None:
-            raise ValueError(f"cutoff is {cutoff!r}, but the {name} damper has none: leave it out.")
+            raise ValueError(f"cutoff is {cutoff!r}, but the {name} damper has none: omit it.")
         return DAMPERS[name].model(math.inf)
     if cutoff is None or not 0.0 < cutoff < math.inf:
         raise ValueError(f"cutoff is {cutoff!r}, but the {name} damper needs one, in Hz, greater than zero.")

@@ -109,7 +109,7 @@ def _trimmed(matrix: Any) -> Any:
     matrix.data[np.abs(matrix.data) < NOTHING] = 0.0
     matrix.eliminate_zeros()
     if matrix.nnz > MOST_ENTRIES:
-        raise NotWorkedOutError("in a sample period each of its masses moves too many others")
+        raise NotWorkedOutError("each of its masses moves too many others in a sample period")
     return matrix
 
 

@@ -58,5 +58,5 @@ def test_the_force_is_that_of_the_links_and_the_loop_that_of_friction_and_dampin
 def test_a_hand_that_moves_a_mass_has_no_such_picture(hapsim: Hapsim, tmp_path: Path) -> None:
     answer = hapsim("chart", "force", "two_hands", "--picture", tmp_path / "f.svg")
     assert answer.status == 2
-    assert "left moves a mass of the scene too (body, by to-left): its force depends on" in answer.err
+    assert "left also moves a mass of the scene (body, by to-left): its force depends on" in answer.err
     assert not (tmp_path / "f.svg").exists()

@@ -98,8 +98,8 @@ def test_travel_and_origin_are_printed_and_a_band_that_is_too_narrow_is_refused(
     assert "Travel of channel 1: -0.03 to 0.03 m. Outside, the force fades to zero within 0.006 m (a stiffness" in told
     refused = hapsim("check", scene_file("spring", travel=[-0.01, 0.11], travel_margin=0.0024), "--json")
     assert refused.status == 2
-    assert "fades over 0.0024 m, which is a stiffness of 4167 N/m" in refused.sentence
-    assert "renders up to 4033 N/m; expected at least 0.00248 m" in refused.sentence
+    assert "fades over 0.0024 m, a stiffness of 4167 N/m" in refused.sentence
+    assert "is stable up to 4033 N/m; expected at least 0.00248 m" in refused.sentence
 
 
 def test_an_unstable_scene_is_reported_as_such_and_is_no_failure(
@@ -174,7 +174,7 @@ def test_a_scene_with_masses_lists_modes_and_says_that_there_is_no_single_k_and_
     scene_file: SceneFile, checked: Checked, explained: Explained, name: str
 ) -> None:
     told = unwrapped(explained(scene_file(name)))
-    why = "is tied to another hand (wall, by touch)" if name == "hand_in_hand" else "moves a mass of the scene too ("
+    why = "is joined to another hand (wall, by touch)" if name == "hand_in_hand" else "also moves a mass of the scene ("
     assert f"hand {why}" in told
     assert "Modes" in told
     document = checked(scene_file(name))
@@ -369,7 +369,9 @@ def test_run_tells_its_warnings_in_json_too(hapsim: Hapsim, scene_file: SceneFil
     document = checked(path)
     assert answer.document["warnings"] == document["warnings"]
     assert answer.document["warnings"][0] in answer.err
-    (figures,) = re.findall(r"\((\S+) Hz\) is (\S+) ms, .* asks for (\d+) N/s", document["warnings"][0])
+    (figures,) = re.findall(
+        r"\((\S+) Hz\) has a quarter period of (\S+) ms; .* needs (\d+) N/s", document["warnings"][0]
+    )
     swing = document["predicted"]["frequency_hz"]
     assert [float(figure) for figure in figures] == pytest.approx([swing, 250 / swing, 20 * np.pi * swing], rel=2e-3)
 
@@ -479,7 +481,7 @@ def test_a_linkage_s_figures_are_said_to_hold_near_its_pose(hapsim: Hapsim, chec
     path = tmp_path / "linkage.yaml"
     text = (CONFIGS / "boards" / "haply.yaml").read_text("utf-8")
     path.write_text(text, "utf-8")
-    said = "k and b hold near 0.019, 0.1 m (device.mass_at): elsewhere the device has another mass"
+    said = "k and b are valid near 0.019, 0.1 m (device.mass_at): elsewhere the device has another mass"
     assert said in unwrapped(hapsim("check", path).out)
     assert said in checked(path)["assumptions"][0]
     path.write_text(text.replace("mass_at: [0.019, 0.1]", "mass_at: 0.05"), "utf-8")

@@ -76,7 +76,7 @@ def test_what_swings_for_ever_is_named(hapsim: Hapsim, scene: Callable[..., str]
 
 def test_it_is_not_told_where_it_is_not_derived(hapsim: Hapsim, scene: Callable[..., str]) -> None:
     told = words(hapsim("check", scene(more=", hold: impulse"), "--explain").out)
-    assert "hand: whether it is passive is not known, for it is derived for a zero-order hold" in told
+    assert "hand: whether it is passive is not known, for the condition is derived only for a zero-order hold" in told
 
 
 class TestARange:

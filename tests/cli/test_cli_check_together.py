@@ -69,7 +69,7 @@ def test_of_a_hand_without_a_motion_of_its_own_its_modes_are_named(hapsim: Hapsi
     file = tmp_path / "free.yaml"
     file.write_text(FREE, encoding="utf-8")
     out = words(hapsim("check", str(file)).out)
-    words_of_modes = "it swings together with what it holds (modes of 3.66, 8.8 and 18.1 Hz)"
+    words_of_modes = "it oscillates together with the parts that it moves (modes of 3.66, 8.8 and 18.1 Hz)"
     assert f"no single k and b say what it feels, for {words_of_modes}" in out
     assert "A steady push meets 666.7 N/m; moved to and fro, the hand meets at 2 Hz" in out
     (document,) = json.loads(hapsim("check", str(file), "--json").out)["felt_together"]

@@ -216,7 +216,7 @@ def test_names_that_look_like_units_stay_as_they_were_written(
     Path("turn by 5 m.yaml").write_text(NAMED.replace("DAMPING", "5.0e-4"), encoding="utf-8")
     told = " ".join(hapsim("check", "turn by 5 m.yaml").out.split())
     assert told.startswith("turn by 5 m.yaml at 1000 Hz: stable")
-    assert "knob moves a mass of the scene too (m, by N)" in told
+    assert "knob also moves a mass of the scene (m, by N)" in told
     assert "times the stiffness of N" in told
     assert "a hand of 2e-05 kg·m², friction 0.0001 N·m·s/rad" in told
     answer = hapsim("run", "turn by 5 m.yaml", "--duration", "0.1", "--record", "a 5 m.trace")
@@ -245,7 +245,7 @@ def test_a_scene_with_degrees_is_answered_in_degrees(hapsim: Hapsim, tmp_path: P
         assert "rad)" not in picture.read_text("utf-8").replace("N·m/rad)", "").replace("N·m·s/rad)", "")
     far = hapsim("measure", scene, "--at", "1.6")
     assert far.status == 2
-    assert "at: found 91.6732°, beyond the travel" in far.err or "found 91.6732°, which knob does not reach" in far.err
+    assert "at: found 91.6732°, beyond the travel" in far.err or "found 91.6732°, outside the travel of knob" in far.err
 
 
 def test_programs_and_records_stay_in_rad_where_people_read_degrees(hapsim: Hapsim, tmp_path: Path) -> None:

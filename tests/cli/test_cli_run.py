@@ -261,7 +261,7 @@ def test_a_force_limit_beyond_what_the_mock_gives_is_told_and_costs_no_resolutio
     hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
     answer = hapsim("measure", scene_file("spring", force_limit=1e12), "--json")
-    assert "Warning: device.force_limit: found 1e+12 N, more than 250 N: devices give 0.2 to 50 N.\n" in answer.err
+    assert "Warning: device.force_limit: found 1e+12 N, more than 250 N: devices render 0.2 to 50 N.\n" in answer.err
     predicted, measured = answer.document["predicted"], answer.document["measured"]
     assert measured["k"] == pytest.approx(predicted["k"], rel=1e-6)
     assert measured["b"] == pytest.approx(predicted["b"], rel=1e-5)

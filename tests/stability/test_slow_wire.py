@@ -147,7 +147,7 @@ def test_which_ports_are_paced_by_their_baud_rate() -> None:
         assert samples_on_wire(scene) == (2 if kind == "port" else 1)
         sentences = " ".join(warnings_about(scene, predict(scene)))
         assert ("2 on this wire" in sentences) == (kind == "port")
-        assert ("A USB device's own port does not mind" in sentences) == (kind == "unknown")
+        assert ("A USB device without a UART is not affected" in sentences) == (kind == "unknown")
 
 
 def test_frames_that_queue_up_are_judged_at_the_oldest_force_that_acts() -> None:

@@ -264,7 +264,7 @@ class TestTheFriction:
     def test_is_not_told_where_it_is_not_derived(self, hold: str) -> None:
         one = whole(network(hold=hold))
         assert (one.is_passive, one.shaking) == (None, None)
-        assert one.not_derived.startswith("it is derived for a zero-order hold")
+        assert one.not_derived.startswith("the condition is derived only for a zero-order hold")
 
 
 class TestTheHandThatIsShaken:
@@ -349,5 +349,5 @@ class TestTheWorstHand:
         assert worst.spectral_radius == pytest.approx(grown(network(), 0.3, 50.0), abs=1e-12)
 
     def test_needs_a_range(self) -> None:
-        with pytest.raises(UsageError, match=r"a hand's mass: found 2:1, expected low:high, from 0 on"):
+        with pytest.raises(UsageError, match=r"a hand's mass: found 2:1, expected low:high, both 0 or more"):
             whole(network()).worst_hand((2.0, 1.0), (0.0, 0.0))

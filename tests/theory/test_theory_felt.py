@@ -56,7 +56,7 @@ class TestFiguresWorkedOutElsewhere:
         """The figures are those of its own motion; after an impulse it moves with the mass much further, and slower."""
         modules = {"block": mass(5.0), "touch": link("hand", "block", 2000.0, 5.0)}
         one = together(modules | {"hold": link("block", "wall", 100.0, 1.0)})
-        assert one.felt.reason == "much of its movement follows what it holds"
+        assert one.felt.reason == "much of its movement follows the parts that it moves"
         assert one.felt.share == pytest.approx(0.96, abs=5e-3)
         own = felt_pair(one._network, most=1.0)
         assert (own.k[0, 0], own.b[0, 0]) == pytest.approx((2165.5, 3.189), rel=1e-4)

@@ -120,7 +120,7 @@ def test_a_cell_is_predicted_as_the_mass_the_link_and_the_ground_that_it_stands_
     )
     one, other = (predict(parse_scene(HEAD + text + touch)) for text in (cell, taken_apart))
     np.testing.assert_allclose(np.sort_complex(one.poles), np.sort_complex(other.poles), rtol=1e-9)
-    assert one.coupled == {"hand": "moves a mass of the scene too (c, by touch)"}
+    assert one.coupled == {"hand": "also moves a mass of the scene (c, by touch)"}
     assert one.margins[0].stiffness_factor == pytest.approx(other.margins[-1].stiffness_factor, rel=1e-6)
 
 

@@ -58,7 +58,7 @@ def test_a_limit_is_named_where_the_poles_pass_it_and_the_substeps_carry_the_sce
         name, value, unit = re.match(r"(\w+): (\S+) (N/m|N·s/m) is", sentence).groups()  # type: ignore[union-attr]
         key = "stiffness" if unit == "N/m" else "damping"
         assert float(value) == pytest.approx(document["modules"][name][key], rel=1e-5)
-        (steps,) = re.findall(r"(\d+) substeps in place", sentence)
+        (steps,) = re.findall(r"use (\d+) substeps", sentence)
         assert stable(document, substeps=int(steps))
         assert not stable(document, substeps=int(steps) - 1)
     if found:

@@ -187,7 +187,7 @@ def test_a_peak_beyond_the_force_limit_is_warned_of() -> None:
         knob = f"it: {{type: detent, between: [hand, wall], pitch: 0.1, depth: {depth}, damping: 4}}"
         scene = parse_scene(KNOB.format(travel="", links=knob))
         found = warnings_about(scene, predict(scene))
-        peak = f"hand at -0.025 m: the scene asks for {depth:g} N, of which the hand feels 10 N, the force limit."
+        peak = f"hand at -0.025 m: the scene's force is {depth:g} N; the force limit clips it to 10 N."
         assert (peak in found) == warned
 
 
@@ -195,7 +195,7 @@ def test_a_place_beyond_the_travel_is_an_error() -> None:
     links = "detent: {type: nonlinear, between: [hand, wall], force_over_distance: [[-0.01, -2], [0.01, 2]]}"
     scene = parse_scene(KNOB.format(travel=", travel: [-0.02, 0.02]", links=links))
     with pytest.raises(
-        UsageError, match=r"at: found 0.03 m, which hand does not reach; expected a position from -0.02"
+        UsageError, match=r"at: found 0.03 m, outside the travel of hand; expected a position from -0.02"
     ):
         predict(scene, at=0.03)
 
@@ -231,8 +231,8 @@ def test_around_a_place_the_links_of_what_moves_with_the_hand_are_as_they_rest_t
     scene = parse_scene(KNOB.format(travel="", links=links))
     of_hand = {at: predict(scene, at=at).poles for at in (0.0, 0.004, 0.012)}
     assert predict(scene, at=0.004).assumptions == (
-        "pad is taken as touched, as it is where the masses rest",
-        "stop is taken as apart, as it is where the masses rest",
+        "pad is taken as touched: its state where the masses rest",
+        "stop is taken as apart: its state where the masses rest",
     )
     linear = {
         0.0: (0.0, 0.0),

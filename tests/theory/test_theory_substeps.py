@@ -385,7 +385,7 @@ def test_where_it_takes_too_long_the_pitch_is_predicted_and_the_rest_is_said(mon
     taken = predict(plucked, with_margins=False)
     assert exact.by_its_scheme
     assert not taken.by_its_scheme
-    assert "48 substeps of as many masses take too long" in taken.assumptions[-1]
+    assert "48 substeps of this many masses take too long" in taken.assumptions[-1]
     pitches = [min(mode.frequency_hz for mode in one.modes if mode.frequency_hz > 50.0) for one in (exact, taken)]
     assert pitches[1] == pytest.approx(pitches[0], rel=1e-3)
 

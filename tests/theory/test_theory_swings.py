@@ -85,7 +85,7 @@ def test_it_is_as_large_as_on_the_mock(seed: int, figures: Any) -> None:
     assert seen == pytest.approx(swing.most, rel=0.1)
     shaking = surely_shaken_by(scene_of(points))
     assert shaking is not None
-    assert f"to a swing of {swing.sentence(LINEAR)}" in shaking.sentence(LINEAR)
+    assert f"to an oscillation of {swing.sentence(LINEAR)}" in shaking.sentence(LINEAR)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -231,12 +231,14 @@ class TestARecordedButton:
         assert prediction.trembles == ("hand",)
         assert not prediction.stable
         assert surely_shaken_by(scene) is None
-        assert [one for one in warnings_about(scene, prediction) if one.startswith("hand swings by itself")]
+        assert [one for one in warnings_about(scene, prediction) if one.startswith("hand oscillates by ")]
         assert run(scene, duration=0.1).report.ticks == 100
 
     def test_by_finer_counts_or_below_a_weaker_limit_it_is_refused(self) -> None:
         for scene in (scene_of(button(0.02), quantum=1e-6), scene_of(button(0.02), 1.0, quantum=self.COARSE)):
-            with pytest.raises(UsageError, match=r"to a swing of [0-9. to]+ µm and up to [0-9.]+ N from end to end"):
+            with pytest.raises(
+                UsageError, match=r"to an oscillation of [0-9. to]+ µm and up to [0-9.]+ N from end to end"
+            ):
                 start(scene, duration=0.1, unstable=False)
 
     def test_of_which_a_hand_presses_the_cap_may_be_armed_too(self) -> None:

@@ -30,7 +30,7 @@ from hapsim.scene.modules import Module
 from hapsim.theory import Configuration
 from hapsim.theory.correction import StatePredictor
 
-_WHY_LEFT = "a force that is no spring and damper everywhere has no stiffness and damping to correct"
+_WHY_LEFT = "its force is not that of one spring and damper everywhere"
 
 
 class Corrected(NamedTuple):
@@ -140,7 +140,7 @@ class _Correction:
             elements[port.name] = self.lone(port) if schedule is None else schedule.elements[0]
             if why := self.why_coupled[port.name]:
                 notes.append(
-                    f"{port.name} {why}: what moves with it is taken to stand still, since the scene has more than "
+                    f"{port.name} {why}: its neighbours are assumed fixed, because the scene has more than "
                     f"{MOST_STATES} numbers in its state"
                 )
         notes += self.match([port for port in self.ports if port.name not in elements and port.linear], elements)
@@ -153,7 +153,7 @@ class _Correction:
         for port in self.ports:
             if port.name in schedules:
                 settled[port.name] = schedules[port.name].settled(self.declared[port.name].mass)
-            notes += [f"{name} is left as it is: {_WHY_LEFT}" for name in port.others]
+            notes += [f"{name} is not corrected: {_WHY_LEFT}" for name in port.others]
         run, seen = self.with_elements(elements), self.as_seen(self.with_elements(settled))
         corrected = [
             Corrected(
@@ -256,13 +256,15 @@ class _Correction:
         names = ", ".join(alone)
         if matched is None:
             elements |= {name: one._replace(reached=False) for name, one in alone.items()}
-            why = f"no stiffness and damping at {names} gives the slowest mode its place: corrected as if it held alone"
+            why = (
+                f"no stiffness and damping at {names} places the slowest mode as desired: neighbours are assumed fixed"
+            )
             return [why, *self.over_the_spans(ports, elements)]
         masses = self.scene.device.masses(self.scene.channels)
         found, is_reached = matched
         for port, (K, B) in zip(ports, found, strict=True):
             elements[port.name] = Element(K, B, masses[port.channel], is_reached)
-        near = f"no stiffness and damping at {names} gives the slowest modes exactly their place: these come nearest"
+        near = f"no stiffness and damping at {names} places the slowest modes exactly as desired: the nearest are used"
         return [*([] if is_reached else [near]), *self.over_the_spans(ports, elements)]
 
     def over_the_spans(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
@@ -277,14 +279,14 @@ class _Correction:
         )
         placed = f"the modes are placed for {middle}, the middle of the span"
         if self.kind.predicts:
-            follows = ", which no estimate follows where a hand moves a mass or another hand" * self.kind.adapts
-            return [f"{placed}{follows}; what another mass makes of them is predicted with correction: poles alone"]
+            follows = "; no estimate follows the mass of a hand that moves masses or another hand" * self.kind.adapts
+            return [f"{placed}{follows}; the effect of another mass is predicted only with correction: poles"]
         run = self.with_elements({port.name: elements[port.name] for port in ports})
-        for end, words in enumerate(("least", "most")):
+        for end, words in enumerate(("least", "greatest")):
             masses = tuple(span[end] for span in self.spans)
             if not is_stable(with_device(run, mass=masses)):
                 return [f"{placed}: with the {words} mass of the span the scene is unstable"]
-        return [f"{placed}; stable with the least and with the most mass, too"]
+        return [f"{placed}; the scene is stable with the least and the greatest mass, too"]
 
     def rest(self, port: Port) -> float:
         """Position at which the linear links together have no force, m."""

@@ -91,7 +91,7 @@ class Configuration:
         if self.spring_lag and self.damper != "backward":
             raise ValueError(
                 f"damper is {self.damper!r}, but the mean of the substeps' forces (spring_lag {self.spring_lag:g}) is "
-                "worked out for a hand on a backward one."
+                "derived only for a backward damper."
             )
 
     @property

@@ -163,11 +163,11 @@ def without_pair(coefficients: list[Floats], pair: PolePair) -> list[Floats]:
 
 # Reasons why no k and b exist.
 
-NOT_FINITE = "a number that is asked about is not finite, or beyond what can be worked out"
-NEGATIVE = "the slowest motion changes its sign with every sample, which no spring and damper does"
-SINGLE = "the slowest motion is a single creep, and what follows it swings: no spring and damper does both"
-FURTHER = "a further pole of the loop decays no faster than the pair that would move the hand"
-OWN_ABOVE_NYQUIST = "mass and spring of the device swing by themselves at or above the Nyquist frequency, half the rate"
+NOT_FINITE = "a value is not finite, or out of the range of the computation"
+NEGATIVE = "the slowest motion changes its sign with every sample; no spring and damper does this"
+SINGLE = "the slowest motion creeps and the next one oscillates; no spring and damper does both"
+FURTHER = "another pole of the loop decays no faster than the pair of the hand"
+OWN_ABOVE_NYQUIST = "the device's own mass and spring oscillate at or above the Nyquist frequency, half the rate"
 
 
 def why_not_dominant(poles: Complexes, dominant: Bools) -> NDArray[np.str_]:

@@ -148,7 +148,7 @@ def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> 
                 for i, link in enumerate(links.tolist())
             ]
         )
-    coarse = ", coarser than the scene's resonances: a true margin may be nearer to 1" if angles.size >= most else ""
+    coarse = ", too coarse for the scene's resonances: a true margin may be nearer to 1" if angles.size >= most else ""
     return factors, f"the circle was sampled at {angles.size} angles{coarse}"
 
 

@@ -95,9 +95,9 @@ _WORST = 1e12  # condition number of the motions from which a pair is solved
 _SHOWN = 0.1  # rms share of the hands' velocity after an impulse in a motion that the hands take part in
 _TURNS = 10.0  # radians of the slowest motion of the hands: time over which a motion without decay is summed
 
-TOO_LARGE = "the scene is too large for it"
-TOGETHER = "it swings together with what it holds"
-FOLLOWS = "much of its movement follows what it holds"
+TOO_LARGE = "the scene is too large"
+TOGETHER = "it oscillates together with the parts that it moves"
+FOLLOWS = "much of its movement follows the parts that it moves"
 
 
 class FeltPair(NamedTuple):
@@ -209,7 +209,7 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
     elif network.point_mass.size + hands > 1 and not others <= most:
         reason = FOLLOWS
     elif not np.linalg.cond(alike / np.linalg.norm(alike, axis=0)) < _WORST:
-        reason = "two motions of its own are one"
+        reason = "two of its own motions coincide"
     else:
         kb = -np.linalg.solve(both.T, (network.channel_mass[:, None] * X * of**2).T).T.real
         return FeltPair(np.asarray(kb[:, :hands]), np.asarray(kb[:, hands:]), float(share[own].min()), others, found)

@@ -182,7 +182,7 @@ class LiftedTransition:
             NotWorkedOutError: the computation takes too long.
         """
         if self.size * self.steps > MOST_INVERSE:
-            raise NotWorkedOutError(f"{self.steps} substeps of as many masses take too long")
+            raise NotWorkedOutError(f"{self.steps} substeps of this many masses take too long")
         turns = (np.angle(shift) + 2.0 * np.pi * np.arange(self.steps)) / self.steps
         roots = abs(shift) ** (1.0 / self.steps) * np.exp(1j * turns)
         solves = [self.held.inverse(root) for root in roots.tolist()]

@@ -82,14 +82,14 @@ def _some_modes(network: Network) -> Solution:
     found = [*(one[1:] for one in searches), tuple(grown)]
     if isinstance(matrix, LiftedTransition):
         found.append(_lowest(matrix))
-        places.append("those of the masses' own that are lowest in pitch")
+        places.append("the masses' own poles of lowest pitch")
     poles, states = np.concatenate([one for one, _ in found]), np.hstack([states for _, states in found])
     motions = matrix.points @ states
     every, kept = _once_each(network, refined(network, poles, motions), motions)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
-    others = f"no other that grows by more than {least_seen:.1g} of itself in a sample period was seen"
+    others = f"no other motion was seen that grows by more than {least_seen:.1g} of itself per sample period"
     if grown[0].size or growth:
-        others = "and those that grow" if grown[0].size else "a random motion grew, whose pole was not found"
+        others = "and those that grow" if grown[0].size else "a random motion grew, but its pole was not found"
     listed = " and to ".join(filter(None, [", to ".join(places[:-1]), *places[-1:]]))
     how = f"{both.size} of {matrix.size} poles were worked out: those nearest to {listed}; {others}"
     return Solution(both, modes_of(network, every, motions[:, kept], states[:, kept]), matrix.size, how, growth)
@@ -103,11 +103,14 @@ def _searches(network: Network) -> Iterator[PoleSearch]:
         yield PoleSearch(-1.0 - BESIDE, 8, "-1")
     top = _highest(network)
     if top is not None:
-        yield PoleSearch(top[0], 2 if few else 16, "about the highest of the masses' own", top[1])
+        yield PoleSearch(top[0], 2 if few else 16, "about the highest of the masses' own poles", top[1])
     hands = [_hand_alone(network, channel) for channel in range(min(network.channel_mass.size, MOST_HANDS))]
     for hand in sorted({complex(np.round(hand, 6)) for hand in hands}, key=abs):
         yield PoleSearch(
-            hand, 2 if few else 12, "the hand's own" if len(hands) == 1 else "the hands' own", np.ones(len(hands))
+            hand,
+            2 if few else 12,
+            "the hand's own pole" if len(hands) == 1 else "the hands' own poles",
+            np.ones(len(hands)),
         )
 
 

@@ -36,7 +36,7 @@ STEPS = 10.0 ** np.concatenate([np.arange(0.04, 1.0, 0.04), np.arange(1.0, 10.0,
 
 Range = tuple[float, float]
 """Range of factors: (from, to)."""
-SEARCHED = f"searched up to {STEPS[-1]:.0e} times, in steps of a tenth, beyond tenfold of double"
+SEARCHED = f"searched up to {STEPS[-1]:.0e} times, in steps of 10 %, beyond tenfold of a factor of 2"
 """Range and resolution of the search for margins under other schemes, and with substeps."""
 
 
@@ -122,10 +122,10 @@ def _by_crossings(network: Network, links: int, size: int, touching: int, unstab
 def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Search:
     most = int(WORK / (SEARCHES * (4 if unstable else 1)) / (size + 40) ** 3)
     most = max(most, int(size <= ONE_AT_LEAST))
-    how = f"{SEARCHED}: what comes and goes within a step is not seen"
+    how = f"{SEARCHED}; an unstable range within one step is not seen"
     if not most:
         under = f"under scheme: {network.scheme}" if network.substeps == 1 else "with substeps"
-        how = f"none was worked out: {under} that is done for fewer masses only"
+        how = f"none was worked out: the scene has too many masses {under}"
     elif links > most:
         how = f"{most} of {links} links, those that touch a hand first; {how}"
     return _Search(most, how, lambda link, quantity: ChangedLink(network, link, quantity).ranges_searched(unstable))
@@ -134,7 +134,7 @@ def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Searc
 def _along_circle(network: Network, links: Indices, asked: int, poles: Complexes, unstable: bool) -> _Search:
     if unstable or not links.size:
         why = "a large scene that is unstable" if unstable else "a large scene with many links and no hand"
-        return _Search(0, f"none was worked out: that is not done for {why}", lambda _link, _quantity: ())
+        return _Search(0, f"none was worked out for {why}", lambda _link, _quantity: ())
     factors, how = margins_along_circle(network, links, poles)
     of_link = dict(zip(links.tolist(), factors.tolist(), strict=True))
     some = f"{links.size} of {asked} links, those that touch a hand; " if links.size < asked else ""

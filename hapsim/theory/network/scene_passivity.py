@@ -68,10 +68,10 @@ class Passivity(NamedTuple):
 def why_not_derived(network: Network) -> str:
     """Reason why the condition is not derived; "" if it is."""
     if network.hold != "zoh" or network.sampling != "ideal":
-        return "it is derived for a zero-order hold and ideal sampling"
+        return "the condition is derived only for a zero-order hold and ideal sampling"
     if any(damper.senses for damper in network.damper):
-        return "it is not derived for a damper that takes the device's velocity"
-    return "the scene is too large for it" if is_large(network) else ""
+        return "the condition is not derived for a damper that senses the device's velocity"
+    return "the scene is too large" if is_large(network) else ""
 
 
 @dataclass(frozen=True, eq=False)
