@@ -208,7 +208,7 @@ def limit_of(declared: Configuration, plane: DesiredPlane) -> float:
 def draw_felt(chart: FeltChart, title: str, path: Path) -> None:
     """Draws it to a file: .svg, .png or .pdf."""
     with figure_to(path, 7.4, 5.8) as figure:
-        figure.suptitle(f"Is what is desired felt?   {title}", fontsize=9)
+        figure.suptitle(f"Accuracy of the felt stiffness and damping   {title}", fontsize=9)
         above, below = np.asarray(figure.subfigures(2, 1, height_ratios=[1.26, 1.0])).tolist()
         panels = above.subplots(1, len(chart.felt), sharex=True, sharey=True)
         for axes, name in zip(panels, chart.felt, strict=True):
@@ -230,15 +230,13 @@ def draw_felt(chart: FeltChart, title: str, path: Path) -> None:
         left, right = below.subplots(1, 2, sharey=True)
         _draw_shares(left, chart.mass_ratio, chart.against_mass, "true mass / declared mass")
         _draw_shares(right, chart.delay, chart.against_delay, "delay  (samples)")
-        most = 100.0 * chart.limit
-        right.axhline(most, color="0.4", linewidth=0.8, zorder=0.9)
-        words = f"any controller: {most:.0f} % at most,\nwhat swings below half the rate"
-        beside: Any = {"xycoords": right.get_yaxis_transform(), "textcoords": "offset points", "fontsize": 8.5}
-        right.annotate(words, (0.97, most), (0, -5), va="top", ha="right", **beside)
+        label = f"limit of any controller: motions below half the rate, {100.0 * chart.limit:.0f} %"
+        limit = right.axhline(100.0 * chart.limit, label=label, color="0.4", linewidth=0.8, zorder=0.9)
+        right.xaxis.set_major_formatter("{x:g}")
         left.set_xscale("log", base=2)
         left.set_xticks([0.5, 0.7, 1.0, 1.4, 2.0], ["0.5", "0.7", "1", "1.4", "2"])
         left.set_ylabel(f"share felt within {100.0 * OF_SHARES:.0f} %")
-        legend_below(below, 4, handles=left.get_lines())
+        legend_below(below, 4, handles=[*left.get_lines(), limit])
 
 
 def _draw_plane(axes: Axes, chart: FeltChart, name: str) -> None:
@@ -334,14 +332,14 @@ def tolerance_chart(scene: Scene, name: str, over: str) -> ToleranceChart:
 def draw_tolerance(chart: ToleranceChart, title: str, path: Path, shares: Sequence[float] = SHARES) -> None:
     """Draws it to a file: .svg, .png or .pdf."""
     with figure_to(path, 7.4, 4.0) as figure:
-        figure.suptitle(f"How well the device has to be known   {title}", fontsize=9)
+        figure.suptitle(f"Tolerance to errors in the device's parameters   {title}", fontsize=9)
         panels = figure.subplots(1, 2, sharey=True)
         for axes, errors, label in zip(panels, (chart.k_error, chart.b_error), ("k", "b"), strict=True):
             for share in shares:
                 axes.axhspan(-100.0 * share, 100.0 * share, **style.WITHIN)
             for name, error in errors.items():
                 axes.plot(chart.true, 100.0 * error, label=name, **style.CORRECTIONS[name])
-            axes.set(title=f"{label} felt beside {label} desired", xlabel=drawn_in().filled(_LABELS[chart.over]))
+            axes.set(title=f"relative error of the felt {label}", xlabel=drawn_in().filled(_LABELS[chart.over]))
             axes.set(xlim=(chart.true[0], chart.true[-1]), ylim=(-_MOST_PER_CENT, _MOST_PER_CENT))
             axes.yaxis.set_major_formatter("{x:+.0f} %")
             axes.grid()

@@ -255,9 +255,11 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
             panels[:, 1], (f"k  ({units.name('N/m')})", f"b  ({units.name('N·s/m')})"), (0, 1), strict=True
         ):
             _set_up(axes)
-            # Near what is asked for it is drawn to scale, resonances and what is below 0 beyond on a logarithmic one.
+            # Linear near the desired value. Beyond it, resonances and values below 0 are drawn logarithmically.
             level = float(np.median(np.abs(both[0][part])))
-            axes.set_yscale("symlog", linthresh=10.0 ** math.ceil(math.log10(level)) if level > 0.0 else 1.0)
+            linear_to = 10.0 ** math.ceil(math.log10(level)) if level > 0.0 else 1.0
+            if np.nanmax(np.abs([one[part] for one in both])) > linear_to:
+                axes.set_yscale("symlog", linthresh=linear_to)
             axes.plot(data.frequency, both[0][part], **style.DESIRED)
             axes.plot(data.frequency, both[1][part], **style.RENDERED)
             axes.set_ylabel(label)

@@ -32,7 +32,7 @@ _MOST = (12, 9)  # curves of equal k, and of equal b
 _MOST_OF_A_FAMILY = (4, 4)  # for each of several masses
 _SHARES = {"iso_k": 0.6, "iso_b": 0.35}  # of a curve's length: where its number is
 _SHORTEST = 30.0  # pixels of a curve that has a number
-_HALF_NUMBER = 26.0  # pixels: half of the distance between two numbers
+_CLEAR = 4.0  # pixels around a number
 MOST_MASSES = len(style.OF_MASS)
 
 
@@ -149,14 +149,12 @@ def draw_plane(data: Plane, title: str, path: Path) -> None:
         axes = figure.add_subplot()
         axes.set_title(title)
         view, scale = data.sheets[0].view, data.scale  # K horizontally, as in the paper
-        axes.set(
-            xlim=(0.0, scale.of_stiffness(view.K_to)), xlabel=scale.axis_labels[0]
-        )  # horizontally, as in the paper
+        axes.set(xlim=(0.0, scale.of_stiffness(view.K_to)), xlabel=scale.axis_labels[0])
         axes.set(ylim=(scale.of_simulated(view.B_from), scale.of_simulated(view.B_to)), ylabel=scale.axis_labels[1])
         if scale.total and scale.offset > 0.0:
             where: Any = {"xycoords": ("axes fraction", "data"), "va": "center"}
             axes.annotate("– $B = 0$", (1.0, scale.of_simulated(0.0)), **where)
-        unstable = "unstable with one of them at least" if data.is_family else "unstable"
+        unstable = "unstable for at least one mass" if data.is_family else "unstable"
         _fill(axes, data.unstable, unstable, style.UNSTABLE_WITH_SOME_MASS if data.is_family else style.UNSTABLE)
         _fill(axes, data.without_equivalent, "no spring and damper is equivalent", style.NO_EQUIVALENT)
         _fill(axes, data.passive, "passive: stable with any hand", style.PASSIVE)
@@ -252,18 +250,20 @@ def _write_numbers(axes: Axes, data: Plane, words: Sequence[Any]) -> None:
     names = {"iso_k": "$k$ = ", "iso_b": "$b$ = "} if data.is_family else {"iso_k": "", "iso_b": ""}
     # Between the lightest and the heaviest mass the style of a curve says enough.
     first, last = data.masses[0], data.masses[-1]
-    for curve in data.iso:
+    for curve in (curve for curve in data.iso if curve.mass in (first, last)):
         share = _SHARES[curve.kind] + (0.25 if curve.mass != first else 0.0)
-        place = _place_on(axes, curve, share, taken) if curve.mass in (first, last) else None
-        if place is not None:
-            taken.append(Bbox(np.add(place, [[-_HALF_NUMBER], [_HALF_NUMBER]])))
-            x, y = axes.transData.inverted().transform(place)
-            axes.text(x, y, f"{names[curve.kind]}{short(curve.value)}", **style.NUMBER)
+        number = axes.text(0.0, 0.0, f"{names[curve.kind]}{short(curve.value)}", **style.NUMBER)
+        box = _box_on(axes, curve, share, 0.5 * number.get_window_extent().size + _CLEAR, taken)
+        if box is None:
+            number.remove()
+        else:
+            taken.append(box)
+            number.set_position(axes.transData.inverted().transform(0.5 * (box.min + box.max)))
 
 
-def _place_on(axes: Axes, curve: Curve, share: float, taken: Sequence[Any]) -> Floats | None:
-    """Returns the place (2,), in pixels, of a number on the longest visible piece of a curve: near this share of its
-    length, outside of the boxes `taken`. None if the piece is short."""
+def _box_on(axes: Axes, curve: Curve, share: float, half: Floats, taken: Sequence[Any]) -> Bbox | None:
+    """Returns a box for a number, in pixels, on the longest visible piece of a curve: near this share of its length,
+    within the axes, clear of the boxes `taken`. `half`: half its size. None if there is no room."""
     points = axes.transData.transform(np.column_stack([curve.K, curve.B]))
     inside = np.array([np.isfinite(point).all() and axes.bbox.contains(*point) for point in points])
     ends = np.flatnonzero(np.diff(inside, prepend=False, append=False)).reshape(-1, 2)
@@ -274,6 +274,8 @@ def _place_on(axes: Axes, curve: Curve, share: float, taken: Sequence[Any]) -> F
         return None
     for offset in (0.0, 0.1, -0.1, 0.2, -0.2, 0.3):
         place = np.array([np.interp(length * (share + offset), lengths[i], column) for column in pieces[i].T])
-        if not any(box.contains(*place) for box in taken):
-            return place
+        box = Bbox([place - half, place + half])
+        is_inside = np.all(box.min >= axes.bbox.min) and np.all(box.max <= axes.bbox.max)
+        if is_inside and not box.count_overlaps(taken):
+            return box
     return None

@@ -233,8 +233,8 @@ def draw_device_residual(found: DeviceIdentification, path: Path) -> None:
         _draw_forces(panels["velocity"], units.scaled(lacking.velocity, "m/s"), force, noise)
         _draw_forces(panels["position"], units.scaled(lacking.position, "mm"), force, noise)
         panels["velocity"].set_xlabel(f"velocity ({units.name('m/s')})")
-        panels["position"].set_xlabel(f"position from where it was found ({units.name('mm')})")
-        panels["velocity"].set_ylabel(f"force beside the model ({units.name(unit)})")
+        panels["position"].set_xlabel(f"position relative to the start ({units.name('mm')})")
+        panels["velocity"].set_ylabel(f"missing force ({units.name(unit)})")
         panels["position"].sharey(panels["velocity"])
         legend_below(figure, 3)
         figure.suptitle(_title(found), fontsize=9)
@@ -253,21 +253,21 @@ def _draw_over_time(axes: Axes, found: DeviceIdentification) -> None:
     top = axes.get_ylim()[1]
     for begin, drive in zip(begins, found.drives, strict=False):
         axes.axvline(float(begin), linestyle=":", **style.ZERO_LINE)
-        words = f" K = {units(drive.stiffness, 'N/m', '.3g')}, B = {units(drive.damping, 'N·s/m', '.2g')}"
+        words = f" K = {units(drive.stiffness, 'N/m', '.3g')}\n B = {units(drive.damping, 'N·s/m', '.2g')}"
         axes.annotate(words, (float(begin), top), ha="left", va="bottom", fontsize=8)
-    axes.set_xlabel("time (s), the runs one after the other")
-    axes.set_ylabel(f"position beside the model ({units.name(unit)})")
+    axes.set_xlabel("time (s), runs in sequence")
+    axes.set_ylabel(f"position residual ({units.name(unit)})")
 
 
 def _draw_forces(axes: Axes, along: Floats, force: Floats, noise: float) -> None:
     """Draws the force that the model lacks in each window, and its mean over the velocity or the position."""
     from hapsim.measuring.device_diagnosis import BINS, binned
 
-    axes.plot(along, force, markersize=2.5, label="a window each", **style.RESIDUAL)
+    axes.plot(along, force, markersize=2.5, label="one window", **style.RESIDUAL)
     axes.axhspan(-2.0 * noise, 2.0 * noise, color="0.9", zorder=0, label="95 % of noise and rounding")
     if force.size >= 4 * BINS:
         _, middles, means = binned(along, force)
-        axes.plot(middles, means, label="mean over a twelfth of them", **style.MEAN)
+        axes.plot(middles, means, label="mean of each twelfth", **style.MEAN)
     axes.axhline(0.0, **style.ZERO_LINE)
 
 

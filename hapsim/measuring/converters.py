@@ -1,4 +1,4 @@
-"""How a device holds a force and samples its position: all that measuring knows of a hold, by its pieces in time."""
+"""The device's hold and position sampling, and their frequency response."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ Complexes = NDArray[np.complex128]
 
 
 class Converters(NamedTuple):
-    """The device's hold and sampling, by the scene's names."""
+    """The device's hold and sampling, named as in the scene."""
 
     hold: str
     sampling: str
 
     @property
     def keeps_last_force(self) -> bool:
-        """Whether a force that is not renewed in time goes on, or else ends."""
+        """True if a force that is not renewed in time goes on; False if it ends."""
         return HOLDS[self.hold].keeps_last_force
 
     @property
     def averages(self) -> bool:
-        """Whether a position is the mean over the sample period before it."""
+        """True if a position is the mean over the sample period before it."""
         return self.sampling == "average"
 
     def response(self, frequency: Floats, rate: float, delay: float) -> Complexes:
-        """(n,) by what a computed force becomes one that acts, and a motion one that is read: hold, `delay` samples and
-        sampling together, at frequencies in Hz."""
+        """Returns the response (n,) of hold, `delay` samples and sampling together, at frequencies (n,) in Hz: from a
+        computed force to the acting one, and from a motion to the sampled one."""
         angle = 2.0 * np.pi * frequency / rate
         nodes, shares = np.polynomial.legendre.leggauss(16)  # to rounding, up to half the sample rate
         held, begin = np.zeros(angle.size, complex), 0.0

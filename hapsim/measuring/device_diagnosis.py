@@ -1,8 +1,8 @@
-"""Where the model of a device does not fit, and why a device cannot be identified: each cause in a sentence.
+"""Diagnosis of a device: why its model does not fit, or why it cannot be identified, each cause in a sentence.
 
-Where it does not fit, with the position, the velocity or at the reversals, a smoothed balance of forces shows.
-Multiplied by a window psi that vanishes at both ends, with its first two derivatives, and integrated by parts, the
-equation of motion holds for positions instead of accelerations (Shinbrot's modulating functions, 1957):
+A smoothed balance of forces shows the misfit over position, velocity, or near the reversals. The equation of motion is
+multiplied by a window psi and integrated by parts. psi and its first two derivatives vanish at both ends, so the
+equation holds for positions instead of accelerations (Shinbrot's modulating functions, 1957):
 
     m <psi'', x> - b0 <psi', x> + k0 <psi, x> + Fc side <psi, 1> - F0 <psi, 1> = <psi, F>
 """
@@ -28,32 +28,32 @@ BINS = 12
 LOUD = 2.0  # times the noise at rest and the rounding
 _WINDOW = Polynomial([1.0, 0.0, -1.0]) ** 3  # (1 - s²)³ for s from -1 to 1
 _LEAST_WIDTH, _LEAST_WINDOWS = 8, 20
-_LEAST_SHARE = 0.3  # of the variance of the force that is lacking: with less it goes with nothing in particular
+_LEAST_SHARE = 0.3  # of the missing force's variance: with less it depends on nothing in particular
 _QUIET = 0.25  # of the force: noise that hides nothing
-_LATER = 0.1  # sample periods: a difference of the delay
-_SLOW = 1e-4  # periods per sample: a motion that shows hold, delay and sampling as a delay alone
+_DELAY_STEP = 0.1  # sample periods: a difference of the delay
+_SLOW = 1e-4  # periods per sample: so slow that hold, delay and sampling act as a delay alone
 
 
 @dataclass(frozen=True)
 class ForceResidual:
-    """What force the model lacks, and where, in windows of a third of a swing. Arrays (R,), SI units."""
+    """The force that the model lacks, in windows of at most a third of a swing. Arrays (R,), SI units."""
 
-    motion: NDArray[np.int64]  # which run of the record
-    row: NDArray[np.int64]  # of that run, at the middle of the window
-    position: Floats  # m from where the device was found
+    motion: NDArray[np.int64]  # index of the run in the record
+    row: NDArray[np.int64]  # row of that run at the middle of the window
+    position: Floats  # m from the home position
     velocity: Floats
-    in_swing: Floats  # share of its swing that has passed, 0 at one reversal to 1 at the next
-    force: Floats  # N that acted beside the modelled ones, whatever the model's parameters
-    modelled: Floats  # (R, 6) forces that the parameters are factors of, the last by the delay
-    noise: float  # N rms that noise and rounding of the positions make of it
-    typical_force: float  # N rms that was sent
+    in_swing: Floats  # fraction of the swing that has passed, from 0 at one reversal to 1 at the next
+    force: Floats  # N, the part that no parameters of the model explain
+    modelled: Floats  # (R, 6) forces per unit of each parameter, the last of the delay
+    noise: float  # N rms, the part of it that noise and rounding of the positions cause
+    typical_force: float  # N rms, as sent
 
 
 def force_residual(
     motions: list[Motion], fit: DeviceFit, noise_counts: float, count_m: float, rate_hz: float, converters: Converters
 ) -> ForceResidual:
-    """Of the swings of a fit, in windows as short as noise allows, a third of a swing at most. `noise_counts`: of a
-    position of the device at rest, rms; `count_m`: m per count."""
+    """Returns the force that a fit lacks, in windows as short as the noise allows. `noise_counts`: noise of the
+    position at rest, rms; `count_m`: m per count."""
     rows = [swing.rows for swing in fit.swings]
     width = max(_LEAST_WIDTH, min(int(np.median(rows)) // 3, sum(rows) // _LEAST_WINDOWS))
     noise = math.hypot(noise_counts, ROUNDING) * count_m
@@ -72,8 +72,8 @@ def force_residual(
 def _in_windows(
     motions: list[Motion], fit: DeviceFit, noise: float, count_m: float, rate_hz: float, late: float, width: int
 ) -> ForceResidual:
-    """In windows of `width` rows, half overlapping, inside of the swings. `noise`: m rms of a position; `late`: rows
-    from a force to the middle of what it does."""
+    """Returns the missing force in half-overlapping windows of `width` rows within the swings. `noise`: of a position,
+    m rms; `late`: rows from a force to the middle of its effect."""
     windows = [
         (swing.motion, begin, swing.side, (begin + width // 2 - swing.first) / swing.rows)
         for swing in fit.swings
@@ -83,13 +83,13 @@ def _in_windows(
     at = list(zip(motion.astype(int), begin.astype(int), strict=True))
 
     def weighted(signals: list[Floats], kernels: Floats, before: int = 0) -> Floats:
-        """(R, kernels): each window's weighted sums, from `before` rows before it on."""
+        """Returns the weighted sums (R, kernels) of each window, from `before` rows before it."""
         length = kernels.shape[1]
         padded = [np.pad(signal, (before, 0)) for signal in signals]
         return np.array([kernels @ padded[i][j : j + length] for i, j in at]).reshape(-1, kernels.shape[0])
 
     def force(late: float) -> Floats:
-        """(R,) N: the mean force in each window; before a record none acted."""
+        """Returns the mean force (R,) in each window, N; it is zero before the record."""
         before = math.ceil(late) + 1
         rows = np.arange(width + before) - before + late - 0.5 * (width - 1)
         weights = _WINDOW(np.clip(2.0 * rows / width, -1.0, 1.0))
@@ -97,21 +97,21 @@ def _in_windows(
 
     kernels = _kernels(width)
     moved = count_m * weighted([one.position for one in motions], kernels)
-    # The residual moves like the device under the lacking force, and under no other.
+    # The residual is the motion of the device under the missing force alone.
     left = [np.zeros_like(one.position) for one in motions]
     for swing, error in zip(fit.swings, fit.residuals, strict=True):
         left[swing.motion][swing.first : swing.last] = error
     inertia = fit.mass.value * rate_hz**2
     lacking = weighted(left, kernels) @ [inertia, fit.friction.value * rate_hz, fit.stiffness.value] * count_m
     sent = force(late)
-    modelled = np.column_stack([moved, side, -np.ones_like(side), force(late + _LATER) - sent])
+    modelled = np.column_stack([moved, side, -np.ones_like(side), force(late + _DELAY_STEP) - sent])
     return ForceResidual(
         motion=motion.astype(np.int64),
         row=begin.astype(np.int64) + width // 2,
         position=moved[:, 2],
         velocity=moved[:, 1] * rate_hz,
         in_swing=in_swing,
-        force=_beside(modelled, lacking),
+        force=_unexplained(modelled, lacking),
         modelled=modelled,
         noise=float(np.linalg.norm(kernels[0])) * noise * inertia,
         typical_force=_rms(sent),
@@ -119,19 +119,19 @@ def _in_windows(
 
 
 def _kernels(width: int) -> Floats:
-    """(3, width): by what `width` positions become their acceleration, velocity (in sample periods) and mean."""
+    """Returns the kernels (3, width) for the acceleration, velocity (per sample period) and mean of positions."""
     half = 0.5 * width
     at = (np.arange(width) - 0.5 * (width - 1)) / half
     window, first, second = (p(at) for p in (_WINDOW, _WINDOW.deriv(), _WINDOW.deriv(2)))
-    # The sums of the derivatives vanish exactly, so that a position may be counted from anywhere.
+    # The sums of the derivatives vanish exactly, so that the origin of the positions does not matter.
     first, second = first - np.mean(first), second - np.mean(second)
     second *= 2.0 / float(second @ (at * half) ** 2)
     first /= float(first @ (at * half))
     return np.stack([second, first, window / np.sum(window)])
 
 
-def _beside(explaining: Floats, force: Floats) -> Floats:
-    """What no combination of the columns explains."""
+def _unexplained(explaining: Floats, force: Floats) -> Floats:
+    """Returns the part of `force` that no combination of the columns explains."""
     size = np.linalg.norm(explaining, axis=0)
     q, _ = np.linalg.qr(explaining[:, size > 0.0] / size[size > 0.0])
     return np.asarray(force - q @ (q.T @ force))
@@ -142,36 +142,36 @@ def _rms(values: Floats) -> float:
 
 
 def misfit_of(fit: DeviceFit, lacking: ForceResidual, noise_counts: float, units: Units) -> str:
-    """In a sentence, where the model does not fit; "" where only noise and rounding remain. `noise_counts`: of a
-    position of the device at rest, rms."""
+    """Returns a sentence about the misfit of the model; "" if only noise and rounding remain. `noise_counts`: noise of
+    the position at rest, rms."""
     expected = math.hypot(noise_counts, ROUNDING)
     if fit.is_white and fit.residual_counts < LOUD * expected:
         return ""
     return (
-        f"the model does not fit: it leaves {fit.residual_counts:.3g} counts rms of the positions, where rounding and "
-        f"noise explain {expected:.2g}. The force that it lacks, {units(_rms(lacking.force), 'N', '.2g')} rms beside "
-        f"pushes of {units(lacking.typical_force, 'N', '.2g')} rms, {_where(lacking, units)}."
+        f"the model does not fit: its residual is {fit.residual_counts:.3g} counts rms, but rounding and noise explain "
+        f"only {expected:.2g}. The missing force ({units(_rms(lacking.force), 'N', '.2g')} rms; the pushes have "
+        f"{units(lacking.typical_force, 'N', '.2g')} rms) {_misfit_pattern(lacking, units)}."
     )
 
 
-def _where(lacking: ForceResidual, units: Units) -> str:
-    at_position, position = _explained(lacking, lacking.position, 1.0)
-    at_velocity, velocity = _explained(lacking, lacking.velocity, 1.0)
+def _misfit_pattern(lacking: ForceResidual, units: Units) -> str:
+    at_position, position = _explained_share(lacking, lacking.position, 1.0)
+    at_velocity, velocity = _explained_share(lacking, lacking.velocity, 1.0)
     # A force that the model lacks changes its sign where the motion reverses.
-    in_swing, moment = _explained(lacking, lacking.in_swing, np.sign(lacking.velocity))
+    in_swing, moment = _explained_share(lacking, lacking.in_swing, np.sign(lacking.velocity))
     best = max(at_position, at_velocity, in_swing)
     if not best > _LEAST_SHARE:
-        return "goes with neither position nor velocity nor reversals: a hand that moves by itself, or another force"
+        return "depends on neither position, velocity nor reversals: a hand may move by itself, or another force acts"
     if best == at_position:
-        return f"goes with the position ({best:.0%} of it), and is largest at {units(position, 'mm', '+.2g')}"
+        return f"depends on the position ({best:.0%} of its variance) and is largest at {units(position, 'mm', '+.2g')}"
     if best == at_velocity:
-        return f"goes with the velocity ({best:.0%} of it), and is largest at {units(velocity, 'mm/s', '+.2g')}"
+        return f"depends on the velocity ({best:.0%} of its variance), largest at {units(velocity, 'mm/s', '+.2g')}"
     where = "near the reversals" if abs(moment - 0.5) > 0.25 else "in the middle between two reversals"
-    return f"is largest {where} ({best:.0%} of it)"
+    return f"is largest {where} ({best:.0%} of its variance)"
 
 
 def binned(along: Floats, force: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
-    """(the bin of each, the mean of `along` and of `force` in each): bins of equally many values."""
+    """Returns the bin of each value, and the means of `along` and `force` in each. Bins have equally many values."""
     edges = np.quantile(along, np.linspace(0.0, 1.0, BINS + 1))
     number = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, BINS - 1)
     counts = np.maximum(np.bincount(number, minlength=BINS), 1)
@@ -179,34 +179,34 @@ def binned(along: Floats, force: Floats) -> tuple[NDArray[np.int64], Floats, Flo
     return number, middles, means
 
 
-def _explained(lacking: ForceResidual, along: Floats, sign: float | Floats) -> tuple[float, float]:
-    """(share of the force's variance, beyond that of noise, that a force by bins of `along` explains, beyond chance and
-    beyond what other parameters of the model would; where it is largest)."""
+def _explained_share(lacking: ForceResidual, along: Floats, sign: float | Floats) -> tuple[float, float]:
+    """Returns the share of the missing force's variance that bins of `along` explain, and the bin where it is largest.
+    The share excludes noise, chance, and the part that other parameters of the model would explain."""
     force, rows = lacking.force, lacking.force.size
     if rows < 4 * BINS:
         return 0.0, 0.0
     number, middles, means = binned(along, force * sign)
     bins = np.eye(BINS)[number] * np.reshape(sign, (-1, 1))
     columns = np.column_stack([lacking.modelled, bins])
-    left = float(np.sum(_beside(columns, force) ** 2)) / (rows - columns.shape[1])
+    left = float(np.sum(_unexplained(columns, force) ** 2)) / (rows - columns.shape[1])
     total = float(np.sum(force**2)) / (rows - lacking.modelled.shape[1])
     beyond = total - lacking.noise**2
     worst = float(middles[np.argmax(np.abs(means))])
     return (min((total - left) / beyond, 1.0) if beyond > 0.0 else 0.0), worst
 
 
-_UNSURE = 0.3  # of the mass: its uncertainty, beyond which nothing is said of it
-_UNEXPLAINED, _UNEXPLAINED_INVERTED = 0.5, 0.001  # of the motion, rms: more is not of the force
-_ENOUGH = 0.25  # of the travel
-_MANY = 300.0  # times noise and rounding: a motion that they do not hide
-_MORE_TRAVEL = (1.5, 10.0)  # times the travel, where more of it would do
+_UNSURE = 0.3  # relative uncertainty of the mass that is too large to report it
+_UNEXPLAINED, _UNEXPLAINED_WRONG_WAY = 0.5, 0.001  # of the motion, rms: a larger share has another cause than the force
+_ENOUGH_TRAVEL = 0.25  # of the travel
+_CLEAR_MOTION = 300.0  # times noise and rounding: a motion that they do not hide
+_MORE_TRAVEL = (1.5, 10.0)  # times the travel: the range of a suggested one
 
 
-class Pushed(NamedTuple):
-    """How a run pushed the device, and how far it moved."""
+class PushedRun(NamedTuple):
+    """The push of a run, and the motion of the device under it."""
 
     force: float  # N
-    peak_m: float  # from where it was found
+    peak_m: float  # from the home position
     bounds: Bounds
     noise_m: float  # rms, at rest
     count_m: float
@@ -214,64 +214,61 @@ class Pushed(NamedTuple):
 
     @property
     def floor(self) -> float:
-        """m rms, of noise and rounding."""
+        """Noise and rounding of the position, m rms."""
         return math.hypot(self.noise_m, ROUNDING * self.count_m)
 
     def is_loud(self, fit: DeviceFit) -> bool:
-        """Whether the fit leaves more than noise and rounding."""
+        """Returns True if the residual of the fit exceeds noise and rounding."""
         return fit.residual_counts * self.count_m > LOUD * self.floor
 
 
-def why_not(fit: DeviceFit | None, pushed: Pushed) -> UsageError | RunError | None:
-    """Why this fit is none to go on from; None where it is one."""
-    if fit is not None and (error := inverted(fit, pushed) or _moved_by_another(fit, pushed)):
+def fit_error(fit: DeviceFit | None, pushed: PushedRun) -> UsageError | RunError | None:
+    """Returns the error that rules this fit out, or None."""
+    if fit is not None and (error := polarity_error(fit, pushed) or _other_force_error(fit, pushed)):
         return error
     unsure = math.inf if fit is None else abs(fit.mass.uncertainty / fit.mass.value)
     if unsure < _UNSURE:
         return None
     force, moved, allowed, units = pushed.force, pushed.peak_m, pushed.bounds.travel, pushed.units
-    if moved < _ENOUGH * allowed:
+    if moved < _ENOUGH_TRAVEL * allowed:
         return UsageError(
-            f"pushed with {units(force, 'N', '.3g')} the device moved by {units(moved, 'µm', '.3g')}, which is too "
-            "little to identify "
-            "anything: it is held, stuck by dry friction, much heavier than declared, or its motor does not push. Let "
-            "it move freely, or allow more with --push"
+            f"a push of {units(force, 'N', '.3g')} moved the device by {units(moved, 'µm', '.3g')}, too little to "
+            "identify anything: it is held, stuck by dry friction, much heavier than declared, or its motor does not "
+            "push. Let it move freely, or allow more force with --push"
         )
-    if unsure > 1.0 and moved > _MANY * pushed.floor:
+    if unsure > 1.0 and moved > _CLEAR_MOTION * pushed.floor:
         return UsageError(
-            f"pushed with {units(force, 'N', '.3g')} the device moved by {units(moved, 'mm', '.3g')}, but in jerks, or "
-            "only now and then: dry friction holds it, or the record is too short. Allow more with --push and --travel"
+            f"a push of {units(force, 'N', '.3g')} moved the device by {units(moved, 'mm', '.3g')}, but in jerks or "
+            "only sometimes: dry friction holds it, or the record is too short. Allow more with --push and --travel"
         )
     least, most = (factor * allowed for factor in _MORE_TRAVEL)
     travel = min(max(2.0 * unsure / _UNSURE * allowed, least), most)
     what, size = ("noise", pushed.noise_m) if pushed.noise_m > pushed.count_m else ("counts", pushed.count_m)
     return UsageError(
-        f"the position's {what} of {units(size, 'µm', '.3g')} hide how the device answers within "
-        f"{units(allowed, 'mm', 'g')} to "
-        f"either side: nothing was identified. Allow more with --travel, {travel:.2g} ({units.si.name('m')}) for a "
-        "start"
+        f"nothing was identified: the motion within {units(allowed, 'mm', 'g')} to either side is lost in the "
+        f"position's {what} of {units(size, 'µm', '.3g')}. Allow more travel: try --travel {travel:.2g} "
+        f"({units.si.name('m')})"
     )
 
 
-def why_too_far(fit: DeviceFit | None, pushed: Pushed) -> RunError:
-    """Why a device moved farther than it may."""
-    found, units = why_not(fit, pushed), pushed.units
+def travel_error(fit: DeviceFit | None, pushed: PushedRun) -> RunError:
+    """Returns the error of a device that moved farther than it may."""
+    found, units = fit_error(fit, pushed), pushed.units
     if isinstance(found, RunError):
         return found
     return GuardError(
-        f"the device moved {units(pushed.peak_m, 'mm', '.3g')} from where it was found, farther than the "
-        f"{units(pushed.bounds.travel, 'mm', 'g')} that it may, pushed with {units(pushed.force, 'N', '.3g')}: nothing "
-        "more was tried. "
-        "It may have broken away from dry friction, it may be much lighter than declared, it may ring on a spring of "
-        "its own, or a hand or another force moved it; --travel allows more"
+        f"a push of {units(pushed.force, 'N', '.3g')} moved the device by {units(pushed.peak_m, 'mm', '.3g')} from its "
+        f"start, beyond the allowed {units(pushed.bounds.travel, 'mm', 'g')}: the measurement ended. The device may "
+        "have broken away from dry friction, be much lighter than declared, oscillate on its own spring, or be moved "
+        "by a hand or another force. --travel allows more"
     )
 
 
-def inverted(fit: DeviceFit | None, pushed: Pushed) -> GuardError | None:
-    """The error where the force, and nothing else, moves the device the other way; None where it does not."""
+def polarity_error(fit: DeviceFit | None, pushed: PushedRun) -> GuardError | None:
+    """Returns the error of a device that the force moves the wrong way, or None."""
     if fit is None or not fit.mass.value + fit.mass.uncertainty / _UNSURE < 0.0:
         return None
-    if pushed.is_loud(fit) and fit.unexplained > _UNEXPLAINED_INVERTED:
+    if pushed.is_loud(fit) and fit.unexplained > _UNEXPLAINED_WRONG_WAY:
         return None
     return GuardError(
         "motor and position disagree in sign: a force to one side moves the device to the other. Swap the motor's two "
@@ -279,12 +276,12 @@ def inverted(fit: DeviceFit | None, pushed: Pushed) -> GuardError | None:
     )
 
 
-def _moved_by_another(fit: DeviceFit, pushed: Pushed) -> DeviceError | None:
+def _other_force_error(fit: DeviceFit, pushed: PushedRun) -> DeviceError | None:
     if not pushed.is_loud(fit) or not (fit.unexplained > _UNEXPLAINED or fit.mass.value < 0.0):
         return None
     share = max(1.0 - fit.unexplained**2, 0.0)
     return DeviceError(
-        f"the device does not move the way it is pushed: the forces explain {share:.0%} of its motion. A hand or "
-        "another force moves it, or what is pushed is not what is measured (two channels swapped). Let it move freely, "
-        "and try again"
+        f"the device does not follow the pushes: they explain {share:.0%} of its motion. A hand or another force moves "
+        "it, or two channels are swapped, so that the pushed one is not the measured one. Let it move freely, and try "
+        "again"
     )

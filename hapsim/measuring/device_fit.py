@@ -1,10 +1,10 @@
-"""Mass, friction, stiffness, dry friction and delay of a device, from records of its motion under known forces; and a
-second mass that hangs on it by a spring and a damper, where asked for.
+"""Fits mass, friction, stiffness, dry friction and delay of a device to records of its motion under known forces, and
+optionally a second mass that hangs on it by a spring and a damper.
 
-The forces that were sent are known exactly, and the positions to their rounding and noise, which is white. So the most
-likely parameters are those whose motion lies closest to the positions (output error, least squares). Each swing, in
-which the velocity keeps its sign, begins in a state of its own; this is linear, and projected out. The covariance is
-that of least squares; if the residual is not white, it comes from the scatter of the swings instead.
+The sent forces are known exactly, the positions up to white noise and rounding. So the most likely parameters are those
+whose motion is closest to the positions (output error, least squares). In each swing the velocity keeps its sign. Each
+begins in a state of its own, which is linear and projected out. The covariance is that of least squares; if the
+residual is not white, it comes from the scatter of the swings instead.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from hapsim.measuring.device_motion import Motion, Swing, sampled_motion
 from hapsim.measuring.trace_quality import ROUNDING
 
 Shape = tuple[float, ...]
-"""What a motion is not linear in, by sample periods: delay, b0 T/m, k0 T²/m; of a second mass k T²/m, c T/m, m/M."""
+"""The nonlinear parameters, in sample periods: delay, b0 T/m, k0 T²/m; of a second mass k T²/m, c T/m, m/M."""
 
 _STEP = 1e-5  # of a parameter's scale, for differences
-_WHITE = 5.0  # standard deviations of the correlation from row to row that white noise has
-_FEW_SWINGS = 12  # with fewer their scatter shows no covariance
-_MARGIN = 4  # rows beyond the longest delay that is tried
+_WHITE = 5.0  # standard deviations of white noise's correlation from row to row
+_FEW_SWINGS = 12  # with fewer swings, their scatter shows no covariance
+_MARGIN = 4  # rows beyond the longest delay of the search
 _SMOOTH = 9  # rows
 _LEAST_ROWS = 24
-_SINGULAR = 1e-10  # of the largest: parameters that change the motion less do not show in it
-# Beyond these no motion is worked out: gain, dry friction, constant force, delay, friction and stiffness, scaled.
+_SINGULAR = 1e-10  # of the largest effect: a parameter with a smaller one cannot be identified
+# Bounds of the search, scaled: gain, dry friction, constant force, delay, friction and stiffness.
 _LEAST, _MOST = (-np.inf, -np.inf, -np.inf, -1.0, -5.0, -50.0), (np.inf, np.inf, np.inf, np.inf, 1e3, 1e4)
-_MOST_OF_HAND = 1e3  # times where it begins
+_MOST_OF_HAND = 1e3  # times the initial value
 _TRIES = 100
 
 
@@ -49,7 +49,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class HandFit:
-    """A second mass, on a spring and a damper: kg, N/m, N·s/m."""
+    """A second mass (kg) on a spring (N/m) and a damper (N·s/m)."""
 
     mass: Estimate
     stiffness: Estimate
@@ -58,34 +58,34 @@ class HandFit:
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceFit:
-    """What was found, in SI units; the delay in sample periods."""
+    """The identified parameters, in SI units; the delay in sample periods."""
 
     mass: Estimate
     friction: Estimate
     stiffness: Estimate
     delay: Estimate
     coulomb: Estimate
-    """N, dry friction."""
+    """Dry friction, N."""
     constant_force: Estimate
-    """N: gravity, or an offset of the force."""
+    """Constant force, N: gravity, or an offset of the force."""
     hand: HandFit | None
-    """What moves with it, on a spring and a damper; None where one mass explains the motion."""
+    """A second mass that moves with the device; None if one mass explains the motion."""
     samples: int
-    """That the fit used: those of which the velocity keeps its sign."""
+    """Number of samples of the fit: those in swings."""
     shape: Shape
     residual_counts: float
-    """rms, of the positions."""
+    """Residual of the positions, counts rms."""
     unexplained: float
-    """Share of the motion, beside the free one, that the forces do not explain, rms."""
+    """Share of the motion, without the free one, that the forces do not explain, rms."""
     correlation: float
-    """Of the residual, from one row to the next; 0 for noise."""
+    """Correlation of the residual from one row to the next; 0 for noise."""
     swings: tuple[Swing, ...] = field(repr=False, compare=False)
     residuals: tuple[Floats, ...] = field(repr=False, compare=False)
-    """The residual in each swing, counts."""
+    """Residual in each swing, counts."""
 
     @property
     def is_white(self) -> bool:
-        """Whether the residual is noise."""
+        """True if the residual is white noise."""
         return self.correlation * math.sqrt(self.samples) < _WHITE
 
 
@@ -98,8 +98,8 @@ def fit_device(
     converters: Converters,
     most_delay: float,
 ) -> DeviceFit | None:
-    """The fit, from the best of `begins` on; None where there is too little motion for one. `count_m`: m per count;
-    `most_delay`: sample periods. What the record does not show has a huge uncertainty."""
+    """Returns the fit, started from the best of `begins`; None if there is too little motion. `count_m`: m per count;
+    `most_delay`: sample periods. A parameter that the record does not show has a huge uncertainty."""
     if sum(swing.rows for swing in swings) < _LEAST_ROWS:
         return None
     table = _Table(motions, swings, most_delay, converters)
@@ -147,7 +147,7 @@ def fit_device(
 def _least_squares(
     left: Callable[[Floats], Floats], begin: Floats, least: Floats, most: Floats
 ) -> tuple[Floats, Floats]:
-    """(the scaled parameters that leave least, the slopes there), to the last digit that the record has."""
+    """Returns the scaled parameters with the least residual, and the slopes there."""
     begin = np.clip(begin, least + _STEP, most - _STEP)
     to_the_end = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12, "max_nfev": _TRIES}
     found = least_squares(left, begin, lambda at: _slopes(left, at), (least, most), **to_the_end).x
@@ -159,7 +159,7 @@ def _least_squares(
 
 
 def hands_on(delay: float, rate_hz: float) -> list[Shape]:
-    """Where a fit of two masses may begin: modes of 3 to 130 Hz, damped little to much, the hand light to heavy."""
+    """Returns start values for a fit of two masses: modes of 3 to 130 Hz, various dampings, a light to heavy hand."""
     eigens, dampings, ratios = np.geomspace(20.0, 800.0, 10) / rate_hz, (0.05, 0.2, 0.6), (0.1, 0.3, 1.0, 3.0)
     return [
         (delay, 0.0, 0.0, float(eigen**2 / (1.0 + ratio)), float(2.0 * damping * eigen / (1.0 + ratio)), ratio)
@@ -168,11 +168,11 @@ def hands_on(delay: float, rate_hz: float) -> list[Shape]:
 
 
 class _Table:
-    """The swings side by side, padded to the longest: S rows of L."""
+    """The swings as a table (S, L), padded to the longest."""
 
     def __init__(self, motions: list[Motion], swings: list[Swing], most_delay: float, converters: Converters) -> None:
         pad = math.ceil(most_delay) + _MARGIN
-        # All motions laid end to end, each between zeros: no force acted before.
+        # All motions end to end, each between zeros: no force acted before.
         self._force = np.concatenate([np.pad(motion.force, pad) for motion in motions])
         position = np.concatenate([np.pad(motion.position, pad) for motion in motions])
         starts = np.cumsum([pad, *(motion.position.size + 2 * pad for motion in motions)])
@@ -188,8 +188,8 @@ class _Table:
         self._most_delay, self._converters = most_delay, converters
 
     def columns(self, shape: Shape) -> Floats:
-        """(S, L, 4) positions, and those under a unit gain, dry friction and constant force, all less the free motion
-        that fits them best."""
+        """Returns (S, L, 4): the positions, and those under unit gain, dry friction and constant force. The free motion
+        that fits each best is subtracted."""
         delay, friction, stiffness, *hand = shape
         delay = min(max(delay, -1.0), self._most_delay + 1.0)
         motion = sampled_motion(friction, stiffness, delay, self._converters, hand)
@@ -203,7 +203,7 @@ class _Table:
         return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns))
 
     def begin(self, begins: Iterable[Shape]) -> Floats | None:
-        """The parameters of the shape that leaves least; None where no force explains anything."""
+        """Returns the parameters of the shape with the least residual; None if no force explains anything."""
         best, least = None, math.inf
         for shape in begins:
             columns = self.columns(shape)[self.inside]
@@ -216,25 +216,25 @@ class _Table:
         return best
 
     def left(self, values: Floats) -> Floats:
-        """Positions less the modelled ones, row after row."""
+        """Returns the positions minus the modelled ones, row after row."""
         gain, coulomb, constant, *shape = values
         columns = self.columns(tuple(shape))[self.inside]
         return np.asarray(columns @ np.array([1.0, -gain, -coulomb, -constant]))
 
 
 def _slopes(of: Callable[[Floats], Floats], at: Floats) -> Floats:
-    """(rows, parameters), by central differences."""
+    """Returns the derivatives (rows, parameters), by central differences."""
     return np.column_stack([(of(at + step) - of(at - step)) / (2.0 * _STEP) for step in _STEP * np.eye(at.size)])
 
 
 def _rms(table: _Table, residual: Floats, parameters: int) -> float:
-    states = 2 if parameters == len(_LEAST) else 4  # in which each swing begins
+    states = 2 if parameters == len(_LEAST) else 4  # initial states of each swing
     freedom = np.count_nonzero(table.inside) - states * residual.shape[0] - parameters
     return math.sqrt(float(np.sum(residual**2)) / max(freedom, 1))
 
 
 def _spread(table: _Table, residual: Floats, slopes: Floats) -> Floats:
-    """A square root of the scaled parameters' covariance: kept so, no variance comes out negative."""
+    """Returns a square root of the scaled parameters' covariance, so that no variance can become negative."""
     (rows, parameters), swings = slopes.shape, residual.shape[0]
     q, size, axes = np.linalg.svd(slopes, full_matrices=False)
     inverse = axes.T / np.maximum(size, _SINGULAR * size[0])
@@ -248,15 +248,15 @@ def _spread(table: _Table, residual: Floats, slopes: Floats) -> Floats:
 
 
 def _correlation(table: _Table, residual: Floats) -> float:
-    """From row to row, beyond what the projected motions of each swing leave of white noise."""
-    neighbours = float(np.sum(residual[:, 1:] * residual[:, :-1]))  # beyond the end of a swing it is 0
+    """Returns the correlation from row to row, corrected for the projected motions of each swing: 0 for white noise."""
+    neighbours = float(np.sum(residual[:, 1:] * residual[:, :-1]))  # it is 0 beyond the end of a swing
     power = float(np.sum(residual**2))
-    taken = 2.0 * residual.shape[0] / np.count_nonzero(table.inside)  # each motion takes its own, slow, share
+    taken = 2.0 * residual.shape[0] / np.count_nonzero(table.inside)  # each motion removes a slow share
     return neighbours / power + taken if power > 0.0 else 0.0
 
 
 def _in_si(values: Floats, count_m: float, period: float) -> Floats:
-    """kg, N of dry friction and constant force, samples of delay, friction and stiffness; and those of a hand."""
+    """Returns mass, dry friction, constant force, delay (samples), friction and stiffness, then a hand's values; SI."""
     gain, coulomb, constant, delay, friction, stiffness, *hand = values
     mass = period**2 / (count_m * gain)
     device = [mass, coulomb / gain, constant / gain, delay, friction * mass / period, stiffness * mass / period**2]

@@ -1,21 +1,21 @@
-"""How a device is pushed and moves: what it is given, what a record shows of it, and the model that `device_fit` fits.
+"""Pushes, records and the model of a device's motion; `device_fit` fits that model.
 
-**Pushes.** The device hangs on a soft simulated spring and damper at the place where it was found, and is pushed to one
-side and to the other, level, each time for `half` samples, so that its parameters show and it stays where it may be.
-Everything is slow beside the delay: with w the eigenfrequency, w half T <= 1 and half >= 16 (delay + 1), so that the
-loop is stable for a mass and a delay several times the ones that it was designed for, or a fraction of them.
+**Pushes.** A soft simulated spring and damper hold the device at its home position. Constant pushes of `half` samples
+to alternate sides move it, so that its parameters show and it stays within its travel. All is slow compared with the
+delay: with w the eigenfrequency, w half T <= 1 and half >= 16 (delay + 1). So the loop is stable for several times the
+assumed mass and delay, or a fraction of them.
 
-**Record.** Positions, the forces that were sent, and swings, in which the device moves to one side.
+**Record.** Positions, sent forces, and swings: the rows in which the device moves to one side.
 
 **Model.**
 
     m x'' + b0 x' + k0 x = F(t) + F0 - Fc sign(x') - k (x - y) - c (x' - y'),    M y'' = k (x - y) + c (x' - y')
 
-The second mass M at y, on a spring and a damper, is a hand that does not hold the first one firmly. In sample periods
-and forces per mass, with A = b0 T/m, W = k0 T²/m and the delay D + phi, force n acts from n + D + phi on, as the
-device's hold says. Between two changes of the force the motion is the exponential of the equation's matrix; over
-samples it is a recurrence, so that a whole record is one linear filter. Where the velocity keeps its sign dry friction
-is a constant force, and the motion is linear in all but A, W and delay.
+The second mass M at y, on a spring and a damper, is a hand that does not hold the first one firmly. Units are sample
+periods and force per mass: A = b0 T/m, W = k0 T²/m, the delay is D + phi, and force n acts from n + D + phi on, shaped
+by the device's hold. Between two changes of the force the motion is the exponential of the equation's matrix. Over
+samples it is a recurrence, so a whole record is one linear filter. While the velocity keeps its sign, dry friction is a
+constant force, and the motion is linear in all parameters but A, W and delay.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ _LEAST_HALF = 32
 _SLOW = 16.0  # sample periods for each of the delay and one more
 _LONGEST_HALF_S = 1.0
 _DAMPING_RATIO = 0.5
-_PUSHES = 0.8  # of the force that is allowed; the rest is the spring's
-_WITH_SPRING = 2.0  # times a push: what leaves at most
+_PUSHES = 0.8  # of the allowed force; the rest is left for the spring
+_WITH_SPRING = 2.0  # times a push: the largest sent force
 _FADES = 0.3  # of the travel, at its ends
-_LOOKED_AT = 24  # half periods of a motion that is simulated ahead
-_GOLDEN = 0.6180339887498949  # as the loop varies its pushes
+_SIMULATED = 24  # half periods of a simulated motion
+_GOLDEN = 0.6180339887498949  # the loop varies its pushes by it
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the device may be given: force in N, travel in m to either side of where it was found."""
+    """Limits for the device: force in N, and travel in m to either side of the home position."""
 
     force: float
     travel: float
 
     @property
     def push(self) -> float:
-        """N that a push may have."""
+        """Largest force of a push, N."""
         return _PUSHES * self.force
 
 
@@ -80,12 +80,12 @@ class Drive:
     half: int
 
     def excitation(self, channel: int) -> Excitation:
-        """From the first tick on, one push after the other."""
+        """Returns the pushes as an excitation, one after the other from the first tick."""
         return Excitation(channel, self.force, self.half, self.half, start=0, first=False)
 
 
 def drive_for(plant: Plant, bounds: Bounds, rate_hz: float, *, pace: float, tightness: float) -> Drive:
-    """Pushes with all the force that is allowed, and as long as it takes to cross the travel, were the plant free.
+    """Returns pushes with the largest allowed force. A free plant crosses the travel during one push.
 
     `pace`: a factor on that time; `tightness`: eigenfrequency on the spring times half a period, in rad.
     """
@@ -98,12 +98,12 @@ def drive_for(plant: Plant, bounds: Bounds, rate_hz: float, *, pace: float, tigh
 
 
 def peak_per_newton(plant: Plant, drive: Drive, rate_hz: float, converters: Converters) -> float:
-    """How far the plant gets under these pushes, m for each newton of them; with dry friction it would be less."""
+    """Returns the peak position of the plant under these pushes, m per newton; dry friction would reduce it."""
     inertia = rate_hz * plant.mass * rate_hz
     motion = sampled_motion(plant.friction * rate_hz / inertia, plant.stiffness / inertia, plant.delay, converters)
     gains = np.array(motion.gains)
     ages = motion.whole_delay + np.arange(len(gains))
-    pushes, gone = _LOOKED_AT * drive.half, int(ages[-1]) + 1
+    pushes, gone = _SIMULATED * drive.half, int(ages[-1]) + 1
     forces, seen, state = np.zeros(pushes + gone), np.zeros(pushes + 1), np.zeros(2)
     for n in range(pushes):
         number = n // drive.half
@@ -117,10 +117,10 @@ def peak_per_newton(plant: Plant, drive: Drive, rate_hz: float, converters: Conv
 
 
 def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, home: float) -> Scene:
-    """The scene's device on this spring and damper at `home` (m), or on nothing.
+    """Returns a scene with the device on this spring and damper at `home` (m), or free.
 
-    Every other channel is free. The force is limited to what is allowed, and fades where the device comes near the end
-    of its travel; nothing is corrected by what is declared, and a mock begins at rest.
+    Every other channel is free. The force is limited to the bounds, and fades near the ends of the travel. No
+    correction is applied, and a mock begins at rest.
     """
     device: dict[str, Any] = {"correction": "none", "force_limit": bounds.force, "travel": None}
     modules: dict[str, Any] = {f"device-{point.channel}": point for point in scene.device_points.values()}
@@ -144,8 +144,8 @@ def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, ho
     return scene.model_copy(update=changed)
 
 
-_CERTAIN = 6.0  # standard deviations: a velocity of which the sign is known
-_TURNING = 0.03  # of the largest velocity: what is slower may be about to turn
+_CERTAIN = 6.0  # standard deviations: the sign of a larger velocity is certain
+_TURNING = 0.03  # of the largest velocity: a slower motion may be about to turn
 _LEAST_ROWS = 8
 _REACHES = (1, 2, 4, 8, 16, 32, 64)  # rows to either side
 _APART = 0.06  # of a swing: much longer than it takes from the least velocity to twice that
@@ -154,15 +154,15 @@ _CLEARLY = 4.0  # times the least velocity, in a swing that counts
 
 @dataclass(frozen=True)
 class Motion:
-    """One channel of a record: `position` in counts from where the device was found, `force` in N, row by row."""
+    """One channel of a record, row by row: `position` in counts from home, `force` in N."""
 
     position: Floats
     force: Floats
-    known: tuple[tuple[int, int], ...]  # index ranges in which every force that acts was recorded
+    known: tuple[tuple[int, int], ...]  # index ranges in which all acting forces were recorded
 
 
 class Swing(NamedTuple):
-    """Rows `first` to `last` of a motion: the velocity keeps its sign, `side` 1 or -1; or it may not, `side` 0."""
+    """Rows `first` to `last` of a motion. `side`: 1 or -1, the sign of the velocity; 0 if the sign may change."""
 
     motion: int
     first: int
@@ -171,12 +171,13 @@ class Swing(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """How many."""
+        """Number of rows."""
         return self.last - self.first
 
 
 def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float) -> Motion:
-    """`most_delay`: in sample periods; after a gap, forces that are unknown act in that many rows."""
+    """Returns one channel of a trace as a motion. `most_delay`: sample periods; for so many rows after a gap, unknown
+    forces act."""
     lead = math.ceil(most_delay) + 2
     runs = unbroken(trace, LATE_FORCE | BRIDGED | OFF_GRID)
     known = [(first + (lead if first > 0 else 0), last) for first, last in runs]  # before the first row no force acted
@@ -186,8 +187,10 @@ def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float)
 
 
 def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:
-    """Where the velocity is known to keep its sign, with a margin on either side. `noise_counts`: of a position, rms;
-    the rounding is added. The velocity is one over as many rows as leave most of the record."""
+    """Returns the swings: rows in which the velocity certainly keeps its sign, with a margin on either side.
+
+    `noise_counts`: noise of a position, rms; rounding is added. The velocity is a difference over several rows; their
+    number is chosen to keep most of the record."""
     noise = math.hypot(noise_counts, ROUNDING)
     speeds = [np.abs(_velocity(motion.position[first:last], 2)) for motion in motions for first, last in motion.known]
     fastest = max((float(np.quantile(speed, 0.99)) for speed in speeds if speed.size), default=0.0)
@@ -201,7 +204,7 @@ def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:
 
 
 def pieces_of(motions: list[Motion], rows: int) -> list[Swing]:
-    """All that is known of the motions, whatever the velocity, in pieces of at most `rows` rows."""
+    """Returns the known rows of the motions at any velocity, in pieces of at most `rows` rows."""
     return [
         Swing(i, begin, min(begin + rows, last), 0.0)
         for i, motion in enumerate(motions)
@@ -211,7 +214,7 @@ def pieces_of(motions: list[Motion], rows: int) -> list[Swing]:
 
 
 def _velocity(position: Floats, reach: int) -> Floats:
-    """Counts per sample from `reach` rows on either side; these are missing at either end."""
+    """Returns the velocity in counts per sample, over `reach` rows on either side; both ends lack `reach` rows."""
     return (position[2 * reach :] - position[: -2 * reach]) / (2.0 * reach)
 
 
@@ -223,8 +226,8 @@ def _swings(number: int, motion: Motion, reach: int, noise: float, fastest: floa
             moves = side * speed > least
             edges = np.flatnonzero(np.diff(moves.astype(np.int8), prepend=0, append=0))
             for begin, end in edges.reshape(-1, 2):
-                # A velocity is a mean over its rows: only what lies so far inside keeps the sign for sure. And whose
-                # noise had a say in where the swing begins must not be in it, or what is left would not be noise.
+                # A velocity is a mean over its rows, so the sign is certain only this far inside. Rows whose noise
+                # decided where the swing begins must not be in it, or the residual would not be white.
                 apart = 1 + math.ceil(_APART * (end - begin))
                 inner = Swing(number, first + begin + 2 * reach + apart, first + end - apart, side)
                 if inner.rows >= _LEAST_ROWS and float(np.max(side * speed[begin:end])) > _CLEARLY * least:
@@ -232,13 +235,13 @@ def _swings(number: int, motion: Motion, reach: int, noise: float, fastest: floa
 
 
 class SampledMotion(NamedTuple):
-    """One sample of the motion, and what is measured at its end, in sample periods:
+    """The motion over one sample, and the measured position y at its end, in sample periods:
 
     state[n + 1] = step state[n] + sum over ages of gains[age] f[n - D - age], and
-    y[n + 1] = row state[n] + sum over ages of gains[age][seen] f[n - D - age],
+    y[n + 1] = row state[n] + sum over ages of gains[age][seen] f[n - D - age].
 
-    the state being position and velocity of each mass, f force per mass. Behind the state each gain has the part of the
-    position's mean; `steady` is the gain of a constant force, `polynomial` that of `step`.
+    The state is position and velocity of each mass; f is force per mass. A gain has the rows of the state, then that of
+    the mean position. `steady` is the gain of a constant force, `polynomial` the characteristic one of `step`.
     """
 
     whole_delay: int
@@ -250,21 +253,22 @@ class SampledMotion(NamedTuple):
     polynomial: Floats
 
     def answer_to(self, forces: Sequence[Floats]) -> Floats:
-        """Positions along the last axis, the first one sample after rest at 0, under f[n - D - age] for each age."""
+        """Returns positions along the last axis under the forces f[n - D - age] of each age. The motion starts at rest
+        at 0, one sample before the first position."""
         each = zip(forces, self.gains, strict=True)
         return np.asarray(sum(self._filtered(force, gain, float(gain[self.seen])) for force, gain in each))
 
     def answer_at_once(self, force: Floats) -> Floats:
-        """Positions along the last axis under forces that each act for one sample, the first one sample after rest."""
+        """Returns positions along the last axis under forces that each act for one sample, starting at rest."""
         return self._filtered(force, self.steady, float(self.steady[self.seen]))
 
     def free(self, samples: int) -> Floats:
-        """(samples, states) positions without a force, from each unit state on, the first one sample after it."""
+        """Returns the positions (samples, states) of the free motions from each unit state."""
         start = np.eye(1, samples)[0]
         return np.column_stack([self._filtered(start, unit, 0.0, ahead=1) for unit in np.eye(self.row.size)])
 
     def _filtered(self, force: Floats, gain: Floats, seen: float, ahead: int = 0) -> Floats:
-        """y[n + 1] = [row (zI - step)^-1 gain + seen] force[n], as one filter; `ahead`: samples sooner."""
+        """Returns y[n + 1] = [row (zI - step)^-1 gain + seen] force[n], as one filter, `ahead` samples earlier."""
         markov, state = [seen], gain[: self.row.size]
         for _ in range(self.row.size):
             markov.append(float(self.row @ state))
@@ -276,8 +280,8 @@ class SampledMotion(NamedTuple):
 def sampled_motion(
     friction: float, stiffness: float, delay: float, converters: Converters, hand: Sequence[float] = ()
 ) -> SampledMotion:
-    """`friction` = b0 T/m, `stiffness` = k0 T²/m, `delay` in sample periods; any sign, for a fit tries any. `hand`:
-    k T²/m, c T/m and m/M of a second mass, where there is one."""
+    """Returns the sampled motion of `friction` = b0 T/m, `stiffness` = k0 T²/m and `delay` in sample periods. All may
+    be negative, because a fit tries any value. `hand`: k T²/m, c T/m and m/M of a second mass, if any."""
     whole = math.floor(delay)
     part = delay - whole
     states = 4 if hand else 2

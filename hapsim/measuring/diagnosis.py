@@ -1,6 +1,6 @@
-"""In what a device differs from what the scene declares, as a measured k and b show it beside the prediction.
+"""Differences between a device and its declaration in the scene, from measured and predicted k and b.
 
-Measured was before: nothing that is found here goes back into it.
+A diagnosis comes after the measurement and does not change it.
 """
 
 from __future__ import annotations
@@ -14,23 +14,25 @@ from hapsim.measuring.measure_trace import Measurement
 if TYPE_CHECKING:
     from hapsim.prediction import Felt, Prediction
 
-_UNSURE = 4.0  # uncertainties: what is further apart is not the same
+_UNSURE = 4.0  # uncertainties: values further apart differ
 _MANY = 5.0
-_SAME = 1e-4  # a mass that is clearly off changes the frequency by 50 times as much
-_CLEARLY = 0.01  # of the mass, of what is predicted, of b of half the critical damping: what is less off is not said
-_FEW = 0.01  # of the ticks: forces that the device did not get in time act otherwise than the record says
-_LASTS = 0.5  # modulus of a pole: below that of any that `SecondMode` counts
+_SAME = 1e-4  # a clearly wrong mass changes the frequency by 50 times as much
+_CLEARLY = (
+    0.01  # of the mass, of the prediction, of b of half the critical damping: smaller deviations are not reported
+)
+_FEW = 0.01  # of the ticks: with more deadline misses, the record does not show the forces that acted
+_LASTS = 0.5  # modulus of a pole, below that of every `SecondMode`
 
 
 class ProbableMass(NamedTuple):
-    """The mass with which the prediction has the eigenfrequency and the damping ratio that were measured."""
+    """The mass for which the prediction has the measured eigenfrequency and damping ratio."""
 
     mass: float
-    """kg."""
+    """Mass, kg."""
     uncertainty: float
-    """kg, standard."""
+    """Standard uncertainty, kg."""
     factor: float
-    """Times the mass to which the measurement refers."""
+    """Ratio to the mass of the measurement."""
 
 
 class Mode(NamedTuple):
@@ -39,23 +41,23 @@ class Mode(NamedTuple):
     frequency_hz: float
     damping_ratio: float
     share: float
-    """Of the motion's energy."""
+    """Share of the motion's energy."""
     predicted: bool
-    """Whether the scene has it; else the hand swings along, or a part of the device."""
+    """True if the scene has this mode; else it belongs to the hand or to a part of the device."""
 
 
 class Diagnosis(NamedTuple):
-    """What a measurement says of a device beside the prediction."""
+    """The differences between measurement and prediction, and their likely causes."""
 
     probable_mass: ProbableMass | None
-    """None where the declared mass fits, or none does better; and where the motion is not that of the hand alone."""
+    """Likely mass; None if the declared one fits, if no other fits better, or if more than the hand moves."""
     second_mode: Mode | None
     is_another_device: bool
-    """Whether k or b is off by much more than its uncertainty, and no other mass explains it."""
+    """True if k or b is off by much more than its uncertainty, and no other mass explains it."""
 
     @property
     def gives(self) -> bool:
-        """Whether something swings along that the scene does not have."""
+        """True if the motion has a mode that the scene lacks."""
         return self.second_mode is not None and not self.second_mode.predicted
 
     @property
@@ -65,9 +67,9 @@ class Diagnosis(NamedTuple):
 
 
 def diagnose(prediction: Prediction, measurement: Measurement, channel: int = 0) -> Diagnosis:
-    """In what the device differs from what the scene declares, as what was measured on `channel` shows it."""
+    """Returns the differences between device and scene that the measurement on `channel` shows."""
     felt = next((one for one in prediction.felt if one.channel == channel), None)
-    second, extra, mode = measurement.second_mode, gives(prediction, measurement), None
+    second, extra, mode = measurement.second_mode, has_unmodelled_mode(prediction, measurement), None
     if second is not None:
         s = cmath.log(second.pole) * measurement.trace.rate
         mode = Mode(abs(s) / (2.0 * math.pi), -s.real / abs(s), second.share, not extra)
@@ -78,9 +80,9 @@ def diagnose(prediction: Prediction, measurement: Measurement, channel: int = 0)
 
 
 def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass | None:
-    """Returns the mass that the measurement suggests; None where the declared one fits, or no other fits better.
+    """Returns the mass that the measurement suggests; None if the declared one fits, or no other fits better.
 
-    The eigenfrequency gives the mass; the damping ratio says whether it is the mass that is wrong.
+    The eigenfrequency gives the mass. The damping ratio shows whether a wrong mass is the cause.
     """
     if (
         felt is None
@@ -91,7 +93,7 @@ def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass |
         return None
     same_frequency = abs(measurement.frequency_hz - felt.frequency_hz) < _SAME * felt.frequency_hz
     if same_frequency and abs(measurement.damping_ratio - felt.damping_ratio) < _SAME:
-        return None  # without importing scipy.optimize, which takes long
+        return None  # avoids the slow import of scipy.optimize
     for mass in felt.masses_with(measurement.frequency_hz):
         step = 1e-4 * mass
         above, at_it, below = (felt.with_mass(one) for one in (mass + step, mass, mass - step))
@@ -99,7 +101,7 @@ def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass |
         ratio_slope = (above.damping_ratio - below.damping_ratio) / (2.0 * step)
         unsure = measurement.frequency_uncertainty_hz / abs(slope) if slope else math.inf
         allowed = math.hypot(measurement.damping_ratio_uncertainty, ratio_slope * unsure)
-        # A friction that is a little off, of which nothing would be said, does not hide the mass.
+        # A small error of the friction, which would not be reported, does not hide the mass.
         if not abs(at_it.damping_ratio - measurement.damping_ratio) <= max(_UNSURE * allowed, _CLEARLY / 2):
             continue
         known = measurement.mass_uncertainty or 0.0
@@ -109,18 +111,17 @@ def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass |
     return None
 
 
-def gives(prediction: Prediction, measurement: Measurement) -> bool:
-    """Returns whether something swings along that the scene does not have: the motion has a second mode, and more
-    poles that last than are predicted."""
+def has_unmodelled_mode(prediction: Prediction, measurement: Measurement) -> bool:
+    """Returns True if the motion has a mode that the scene lacks: a second mode, and more slow poles than predicted."""
     if measurement.second_mode is None or math.isnan(measurement.dry_friction_n):
-        return False  # the corners that dry friction makes pass for another mode
+        return False  # corners from dry friction look like another mode
     lasting = abs(measurement.second_mode.pole) * (1.0 - 1e-9)
     measured = sum(abs(pole) >= lasting for pole in measurement.poles)
     return measured > sum(abs(pole) >= _LASTS for pole in prediction.poles)
 
 
 def _is_another_device(felt: Felt, measurement: Measurement) -> bool:
-    """Returns whether k or b is off by much more than its uncertainty."""
+    """Returns True if k or b is off by much more than its uncertainty."""
     pairs = [
         (measurement.k - felt.k, measurement.k_uncertainty, felt.k),
         (measurement.b - felt.b, measurement.b_uncertainty, math.sqrt(abs(felt.k) * measurement.mass)),
@@ -131,8 +132,8 @@ def _is_another_device(felt: Felt, measurement: Measurement) -> bool:
 
 
 def _is_undisturbed(measurement: Measurement) -> bool:
-    """Returns whether the device kept the declared rate, and most forces were in time. Those at a limit, slewed or in
-    the soft start are in the record as they acted: k and b come from that."""
+    """Returns True if the device kept the declared rate, and most forces were in time. Limited or slewed forces and
+    those of the soft start do not count: they are recorded as they acted."""
     report, seen = measurement.trace.report, measurement.seen_rate
     late = report.deadline_misses / report.ticks > _FEW
     return not late and (seen is None or not seen.differs_from(measurement.trace.rate))

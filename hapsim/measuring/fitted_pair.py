@@ -1,4 +1,4 @@
-"""The pair of poles that moves the hand, out of a fitted polynomial, with its uncertainty."""
+"""The hand's pair of poles from a fitted polynomial, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from hapsim.measuring.regression import Fit
 
 NO_SECOND_REAL_POLE = "the slowest pole is real and no second real one follows"
 
-_LOOKED_AT = 4000  # samples of the motion
-_CLEARLY = 30.0  # times the residual's variance: a pole without which the motion fits clearly worse
-_LASTING = 0.7  # what loses more in a sample is gone after three: poles of delays, filters and holds
-_STILL = 0.1  # of itself: what changes by less over the motion is as good as constant
-_MOST = 0.95  # of the energy: what rings longer beside that is a small disturbance; two real modes share it more evenly
+_MOST_SAMPLES = 4000  # of the motion
+_CLEARLY = 30.0  # times the residual's variance: without this pole the motion fits clearly worse
+_LASTING = 0.7  # modulus: a smaller pole decays within three samples, as those of delays, filters and holds
+_STILL = 0.1  # relative change over the motion: a mode that changes less counts as constant
+_MOST = 0.95  # of the energy: beside such a mode a slower one is a small disturbance; two real modes share more evenly
 _SOME = 1e-3  # of the energy
 
 
 class SecondMode(NamedTuple):
-    """Another conjugate pair of poles that the motion clearly has, and that lasts: a further mass swings along."""
+    """Another slow conjugate pair of poles that the motion clearly has: a further mass oscillates."""
 
     pole: complex
-    """z-plane, in the upper half."""
+    """z-plane pole in the upper half."""
     share: float
-    """Of the energy (of the squared position, over the free motion) that this pair has of all modes."""
+    """Share of the energy of all modes. Energy: the squared position, summed over the free motion."""
 
 
 class FittedPair(NamedTuple):
-    """Two poles in the z-plane and what follows from them, with standard uncertainties; NaN without a pair."""
+    """Two poles in the z-plane, their decay and stiffness, with standard uncertainties; NaN without a pair."""
 
     pole: complex = complex(math.nan, math.nan)
-    """The one with the larger modulus, in the upper half."""
+    """The pole with the larger modulus, in the upper half."""
     pole_uncertainty: float = math.nan  # of the distance in the plane
     decay: float = math.nan  # s1 + s2 times the sample period: minus the sum of both decays
     decay_uncertainty: float = math.nan
@@ -45,25 +45,24 @@ class FittedPair(NamedTuple):
 
 
 class Poles(NamedTuple):
-    """What one fit says of the motion."""
+    """The poles of the motion from one fit."""
 
     pair: FittedPair | None  # the slowest-decaying one
-    poles: Complexes  # all that the motion has, by decreasing modulus
-    reason: str  # why there is no pair
+    poles: Complexes  # all poles of the motion, by decreasing modulus
+    reason: str  # the reason if there is no pair
     second: SecondMode | None
 
 
 def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats, stands: bool = False) -> list[Poles]:
-    """The slowest-decaying pair of each of some fits of one order, or that with nearly all of the energy.
+    """Returns for each fit, all of one order, the slowest-decaying pair, or the pair with nearly all of the energy.
 
-    Beside each fit: one of another order that might as well have been chosen; how far it lies from the fit adds to the
-    uncertainty. `motion`: the position, shape (samples,), in which a pole has to be seen in order to count. `stands`:
-    whether the hand stays where it stops, for lack of a spring.
+    Each fit comes with its alternative of another order, or None. Its distance adds to the uncertainty. `motion`: the
+    free motion (samples,); only poles that it shows count. `stands`: the hand stays where it stops, without a spring.
     """
     every = _roots([fit for fit, _ in fits])
-    seen, energy = _seen_in(motion, every, stands)
-    # The conjugate pair that has most of the motion's energy is the hand, and what rings longer beside it is a small
-    # disturbance; then come those that are seen. Real poles share their energy.
+    seen, energy = _visible_poles(motion, every, stands)
+    # The conjugate pair with most of the motion's energy is the hand. A slower mode beside it is a small disturbance.
+    # Next come the poles that the motion shows. Real poles share their energy.
     whole = np.sum(energy * seen, axis=1, keepdims=True)
     is_hand = seen & (every.imag != 0.0) & (np.abs(every) >= _LASTING) & (2.0 * energy > _MOST * whole)
     order = np.argsort(~seen * 1 - is_hand, axis=1, kind="stable")
@@ -77,7 +76,7 @@ def dominant_pairs(fits: Sequence[tuple[Fit, Fit | None]], motion: Floats, stand
 
 
 def _pairs(fits: Sequence[tuple[Fit, Fit | None]], poles: Complexes) -> list[FittedPair]:
-    """The pair of the first two poles of each fit; poles: (fits, order)."""
+    """Returns the pair of the first two poles of each fit. `poles`: (fits, order)."""
     if not fits:
         return []
     a = poles[:, 0]
@@ -86,7 +85,7 @@ def _pairs(fits: Sequence[tuple[Fit, Fit | None]], poles: Complexes) -> list[Fit
     spreads = _spreads_of_sum_and_product([fit for fit, _ in fits], total, product, poles[:, 2:])
     roots = iter(_roots([one for _, one in fits if one is not None]))
     for i, (_, one) in enumerate(fits):
-        if one is not None:  # the two poles that take the places of these
+        if one is not None:  # the two poles nearest to these
             others = next(roots)
             c, d = others[np.argsort(np.minimum(np.abs(others - a[i]), np.abs(others - b[i])))][:2]
             d = c.conjugate() if c.imag else d
@@ -95,7 +94,7 @@ def _pairs(fits: Sequence[tuple[Fit, Fit | None]], poles: Complexes) -> list[Fit
 
 
 def _roots(fits: Sequence[Fit]) -> Complexes:
-    """The poles of fits of one order, shape (fits, order), each by decreasing modulus."""
+    """Returns the poles (fits, order) of fits of one order, each by decreasing modulus."""
     order = fits[0].order if fits else 0
     companion = np.tile(np.eye(order, k=-1), (len(fits), 1, 1))
     for matrix, fit in zip(companion, fits, strict=True):
@@ -105,7 +104,7 @@ def _roots(fits: Sequence[Fit]) -> Complexes:
 
 
 def _why_no_pair(poles: Complexes) -> str:
-    """Why the two slowest poles are neither a conjugate pair nor both real and positive; "" where they are."""
+    """Returns the reason if the two slowest poles are neither a conjugate pair nor both real and positive, else ""."""
     if poles.size < 2:
         return "fewer than two poles are clear of its noise and rounding"
     if poles[0].imag != 0.0:
@@ -116,7 +115,7 @@ def _why_no_pair(poles: Complexes) -> str:
 
 
 def _second_mode(poles: Complexes, energy: Floats) -> SecondMode | None:
-    """Of the conjugate pairs behind the slowest pole the one with the most energy, where it lasts and that is some."""
+    """Returns the conjugate pair with the most energy after the slowest pole, if it is slow and has some energy."""
     others = [i for i in range(1, poles.size) if poles[i].imag > 0.0 and abs(poles[i]) >= _LASTING]
     others = [i for i in others if abs(poles[i] - poles[0].conjugate()) > 1e-9 * abs(poles[0])]
     if not others or not np.sum(energy) > 0.0:
@@ -126,32 +125,32 @@ def _second_mode(poles: Complexes, energy: Floats) -> SecondMode | None:
     return SecondMode(complex(poles[most]), share) if share > _SOME else None
 
 
-def _seen_in(motion: Floats, poles: Complexes, stands: bool = False) -> tuple[NDArray[np.bool_], Floats]:
-    """(which poles the motion has: those without which a sum of modes would fit it clearly worse; the energy of each),
-    for several sets of poles, all of shape (sets, order).
+def _visible_poles(motion: Floats, poles: Complexes, stands: bool = False) -> tuple[NDArray[np.bool_], Floats]:
+    """Returns which poles the motion shows, and the energy of each; all of shape (sets, order).
 
-    A fit of a higher order than the motion's has poles that belong to its noise; they may lie anywhere. From where the
-    motion is counted is not certain to the last count: what a constant explains is no mode, unless the hand `stands`.
+    Without such a pole a sum of modes fits the motion clearly worse. If the order of a fit exceeds the motion's, the
+    further poles belong to its noise and may lie anywhere. The origin of the motion is not certain to the last count:
+    the part that a constant explains is no mode, unless the hand `stands`.
     """
     seen, energy = np.ones(poles.shape, bool), np.zeros(poles.shape)
     still = np.any(np.abs(poles - 1.0) * motion.size < _STILL, axis=1) & stands
     for sets, with_constant in ((still, False), (~still, True)):
         if sets.any():
-            seen[sets], energy[sets] = _shown_by(motion, poles[sets], with_constant)
+            seen[sets], energy[sets] = _visible_and_energy(motion, poles[sets], with_constant)
     return seen, energy
 
 
-def _shown_by(motion: Floats, poles: Complexes, with_constant: bool) -> tuple[NDArray[np.bool_], Floats]:
+def _visible_and_energy(motion: Floats, poles: Complexes, with_constant: bool) -> tuple[NDArray[np.bool_], Floats]:
     seen, energy = np.ones(poles.shape, bool), np.zeros(poles.shape)
     if motion.size < poles.shape[1] + 2:
         return seen, energy
-    size, grows = min(motion.size, _LOOKED_AT), np.abs(poles) > 1.0
+    size, grows = min(motion.size, _MOST_SAMPLES), np.abs(poles) > 1.0
     order = poles.shape[1]
     modes = np.ones((len(poles), order + with_constant + 1, size), complex)
     powers = modes[:, :order]
     powers[..., 1:] = np.where(grows, 1.0 / np.where(grows, poles, 1.0), poles)[..., None]
     np.multiply.accumulate(powers, axis=-1, out=powers)
-    powers[grows] = powers[grows, ::-1]  # a growing mode is written backwards from its end: no power overflows
+    powers[grows] = powers[grows, ::-1]  # a growing mode runs backwards from its end, so that no power overflows
     modes[:, :-1] /= np.linalg.norm(modes[:, :-1], axis=-1, keepdims=True)
     modes[:, -1] = motion[:size]
     factor = np.asarray(np.linalg.qr(modes.swapaxes(1, 2), mode="r"))
@@ -165,13 +164,13 @@ def _shown_by(motion: Floats, poles: Complexes, with_constant: bool) -> tuple[ND
     seen[known], energy[known] = (worse > least)[:, :order], amplitude[:, :order]
     for at, one, enough in zip(np.flatnonzero(known), factor, least[:, 0], strict=True):
         if not seen[at].all():
-            seen[at] = _needed(one, poles[at], float(enough))
+            seen[at] = _needed_poles(one, poles[at], float(enough))
     return seen, energy
 
 
-def _needed(factor: Complexes, poles: Complexes, least: float) -> NDArray[np.bool_]:
-    """Without the least needed pole, another one that is like it may be needed: they are taken out one by one, or by
-    conjugate pairs. `factor`: the triangular one of the modes, those of the poles first, the motion last."""
+def _needed_poles(factor: Complexes, poles: Complexes, least: float) -> NDArray[np.bool_]:
+    """Returns which poles the motion needs. They are removed one by one or by conjugate pairs, the least needed first,
+    because then a similar one may be needed. `factor`: triangular factor of the modes (poles first, motion last)."""
     left, others = np.ones(poles.size, bool), np.arange(poles.size, factor.shape[1])
     while left.any():
         r = np.asarray(np.linalg.qr(factor[:, np.append(np.flatnonzero(left), others)], mode="r"))
@@ -185,7 +184,9 @@ def _needed(factor: Complexes, poles: Complexes, least: float) -> NDArray[np.boo
 
 
 def _spreads_of_sum_and_product(fits: Sequence[Fit], total: Floats, product: Floats, rest: Complexes) -> list[Floats]:
-    """To first order: A = Q R, so dA = R dQ + Q dR, a linear system for dQ (and dR) with dA's coefficients known."""
+    """Returns a square root of the covariance of sum and product of each fit's pair, (2, n), to first order.
+
+    A = Q R, so dA = R dQ + Q dR: a linear system for dQ (and dR), with known coefficients of dA."""
     order = fits[0].order
     others = np.ones((len(fits), 1), complex)  # R
     for root in rest.T:
@@ -202,7 +203,7 @@ def _spreads_of_sum_and_product(fits: Sequence[Fit], total: Floats, product: Flo
 
 
 def _pair(total: float, product: float, spread: Floats) -> FittedPair:
-    """The pair with this sum and product, of which `spread` (2, n) is a square root of the covariance."""
+    """Returns the pair with this sum and product. `spread` (2, n): a square root of their covariance."""
     bend = total**2 / 4.0 - product  # squared half distance of the poles: its sign distinguishes real from complex
     bend_slope = np.array([total / 2.0, -1.0])
     half = cmath.sqrt(bend)
@@ -210,8 +211,8 @@ def _pair(total: float, product: float, spread: Floats) -> FittedPair:
     if abs(bend) > 40.0 * bend_uncertainty:
         uncertainty = float(np.linalg.norm((np.array([0.5, 0.0]) + bend_slope / (2.0 * half)) @ spread))
     else:
-        # Where the poles may have met, the square root is anything but linear: a quarter of how far it reaches when
-        # the bend is off by four uncertainties, so that four of the value stated cover what four of the bend's do.
+        # If the poles may coincide, the square root is far from linear. The uncertainty is a quarter of its change when
+        # the bend is off by four uncertainties: four of one then cover four of the other.
         reach = max(abs(cmath.sqrt(bend + side * bend_uncertainty) - half) for side in (-4.0, 4.0)) / 4.0
         uncertainty = math.hypot(0.5 * float(np.linalg.norm(spread[0])), reach)
     decay, stiffness, slopes = _decay_and_stiffness(total, product)
@@ -220,7 +221,7 @@ def _pair(total: float, product: float, spread: Floats) -> FittedPair:
 
 
 def _decay_and_stiffness(total: float, product: float) -> tuple[float, float, Floats]:
-    """(s1 + s2) T, s1 s2 T² and their slopes by sum and product, smooth where the poles meet.
+    """Returns (s1 + s2) T, s1 s2 T² and their slopes by sum and product, smooth even if the poles coincide.
 
     With mu² the product and cosine c = sum / (2 mu): s1 s2 T² = ln(mu)² + angle², where cos(angle) = c; two real poles
     have an imaginary angle.

@@ -1,4 +1,4 @@
-"""Identification of a device: it is pushed within stated bounds, and mass, friction, stiffness and delay are fitted."""
+"""identify_device: pushes a device within bounds, and fits its mass, friction, stiffness and delay."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_diagnosis import (
     LOUD,
     ForceResidual,
-    Pushed,
+    PushedRun,
+    fit_error,
     force_residual,
-    inverted,
     misfit_of,
-    why_not,
-    why_too_far,
+    polarity_error,
+    travel_error,
 )
 from hapsim.measuring.device_fit import DeviceFit, Shape, fit_device, hands_on
 from hapsim.measuring.device_motion import (
@@ -55,66 +55,66 @@ from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 
 SECONDS = 6.0
-"""Default duration of the record that is fitted."""
+"""Default duration of the fitted record, s."""
 
-_LISTEN_S, _LISTEN_TICKS = 0.1, 64
+_REST_S, _REST_TICKS = 0.1, 64
 _GENTLE_HALVES, _GENTLE_TICKS = 12, 384
-_MAY_BE_LIGHTER = 10.0  # the mass, than declared
-_COUNTS_OF_DAMPING = 1.5  # steps of the damper's force, by a count of the position, that the gentlest push is at least
-_FIRST_MOVES, _FIRST_TRAVEL = 0.07, 0.2  # of the travel, at first: wired the wrong way it runs away
-_MOVES = 0.35  # of the travel: enough for a fit
-_MEANT = 0.6  # of the travel
+_LIGHTER = 10.0  # times lighter than declared: the mass that the gentlest push allows for
+_COUNTS_OF_DAMPING = 1.5  # the gentlest push, in steps of the damper's force from one count of the position
+_FIRST_MOVES, _FIRST_TRAVEL = 0.07, 0.2  # of the travel, at first: a device wired the wrong way runs away
+_ENOUGH_TRAVEL = 0.35  # of the travel: enough for a fit
+_TARGET_TRAVEL = 0.6  # of the travel
 _UNSEEN, _UNSEEN_COUNTS = 0.07, 2.0
-# Of the travel, and counts: how far a free mass as declared is moved, and back, until its position answers, so that one
-# ten times lighter stays in its travel, too.
-_HARDLY = 0.02  # of the travel
-_A_LITTLE_HARDER, _MUCH_HARDER = 1.25, 3.0
-_MOST_ATTEMPTS = 36  # from the gentlest push on
-_MOST_RECORDINGS = 4  # of a device that a first fit describes
-_MANY_TIMES_DECLARED, _LEAST_DELAY = 3.0, 8.0
-_HAND_LEAVES = 0.3  # of what one mass leaves: two are seen
-_UNSURE_HAND = 0.3  # of its mass: a hand that is none
-_PIECE_S = 0.5  # a fit of two masses uses pieces of this length
-_NOISE_PEAK = 4.0  # rms: how far the noise of a record reaches
-_DELAY_STEP, _FRICTIONS, _STIFFNESSES = 2.0, (0.0, 1.0, 5.0, 20.0), (0.0, 3.0, 30.0)  # of a first fit, by swings
+# Of the travel, and counts: the motion of a free mass as declared until its position changes. Even a mass ten times
+# lighter then stays within the travel.
+_STUCK_TRAVEL = 0.02  # of the travel
+_SMALL_INCREASE, _LARGE_INCREASE = 1.25, 3.0
+_MOST_ATTEMPTS = 36  # starting with the gentlest push
+_MOST_RECORDINGS = 4  # after the first fit
+_MOST_DECLARED, _LEAST_DELAY = 3.0, 8.0
+_HAND_RESIDUAL = 0.3  # of the residual with one mass: with less, two masses are accepted
+_UNSURE_HAND = 0.3  # relative uncertainty of a hand's mass that is too large
+_PIECE_S = 0.5  # length of the pieces for a fit of two masses
+_NOISE_PEAK = 4.0  # times rms: the peak of a record's noise
+_DELAY_STEP, _FRICTIONS, _STIFFNESSES = 2.0, (0.0, 1.0, 5.0, 20.0), (0.0, 3.0, 30.0)  # start values, by swings
 _DRIVES = ((1.0, 0.5), (0.6, 1.0), (1.6, 0.7))  # pace and tightness: three simulated (K, B)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceIdentification(DeviceFit):
-    """What was found of a device on one channel, beside the values of `DeviceFit`. SI units."""
+    """The identified device on one channel: the values of `DeviceFit`, and how they were measured. SI units."""
 
     noise_m: float
-    """rms, of the positions at rest; their counts are in it."""
+    """Noise of the positions at rest, m rms, with their rounding."""
     channel: int
     bounds: Bounds
-    """Within which it was pushed."""
+    """Limits of the pushes."""
     drives: tuple[Drive, ...]
-    """At which simulated stiffness and damping, and how."""
+    """Simulated springs and dampers, and pushes, of the runs."""
     peak_m: float
-    """How far it was moved, from where it was found."""
+    """Largest distance from the home position, m."""
     rate_hz: float
     count_m: float
-    """m per count of the position."""
+    """Size of a position's count, m."""
     misfit: str
-    """A sentence that says where the model does not fit; "" where it does."""
+    """A sentence about the misfit of the model; "" if it fits."""
     stopped: bool
-    """Whether a signal ended it early; the values are those of the record until then."""
+    """True if a signal ended the measurement early; the values are those of the record until then."""
     seen_rate: SeenRate | None
-    """At which rate the device sampled, as its positions arrived; None where that does not tell."""
+    """Rate at which the device sampled, from the arrival of its positions; None if they do not show it."""
     motions: tuple[Motion, ...] = field(repr=False, compare=False)
     force_residual: ForceResidual = field(repr=False, compare=False)
     traces: tuple[Trace, ...] = field(repr=False, compare=False)
 
     @property
     def residual_m(self) -> float:
-        """rms, of the positions: their rounding and noise where all is well."""
+        """Residual of the positions, m rms; ideally their rounding and noise alone."""
         return self.residual_counts * self.count_m
 
 
 def bounds_of(scene: Scene, channel: int, force: float | None = None, travel: float | None = None) -> Bounds:
-    """What the device may be given; defaults: a quarter of the scene's force limit, and 5 mm or 0.2 rad to either side.
-    UsageError where more than the limit is asked for."""
+    """Returns the limits of the pushes [default: a quarter of the scene's force limit, 5 mm or 0.2 rad to either side].
+    Raises UsageError for a force above the limit."""
     limit = force_limit(scene)
     require_device_point(scene, channel)
     units = scene.units_of(channel)
@@ -137,22 +137,20 @@ def identify_device(
     run: Run = run_to_end,
     **options: Unpack[RunOptions],
 ) -> DeviceIdentification:
-    """Pushes the device of `scene` on `channel`, whatever the scene simulates, and identifies what it is.
+    """Pushes the device of `scene` on `channel`, without the scene's modules, and identifies it.
 
-    `force`: N, at most, to either side [default: a quarter of the scene's force_limit]. `travel`: m, at most, from
-    where it is found [default: 0.005 m, 0.2 rad]. `duration`: seconds that are recorded for the fit, beside
-    a few seconds that find out how hard to push. It begins with a fraction of the force that the declared mass would
-    need, and pushes harder as it learns how far the device gets. Mass, friction and delay may be declared wrong by a
-    factor of three.
+    `force`: largest force to either side, N [default: a quarter of the scene's force_limit]. `travel`: largest distance
+    from the home position, m [default: 0.005 m, 0.2 rad]. `duration`: duration of the fitted record, s; a few seconds
+    before it find the strength of the pushes. They begin with a fraction of the force that the declared mass needs, and
+    grow. The declared mass, friction and delay may be wrong by a factor of three.
 
-    `options`: `transport`, `on_progress` and `stop_on_signals`, as of `hapsim.run`; `run` is what they go to, with the
-    scene. Raises what `hapsim.running.run` raises, GuardError where the device moved farther than `travel`, and
-    UsageError where too little moves to identify anything, or what moves does not answer to the force.
+    `run` runs the scene, with `options`: `transport`, `on_progress` and `stop_on_signals` of `hapsim.run`. Raises the
+    errors of `run`, GuardError if the device moves beyond `travel`, and UsageError if nothing can be identified.
     """
     scene = as_scene(scene)
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
-    # unstable: the band in which the force fades may be narrow, and nothing is held there for long
+    # unstable: the force may fade within a narrow band, but the device does not stay there for long
     pusher = _Pusher(
         scene, channel, bounds_of(scene, channel, force, travel), partial(run, **{**options, "unstable": True})
     )
@@ -164,66 +162,67 @@ def identify_device(
 
 
 class _Pusher:
-    """A device that is pushed within bounds, run after run, and the records of it."""
+    """Pushes a device within bounds, run after run, and keeps the records."""
 
     def __init__(self, scene: Scene, channel: int, bounds: Bounds, run: Run) -> None:
         self._scene, self._channel, self._bounds, self._run_scene = scene, channel, bounds, run
         self._converters = Converters(scene.device.hold, scene.device.sampling)
-        self._most_delay = max(_LEAST_DELAY, _MANY_TIMES_DECLARED * scene.device.delay + 1.0)
+        self._most_delay = max(_LEAST_DELAY, _MOST_DECLARED * scene.device.delay + 1.0)
         self._home_counts = self._noise_counts = 0.0
         self._count_m = 1.0
         self._records: list[tuple[Drive, Trace]] = []
         self._stopped = False
-        """Whether a signal ended the last run."""
-        self._judged = False
-        """Whether a motion has shown which way the motor is wired."""
+        """True if a signal ended the last run."""
+        self._polarity_known = False
+        """True once a motion has shown the polarity of the motor."""
 
     def find_home(self) -> None:
-        """Where the device stands at zero force, and how its positions are noisy there."""
-        trace = self._run(None, self._bounds, max(_LISTEN_S, _LISTEN_TICKS / self._scene.rate))
+        """Finds the home position, at zero force, and the noise there. Raises GuardError if the device moves."""
+        trace = self._run(None, self._bounds, max(_REST_S, _REST_TICKS / self._scene.rate))
         counts = trace.position_counts[:, self._channel].astype(float)
         self._count_m = float(trace.position_scale[self._channel])
         moved = float(np.ptp(counts)) * self._count_m if counts.size else 0.0
-        if self._stopped or counts.size < _LISTEN_TICKS // 2:
+        if self._stopped or counts.size < _REST_TICKS // 2:
             raise UsageError("stopped before the device was pushed: nothing was identified")
         if moved > self._bounds.travel:
             units = self._scene.units_of(self._channel)
             raise GuardError(
-                f"without any force the device moved by {units(moved, 'mm', '.3g')}, farther than the "
-                f"{units(self._bounds.travel, 'mm', 'g')} that it may: it was not pushed. Let it rest, or hold it, and "
-                "try again (a mock moves by itself where the scene has mock.initial)"
+                f"without any force the device moved by {units(moved, 'mm', '.3g')}, beyond the allowed "
+                f"{units(self._bounds.travel, 'mm', 'g')}: it was not pushed. Let it rest, or hold it, and try again. "
+                "A mock moves by itself if the scene has mock.initial"
             )
         self._home_counts = float(np.median(counts))
         self._noise_counts = float(np.std(np.diff(counts, 2))) / math.sqrt(6.0)
 
     def grow(self) -> DeviceFit:
-        """Pushes ever harder until the device moves enough for a first fit."""
+        """Pushes harder and harder until the device moves enough. Returns a first fit."""
         scene, bounds = self._scene, self._bounds
         declared = Plant(scene.device.masses(scene.channels)[self._channel], 0.0, 0.0, scene.device.delay)
         full = drive_for(declared, bounds, scene.rate, pace=1.0, tightness=0.5)
-        steepest = _MAY_BE_LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
+        steepest = _LIGHTER * peak_per_newton(declared, full, scene.rate, self._converters)
         force = _FIRST_MOVES * bounds.travel / steepest
-        if scene.device.port is not None:  # whose guard ends a run that rounding shakes at the limit of its force
+        if scene.device.port is not None:  # its guard ends a run in which rounding alone reaches the force limit
             clear = _COUNTS_OF_DAMPING * full.damping * scene.rate * self._count_m
-            force = max(force, min(clear, 0.5 * _FIRST_TRAVEL * bounds.travel / (steepest / _MAY_BE_LIGHTER)))
+            force = max(force, min(clear, 0.5 * _FIRST_TRAVEL * bounds.travel / (steepest / _LIGHTER)))
         force = min(full.force, force)
-        gentle = replace(full, force=self._answered(full, force))
-        first_travel = _FIRST_TRAVEL if gentle.force == force else 1.0  # it had to be torn loose
+        gentle = replace(full, force=self._moving_force(full, force))
+        first_travel = _FIRST_TRAVEL if gentle.force == force else 1.0  # it was stuck
         duration = max(_GENTLE_HALVES * full.half, _GENTLE_TICKS) / scene.rate
-        drive, trace = self._far_enough(gentle, duration, steepest, first_travel * bounds.travel, _MOST_ATTEMPTS)
+        drive, trace = self._run_until_enough(gentle, duration, steepest, first_travel * bounds.travel, _MOST_ATTEMPTS)
         if self._stopped:
             raise UsageError("stopped before enough was recorded: nothing was identified")
-        return self._sound_fit(drive, trace, [trace])
+        return self._checked_fit(drive, trace, [trace])
 
-    def _answered(self, drive: Drive, force: float) -> float:
-        """Returns the force (N), from `force` on, at which a count of the position changes. UsageError where none does.
+    def _moving_force(self, drive: Drive, force: float) -> float:
+        """Returns the least force (N), at least `force`, that changes the position by a count. Raises UsageError if
+        none does.
 
-        Until then the position is no guide: a sensor may be dead. So each push is +F, -F, -F, +F, each so short that a
-        free mass as declared gets no farther than F t²/m, and comes back to rest where it was."""
+        Until then the sensor may be dead. So each push is +F, -F, -F, +F, each of them short: a free mass as declared
+        moves by F t²/m at most, and returns to rest at its start."""
         device, travel, rate = self._scene.device, self._bounds.travel, self._scene.rate
         mass = device.masses(self._scene.channels)[self._channel]
-        way = max(_UNSEEN * travel, min(_UNSEEN_COUNTS * self._count_m, _MOVES * travel))
-        acted, most = 0.0, min(self._bounds.push, way * mass * rate**2)  # within a sample no push is shorter
+        way = max(_UNSEEN * travel, min(_UNSEEN_COUNTS * self._count_m, _ENOUGH_TRAVEL * travel))
+        acted, most = 0.0, min(self._bounds.push, way * mass * rate**2)  # no push is shorter than a sample
         force = min(force, most)
         while True:
             ticks = max(min(math.floor(math.sqrt(way * mass / force) * rate), drive.half), 1)
@@ -237,56 +236,56 @@ class _Pusher:
             acted += 4 * ticks / rate
             if force >= most:
                 raise UsageError(silence_words(acted, force, self._scene.units_of(self._channel)))
-            force = min(_A_LITTLE_HARDER * force, most)
+            force = min(_SMALL_INCREASE * force, most)
 
     def record(self, rough: DeviceFit, duration: float) -> None:
-        """Records the device at several simulated (K, B), as far as it may be moved; with which ones."""
+        """Records the device at several simulated (K, B), with motions as large as the travel allows."""
         mass = rough.mass.value + (rough.hand.mass.value if rough.hand is not None else 0.0)
         plant = Plant(mass, *(max(one.value, 0.0) for one in (rough.friction, rough.stiffness, rough.delay)))
         piece = duration / len(_DRIVES)
         for pace, tightness in _DRIVES:
             drive = drive_for(plant, self._bounds, self._scene.rate, pace=pace, tightness=tightness)
             slope = peak_per_newton(plant, drive, self._scene.rate, self._converters)
-            drive = replace(drive, force=min(drive.force, _MEANT * self._bounds.travel / slope))
-            self._records.append(self._far_enough(drive, piece, slope, self._bounds.travel, _MOST_RECORDINGS))
+            drive = replace(drive, force=min(drive.force, _TARGET_TRAVEL * self._bounds.travel / slope))
+            self._records.append(self._run_until_enough(drive, piece, slope, self._bounds.travel, _MOST_RECORDINGS))
             if self._stopped:
                 return
 
-    def _far_enough(
+    def _run_until_enough(
         self, drive: Drive, duration: float, slope: float, travel: float, attempts: int
     ) -> tuple[Drive, Trace]:
-        """A run under this drive, or a stronger one if the device moves too little, after at most `attempts` runs.
-        `slope`: m that it may move with each newton; `travel`: m that the first run may move it."""
+        """Runs this drive, then stronger ones while the device moves too little, `attempts` runs at most. Returns the
+        last drive and its trace. `slope`: largest motion per newton, m/N; `travel`: bound of the first run, m."""
         before: tuple[float, float] | None = None
         for _ in range(attempts):
             bounds, travel = replace(self._bounds, travel=travel), self._bounds.travel
             trace = self._pushed(drive, duration, bounds)
             if silence(trace, self._channel) and not self._stopped:
-                force = self._answered(drive, min(_A_LITTLE_HARDER * drive.force, self._bounds.push))
+                force = self._moving_force(drive, min(_SMALL_INCREASE * drive.force, self._bounds.push))
                 if drive.force < self._bounds.push:
                     drive = replace(drive, force=force)
                     continue
             peak = self._peak(trace)
-            stuck = peak <= _HARDLY * travel
-            if not (stuck or self._judged):
-                self._judged = True
-                if error := inverted(self._fit([trace]), self._seen(drive, trace, self._bounds)):
+            stuck = peak <= _STUCK_TRAVEL * travel
+            if not (stuck or self._polarity_known):
+                self._polarity_known = True
+                if error := polarity_error(self._fit([trace]), self._pushed_run(drive, trace, self._bounds)):
                     raise error
-            if self._stopped or peak > _MOVES * travel or drive.force >= self._bounds.push:
+            if self._stopped or peak > _ENOUGH_TRAVEL * travel or drive.force >= self._bounds.push:
                 break
             slope = slope if before is None else (peak - before[1]) / (drive.force - before[0])
             before = None if stuck else (drive.force, peak)
-            wanted = drive.force + max(_MEANT * travel - peak, 0.0) / max(slope, 1e-300)
-            # Where it hardly moved a dry friction is in the way, or a large mass: then a quarter more at least.
-            force = max(wanted, _A_LITTLE_HARDER * drive.force) if stuck else min(wanted, _MUCH_HARDER * drive.force)
+            wanted = drive.force + max(_TARGET_TRAVEL * travel - peak, 0.0) / max(slope, 1e-300)
+            # If it hardly moved, because of dry friction or a large mass, the force grows by a quarter at least.
+            force = max(wanted, _SMALL_INCREASE * drive.force) if stuck else min(wanted, _LARGE_INCREASE * drive.force)
             drive = replace(drive, force=min(self._bounds.push, force))
         return drive, trace
 
     def identified(self, start: Shape) -> DeviceIdentification:
-        """The fit over all that was recorded, from `start` on."""
+        """Returns the identification from all records. The fit starts from `start`."""
         rate, count_m, traces = self._scene.rate, self._count_m, [trace for _, trace in self._records]
         farthest = max(self._records, key=lambda record: self._peak(record[1]))
-        fit = self._sound_fit(*farthest, traces, start)
+        fit = self._checked_fit(*farthest, traces, start)
         motions = self._motions(traces)
         lacking = force_residual(motions, fit, self._noise_counts, count_m, rate, self._converters)
         return DeviceIdentification(
@@ -309,22 +308,22 @@ class _Pusher:
     def _motions(self, traces: list[Trace]) -> list[Motion]:
         return [motion_of(trace, self._channel, self._home_counts, self._most_delay) for trace in traces]
 
-    def _sound_fit(self, drive: Drive, trace: Trace, traces: list[Trace], begin: Shape = ()) -> DeviceFit:
-        """The fit of `traces`; the error that a run under this drive shows where it is none to go on from."""
+    def _checked_fit(self, drive: Drive, trace: Trace, traces: list[Trace], begin: Shape = ()) -> DeviceFit:
+        """Returns the fit of `traces`. Raises the error that `trace`, of this drive, shows if the fit is unusable."""
         fit = self._fit(traces, begin)
-        error = why_not(fit, self._seen(drive, trace, self._bounds))
+        error = fit_error(fit, self._pushed_run(drive, trace, self._bounds))
         if error is not None:
             raise error
         assert fit is not None
         return fit
 
     def _fit(self, traces: list[Trace], begin: Shape = ()) -> DeviceFit | None:
-        """A mass; or two, where that leaves much less. From `begin` on, if there is one."""
+        """Returns a fit of one mass, or of two if their residual is much smaller. It starts from `begin` if given."""
         motions = self._motions(traces)
         swings, floor = swings_of(motions, self._noise_counts), math.hypot(self._noise_counts, ROUNDING)
         given: dict[str, Any] = {"count_m": self._count_m, "rate_hz": self._scene.rate, "most_delay": self._most_delay}
         fit = partial(fit_device, motions, converters=self._converters, **given)
-        one = fit(swings=swings, begins=[begin[:3]] if begin else self._begins(swings))
+        one = fit(swings=swings, begins=[begin[:3]] if begin else self._start_shapes(swings))
         if one is not None and one.residual_counts < LOUD * floor:
             return one
         delay = self._scene.device.delay if one is None else one.delay.value
@@ -332,25 +331,25 @@ class _Pusher:
         two = fit(swings=pieces_of(motions, math.ceil(_PIECE_S * self._scene.rate)), begins=hands)
         if two is None or two.hand is None or two.hand.mass.uncertainty > _UNSURE_HAND * two.hand.mass.value:
             return one
-        return two if one is None or two.residual_counts < _HAND_LEAVES * one.residual_counts else one
+        return two if one is None or two.residual_counts < _HAND_RESIDUAL * one.residual_counts else one
 
-    def _begins(self, swings: list[Swing]) -> list[Shape]:
-        """Where a first fit may begin: what swings of these lengths could be of."""
+    def _start_shapes(self, swings: list[Swing]) -> list[Shape]:
+        """Returns start values for a first fit, from the typical length of the swings."""
         rows = float(np.median([swing.rows for swing in swings])) if swings else 1.0
         delays = np.arange(0.0, self._most_delay, _DELAY_STEP)
         every = product(delays, _FRICTIONS, _STIFFNESSES)
         return [(float(delay), friction / rows, stiffness / rows**2) for delay, friction, stiffness in every]
 
-    def _seen(self, drive: Drive, trace: Trace, bounds: Bounds) -> Pushed:
+    def _pushed_run(self, drive: Drive, trace: Trace, bounds: Bounds) -> PushedRun:
         noise_m = self._noise_counts * self._count_m
         units = self._scene.units_of(self._channel)
-        return Pushed(drive.force, self._peak(trace), bounds, noise_m, self._count_m, units)
+        return PushedRun(drive.force, self._peak(trace), bounds, noise_m, self._count_m, units)
 
     def _pushed(self, drive: Drive, duration: float, bounds: Bounds) -> Trace:
-        """A run under this drive. GuardError where the device moved farther than it may."""
+        """Returns the trace of a run of this drive. Raises GuardError if the device moved farther than it may."""
         trace = self._run(drive, bounds, duration)
         if trace.report.ending == travel.GUARD.words:
-            error = why_too_far(self._fit([trace]), self._seen(drive, trace, bounds))
+            error = travel_error(self._fit([trace]), self._pushed_run(drive, trace, bounds))
             error.trace = trace
             raise error
         return trace
@@ -358,7 +357,8 @@ class _Pusher:
     def _run(
         self, drive: Drive | None, bounds: Bounds, duration: float, push: PeriodicExcitation | None = None
     ) -> Trace:
-        """A run, ended by the loop at the first sample that is too far away. `push`: in place of the drive's."""
+        """Returns the trace of a run, which the loop ends at the first sample out of bounds. `push`: instead of the
+        drive's."""
         home = self._home_counts * self._count_m
         excitation = push if drive is None or push is not None else drive.excitation(self._channel)
         scene = scene_of(self._scene, bounds, self._channel, drive, home)
@@ -372,7 +372,7 @@ class _Pusher:
         return trace
 
     def _peak(self, trace: Trace) -> float:
-        """m, how far from home, less what the noise alone may reach."""
+        """Returns the largest distance from home, m, less the peak of the noise."""
         counts = trace.position_counts[:, self._channel] - self._home_counts
         far = float(np.max(np.abs(counts), initial=0.0)) - _NOISE_PEAK * self._noise_counts
         return max(far, 0.0) * self._count_m

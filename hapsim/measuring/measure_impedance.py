@@ -1,4 +1,4 @@
-"""Exciting a device with multisines, one channel after the other, and identifying the impedances of its loop."""
+"""measure_impedance: excites each channel of a device with a multisine, and identifies the impedances of its loop."""
 
 from __future__ import annotations
 
@@ -34,33 +34,33 @@ from hapsim.scene.load import SceneSource, as_scene
 from hapsim.stopping import INTERRUPTED
 from hapsim.units import Units
 
-_PERIODS, _MORE = 14, 4  # times as many if the earlier motion has hardly died away
-_UNCERTAIN = 0.01  # of the device's impedance, in the median: then more periods are worth their time
-_SOFT_PERIODS, _SOFT = 5, 0.125  # of the first excitation, which finds how far a force moves what
-_FEW_COUNTS = 20.0  # of travel: the rounding is no longer like noise
+_PERIODS, _MORE = 14, 4  # the second: times as many if earlier motion has not decayed
+_UNCERTAIN = 0.01  # median relative uncertainty of the device's impedance: above it more periods are recorded
+_SOFT_PERIODS, _SOFT = 5, 0.125  # of the first excitation, which finds how far a force moves each channel
+_FEW_COUNTS = 20.0  # of travel: with fewer, rounding is no longer like noise
 
 
 @dataclass(frozen=True)
 class MeasuredImpedance(Impedance):
-    """What was measured, on which channels, and by what."""
+    """The measured impedances of C channels, and how they were measured."""
 
     channels: tuple[int, ...] = ()
-    """(C,) as the scene numbers them."""
+    """Channel numbers as in the scene, (C,)."""
     period_s: float = math.nan
     peak_force: tuple[float, ...] = ()
-    """(C,) N, of each channel's excitation."""
+    """Peak force of each channel's excitation, (C,) N."""
     travel: tuple[float, ...] = ()
-    """(C,) m, from one end to the other, of the channel that was excited."""
+    """Peak-to-peak motion of each channel under its excitation, (C,) m."""
     lost_periods: int = 0
-    """Periods that do not count because positions of them never came."""
+    """Number of ignored periods, of which positions were lost."""
     limited_samples: int = 0
-    """Samples whose force was clipped at its limit."""
+    """Number of samples whose force was clipped at its limit."""
     seen_rate: SeenRate | None = None
-    """At which rate the device sampled, as its positions arrived; None where that does not tell."""
+    """Rate at which the device sampled, from the arrival of its positions; None if they do not show it."""
     stopped: bool = False
-    """Whether a signal ended it early: the impedance is of the periods until then."""
+    """True if a signal ended the measurement early; the impedance is of the periods until then."""
     traces: tuple[Trace, ...] = field(default=(), repr=False, compare=False)
-    """(C,), the sources."""
+    """The records, (C,)."""
 
 
 class StoppedError(HapsimError):
@@ -69,10 +69,10 @@ class StoppedError(HapsimError):
     exit_status = INTERRUPTED
 
     def __init__(self, runs: list[_Run], enough_s: float) -> None:
-        """`enough_s`: the least time in which every channel is excited for long enough."""
+        """Makes the error. `enough_s`: the time after which every channel has been excited for long enough, s."""
         super().__init__(
-            "stopped before every channel was excited for long enough: no impedance was identified; with these options "
-            f"about {enough_s:.2g} s of running are enough"
+            "stopped before every channel was excited for long enough: no impedance was identified. With these options "
+            f"the measurement needs about {enough_s:.2g} s"
         )
         self.traces = tuple(one.trace for one in runs)
 
@@ -84,7 +84,7 @@ class _Run(NamedTuple):
     periods: Periods
     stopped: bool
     peak_force: float  # N
-    travel: float = math.nan  # m, from one end to the other
+    travel: float = math.nan  # m, peak to peak
 
 
 def measure_impedance(
@@ -96,16 +96,15 @@ def measure_impedance(
     run: Run = run_to_end,
     **options: Unpack[RunOptions],
 ) -> MeasuredImpedance:
-    """The driving-point impedances of `scene` at its device points, from 2 Hz to close below the Nyquist frequency.
+    """Measures the driving-point impedances of `scene` at its device points, from 2 Hz to just below Nyquist's limit.
 
-    Each channel in turn is excited by a multisine that is added to the scene's force: softly at first, which shows how
-    far each frequency moves it, then so that it moves by about `travel` (m; None: 1 mm or 0.05 rad) at most, with at
-    most `push` N (None: a quarter of the force limit). `duration`: seconds of each channel's second excitation. Where
-    something in the scene is not linear, the impedance is that about the motion to which it was excited.
+    A multisine added to the scene's force excites each channel in turn: softly at first, which shows how far each
+    frequency moves it, then in full. The full motion is at most about `travel` m (None: 1 mm or 0.05 rad), the force at
+    most `push` N (None: a quarter of the force limit). `duration`: seconds of each channel's full excitation. The
+    impedance of a nonlinear scene is that for the excited motion.
 
-    `options`: `transport`, `on_progress`, `stop_on_signals` and `unstable`, as of `hapsim.run`; `run` is what they go
-    to, with the scene. Raises what `hapsim.running.run` raises, and
-    UsageError where too little moves, or too little was recorded.
+    `run` runs the scene, with `options`: `transport`, `on_progress`, `stop_on_signals` and `unstable` of `hapsim.run`.
+    Raises the errors of `run`, and UsageError if too little moves or too little was recorded.
     """
     scene, run = as_scene(scene), partial(run, **options)
     lines = lines_for(scene.rate)
@@ -115,8 +114,8 @@ def measure_impedance(
     periods = _PERIODS if duration is None else math.floor(duration / lines.period_s * (1.0 + 1e-9))
     if duration is not None and periods < (fewest := LEAST_PERIODS + 2):
         raise UsageError(
-            f"duration: found {duration:g} s, expected {fewest * lines.period_s:g} s or more: {fewest} periods of the "
-            "excitation"
+            f"duration: found {duration:g} s, expected at least {fewest * lines.period_s:g} s ({fewest} periods of the "
+            "excitation)"
         )
     rig = _Rig(run, scene, lines, travel, push)
     done = _excite_each(rig, periods, may_repeat=duration is None)
@@ -136,7 +135,7 @@ def measure_impedance(
 
 
 class _Rig:
-    """A scene to excite, and by how much: at most `travel` (m; None: as usual) and `push` (N; None: a share of it).
+    """The scene to excite, and the limits of the excitation: `travel` (m or None) and `push` (N or None).
 
     `run(scene, duration=…, excitation=…)` runs it.
     """
@@ -144,7 +143,7 @@ class _Rig:
     def __init__(self, run: Run, scene: Scene, lines: Lines, travel: float | None, push: float | None) -> None:
         self.channels = tuple(point.channel for point in scene.device_points.values())
         if not self.channels:
-            raise UsageError("the scene has no device point: there is nothing at which an impedance could be measured")
+            raise UsageError("the scene has no device point, so no impedance can be measured")
         self.lines, self.converters = lines, Converters(scene.device.hold, scene.device.sampling)
         self._most = largest_push(scene, push)
         usual = [one.excited if travel is None else travel for one in scene.device.scales(scene.channels)]
@@ -157,24 +156,26 @@ class _Rig:
         pushes = PeriodicExcitation(channel, forces)
         trace = self._run(self.scene, duration=count * self.lines.period_s, excitation=pushes)
         if not np.all(np.isfinite(trace.asked_force)):
-            raise UsageError("the scene's force was not finite throughout: there is nothing to be measured")
+            raise UsageError("the scene's force was not always finite: nothing was measured")
         periods = periods_of(trace, self.lines, self.converters, senses=bool(self.scene.sensed_links))
         stopped = trace.report.ending == IN_WORDS[STOPPED]
         return _Run(trace, periods.on(list(self.channels)), stopped, float(np.max(np.abs(forces))))
 
     def soft_forces(self, channel: int, share: float = _SOFT) -> Floats:
-        """By what the device's mass alone would do, as what holds it is not known yet: a share of what it may have."""
+        """Returns a period of the soft excitation (N): `share` of the force that would move the device's mass alone to
+        the limits. What holds the device is not known yet."""
         lines, most = self.lines, self._most
         inertia = self.scene.device.masses(self.scene.channels)[channel] * (2.0 * np.pi * lines.frequency) ** 2
         amplitude = np.minimum(lines.each(most), lines.each(0.5 * self.travel[channel]) * inertia)
         return multisine(lines, share * amplitude, share * most)
 
     def forces(self, answer: Periods, excited: int) -> Floats:
-        """As strong at each frequency as the travel, and the force, allow: from what the soft excitation moved."""
+        """Returns a period of the full excitation (N), as strong at each frequency as travel and force allow, from the
+        motion under the soft one."""
         if answer.pairs == 0:
             raise UsageError(
-                "no period of the first excitation was recorded whole: positions are lost; `hapsim doctor` shows which "
-                "rates are kept"
+                "no period of the first excitation was recorded completely: positions are lost. `hapsim doctor` shows "
+                "which rates can be kept"
             )
         lines, last = self.lines, answer.after(max(0, answer.pairs - 3))
         force = np.abs(np.mean(last.force - last.scene, axis=0)[:, excited])
@@ -187,11 +188,11 @@ class _Rig:
 
 
 def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
-    """Excites each channel, softly and then in full; for longer if that is worth its time and `may_repeat`.
+    """Excites each channel, softly and then in full; for longer if the result is uncertain and `may_repeat`.
 
     Raises StoppedError if a signal comes before the last channel was excited for long enough.
     """
-    # Before the last channel all are excited in full; of the last one a stop leaves what was recorded.
+    # A stop may shorten the record of the last channel only.
     needed = len(rig.channels) * _SOFT_PERIODS + (len(rig.channels) - 1) * periods + LEAST_PERIODS + 2
     enough_s = needed * rig.lines.period_s
     done: list[_Run] = []
@@ -200,7 +201,7 @@ def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
         if soft.stopped:
             raise StoppedError(done, enough_s)
         said = silence(soft.trace, channel)
-        # where the soft forces move the mass alone by clearly more than a count
+        # an error only if the soft forces would move the mass alone by clearly more than a count
         if said and 0.5 * _SOFT * rig.travel[channel] > _FEW_COUNTS * soft.trace.position_scale[channel]:
             raise UsageError(said)
         forces = rig.soft_forces(channel, share=1.0) if said else rig.forces(soft.periods, place)
@@ -220,21 +221,20 @@ def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
 
 
 def _travel(trace: Trace, lines: Lines, channel: int, peak: float, units: Units) -> float:
-    """m, from one end to the other in the last period. UsageError where that is next to nothing."""
+    """Returns the peak-to-peak motion in the last period, m. Raises UsageError if it is only some counts."""
     counts = trace.position_counts[-lines.samples :, channel].astype(float)
     moved, count = float(np.ptp(counts)) if counts.size else 0.0, float(trace.position_scale[channel])
     if moved < _FEW_COUNTS:
         raise UsageError(
-            f"channel {channel}: an excitation of {units(peak, 'N', '.3g')} at most moved it by {moved:g} counts of "
-            f"{units(count, 'm', 'g')}, "
-            f"expected {_FEW_COUNTS:g} counts or more: the rounding hides its motion. Allow more force (force_limit; a "
-            "quarter of it is used), or more travel, or use a finer position sensor"
+            f"channel {channel}: an excitation of up to {units(peak, 'N', '.3g')} moved it by {moved:g} counts of "
+            f"{units(count, 'm', 'g')}, expected at least {_FEW_COUNTS:g}: rounding hides the motion. Allow more force "
+            "(a quarter of force_limit is used) or more travel, or use a finer position sensor"
         )
     return moved * count
 
 
 def walls_in_place(scene: Scene, walls: Mapping[int, tuple[float, float]]) -> Scene:
-    """The device of `scene` with a wall on each of these channels, (N/m, N·s/m), in place of all that the scene has."""
+    """Returns the device of `scene` with a wall (N/m, N·s/m) on each of these channels, without the scene's modules."""
     modules: dict[str, Any] = dict(scene.device_points)
     for name, point in scene.device_points.items():
         if point.channel in walls:

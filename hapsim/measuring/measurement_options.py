@@ -1,4 +1,4 @@
-"""The options of a measurement: how its scene runs, what may be asked of it, and how hard it may push."""
+"""The options of a measurement, and the checks of their values."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from hapsim.loop.counts import Progress
 
 Run = Callable[..., Trace]
-"""`run(scene, duration=…, excitation=…, **options)`, as `hapsim.run`."""
+"""A function like `hapsim.run`: `run(scene, duration=…, excitation=…, **options)`."""
 
 SHARE_OF_LIMIT = 0.25
-"""Of the force limit: the largest push where none is given."""
+"""Default of the largest push, as a share of the force limit."""
 
 
 class RunOptions(TypedDict, total=False):
-    """Options of each run of a measurement, as of `hapsim.run`."""
+    """Options of each run of a measurement, as in `hapsim.run`."""
 
     transport: TransportKind
     on_progress: Callable[[Progress], None] | None
@@ -31,14 +31,14 @@ class RunOptions(TypedDict, total=False):
 
 
 def require_above_zero(unit: str, **values: float | None) -> None:
-    """Raises UsageError for a value that is given and is not a finite number above 0."""
+    """Raises UsageError for a given value that is not a finite number above 0."""
     for name, value in values.items():
         if value is not None and not 0.0 < value < math.inf:
             raise UsageError(f"{name}: found {value:g}, expected a finite number of {unit} above 0")
 
 
 def require_device_point(scene: Scene, channel: int) -> None:
-    """Raises UsageError where the scene has no device point on this channel."""
+    """Raises UsageError if the scene has no device point on this channel."""
     channels = [point.channel for point in scene.device_points.values()]
     if channel not in channels:
         known = ", ".join(map(str, channels))
@@ -46,12 +46,12 @@ def require_device_point(scene: Scene, channel: int) -> None:
 
 
 def force_limit(scene: Scene) -> float:
-    """N, of the scene; and of the mock where that is the device."""
+    """Returns the force limit of the scene, N, or the mock's if that is the device and lower."""
     limit = scene.device.force_limit
     return limit if scene.device.port is not None else min(limit, scene.mock_device.force_limit)
 
 
 def largest_push(scene: Scene, push: float | None) -> float:
-    """N, of a measurement that is asked for this push, or for none: within the force limit."""
+    """Returns the largest push of a measurement within the force limit, N. `push`: as requested, or None."""
     limit = force_limit(scene)
     return SHARE_OF_LIMIT * limit if push is None else min(push, limit)

@@ -1,22 +1,22 @@
-"""The driving-point impedance of a running loop: its periodic excitation, and what its records show.
+"""The driving-point impedances of a running loop, from records of a periodic excitation.
 
-A multisine e of random phases, of many draws the one with the lowest peak (Pintelon and Schoukens, *System
-Identification: A Frequency Domain Approach*, 2012, §5.3), is added to the scene's force a; f = a + e acts, late and
-held, on the real mass, and the device reads the position y. A whole number of periods of every frequency fits in one
-period of the multisine, so that nothing leaks from one into another, and what differs from period to period is noise.
-Of these three alone, frequency by frequency and, of several channels, from one experiment for each:
+A multisine e is added to the scene's force a. Of many draws of random phases it has the lowest peak (Pintelon and
+Schoukens, *System Identification: A Frequency Domain Approach*, 2012, §5.3). The force f = a + e acts, late and held,
+on the real mass, and the device samples the position y. The multisine holds a whole number of periods of each
+frequency, so frequencies do not leak into each other, and differences between periods are noise. Each frequency is
+identified by itself from a, e and y; several channels need one experiment for each:
 
-* device:       f over the velocity. The real mass, friction and spring, as the loop sees them.
-* rendered:    -a over the velocity. What the sampled, held and late scene presents at the device point.
-* closed loop:  e over the velocity, the sum of the two. What meets an additional force of the loop.
+* device:       f over the velocity. The real mass, friction and spring, as seen by the loop.
+* rendered:    -a over the velocity. The sampled, held and late scene at the device point.
+* closed loop:  e over the velocity, the sum of the two. The impedance against an additional force of the loop.
 
-The velocity is 2 pi j f y. Each force counts as it acts on the mass: of a held force the part at its own frequency,
-late by the device's delay. How the device holds and delays is what it declares; the positions show when that is wrong,
-for then the device is not its mass, friction and spring. No prediction and no scene is known here.
+The velocity is 2 pi j f y. Each force counts as it acts on the mass: the part of a held force at its own frequency,
+late by the device's delay. Hold and delay are as declared; if they are wrong, the device does not look like a mass with
+friction and spring. Neither a prediction nor the scene is used here.
 
-How certain: the ratio over the periods' means (§2.4 to §2.5), the residual of each pair of periods giving the variance,
-in which what disturbs position and force alike cancels. To that is added the rounding of the positions to counts as if
-it were the same in every period, which no mean makes smaller.
+Uncertainty: the variance of the ratio of the means comes from the residual of each pair of periods (§2.4 to §2.5), in
+which disturbances common to position and force cancel. The rounding of the positions is added as if it were the same in
+every period, so that no mean reduces it.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ _LINES = 48
 _BELOW_NYQUIST = 0.9
 _DRAWS = 64
 _SEED = 20040927
-_CREST = 2.5  # peak over effective value that a good draw has, about
-_FEWEST_CHANGES = 8.0  # fewer would make a circle wider than 0.7 counts, the most that rounding does to an amplitude
+_CREST = 2.5  # peak over rms value of a good draw, about
+_FEWEST_CHANGES = 8.0  # fewer would make a circle wider than 0.7 counts, the largest effect of rounding on an amplitude
 _OPERATIONS = 10.0  # roundings of a double between a position and the scene's force
 
 
 class Lines(NamedTuple):
-    """The excited frequencies: ``bins`` (n,) whole numbers of periods in a period of ``samples`` at ``rate`` Hz."""
+    """The excited frequencies: `bins` (n,) whole numbers of periods in a period of `samples` at `rate` Hz."""
 
     bins: NDArray[np.intp]
     samples: int
@@ -55,28 +55,28 @@ class Lines(NamedTuple):
 
     @property
     def frequency(self) -> Floats:
-        """(n,) Hz."""
+        """Frequencies (n,), Hz."""
         return np.asarray(self.bins * (self.rate / self.samples), np.float64)
 
     @property
     def period_s(self) -> float:
-        """After which the force repeats, s."""
+        """Period of the force, s."""
         return self.samples / self.rate
 
     def each(self, peak: float) -> float:
-        """The amplitude of each of them, all alike, so that their sum has about this peak."""
+        """Returns the common amplitude of all frequencies for a sum with about this peak."""
         return peak / (_CREST * math.sqrt(0.5 * self.bins.size))
 
 
 def lines_for(rate: float) -> Lines:
-    """Frequencies in about even steps of their logarithm, from one period to close below the Nyquist frequency."""
+    """Returns frequencies spaced about evenly in their logarithm, from one period to just below the Nyquist limit."""
     samples = min(max(round(_PERIOD_S * rate), _LEAST_SAMPLES), _MOST_SAMPLES)
     bins = np.unique(np.rint(np.geomspace(1.0, _BELOW_NYQUIST * 0.5 * samples, _LINES)).astype(np.intp))
     return Lines(bins, samples, rate)
 
 
 def multisine(lines: Lines, amplitude: Floats, peak: float) -> Floats:
-    """(samples,) N: one period with these amplitudes (n,), made smaller throughout where its peak is above ``peak``."""
+    """Returns one period (samples,) in N with these amplitudes (n,), scaled down if its peak exceeds `peak`."""
     rng = np.random.default_rng(_SEED)
     spectra = np.zeros((_DRAWS, lines.samples // 2 + 1), dtype=complex)
     turned = np.exp(2j * np.pi * rng.random((_DRAWS, lines.bins.size)))
@@ -88,38 +88,39 @@ def multisine(lines: Lines, amplitude: Floats, peak: float) -> Floats:
 
 
 class Periods(NamedTuple):
-    """P pairs of whole periods, each overlapping the next by one; n frequencies, C channels: amplitudes (P, n, C) in m
-    and N, and the complex variances (C,) of one pair's amplitudes that their scatter does not show, m² and N²."""
+    """Amplitudes (P, n, C) in m and N of P pairs of whole periods, n frequencies, C channels. Neighbouring pairs share
+    one period. The complex variances (C,) in m² and N² are those that the scatter of the pairs does not show."""
 
     position: Complexes
-    scene: Complexes  # what the scene's modules asked for
+    scene: Complexes  # the force of the scene's modules
     force: Complexes
-    """All that acted, by the loop's count of samples: the scene's, the excitation's, clipped and rounded."""
+    """The acting force, by the loop's sample numbers: the scene's and the excitation's, clipped and rounded."""
     rounded_position: Floats
     rounded_scene: Floats
     by_position: bool
-    """Whether the scene's forces come of the recorded positions alone: then their rounding is no error of the ratio."""
+    """True if the scene's forces depend on the recorded positions alone: their rounding is then no error of the ratio.
+    """
     limited: int  # samples whose force was clipped at its limit
-    lost: int  # periods that do not count: samples are missing
+    lost: int  # ignored periods with missing samples
 
     @property
     def pairs(self) -> int:
-        """P."""
+        """Number of pairs, P."""
         return self.position.shape[0]
 
     def after(self, settled: int) -> Periods:
-        """Those from number `settled` on."""
+        """Returns the pairs from number `settled` on."""
         return self._replace(position=self.position[settled:], scene=self.scene[settled:], force=self.force[settled:])
 
     def on(self, channels: list[int]) -> Periods:
-        """Those of some channels, in this order."""
+        """Returns the pairs of these channels, in this order."""
         names = ("position", "scene", "force", "rounded_position", "rounded_scene")
         return self._replace(**{name: getattr(self, name)[..., channels] for name in names})
 
 
 def periods_of(trace: Trace, lines: Lines, converters: Converters, *, senses: bool) -> Periods:
-    """The whole periods of a trace. `senses`: the scene's forces come of velocities too, whose rounding no trace
-    records; the frequencies that nothing excites show how large it is."""
+    """Returns the whole periods of a trace. `senses`: the scene also uses sensed velocities. No trace records their
+    rounding; the frequencies that are not excited show how large it is."""
     samples, scene = lines.samples, trace.asked_force
     number, rows_in = np.unique(trace.sample // samples, return_counts=True)
     begins = np.cumsum(rows_in) - rows_in
@@ -130,8 +131,8 @@ def periods_of(trace: Trace, lines: Lines, converters: Converters, *, senses: bo
         found = [_amplitudes(signal[i : i + 2 * samples], lines) for i in pairs]
         return np.array(found, complex).reshape(-1, lines.bins.size, signal.shape[1])
 
-    # How often the count changes in a period: as many of the roundings are independent of each other. Where a channel
-    # hardly moves, they follow its motion, and lie where that lies: at the frequencies that are excited.
+    # The number of changes of the count in a period is the number of independent roundings. If a channel hardly moves,
+    # they follow its motion, at the excited frequencies.
     later = trace.position_counts[trace.sample.size // 2 :]
     changes = np.mean(np.diff(later, axis=0) != 0, axis=0) * samples
     rounded = 4.0 / np.clip(changes, _FEWEST_CHANGES, samples)
@@ -141,7 +142,7 @@ def periods_of(trace: Trace, lines: Lines, converters: Converters, *, senses: bo
         mean = np.mean([scene[first : first + samples] for first in pairs[pairs.size // 2 :]], axis=0)
         others = np.setdiff1d(np.arange(1, (samples + 1) // 2), lines.bins)
         computed = computed + np.mean(np.abs(np.fft.rfft(mean, axis=0)[others] * (2.0 / samples)) ** 2, axis=0)
-    missing = int(number[-1] - number[0] + 1 - number.size) if number.size else 0  # nothing was recorded of them
+    missing = int(number[-1] - number[0] + 1 - number.size) if number.size else 0  # periods without a record
     return Periods(
         amplitudes(trace.position - np.mean(trace.position, axis=0)),
         amplitudes(scene),
@@ -155,7 +156,7 @@ def periods_of(trace: Trace, lines: Lines, converters: Converters, *, senses: bo
 
 
 def _acting_force(trace: Trace, converters: Converters) -> Floats:
-    """(N, C): the force that acted in place of each row's: where that came too late, or never left, the one before."""
+    """Returns the acting force (N, C): if the force of a row came too late or was not sent, the one before acted."""
     missed = trace.flags & UNSENT != 0
     if not is_always_late(trace):
         missed[:-1] |= (trace.flags[1:] & LATE_FORCE != 0) & (np.diff(trace.sample) == 1)
@@ -166,25 +167,25 @@ def _acting_force(trace: Trace, converters: Converters) -> Floats:
 
 
 def _amplitudes(signal: Floats, lines: Lines) -> Complexes:
-    """(n, C) of two periods (2 samples, C), by a window of Hann: it is zero one period's frequency away from each, so
-    that what is periodic is separated exactly, and it begins and ends softly, so that what dies away hardly leaks."""
+    """Returns the amplitudes (n, C) of two periods (2 samples, C), by a Hann window. Its spectrum is zero at the other
+    excited frequencies, so they are separated exactly. Its soft ends reduce the leakage of a decaying motion."""
     window = 1.0 - np.cos(np.pi * np.arange(2 * lines.samples) / lines.samples)
     return np.asarray(np.fft.rfft(signal * window[:, None], axis=0)[2 * lines.bins] / lines.samples)
 
 
 CONFIDENCE = 0.999
-"""That the true values lie within their circles, at all frequencies and of all channels together."""
+"""Probability that all true values, at all frequencies and of all channels, lie within their circles."""
 
 LEAST_PERIODS = 4
 
 _OVERLAP = 1.5
-"""Variance of the mean of overlapping pairs of periods over that of independent ones: Hann's
-windows, half overlapping, are correlated by a sixth, which makes 4/3; the scatter shows a little less than there is."""
+"""Variance of the mean of overlapping pairs of periods over that of independent ones. Half-overlapping Hann windows are
+correlated by a sixth, which makes 4/3; the scatter underestimates it a little."""
 
 
 class Circles(NamedTuple):
-    """Values (n, C, C) in N·s/m, [:, i, j] the force on channel i over the velocity of channel j while the others are
-    held, and the radii of the circles about them that hold the true values, all of them together with 99.9 %."""
+    """Impedances (n, C, C) in N·s/m and their uncertainties. [:, i, j]: force on channel i over the velocity of channel
+    j while the others are held. Circles with these radii hold all true values together with 99.9 %."""
 
     value: Complexes
     uncertainty: Floats
@@ -192,24 +193,23 @@ class Circles(NamedTuple):
 
 @dataclass(frozen=True)
 class Impedance:
-    """What was measured at n frequencies, Hz (n,), on C channels: see the top of this file."""
+    """The measured impedances at n frequencies (n,) in Hz, on C channels; see the top of this file."""
 
     frequency: Floats
     device: Circles
     rendered: Circles
     closed_loop: Circles
     periods: tuple[int, ...]
-    """How many pairs of periods, each overlapping the next, count in each experiment."""
+    """Number of pairs of periods used in each experiment."""
 
 
 def impedance_of(
     experiments: Sequence[Periods], frequency: Floats, rate: float, delay: float, converters: Converters
 ) -> Impedance:
-    """The impedances from one experiment for each channel, the excitation on the first channel first.
+    """Returns the impedances from one experiment for each channel, in the order of the channels.
 
-    `rate` in Hz and `delay` in samples are what the device declares, by which a computed force becomes one that acts.
-
-    UsageError: too few periods, or motions that do not distinguish the channels.
+    `rate` in Hz and `delay` in samples are as declared by the device. Raises UsageError for too few periods, or for
+    motions that do not distinguish the channels.
     """
     settled = [one.after(settling(one, c)[0]) for c, one in enumerate(experiments)]
     position, scene, force = (
@@ -219,8 +219,8 @@ def impedance_of(
     try:
         inverse = np.linalg.inv(position)
     except np.linalg.LinAlgError:
-        raise UsageError("the excitations did not move every channel: there is nothing to be measured") from None
-    # What a rounding of the positions does to the scene's force is the scene's doing, and no error of what it renders.
+        raise UsageError("the excitations did not move every channel: nothing was measured") from None
+    # The scene answers to rounded positions. So their rounding in its force is no error of the rendered impedance.
     counted = [_rounded(one, force @ inverse) for one in settled]
     computed = [one.rounded_scene + (not one.by_position) * _rounded(one, scene @ inverse) for one in settled]
     unseen = np.array([counted, computed, np.add(counted, computed)])
@@ -237,17 +237,16 @@ def impedance_of(
 
 
 def _rounded(periods: Periods, ratio: Complexes) -> Floats:
-    """(n, C) complex variance of the forces that the positions' rounding stands for, at these N/m."""
+    """Returns the complex variance (n, C) of the forces that the positions' rounding causes. `ratio`: N/m."""
     return np.asarray(np.abs(ratio) ** 2 @ periods.rounded_position)
 
 
 def _radius(
     settled: Sequence[Periods], forces: Sequence[Complexes], ratio: Complexes, inverse: Complexes, unseen: Floats
 ) -> Floats:
-    """(n, C, C) of the circles about ``ratio``, of the forces (P, n, C) over the positions, in N/m.
+    """Returns the radii (n, C, C) of the circles about `ratio`, the forces (P, n, C) over the positions, in N/m.
 
-    ``unseen``: of each experiment a complex variance (n, C) of the forces that the scatter between periods need not
-    show.
+    `unseen`: for each experiment a complex variance (n, C) of the forces that the scatter of the periods may not show.
     """
     outside = (1.0 - CONFIDENCE) / ratio.size  # of each circle, Bonferroni
     total = np.zeros(ratio.shape)
@@ -259,20 +258,20 @@ def _radius(
 
 
 def _quantile(count: int, outside: float) -> float:
-    """What the square of a complex mean of `count` values exceeds with the probability ``outside``, over its estimated
-    variance: of F with 2 and 2 (count - 1) degrees of freedom, in closed form."""
+    """Returns the quantile of the squared mean of `count` complex values over its estimated variance. It is exceeded
+    with probability `outside`: F with 2 and 2 (count - 1) degrees of freedom, in closed form."""
     return (count - 1) * (outside ** (-1.0 / (count - 1)) - 1.0)
 
 
 def settling(periods: Periods, channel: int) -> tuple[int, float]:
-    """(how many periods at the beginning do not count, for the mean of the rest to be as certain as possible; the
-    relative radius of the device's impedance then, in the median) of an experiment that excites this channel.
-    UsageError where there are too few periods."""
+    """Returns the number of ignored first periods, and the median relative radius of the device's impedance from the
+    rest. The number makes the mean of the rest most certain. `channel`: the excited one. Raises UsageError for too few
+    periods."""
     if periods.pairs < LEAST_PERIODS + 1:
         raise UsageError(
-            f"only {periods.pairs} periods of the excitation were recorded whole, expected {LEAST_PERIODS + 1} or "
-            "more: measure for longer with --duration; where positions are lost, `hapsim doctor` shows which rates are "
-            "kept"
+            f"only {periods.pairs} periods of the excitation were recorded completely, expected at least "
+            f"{LEAST_PERIODS + 1}: measure longer with --duration. If positions are lost, `hapsim doctor` shows which "
+            "rates can be kept"
         )
     found = []
     for first in range(1, periods.pairs - LEAST_PERIODS + 1):
@@ -286,5 +285,5 @@ def settling(periods: Periods, channel: int) -> tuple[int, float]:
 
 
 def _variance_of_mean(residual: Complexes) -> Floats:
-    """(n, C) complex variance of the mean of (P, n, C) overlapping pairs of periods."""
+    """Returns the complex variance (n, C) of the mean of (P, n, C) overlapping pairs of periods."""
     return np.asarray(_OVERLAP * np.var(residual, axis=0, ddof=1) / residual.shape[0])

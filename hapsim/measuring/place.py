@@ -1,8 +1,8 @@
-"""Where a hand is measured in a scene that feels different from place to place, and how hard it is pushed there.
+"""The position at which a hand is measured in a scene with different regions, and the size of the pushes there.
 
-Of the scene only its geometry is known here: where a link begins to touch, gives way or slides, the slopes between
-these edges and the static force. They lead the hand to its place and size the pushes. What is identified never sees
-them, nor the prediction.
+Only the scene's geometry is used here: the positions at which a link begins to touch, releases or slides, the slopes
+between these edges, and the static force. They guide the hand to its place and size the pushes. The identification uses
+neither them nor the prediction.
 """
 
 from __future__ import annotations
@@ -24,56 +24,55 @@ from hapsim.running.session_options import Guide
 from hapsim.scene import Scene
 from hapsim.units import Units
 
-_GUIDE_SLOW, _GUIDE_FAST = 60.0, 0.1  # rad/s, and rad in a sample without delay: how fast the guide's spring swings
+_GUIDE_SLOW, _GUIDE_FAST = 60.0, 0.1  # eigenfrequency of the guide's spring: rad/s, and rad per sample without delay
 _WAY_S, _SETTLING_S, _MEAN_S = 2.0, (1.0, 6.0), 0.25
-_WITHIN = 0.45  # of the way to the region's nearest edge
-_COUNTS, _COUNTS_A_RADIAN = 4000.0, 400.0  # of a first swing: its size, and how far it goes in a sample
-_AT_A_PORT = 0.1  # of the way to the edge, where the size of a count is not known before
-_RESOLVED = 20.0  # counts: less motion than that says nothing
-_EDGE = 1e-6  # of the region's width, or of 1 m: nearer to its edge is on it
+_WITHIN = 0.45  # of the distance to the region's nearest edge
+_COUNTS, _COUNTS_A_RADIAN = 4000.0, 400.0  # of a first swing: its size, and its motion in a sample
+_AT_A_PORT = 0.1  # of the distance to the edge, for a device that reports the size of its counts later
+_RESOLVED = 20.0  # counts: the least motion of a measurement
+_EDGE = 1e-6  # of the region's width, or of 1 m: a position this near to an edge is on it
 _MOST_GROWTH = 64.0  # of a swing, from one run to the next
-_STRAIGHT, _BENT = 1e-6, 0.01  # a curve that bends less over a swing is a straight line; one that bends more is none
-_BENT_NOISES = 10.0  # from a straight line: the motion shows that
-_PASSED = 1.25  # times the way to where a plectrum grips: how closely the hand follows the guide's path
-_LAST, _ARRIVED = 64, 0.5  # samples before the first push; of the room: farther from its place the hand is elsewhere
+_STRAIGHT, _BENT = 1e-6, 0.01  # relative bend of a curve over a swing: a straight line has less, a curve more
+_BENT_NOISES = 10.0  # times the noise: a larger deviation from a straight line shows in the motion
+_PASSED = 1.25  # times the distance to where a plectrum grips: a margin for the hand's lag behind the guide
+_LAST, _ARRIVED = 64, 0.5  # samples before the first push; of the room: the largest distance from the place
 
 
 @dataclass(frozen=True)
 class Place:
-    """A position of a hand, and the region about it in which every link stays as it is. SI units."""
+    """A position of a hand, and the region about it in which no link changes its state. SI units."""
 
     name: str
     channel: int
     at: float  # from the scene's position 0
     low: float
-    high: float  # the region's edges; infinite where there is none
+    high: float  # the region's edges, or infinite
     mass: float  # as declared
     stiffness: float
     damping: float  # of the scene's links and of the device, in the region
     hand: Characteristic | None
-    """None where the hand moves masses or another hand: of its region nothing is known."""
+    """Static characteristic; None if the hand moves masses or another hand: its regions are then unknown."""
     piece: Piece | None
     units: Units
 
     @property
     def room(self) -> float:
-        """The way to the nearest edge, or until dry friction slides."""
+        """Distance to the nearest edge, or to where dry friction slides, m."""
         return min(self.at - self.low, self.high - self.at, math.inf if self.piece is None else self.piece.reach)
 
     @property
     def largest_swing(self) -> float:
-        """How far a push may move the hand."""
+        """Largest motion of the hand under a push, m."""
         return _WITHIN * self.room
 
     @property
     def has_regions(self) -> bool:
-        """Whether the hand feels different springs and dampers from place to place."""
+        """True if the hand feels different springs and dampers in different regions."""
         return self.hand is not None and self.hand.is_regional
 
     def first_swing(self, scene: Scene) -> float:
-        """The smallest motion that is likely to be clear of rounding. UsageError where the region has no room for it.
-
-        In a scene without regions a push may be as large as it always was: infinite."""
+        """Returns the motion of the first run, m: the smallest that is likely to exceed rounding, infinite for a scene
+        without regions. Raises UsageError if the region has no room for it."""
         if not self.has_regions:
             return math.inf
         if scene.device.port is not None:
@@ -88,11 +87,11 @@ class Place:
         return swing
 
     def swing_in(self, trace: Trace) -> float:
-        """How far the hand was from its place at most."""
+        """Returns the largest distance of the hand from its place, m."""
         return float(np.max(np.abs(trace.position[:, self.channel] - self.at)))
 
     def bend(self, swing: float) -> float:
-        """By which share of itself the stiffness seems to change where the hand swings by `swing` m on a curve."""
+        """Returns the relative change of the apparent stiffness for a motion of `swing` m on a curve."""
         if self.hand is None or self.piece is None or not self.piece.is_curved:
             return 0.0
         below, here, above = (float(self.hand.force(self.at + x)) for x in (-swing, 0.0, swing))
@@ -101,57 +100,58 @@ class Place:
         return abs(even) / self.stiffness + (uneven / self.stiffness) ** 2
 
     def growth(self, swing: float, wanted: float, unsure: float) -> float:
-        """By what a swing of `swing` m is to grow for `wanted` times less uncertainty than a share `unsure` of k; on a
-        curve only as far as that bends less."""
+        """Returns the factor by which to enlarge a motion of `swing` m, to reduce the relative uncertainty `unsure` of
+        k by `wanted`. On a curve the effect of its bend must stay below the uncertainty."""
         factor = min(wanted, _MOST_GROWTH)
         while factor > 1.0 and self.bend(swing * factor) > min(unsure / factor, _BENT):
             factor *= 0.8
         return factor
 
     def share_unknown(self, found: Measurement) -> float:
-        """The larger of the uncertainties of k and b, as shares of them: of a hand that nothing holds, of what would
-        swing at 2 Hz, and of b no less than of a twentieth of the critical damping."""
+        """Returns the larger of the relative uncertainties of k and b.
+
+        k counts as at least that of an oscillation at 2 Hz, b as at least a twentieth of the critical damping."""
         k = max(self.stiffness, self.mass * (4.0 * math.pi) ** 2)
         b = max(abs(found.b), 0.1 * math.sqrt(k * self.mass))
         return max(found.k_uncertainty / k, found.b_uncertainty / b)
 
     def require_arrival(self, way: Floats, count_m: float) -> None:
-        """UsageError where the guide left the hand elsewhere than at its place, by its positions (m) until then."""
+        """Raises UsageError if the guide did not bring the hand to its place. `way`: its positions until then, m."""
         x = float(np.median(way[-_LAST:]))
         if abs(x - self.at) > _ARRIVED * min(self.room, 1.0) + _RESOLVED * count_m:
             raise UsageError(
-                f"the hand was led to {self.units(self.at, 'm')}, but was at {self.units(x, 'm', 4)} in the end: dry "
-                "friction or a "
-                "hand may hold it, a snap on the way may be too steep for what leads it, the force limit too low, or "
-                "the mass far from the declared one. Let it move freely, or choose another --at"
+                f"the hand was led to {self.units(self.at, 'm')}, but ended at {self.units(x, 'm', 4)}. Dry friction "
+                "or a hand may hold it, a snap on the way may be too steep, the force limit too low, or the declared "
+                "mass wrong. Let it move freely, or choose another --at"
             )
 
     def guide(self, scene: Scene) -> Guide:
-        """What leads the hand there: stiffer than what it crosses, as far as the loop stays stable."""
+        """Returns the guide to the place: stiffer than the scene on the way, as far as the loop stays stable."""
         mass, fall = self.mass, 0.0
         if self.hand is not None:
             fall = max(0.0, *(-piece.stiffness for piece in self.hand.pieces()))
         wanted = max(mass * _GUIDE_SLOW**2, self.stiffness, 2.0 * fall)
         stiffness = min(wanted, mass * (_GUIDE_FAST * scene.rate / (1.0 + scene.device.delay)) ** 2)
         swing_s = math.sqrt(mass / stiffness)
-        summing_s = 3.0 * swing_s * (1.0 + max(self.stiffness, 0.0) / stiffness)  # what the integrator takes
+        summing_s = 3.0 * swing_s * (1.0 + max(self.stiffness, 0.0) / stiffness)  # of the integrator
         settling_s = min(max(_SETTLING_S[0], 40.0 * swing_s, 6.0 * summing_s), max(_SETTLING_S[1], 40.0 * swing_s))
         reach = math.inf if self.piece is None else self.piece.reach
-        beyond = reach if math.isfinite(reach) else 0.0  # and back: where friction sticks with no bristle bent
+        beyond = reach if math.isfinite(reach) else 0.0  # then back, so that friction sticks without a bent bristle
         beyond = max(beyond, _PASSED * self.ahead(starts_at(scene, self.channel) or 0.0))
         return Guide(self.at, stiffness, beyond, (_WAY_S, settling_s, max(_MEAN_S, 5.0 * swing_s), _MEAN_S))
 
     def ahead(self, start: float) -> float:
-        """The way in m that a hand coming from `start` has to go on until each plectrum that is to grip there does."""
+        """Returns the distance in m beyond the place at which a hand from `start` makes every plectrum grip."""
         if self.hand is None or self.piece is None:
             return 0.0
         grips = [one.fixed_m for name, one in self.hand.links.items() if self.piece.states.get(name) == "gripping"]
         return max([math.copysign(1.0, self.at - start) * (one - self.at) for one in grips], default=0.0)
 
     def left_by(self, trace: Trace, noise_m: float, predicts: bool) -> str:
-        """How the hand left the region in a trace, or what is straight of a curve, in words: the links that changed;
-        "" where it stayed within. `noise_m`: rms, what a bend has to exceed clearly. `predicts`: the force answers
-        predicted positions, so that it follows no law of those in the trace."""
+        """Returns how the hand left the region, or the straight part of a curve, in words; "" if it stayed within.
+
+        The words name the links that changed. `noise_m`: noise of the position, m rms. `predicts`: the force depends on
+        predicted positions, so that it obeys no law of the recorded ones."""
         x = trace.position[:, self.channel]
         if self.hand is None or self.piece is None or not self.has_regions:
             return ""
@@ -171,10 +171,10 @@ class Place:
             if end.states[link] != state
         }
         sticks = [f"{link} slid" for link, state in self.piece.states.items() if state == "stuck"]
-        return ", ".join(sorted(changed) or sticks) or "a link released, or a velocity left its piece of a table"
+        return ", ".join(sorted(changed) or sticks) or "a link released, or a velocity left its segment of a table"
 
     def words(self) -> str:
-        """The region in words."""
+        """Returns the place and its region in words."""
         if not math.isfinite(self.low) and not math.isfinite(self.high):
             return self.units(self.at, "m")
         low, high = self.units(self.low, "m"), self.units(self.high, "m")
@@ -186,26 +186,25 @@ class Place:
         return f"{self.units(self.at, 'm')}, in the region {reach}"
 
     def too_small(self, count_m: float, attempts: Sequence[Attempt] = (), found: Measurement | None = None) -> str:
-        """Why no push that stays in the region says anything: sentences without a full stop."""
+        """Returns why no push within the region moves the hand enough, in sentences without the last full stop."""
         noise, tried = "", ""
         if found is not None and found.residual_m > count_m:
             noise = f" and noise of {self.units(found.residual_m, 'm', 2)} rms"
         if attempts and attempts[-1].left:
             tried = f"; {attempts[-1].left} even with a push of {self.units(attempts[-1].push_n, 'N', 3)}"
         return (
-            f"at {self.words()}, {self.name} can swing {self.units(self.room, 'm', 3)} to the nearest edge, against "
-            "counts of "
-            f"{self.units(count_m, 'm', 3)}{noise}{tried}: no push that stays in this region moves it enough to "
-            "identify what "
-            "it feels. Choose the middle of a wider region with --at, or a device with finer and quieter positions"
+            f"at {self.words()}, {self.name} can move only {self.units(self.room, 'm', 3)} to the nearest edge, with "
+            f"counts of {self.units(count_m, 'm', 3)}{noise}{tried}: no push within this region moves it enough to "
+            "identify a spring. Choose the middle of a wider region with --at, or a device with finer and quieter "
+            "positions"
         )
 
 
 def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
-    """The place on `channel` at `at` m, or where the hand is held nearest to position 0; None where there is no need to
-    choose: the scene feels the same everywhere, and no place is asked for.
+    """Returns the place on `channel` at `at` m, by default where the hand is held nearest to position 0; None if no
+    place is given and the scene has no regions.
 
-    UsageError for a place where no hand can be measured: beyond the travel or the force limit, on an edge, on a snap.
+    Raises UsageError if no hand can be measured there: beyond the travel or the force limit, on an edge, on a snap.
     """
     name = next(name for name, point in scene.device_points.items() if point.channel == channel)
     hand = characteristic_of(scene, name, at or 0.0)
@@ -226,7 +225,7 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
         return place
     piece = piece_at(hand, name, at)
     stiffness, damping = stiffness + piece.stiffness, damping + piece.damping
-    if piece.is_curved:  # its slope is that of another place
+    if piece.is_curved:  # the piece's slope is that of another position
         step = _EDGE * (piece.high - piece.low)
         stiffness = float(hand.force(piece.place + step) - hand.force(piece.place - step)) / (2.0 * step)
     place = Place(
@@ -245,20 +244,19 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
     if (force := abs(float(hand.force(place.at)))) > (limit := force_limit(scene)):
         raise UsageError(
             f"at: {place.words()}, the scene asks for {place.units(force, 'N', 4)}, more than the force limit of "
-            f"{place.units(limit, 'N')}: there the force is clipped, and no spring is felt. Choose a position with "
-            "less force"
+            f"{place.units(limit, 'N')}. The force is clipped there, so the hand feels no spring. Choose a position "
+            "with less force"
         )
     if place.stiffness == 0.0:
         raise UsageError(
-            f"at: {place.words()}, nothing holds the hand: it is free, and there is no spring to measure. Choose a "
-            "position in a region with a spring; `hapsim check` lists them"
+            f"at: {place.words()}, nothing holds the hand, so there is no spring to measure. Choose a position in a "
+            "region with a spring; `hapsim check` lists them"
         )
     if place.stiffness < 0.0:
         raise UsageError(
-            f"at: {place.words()}, the scene is a snap: it pushes the hand away with "
-            f"{place.units(place.stiffness, 'N/m', 5)}, "
-            "and no hand comes to rest there. Choose a position in a region of positive stiffness; `hapsim check` "
-            "lists them"
+            f"at: {place.words()}, the scene has a snap: it pushes the hand away with "
+            f"{place.units(place.stiffness, 'N/m', 5)}, so no hand comes to rest there. Choose a position in a region "
+            "of positive stiffness; `hapsim check` lists them"
         )
     if place.room < _EDGE * min(place.high - place.low, 1.0):
         raise UsageError(f"at: {place.words()}, the hand is on the edge; expected a position within a region")

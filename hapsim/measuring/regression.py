@@ -1,19 +1,18 @@
 """Closed-loop poles from a record of positions and forces, by one linear regression.
 
-The hand's mass answers to force alone, so position y, force f and the rounding e of the position obey
+Only force moves the hand's mass, so position y, force f and the rounding e of the position obey
 
     A(q) y[n] = N(q) d[n] + C(q) e[n],      C(q) = (1 - 1/q)(1 - p/q)
 
-A is the closed loop's characteristic polynomial, whose roots are sought. d is what the recorded force has beyond the
-linear law of the scene: its rounding, clipping at the limit, an excitation. C is the open loop's polynomial, for e goes
-round the loop like the position itself, carried on by a mass that drifts (pole 1) and slows down (pole p). Divided by
-C, the equation has y doubly summed and the white error e: least squares is then the maximum-likelihood estimate, with
-an honest covariance. Only p is searched for; the residuals choose order and p together, for a wrong p makes the error
-coloured, and further poles are then fitted to its colour. Where a white force shakes the mass besides, as the rounding
-of a velocity that the device senses does, C has a conjugate pair of poles in place of 1 and p (`shaken`).
+A is the closed loop's characteristic polynomial, whose roots are sought. d is the part of the recorded force that does
+not obey the linear law of the scene: its rounding, clipping at the limit, an excitation. C is the open loop's
+polynomial, because e passes the loop like the position of a mass that drifts (pole 1) and slows down (pole p). After
+division by C, y is doubly summed and the error e is white. Least squares is then the maximum-likelihood estimate, with
+the correct covariance. Only p is searched for. The residuals choose order and p together: a wrong p makes the error
+coloured, and further poles would be fitted to its colour. If a white force also shakes the mass, such as the rounding
+of a sensed velocity, C has a conjugate pair of poles instead of 1 and p (`shaken`).
 
-Between two turns of the hand dry friction is a constant force of one sign or the other: a segment from turn to turn
-has it as one more regressor.
+Between two turns of the hand, dry friction is a constant force. A segment from turn to turn has it as a regressor.
 
 With C split off, A = C + (1/q) G(q), nothing cancels: the regressors are sums and differences of y. Those of a lower
 order are the first ones of a higher order, so one triangular factor for each p has the fits of all orders.
@@ -34,12 +33,12 @@ from numpy.typing import NDArray
 from hapsim.measuring.converters import Complexes, Floats
 
 MOST_ORDER = 9
-_DEPENDENT = 1e-14  # of a column: what the ones before it leave, if it depends on them
-_FORGOTTEN = 1e-18  # of itself, beside a double's 1e-16
-_KNOWN = 5.0  # uncertainties: what a surplus does is known well enough to compare dry friction with it
-_MARGIN = 2.0  # rows per unknown below which a regression says nothing
-_REACH = 4  # samples to either side, over which a hand that stands still does not move
-_STILL = 2.0  # counts, or standard deviations of the noise: less than that is no motion
+_DEPENDENT = 1e-14  # of a column: the largest remainder of one that depends on those before it
+_FORGOTTEN = 1e-18  # relative size of a term that does not count, below a double's 1e-16
+_KNOWN = 5.0  # uncertainties: the effect of a surplus is then certain enough to compare dry friction with it
+_MARGIN = 2.0  # the least number of rows per unknown
+_REACH = 4  # samples to either side over which a resting hand does not move
+_STILL = 2.0  # counts, or standard deviations of the noise: the least motion
 _FOURTH = 70.0  # the variance of white noise's fourth difference, over its own
 _MEDIAN = 0.6745  # of a normal distribution's absolute value, in standard deviations
 
@@ -51,16 +50,16 @@ class Segment:
     position: Floats
     surplus: Floats
     slides: Floats
-    """The mean direction, -1 to 1, in which the hand moves until the next sample: what dry friction acts against. With
-    dry friction a segment has to be of one direction: it is then a force that stays the same, beside one that stays
-    the same in all segments, as the place of rest may not be known."""
+    """Mean direction of the motion until the next sample, -1 to 1; dry friction acts against it. A fit with friction
+    needs segments of one direction: friction is then a constant force, beside another one that is the same in all
+    segments, because the place of rest may be unknown."""
     rest_known: bool = True
-    """False where the position may not be counted from rest: a constant force then stays in the record."""
-    stands: bool = False  # whether the scene has no spring, so that the hand stays where it stops
+    """False if the positions may not be relative to rest: a constant force then remains in the record."""
+    stands: bool = False  # True if the scene has no spring, so that the hand stays where it stops
 
     @property
     def motions(self) -> int:
-        """How many motions of its own it has: a drift, a slowing one, and what a constant force adds."""
+        """Number of motions that the segment has by itself: a drift, a slowing one, and that of a constant force."""
         return 2 if self.rest_known else 3
 
 
@@ -69,15 +68,15 @@ class Fit:
     """A fitted A(q): coefficients g of G in the basis of `_factors`, their spread, and how well they fit."""
 
     order: int
-    drift: complex  # p, the open loop's second pole; complex: of a conjugate pair, in place of both
+    drift: complex  # p, the open loop's second pole; if complex, one of a conjugate pair that replaces both
     g: Floats  # the coefficients, shape (order,)
     spread: Floats
-    """A square root of g's covariance, spread @ spread.T: no variance comes out negative."""
+    """Square root of g's covariance, spread @ spread.T, so that no variance can become negative."""
     residual: float  # standard deviation of the equation's error, in counts
     rows: int
     dry: float = math.nan
-    """Dry friction, N, by what it and the surplus do to a hand in the long run; NaN of a fit without both."""
-    dry_clearly: float = 0.0  # how many uncertainties the friction's part is above zero
+    """Dry friction, N, from its effect and that of the surplus in the long run; NaN for a fit without both."""
+    dry_clearly: float = 0.0  # the friction's coefficient over its uncertainty
 
     @property
     def polynomial(self) -> Floats:
@@ -89,7 +88,7 @@ class Fit:
 
     @property
     def directions(self) -> Floats:
-        """Row i: what a unit of g[i] adds to the polynomial below its leading term, shape (order, order)."""
+        """Contribution of a unit of g[i] to the polynomial below its leading term, row i of (order, order)."""
         return _directions(self.order, self.drift)
 
 
@@ -104,7 +103,7 @@ class Regression:
         most_order: int = MOST_ORDER,
         with_slides: bool = False,
     ) -> None:
-        """`floor`: the least error that rounding leaves, in counts. `most_order`: less where the record is short.
+        """Prepares the fits. `floor`: the least error, from rounding, counts. `most_order`: a short record has less.
         `with_slides`: with dry friction."""
         self._drifts, self._floor = np.array(drifts, complex), floor
         with_surplus = any(np.any(segment.surplus) for segment in segments)
@@ -123,7 +122,7 @@ class Regression:
         depends = np.logical_or.accumulate(diagonal < _DEPENDENT, axis=1)
         self._left = left[:, self._slides :: self._signals]
         self.criterion = self._rows * np.log(np.maximum(self._left / self._rows, 1e-300))
-        """Schwarz's, shape (drifts, orders from 0 on): the lower the better, infinite where there is no fit."""
+        """Schwarz's criterion, (drifts, orders from 0 on): the lower the better, infinite without a fit."""
         self.criterion += self._unknowns(np.arange(self.most_order + 1)) * math.log(self._rows)
         self.criterion[:, 1:][depends[:, self._columns(1) - 1 :: self._signals]] = np.inf
         self.criterion[:, :2] = np.inf
@@ -133,7 +132,7 @@ class Regression:
         return float(np.min(self.criterion[:, order])) if order <= self.most_order else math.inf
 
     def _use(self, segments: Sequence[Segment], most_order: int) -> bool:
-        """Uses the segments that are long enough for this order. Returns whether these are enough."""
+        """Selects the segments that are long enough for this order. Returns True if they have enough rows."""
         self._segments = [one for one in segments if one.position.size > most_order + 1]
         self._rows = sum(one.position.size - most_order - 1 for one in self._segments)
         return self._rows >= _MARGIN * float(self._unknowns(most_order)) + 4
@@ -145,7 +144,7 @@ class Regression:
         return self._columns(order) + sum(one.motions for one in self._segments)
 
     def fit(self, order: int, at: int) -> Fit | None:
-        """Returns the fit for one order and the p of this number; None where the record does not tell its unknowns."""
+        """Returns the fit of an order and the p with index `at`; None if the record does not determine its unknowns."""
         if order > self.most_order or not np.isfinite(self.criterion[at, order]):
             return None
         columns = self._columns(order)
@@ -163,8 +162,8 @@ class Regression:
 
 
 def shaken(ratio: float) -> complex:
-    """Returns the pole p of C, with its conjugate, where a white force shakes the mass besides: by `ratio` of the white
-    error of its position in a sample. It factors the spectrum of both, |1 - 1/q|^4 + ratio^2 |(1 + 1/q) / 2|^2."""
+    """Returns the pole p of C (with its conjugate) if a white force also shakes the mass. `ratio`: its motion in a
+    sample over the white error of the position. Factors their spectrum, |1 - 1/q|^4 + ratio^2 |(1 + 1/q) / 2|^2."""
     u = ratio**2 / 8.0 + 1j * ratio * math.sqrt(1.0 - ratio**2 / 64.0)  # 2 - p - 1/p
     half = 1.0 - u / 2.0
     root = cmath.sqrt(half**2 - 1.0)
@@ -186,12 +185,11 @@ def _directions(order: int, drift: complex) -> Floats:
 
 
 def _factors(segment: Segment, drifts: Complexes, with_surplus: bool, order: int, with_slides: bool) -> Floats:
-    """The triangular factors of one segment's equations, for each p: (drifts, rows, columns).
+    """Returns the triangular factors of one segment's equations for each p: (drifts, rows, columns).
 
-    Columns: the regressors from everything up to n - 1, of its position, and of its surplus where that counts: doubly
-    summed, summed, as it is, its first difference, …; and y[n] as the last one. Projected out is what concerns this
-    segment alone: its drifting and slowing mass, alpha + beta p^n (alpha + beta n where p = 1), and where rest is not
-    known, what a constant force adds to that.
+    Columns: the regressors up to n - 1 of the position, and of the surplus if there is one: doubly summed, summed,
+    unchanged, first difference, …; and y[n] as the last one. The segment's own motions are projected out: the drifting
+    and slowing mass, alpha + beta p^n (alpha + beta n for p = 1), and if rest is unknown, that of a constant force.
     """
     signals = np.array([segment.position, segment.surplus] if with_surplus else [segment.position])
     motions, size = segment.motions, segment.position.size
@@ -212,12 +210,13 @@ def _factors(segment: Segment, drifts: Complexes, with_surplus: bool, order: int
 
 
 def _triangular(tables: Floats) -> Floats:
-    """R of the QR decomposition of each."""
+    """Returns R of the QR decomposition of each table."""
     return np.asarray(np.linalg.qr(tables, mode="r"))
 
 
 def _twice(signals: Floats, drifts: Complexes) -> tuple[Floats, Floats]:
-    """(The first difference of each signal divided by C, and that itself) for each p: (drifts, signals, samples)."""
+    """Returns the first difference of each signal divided by C, and the quotient itself, for each p: (drifts, signals,
+    samples)."""
     once, pairs = np.zeros((len(drifts), *signals.shape)), drifts.imag != 0.0
     once[~pairs] = _slowed(signals, drifts[~pairs].real)
     twice, p = np.cumsum(once, axis=-1), drifts[pairs, None, None]
@@ -227,9 +226,9 @@ def _twice(signals: Floats, drifts: Complexes) -> tuple[Floats, Floats]:
 
 
 def _slowed(signals: Floats, drifts: Any) -> Any:
-    """y[n] = p y[n-1] + x[n] of each signal, for each p: (drifts, signals, samples)."""
+    """Returns y[n] = p y[n-1] + x[n] of each signal, for each p: (drifts, signals, samples)."""
     slowed, ratio, reach = np.repeat(signals[None].astype(drifts.dtype), len(drifts), axis=0), drifts[:, None, None], 1
-    # A running sum of 2, 4, 8, ... terms until it holds all that count.
+    # A running sum of 2, 4, 8, … terms, until it holds all terms that count.
     while reach < signals.shape[-1] and np.any(np.abs(ratio) ** reach > _FORGOTTEN):
         slowed[..., reach:] += ratio**reach * slowed[..., :-reach]
         reach *= 2
@@ -237,7 +236,7 @@ def _slowed(signals: Floats, drifts: Any) -> Any:
 
 
 def _fill_motions(motions: Floats, drifts: Complexes) -> None:
-    """Fills the rows that are projected out (drifts, 2 or 3, samples); at most 1."""
+    """Fills the rows (drifts, 2 or 3, samples) that are projected out. Their values are at most 1."""
     n, slowing = np.arange(motions.shape[-1], dtype=float), np.abs(drifts) < 1.0 - 1e-12
     ramp, pairs = n / max(n[-1], 1.0), np.flatnonzero(drifts.imag)
     modes = drifts[:, None] ** n
@@ -250,21 +249,21 @@ def _fill_motions(motions: Floats, drifts: Complexes) -> None:
 
 
 def slides(position: Floats) -> Floats:
-    """Returns the mean direction, -1 to 1, in which the hand moves from each sample to the next: where it turns round
-    in between, by when a velocity that changes evenly is zero."""
+    """Returns the mean direction of the motion from each sample to the next, -1 to 1. If the hand turns in between, the
+    velocity is taken to change evenly."""
     velocity = np.gradient(position) if position.size > 1 else np.zeros_like(position)
     least = np.abs(velocity[:-1]) + np.abs(velocity[1:])
     return np.append((velocity[:-1] + velocity[1:]) / np.maximum(least, 1e-300), 0.0)
 
 
 def noise_of(position: Floats) -> float:
-    """Returns the standard deviation of what is white in the positions, in counts."""
+    """Returns the standard deviation of the white noise of the positions, counts."""
     return float(np.median(np.abs(np.diff(position, 4))) / _MEDIAN / np.sqrt(_FOURTH)) if position.size > 4 else 0.0
 
 
 def stands(position: Floats) -> NDArray[np.bool_]:
-    """Returns at which samples the hand stands still, as near as counts and noise tell, or has just begun or ceased to:
-    dry friction then takes just the force that acts."""
+    """Returns the samples at which the hand rests within counts and noise, or has just stopped or started: dry friction
+    then balances the acting force."""
     noise = noise_of(position)
     padded = np.pad(position, _REACH, mode="edge")
     still = np.abs(padded[2 * _REACH :] - padded[: -2 * _REACH]) <= _STILL * max(noise, 1.0)

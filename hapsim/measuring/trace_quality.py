@@ -1,9 +1,9 @@
-"""The quality of a trace: which of its samples are usable, and at which rate the device took them.
+"""The quality of a trace: its usable samples, and the rate at which the device took them.
 
-A position arrives after it was sampled, never before. So the earliest arrivals show the sample period, and the others
-nothing (Moon, Skelly and Towsley, *Estimation and removal of clock skew from network delay measurements*, 1999). The
-earliest arrival of each of some forty stretches is taken, and through these the line with the median of all slopes
-between two of them (Theil and Sen): a stretch in which the host was held up throughout does not bend it.
+A position arrives after it was sampled, never before. So only the earliest arrivals show the sample period (Moon,
+Skelly and Towsley, *Estimation and removal of clock skew from network delay measurements*, 1999). The trace is divided
+into some forty stretches. The rate is the median slope between the earliest arrivals of any two (Theil and Sen), so a
+stretch in which the host was always late does not distort it.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from hapsim.recording.trace import Report, Trace
 from hapsim.units import Units
 
 ROUNDING = 1.0 / math.sqrt(12.0)
-"""Counts: standard deviation of rounding to whole ones."""
+"""Standard deviation of rounding to whole counts, counts."""
 
-_ALWAYS = 0.99  # of all samples: a force that is late that often is late by the wire's nature
+_ALWAYS = 0.99  # of all samples: if more forces are late, the wire's delay is the cause
 _STRETCHES, _LEAST_STRETCHES, _LEAST_ROWS = 40, 10, 8
 _CONFIDENCE = 0.999
-_CLOCK = 1e-4  # the host's own clock, and how it is led to the true time, is right to this share
+_CLOCK = 1e-4  # relative error of the host's clock
 
 
 def is_always_late(trace: Trace) -> bool:
-    """Whether every force was late, as over a slow wire: that is a delay like any other."""
+    """Returns True if nearly every force was late, as over a slow wire: that is a constant delay."""
     late = trace.flags & LATE_FORCE != 0
     return bool(late.size) and float(np.mean(late)) > _ALWAYS
 
 
 def unbroken(trace: Trace, spoilt: int) -> Iterator[tuple[int, int]]:
-    """Index ranges without a gap: no sample missing or with a `spoilt` flag, each force sent. Where every force is
-    late, one in time is out of the common."""
+    """Yields index ranges without a gap: no sample is missing or has a `spoilt` flag, and each force was sent. If every
+    force is late, one in time counts as spoilt."""
     flags = trace.flags ^ (LATE_FORCE if is_always_late(trace) else 0)
     broken = (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1) | (flags & spoilt != 0)
     broken[1:] |= flags[:-1] & UNSENT != 0
@@ -48,27 +48,27 @@ def unbroken(trace: Trace, spoilt: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class SeenRate:
-    """The rate (Hz) of the samples that arrived, and the half width of the interval that holds it with 99.9 %, the
-    host's clock taken to be right to a ten-thousandth."""
+    """The rate of the device's samples, Hz, and the half width of its 99.9 % interval. The host's clock is taken to be
+    right to a ten-thousandth."""
 
     rate_hz: float
     uncertainty_hz: float
 
     def differs_from(self, rate_hz: float) -> bool:
-        """Whether it is another rate, by more than its uncertainty."""
+        """Returns True if the rates differ by more than the uncertainty."""
         return abs(self.rate_hz - rate_hz) > self.uncertainty_hz
 
 
 def seen_rate(trace: Trace) -> SeenRate | None:
-    """The rate at which the device sampled; None where its own timer did not pace the positions (in virtual time, by
-    the host's clock, on a mock in this process), or too few came."""
+    """Returns the rate at which the device sampled; None if too few positions arrived, or if its own timer did not pace
+    them (virtual time, the host's clock, a mock in this process)."""
     stretches = min(_STRETCHES, trace.sample.size // _LEAST_ROWS)
     if not trace.report.timed_by_device or stretches < _LEAST_STRETCHES:
         return None
     number = (trace.sample - trace.sample[0]).astype(float)
     late = (trace.time_ns - trace.time_ns[0]) * 1e-9 - number / trace.rate
     slope = low = high = 0.0
-    for _ in range(3):  # which arrival is a stretch's earliest depends on the rate itself
+    for _ in range(3):  # the earliest arrival of a stretch depends on the rate itself
         on_grid = late - slope * number
         earliest = [int(part[np.argmin(on_grid[part])]) for part in np.array_split(np.arange(number.size), stretches)]
         slope, low, high = median_slope(number[earliest], late[earliest])
@@ -80,7 +80,7 @@ def seen_rate(trace: Trace) -> SeenRate | None:
 
 
 def median_slope(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float, float]:
-    """(median of the slopes between all two points, and the bounds that hold the true one with 99.9 %): Sen, 1968."""
+    """Returns the median of the slopes between any two points, and its 99.9 % bounds (Sen, 1968)."""
     first, second = np.triu_indices(x.size, 1)
     slopes = np.sort((y[second] - y[first]) / (x[second] - x[first]))
     sigma = math.sqrt(x.size * (x.size - 1) * (2 * x.size + 5) / 18.0)
@@ -90,8 +90,8 @@ def median_slope(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float,
 
 
 def kept_rate(report: Report) -> SeenRate | None:
-    """The rate of the samples that a run took, without the arrival of each: from the first to the newest, either of
-    which may have come too late by as much as the latest of all. None of a run of less than two."""
+    """Returns the sample rate of a run from its first and newest sample; None for less than two. The uncertainty allows
+    either of them the largest lateness of the run."""
     if not (report.duration_s > 0.0 and report.rate_hz > 0.0):
         return None
     if report.virtual_time:
@@ -101,8 +101,8 @@ def kept_rate(report: Report) -> SeenRate | None:
 
 
 def silence(trace: Trace, channel: int) -> str:
-    """Returns that not one count changed while force acted, and what to do, in sentences without the last full stop; ""
-    where one did, or no force acted."""
+    """Returns sentences (without the last full stop) about a position that did not change while force acted; "" if it
+    did, or if no force acted."""
     acted = np.count_nonzero(trace.force_counts[:, channel])
     if not acted or np.ptp(trace.position_counts[:, channel]):
         return ""
@@ -114,10 +114,9 @@ def silence(trace: Trace, channel: int) -> str:
 
 
 def silence_words(seconds: float, force: float, units: Units) -> str:
-    """The same sentences for a force that acted for `seconds`, of at most `force` N."""
+    """Returns these sentences for a force that acted for `seconds`, of at most `force` N."""
     return (
         f"the position has not changed by one count for {seconds:.2g} s while force acts ({units(force, 'N', '.3g')} "
-        "at most): "
-        "sensor or cable? Move the device by hand, and see whether `hapsim run` shows another position. If it does, "
-        "the device is held, stuck by dry friction, or its motor does not push: only then allow more with --push"
+        "at most): sensor or cable? Move the device by hand while `hapsim run` shows the position. If it changes, the "
+        "device is held, stuck by dry friction, or its motor does not push: only then allow more with --push"
     )

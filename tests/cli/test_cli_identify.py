@@ -88,7 +88,7 @@ def test_what_is_left_is_drawn_and_told_in_numbers(hapsim: Hapsim, wrong_scene: 
     picture, data = wrong_scene.with_name("left.svg"), wrong_scene.with_name("left.csv")
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--picture", picture, "--data", data)
     assert answer.status == 0
-    assert "position beside the model" not in answer.out
+    assert "position residual" not in answer.out
     assert picture.read_text(encoding="utf-8").lstrip().startswith("<?xml")
     rows = np.genfromtxt(data, delimiter=",", names=True)
     assert rows.dtype.names == (
@@ -111,7 +111,7 @@ def test_what_is_left_is_drawn_and_told_in_numbers(hapsim: Hapsim, wrong_scene: 
     [
         (("--force", 20), 2, "force: found 20 N, expected above 0 N, and at most the force_limit, 10 N"),
         (("--channel", 4), 2, "channel 4: the scene has nothing there"),
-        (("--travel", 1e-5), 4, "farther than the 0.01 mm that it may"),
+        (("--travel", 1e-5), 4, "beyond the allowed 0.01 mm"),
         (("--mock", "--port", "/dev/null", "--write"), 2, "found both, expected one of them"),
     ],
 )

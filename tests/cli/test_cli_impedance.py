@@ -88,7 +88,7 @@ def test_of_what_is_not_linear_it_says_so(hapsim: Hapsim, tmp_path: Path) -> Non
         (["--impedance", "--push", "0"], "push: found 0, expected a finite number of newton above 0"),
         (["--travel", "0.002"], "--travel and --z-width go with --impedance: it is missing"),
         (["--impedance", "--travel", "-1"], "travel: found -1, expected a finite number of metres above 0"),
-        (["--impedance", "--duration", "1"], "duration: found 1 s, expected 3 s or more"),
+        (["--impedance", "--duration", "1"], "duration: found 1 s, expected at least 3 s"),
         (["--impedance", "--channel", "3"], "--channel 3: the scene has nothing there; its device points are on: 0"),
         (["--impedance", "--picture", "z.txt"], "found the ending '.txt', expected .svg, .png, .pdf"),
     ],
