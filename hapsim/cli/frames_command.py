@@ -24,7 +24,7 @@ from hapsim.cli.live import live_words
 from hapsim.cli.output import failure_document, output_units, print_line, print_message, set_output_units, stderr
 from hapsim.cli.streams import output_ended
 from hapsim.device.connection import Connection
-from hapsim.device.ports import leads_to, open_portable_port
+from hapsim.device.ports import link_target, open_portable_port
 from hapsim.documents import plain
 from hapsim.errors import DeviceError, UsageError
 from hapsim.number_format import plural
@@ -163,7 +163,7 @@ def _pieces_of(
         kind = Path(source).stat().st_mode
     except OSError as error:
         if sys.platform != "win32" or not source.upper().startswith("COM"):
-            link = leads_to(source) if isinstance(error, FileNotFoundError) else None
+            link = link_target(source) if isinstance(error, FileNotFoundError) else None
             why = f"neither a file nor a port: {error.strerror}" if link is None else f"a link to {link}, which is gone"
             raise UsageError(f"{source}: {why}") from error
         kind = stat.S_IFCHR

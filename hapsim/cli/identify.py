@@ -27,7 +27,7 @@ from hapsim.cli.output import (
     table,
     use_channel_units,
 )
-from hapsim.device.ports import is_new
+from hapsim.device.ports import is_first_use
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
@@ -101,7 +101,7 @@ def identify(
             stop_on_signals=True,
         )
     if port:
-        is_new(port)  # from now on not
+        is_first_use(port)  # from now on not
     if picture.wanted:
         from hapsim.chart.trace_chart import draw_device_residual, residual_columns
 

@@ -219,9 +219,9 @@ class LiveOptions:
     osc_from: list[str] | None = option("IP,…", "Addresses whose OSC is taken; required beyond this machine.")
 
     @contextlib.contextmanager
-    def serving(self, scene: Scene, name: str, gives_way: bool) -> Iterator[Hub | None]:
+    def serving(self, scene: Scene, name: str, idle_priority: bool) -> Iterator[Hub | None]:
         """While open, serves the scene in the ways that were asked for. Gives the hub that the run has to keep up to
-        date; None where nothing was asked for. `name`: what the command calls the scene. `gives_way`: the loop is
+        date; None where nothing was asked for. `name`: what the command calls the scene. `idle_priority`: the loop is
         compiled. Raises UsageError."""
         page, osc = self._addresses()
         if page is None and osc is None:
@@ -239,7 +239,7 @@ class LiveOptions:
 
         hub = Hub(scene, self.record_dir, name)
         views = self._views(hub, page, osc)
-        server = Server(views, _warn, gives_way)
+        server = Server(views, _warn, idle_priority)
         server.start()
         try:
             for url in (view.url for view in views if view.url):

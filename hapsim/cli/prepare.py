@@ -139,8 +139,8 @@ def service(
 ) -> None:
     """Print a systemd unit that runs SCENE, waits for its device and reports its status to the service manager."""
     from hapsim.prediction import predict
-    from hapsim.running.requirements import why_not_armed
-    from hapsim.running.service import closed_to_service, unit_for, unit_name
+    from hapsim.running.requirements import refusal_to_arm
+    from hapsim.running.service import service_access_problem, unit_for, unit_name
 
     require_file(scene, "SCENE")
     loaded = load(scene, port)
@@ -150,9 +150,9 @@ def service(
     words, record_dir = live.words(), live.record_dir
     text = unit_for(scene, on, of_user=user, watch=watch, sound=sound, live=words, record_dir=record_dir)
     name = unit_name(on)
-    if refusal := why_not_armed(scene, loaded, predict(loaded, with_margins=False)):
+    if refusal := refusal_to_arm(scene, loaded, predict(loaded, with_margins=False)):
         warn(f"`hapsim run` will refuse this scene, and the service ends with status 2. {refusal}", "service")
-    if not user and (closed := closed_to_service(scene)):
+    if not user and (closed := service_access_problem(scene)):
         warn(closed, "service")
     if json:
         print(document({"name": name, "unit": text}))

@@ -12,7 +12,7 @@ from hapsim.bringup.probe import Leave, judge, open_wire, steps_of
 from hapsim.cli.command_options import Json, argument, option, require_positive
 from hapsim.cli.live import live_words
 from hapsim.cli.output import document, print_message, set_output_units, stderr, stdout
-from hapsim.device.ports import is_new
+from hapsim.device.ports import is_first_use
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
 from hapsim.stopping import stopping_on_signals
@@ -59,7 +59,7 @@ def probe(
                 say=print_message,
             )
     if any(check.name == "sign" and check.result in ("pass", "FAIL") for check in judgement.checks):
-        is_new(port)  # from now on not
+        is_first_use(port)  # from now on not
     if judgement.device is not None:
         set_output_units(Units.of(judgement.device.motions))
     if json:

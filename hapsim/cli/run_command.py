@@ -39,7 +39,7 @@ from hapsim.cli.output import (
     table,
     warn,
 )
-from hapsim.device.ports import is_new
+from hapsim.device.ports import is_first_use
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.loop.background import BackgroundWork
@@ -48,10 +48,10 @@ from hapsim.measuring.trace_quality import kept_rate
 from hapsim.number_format import percent, plural
 from hapsim.prediction import Prediction, predict, warnings_about
 from hapsim.prediction.force_bounds import refused_slew
-from hapsim.running.reconnecting import RunObserver, keep_running, together
-from hapsim.running.requirements import why_not_armed
+from hapsim.running.reconnecting import RunObserver, keep_running, observe_all
+from hapsim.running.requirements import refusal_to_arm
 from hapsim.running.service import Notifier
-from hapsim.running.status import AUTO, RunState, path_for, serving_status
+from hapsim.running.status import AUTO, RunState, path_for, serve_status
 from hapsim.running.watch import WatchedFile
 from hapsim.stopping import undisturbed
 
@@ -91,12 +91,14 @@ class ServiceOptions:
             raise UsageError(f"--log: found '{self.log}', expected text or json")
         log_as_json(self.log == "json")
 
-    def serving(self, state: RunState, port: str | None, gives_way: bool) -> contextlib.AbstractContextManager[None]:
+    def serving(
+        self, state: RunState, port: str | None, idle_priority: bool
+    ) -> contextlib.AbstractContextManager[None]:
         """Returns a context in which the status is served, if that is asked for."""
         if self.status is None:
             return contextlib.nullcontext()
         path = path_for(port) if self.status == AUTO else Path(self.status)
-        return serving_status(path, lambda: document(state.document()) + "\n", gives_way=gives_way)
+        return serve_status(path, lambda: document(state.document()) + "\n", idle_priority=idle_priority)
 
 
 @dataclass
@@ -150,20 +152,25 @@ def run(
     if service.watch:
         require_file(device.scene, "--watch")
     notifier = Notifier(service.reconnect)
-    with notifier.notifying_failures():
+    with notifier.notify_failures():
         scene, kind = device.load(), device.kind()
         record.require_writable()
         playing = sound.values(record)
         warnings = predict_before_arming(device.scene, with_mock(scene, kind), unstable)
     port = scene.device.port if kind == "auto" else None
     place = os.path.abspath(device.scene) if scene.path else scene_name(device.scene)
-    state, gives_way = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
-    failures, status, served = notifier.notifying_failures(), service.serving, live.serving
-    with failures, status(state, port, gives_way), served(scene, place, gives_way) as hub, live_line(stderr()) as show:
+    state, idle_priority = RunState(place, port, scene.rate, scene.device.motions(scene.channels)), not portable
+    failures, status, served = notifier.notify_failures(), service.serving, live.serving
+    with (
+        failures,
+        status(state, port, idle_priority),
+        served(scene, place, idle_priority) as hub,
+        live_line(stderr()) as show,
+    ):
         reporter = _Reporter(show, port or "", kind, WatchedFile(device.scene) if service.watch else None)
         lifetime = keep_running(
             scene,
-            together(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),
+            observe_all(state.observer, notifier.observer, reporter.observer, *([hub.observer] if hub else [])),
             reconnect=service.reconnect,
             record=record.record,
             duration=duration,
@@ -207,7 +214,7 @@ def predict_before_arming(path: str, scene: Scene, unstable: bool) -> list[str]:
 
 def require_stable(path: str, scene: Scene, prediction: Prediction, unstable: bool) -> None:
     """Raises UsageError if the scene of this file is surely predicted unstable and `unstable` is False."""
-    why = "" if unstable else why_not_armed(scene_name(path), scene, prediction)
+    why = "" if unstable else refusal_to_arm(scene_name(path), scene, prediction)
     if why:
         raise UsageError(why)
 
@@ -263,7 +270,7 @@ class _Reporter:
 
     def _meet(self) -> None:
         """Reports of a device that answers for the first time what has not been judged yet."""
-        if self._port and is_new(self._port):
+        if self._port and is_first_use(self._port):
             print_message(
                 f"First run at {self._port}: `hapsim probe {self._port} --push 0.5`, or `hapsim identify`, judges "
                 "whether its motor pushes the right way. Hold it loosely until then.",
@@ -282,7 +289,7 @@ class _Reporter:
             print_message(sentence, word, "info" if grant.granted else "warning", **vars(grant))
         if self._file is not None:
             file = self._file
-            BackgroundWork(lambda: self._follow(file, session), session.gives_way)
+            BackgroundWork(lambda: self._follow(file, session), session.idle_priority)
 
     def _running(self, progress: Progress) -> None:
         """Shows progress; and reports, once for each arming, that the device was armed outside its travel, and each
@@ -305,7 +312,7 @@ class _Reporter:
 
     def _follow(self, file: WatchedFile, session: Session) -> None:
         while not session.wait(_LOOK_S):
-            news = file.look(session)
+            news = file.check(session)
             if news is None:
                 continue
             if news.refused:

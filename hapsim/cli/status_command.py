@@ -14,7 +14,7 @@ from hapsim.cli.output import fitted, stdout
 from hapsim.errors import UsageError
 from hapsim.loop.counts import words_at
 from hapsim.number_format import number
-from hapsim.running.status import answers, ask, sockets
+from hapsim.running.status import is_served, request_status, sockets
 from hapsim.units import Units
 
 
@@ -24,7 +24,7 @@ def status(
 ) -> None:
     """Show the status of a running hapsim, which was started with --status."""
     path = _path_of(where)
-    document = _document(path, ask(path))
+    document = _document(path, request_status(path))
     if json:
         print(standard_json.dumps(document, indent=2))
     else:
@@ -34,7 +34,7 @@ def status(
 def _path_of(where: str | None) -> Path:
     if where is not None and Path(where).is_socket():
         return Path(where)
-    found = [path for path in sockets(where) if answers(path)]
+    found = [path for path in sockets(where) if is_served(path)]
     if len(found) == 1:
         return found[0]
     what = f"of {where}" if where else "to this user"

@@ -1,4 +1,4 @@
-"""Compiling the hot path: decorators, functions and records behind addresses, kept machine code, progress."""
+"""Compiling the hot path: decorators, functions and records behind addresses, machine code on disk, progress."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ COMPILED_ROOMS = (
     *(_HAPSIM / room for room in ("compiling", "cordis", "loop", "device/mock", "sound")),
     Path(firmware_protocol.__file__).resolve().parent,
 )
-"""All compiled functions are in these directories: an edit elsewhere keeps all machine code."""
+"""Directories of all compiled functions. An edit elsewhere keeps all machine code valid."""
 
 compiler = Compiler(*COMPILED_ROOMS)
 entry = compiler.entry
@@ -23,6 +23,6 @@ entry = compiler.entry
 
 @emits(lambda builder: builder.fence("acq_rel"))
 def fence() -> None:
-    """Other processors see what comes before it before what comes after it, and the compiler moves nothing across.
+    """Separates memory accesses: other processors see those before it first, and the compiler moves none across it.
     numba has no atomic operations on processors (numba issue 2988). On x86, which keeps the order of loads and of
-    stores anyway, a fence costs no instruction. Python keeps it too."""
+    stores anyway, a fence costs no instruction. Python keeps the order too."""

@@ -1,9 +1,8 @@
 """Compiling functions that Python calls, and checking the machine code that earlier runs left.
 
-numba trusts its files: a truncated one raises whatever reading it raises, and one with wrong bytes is executed. So a
-mark beside them has their digests; what does not agree with it is compiled again. Code in a directory that cannot be
-written, as in an image, is loaded; what is missing there is kept elsewhere. Where nothing can be written, a function is
-compiled all the same, and not kept.
+numba trusts its files: a truncated file raises any error, and wrong bytes are executed. So a mark beside the files
+holds their digests; a file that does not match is compiled again. Code in a read-only directory, as in an image, is
+loaded; missing code is kept elsewhere. If no directory can be written, a function is compiled but not kept.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ def compile_for(function: Any, *arguments: Any) -> None:
     def _compile_or_load() -> None:
         if kept.directory is not None:
             with numba_cache_in(kept.directory):
-                function.enable_caching()  # once more: the code may be in a read-only directory
+                function.enable_caching()  # again: the code may be in a read-only directory
         try:
             function.compile(signature)
         except OSError as error:
@@ -55,7 +54,8 @@ def is_kept(function: Any, *arguments: Any) -> bool:
 
 
 def signature_of(*arguments: Any) -> tuple[Any, ...]:
-    """Returns numba's types of the arguments. Of records it makes them anew each time, which takes milliseconds."""
+    """Returns numba's types of the arguments. numba makes the type of a record anew each time, which takes
+    milliseconds; here it is cached."""
     return tuple(
         _type_of_record(one.dtype, one.dtype.isalignedstruct) if isinstance(one, np.void) else numba.typeof(one)
         for one in arguments
@@ -68,7 +68,7 @@ def _type_of_record(dtype: Any, _is_aligned: bool) -> Any:
 
 
 def require_compiler() -> None:
-    """Raises UsageError where numba does not compile, or would hang."""
+    """Raises UsageError if numba does not compile, or would hang."""
     if numba.config.DISABLE_JIT:
         raise UsageError("the loop has to be compiled, which NUMBA_DISABLE_JIT in the environment prevents: unset it")
     if (limit := address_space_limit()) and limit < _LEAST_ADDRESS_SPACE:
@@ -82,12 +82,12 @@ _LEAST_ADDRESS_SPACE = 600_000_000  # bytes; with less, OpenBLAS, which numba lo
 
 
 def note_unkept(error: OSError) -> None:
-    """Notes that machine code could not be written."""
+    """Records that machine code could not be written."""
     _unkept.append(error)
 
 
 def why_not_kept() -> str:
-    """Returns why machine code that this process compiled is not kept; "" where it is."""
+    """Returns why the machine code of this process is not kept; "" if it is."""
     directory = directory_of_kept_code()
     if directory is None:
         return "no directory for it can be written"
@@ -98,16 +98,16 @@ _unkept: list[OSError] = []
 
 
 def directory_of_kept_code(*, found: bool = False) -> Path | None:
-    """Returns the directory above hapsim's machine code, None where nothing can be kept. `found`: where it was found,
-    which may be a directory that cannot be written."""
+    """Returns the directory above hapsim's machine code, None if nothing can be kept. `found`: the directory from which
+    code was loaded, which may be read-only."""
     read_only = compiler.read_only_directories_of(compile_for) if found else ()
     directory = next(iter(read_only), compiler.directory_of(compile_for))
     return None if directory is None else directory.parent
 
 
 class Kept:
-    """The machine code of a function for one signature. `classes`: those of the named tuples in the signature, which
-    numba does not distinguish itself."""
+    """The machine code of a function for one signature. `classes`: named tuples in the signature, which numba does not
+    distinguish."""
 
     def __init__(self, function: Any, signature: Any, *classes: type) -> None:
         self._function = function
@@ -120,14 +120,14 @@ class Kept:
 
     def _look_in(self, directory: Path | None) -> None:
         self.directory = directory
-        """Where it is, or is to be kept; None where nothing can be written."""
+        """Directory of the machine code; None if nothing can be written."""
         self._mark = None if directory is None else directory / self._name
         self._digests = self._read_mark()
         self.is_whole = bool(self._digests) and self._digests.items() <= self._digests_of_files().items()
-        """Whether it is there from an earlier run, as it was written."""
+        """True if an earlier run left it, with the digests of its mark."""
 
     def compile(self, compile_or_load: Callable[[], Compiled]) -> Compiled:
-        """Returns the result of `compile_or_load`, called again where the kept files were of no use."""
+        """Returns the result of `compile_or_load`, called a second time if the kept files are unusable."""
         if self._digests and not self.is_whole:
             self._forget()
         had_files = bool(self._files("nbc"))
@@ -148,7 +148,7 @@ class Kept:
         return compiled
 
     def _read_mark(self) -> dict[str, str]:
-        """The digest of each file as it was written; {} where there is no readable mark."""
+        """Returns the digest of each file as it was written; {} without a readable mark."""
         with contextlib.suppress(OSError, ValueError):
             return dict(json.loads(self._mark.read_text(encoding="utf-8"))) if self._mark else {}
         return {}
@@ -166,7 +166,7 @@ class Kept:
                 file.unlink()
 
     def _files(self, suffix: str) -> list[Path]:
-        """numba's files of this function for any signature: machine code (nbc) or index (nbi)."""
+        """Returns numba's files of this function for any signature: machine code (nbc) or index (nbi)."""
         if self.directory is None:
             return []
         code = self._function.__code__
@@ -174,7 +174,7 @@ class Kept:
 
 
 def _name_of_mark(function: Any, signature: Any, classes: tuple[type, ...]) -> str:
-    """It contains the time at which the source was written: numba compiles again when that changes."""
+    """Returns the name of the mark. It depends on the source's time: numba compiles again when that changes."""
     source = Path(function.__code__.co_filename).stat()
     names = sorted(f"{one.__module__}.{one.__qualname__}" for one in classes)
     text = f"{signature} {names} {source.st_mtime_ns} {source.st_size}"

@@ -1,10 +1,10 @@
 """Functions, records and arrays behind addresses: one compiled loop moves every scene over every transport.
 
-A loop that knew the type of its scene would have to be compiled for each scene. It knows addresses instead: of
-functions, each compiled for the numbers that it works on, and of these numbers. `Behind` puts a tuple of arrays behind
-an address; `NativeFunction` compiles a function for it, which begins with `value_of` to read the tuple. An address says
-nothing of its content, and a wrong pair of function and numbers would end the process, so `NativeFunction.call_on`
-alone makes the pairs. A call through an address costs 1.7 ns.
+A loop that knew the type of its scene would be compiled for each scene. It knows addresses instead: of functions, each
+compiled for the numbers that it works on, and of these numbers. `Behind` puts a tuple of arrays behind an address.
+`NativeFunction` compiles a function for it, which begins with `value_of` to read the tuple. An address has no type, and
+a wrong pair of function and numbers would end the process. So only `NativeFunction.call_on` makes the pairs. A call
+through an address costs 1.7 ns.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _CFUNC_OPTIONS = {key: OPTIONS[key] for key in ("error_model", "no_rewrites", "_
 class Behind:
     """A value behind an address: numbers, contiguous arrays, records, and named tuples of these.
 
-    `address` is valid as long as this object exists, which keeps everything that it refers to.
+    `address` is valid as long as this object, which keeps everything that it refers to.
     """
 
     def __init__(self, value: Any) -> None:
@@ -53,7 +53,7 @@ def address_of(record: Any) -> int:
 
 
 def _words_of(value: Any) -> list[int]:
-    """The value as 64-bit words, in the order in which `_read` takes them."""
+    """Returns the value as 64-bit words, in the order of `_read`."""
     if isinstance(value, tuple):
         return [word for field in value for word in _words_of(field)]
     if isinstance(value, np.ndarray):
@@ -71,7 +71,7 @@ def _words_of(value: Any) -> list[int]:
 
 @intrinsic
 def value_of(_typing: Any, pointer: Any) -> Any:
-    """The value behind an address, in a function that was compiled for its type."""
+    """Returns the value behind an address, in a function that was compiled for its type."""
     if not isinstance(pointer, types.CPointer):
         return None  # numba then reports that it fits no call
 
@@ -83,7 +83,7 @@ def value_of(_typing: Any, pointer: Any) -> Any:
 
 
 def _read(context: Any, builder: Any, words: Any, kind: Any, at: int) -> tuple[Any, int]:
-    """(the value of this type whose first word is number `at`, the number of the word behind it)"""
+    """Returns (the value of this type whose first word is number `at`, the number of the next word)."""
 
     def word(i: int) -> Any:
         return builder.load(builder.gep(words, [ir.Constant(_WORD, i)]))
@@ -105,7 +105,7 @@ def _read(context: Any, builder: Any, words: Any, kind: Any, at: int) -> tuple[A
 
 
 def _array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
-    """A contiguous array over memory that its owner keeps."""
+    """Returns a contiguous array over memory that its owner keeps."""
     number = context.get_data_type(kind.dtype)
     strides = [context.get_constant(types.intp, context.get_abi_sizeof(number))]
     for length in reversed(shape[1:]):
@@ -118,7 +118,7 @@ def _array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]
 
 @intrinsic
 def address_in_memory(_typing: Any, record: Any) -> Any:
-    """The address of a record, in compiled code."""
+    """Returns the address of a record, in compiled code."""
 
     def _generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.ptrtoint(arguments[0], _WORD)
@@ -127,7 +127,7 @@ def address_in_memory(_typing: Any, record: Any) -> Any:
 
 
 def record_at(dtype: np.dtype[np.void]) -> Any:
-    """Returns a function of compiled code that makes a record of its address."""
+    """Returns a function for compiled code that turns an address into a record."""
     kind = numba.from_dtype(dtype)
 
     @intrinsic
@@ -141,7 +141,7 @@ def record_at(dtype: np.dtype[np.void]) -> Any:
 
 
 def array_at(dtype: Any) -> Any:
-    """Returns a function of compiled code that makes an array of its address and the count of its numbers."""
+    """Returns a function for compiled code that turns an address and a count of numbers into an array."""
     kind = types.Array(numba.from_dtype(np.dtype(dtype)), 1, "C")
 
     @intrinsic
@@ -155,7 +155,7 @@ def array_at(dtype: Any) -> Any:
 
 
 def function_at(signature: Any) -> Any:
-    """Returns a function of compiled code that calls another by its address, with the arguments in a tuple."""
+    """Returns a function for compiled code that calls another by its address, with the arguments in a tuple."""
 
     @intrinsic
     def call(_typing: Any, _function: Any, _arguments: Any) -> Any:
@@ -175,8 +175,8 @@ def function_at(signature: Any) -> Any:
 class NativeFunction:
     """A function that compiled code calls by its address.
 
-    Its arguments are values behind addresses, which it reads at its beginning: `links = value_of(links)`. It is
-    compiled for each choice of their types when that is first needed, and kept.
+    Its arguments are values behind addresses, which it reads first: `links = value_of(links)`. It is compiled for each
+    choice of their types on first use, and kept.
     """
 
     def __init__(self, function: Callable[..., Any], returns: Any = types.void, **options: Any) -> None:
@@ -185,7 +185,7 @@ class NativeFunction:
         self._compiled: dict[Any, Any] = {}
 
     def call_on(self, *values: Behind) -> tuple[int, ...]:
-        """Returns its address, compiled for these values, and then theirs."""
+        """Returns its address, compiled for these values, followed by their addresses."""
         return self._address(*(types.CPointer(value.type) for value in values)), *(value.address for value in values)
 
     def _address(self, *kinds: Any) -> int:
@@ -224,7 +224,7 @@ class PlainNative(NativeFunction):
         self._callable: Any = None
 
     def address(self) -> int:
-        """Returns its address; compiles it first where that is missing."""
+        """Returns its address; compiles it on first use."""
         return self._address(*self._signature.args)
 
     def is_kept(self) -> bool:
@@ -252,7 +252,7 @@ _CTYPES: dict[Any, Any] = {
 
 
 def _classes_in(kind: Any) -> set[type]:
-    """The classes of the named tuples in a type: the order of their fields decides what is compiled."""
+    """Returns the classes of the named tuples in a type. The order of their fields determines the machine code."""
     if isinstance(kind, types.CPointer):
         return _classes_in(kind.dtype)
     inner = kind.args if hasattr(kind, "args") else getattr(kind, "types", ())

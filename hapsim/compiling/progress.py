@@ -1,4 +1,4 @@
-"""Progress of compilation, and interrupts that wait until they do no harm."""
+"""Progress of compilation, and interrupts that are deferred until they do no harm."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hapsim.stopping import STOPS
 
 @contextlib.contextmanager
 def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
-    """While open, calls `tell(name)` as the compilation of each function begins, never for kept code.
+    """Calls `tell(name)`, while open, as the compilation of each function begins, never for kept code.
 
     An interrupt (Ctrl-C, or another signal of `STOPS` that has a handler) during a compilation is raised before the
-    next function's: in the middle of one it would leave the compiler in pieces.
+    next function: in the middle of one it would leave the compiler in an invalid state.
     """
     from numba.core import event
 
@@ -36,17 +36,17 @@ def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
 
 class Counted:
     """Counts functions as their compilation begins: `on_compilation(counted.add)`. `tell` receives each name, and the
-    share of all functions, 0 to 1, or None while their number is unknown."""
+    share of all functions, 0 to 1, or None while the total is unknown."""
 
     def __init__(self, tell: Callable[[str, float | None], None]) -> None:
         self._tell = tell
         self._expected = 0
         self.functions = 0
-        """The number that have begun."""
+        """Number of functions whose compilation has begun."""
         self._adding = threading.Lock()
 
     def expect(self, functions: int) -> None:
-        """Adds to the number of functions expected."""
+        """Adds to the expected number of functions."""
         self._expected += functions
 
     def add(self, name: str) -> None:
@@ -57,15 +57,15 @@ class Counted:
 
 
 def compiling(function: Any, name: str) -> contextlib.AbstractContextManager[None]:
-    """While open, numba's listeners see `function` being compiled: numba reports nothing of a `cfunc`."""
+    """Reports to numba's listeners, while open, that `function` is being compiled: numba does not report a `cfunc`."""
     from numba.core import event
 
     return event.trigger_event("numba:compile", {"dispatcher": SimpleNamespace(py_func=function), "name": name})
 
 
 class _Pause(threading.local):
-    """While a thread compiles a function and all that it calls, interrupts wait (in the main thread, which alone gets
-    any), and so does Python's garbage collector: it would take a tenth of the time and finds next to nothing."""
+    """Defers interrupts and garbage collection while a thread compiles a function and its callees. Only the main thread
+    gets interrupts. The collector would take a tenth of the time and finds next to nothing."""
 
     def __init__(self) -> None:
         self._depth = 0
@@ -73,8 +73,8 @@ class _Pause(threading.local):
         self._handlers: dict[int, Any] = {}
 
     def begin(self) -> None:
-        """A function begins. Raises KeyboardInterrupt where one waits and another function is under way."""
-        self._depth += 1  # first: `end` is called even where this raises
+        """Begins a function. Raises a deferred KeyboardInterrupt if another function is being compiled."""
+        self._depth += 1  # first: `end` is called even if this raises
         if self._depth > 1:
             self._raise_waiting()
             return
@@ -87,8 +87,8 @@ class _Pause(threading.local):
                 signal.signal(number, self._remember)
 
     def end(self) -> None:
-        """A function ends. Raises KeyboardInterrupt where one waits and it was the outermost."""
-        self._depth = max(self._depth - 1, 0)  # a listener that failed may have kept another from beginning
+        """Ends a function. Raises a deferred KeyboardInterrupt after the outermost function."""
+        self._depth = max(self._depth - 1, 0)  # if another listener failed, `begin` may not have been called
         if self._depth == 0:
             if self._collects:
                 gc.enable()

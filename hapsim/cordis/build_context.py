@@ -30,7 +30,7 @@ class BuildContext(NamedTuple):
     real: DTypeLike
     loaded: frozenset[int]
     state: TickState
-    heard: NDArray[np.float64]
+    pick_up_values: NDArray[np.float64]
 
     def column(self, values: Any) -> Column:
         """Values in the scene's precision."""
@@ -116,7 +116,7 @@ def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
             yield f"{name}.{place}", mass
 
 
-class Taken(NamedTuple):
+class PresentType(NamedTuple):
     """A type that a scene has, its modules that are in no matrix, and the columns of their live values."""
 
     kind: PartType
@@ -137,5 +137,5 @@ class Scheme(NamedTuple):
             their own, and nothing of them can change while the scene runs. None: a scheme without matrices.
     """
 
-    parts: Callable[[Scene, BuildContext, Sequence[Taken]], tuple[Part, ...]]
+    parts: Callable[[Scene, BuildContext, Sequence[PresentType]], tuple[Part, ...]]
     inside: Callable[[Scene], frozenset[str]] | None = None

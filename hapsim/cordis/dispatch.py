@@ -95,9 +95,9 @@ def calls_of(actions: Sequence[tuple[NativeFunction, Behind]], state: Behind) ->
 _words_at = array_at(np.uint64)
 _call = function_at(types.void(types.uint64, types.uint64))
 
-HEAR = types.void(types.uint64, types.uint64, types.uint64, types.float64)
-call_hear = function_at(HEAR)
-"""Calls `hear` of loop/sound.py, with its arguments: what takes a frame of what pick-ups heard in a step."""
+ADD_FRAME = types.void(types.uint64, types.uint64, types.uint64, types.float64)
+call_add_frame = function_at(ADD_FRAME)
+"""Calls `add_frame` of loop/sound.py, with its arguments: what takes a frame of what pick-ups heard in a step."""
 
 
 @inlined

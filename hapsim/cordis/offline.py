@@ -23,10 +23,10 @@ from hapsim.compiling import entry
 from hapsim.cordis.dispatch import CALLS, Part, call_all
 from hapsim.cordis.program import PART_TYPES, Program, compile_scene, numbers_of
 from hapsim.cordis.stored_energy import number_at
-from hapsim.cordis.tick import follow_parameters as _follow_inlined
 from hapsim.cordis.tick import start as _start_inlined
 from hapsim.cordis.tick import take_over as _take_over_inlined
 from hapsim.cordis.tick import tick as _tick_inlined
+from hapsim.cordis.tick import update_parameters as _update_inlined
 from hapsim.scene import Scene
 
 Reals = NDArray[np.float64]
@@ -59,9 +59,9 @@ def take_over(older: Program, program: Program, measured: Reals) -> None:
     _take_over(older.record, program.record, measured)
 
 
-def follow_parameters(program: Program) -> None:
+def update_parameters(program: Program) -> None:
     """Before a tick: live parameters that were posted move by a sample."""
-    _follow_parameters(program.record)
+    _update_parameters(program.record)
 
 
 def tick(program: Program, measured: Reals, velocity: Reals, force: Reals) -> None:
@@ -86,7 +86,7 @@ def ticks_watched(program: Program, rows: list[NDArray[Any]], weights: Reals, wa
 
 
 _start, _take_over = entry(_start_inlined), entry(_take_over_inlined)
-_follow_parameters, _tick = entry(_follow_inlined), entry(_tick_inlined)
+_update_parameters, _tick = entry(_update_inlined), entry(_tick_inlined)
 
 
 @entry
@@ -155,9 +155,9 @@ def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Ex
     on_part("the whole tick")
     whole = tick_seconds(program, scene.channels)
     parts = []
-    for name, modules, compiled_as, part in _named(scene, program):
+    for name, modules, compiled_as, part in _named_parts(scene, program):
         on_part(name)
-        parts.append(ExplainedPart(name, modules, compiled_as, _bytes_of(part.numbers), _alone(program, part)))
+        parts.append(ExplainedPart(name, modules, compiled_as, _bytes_of(part.numbers), _part_seconds(program, part)))
     absent = tuple(kind.name for kind in PART_TYPES if not kind.select(scene))
     size = _bytes_of((program.rows, program.force, *(part.numbers for part in program.parts)))
     return Explanation(
@@ -177,7 +177,7 @@ def most_substeps(seconds: float, period: float) -> int:
     return int(_SHARE * period / seconds)
 
 
-def _named(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part]]:
+def _named_parts(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part]]:
     """The program's parts, with their names, how many modules each has, and in words what they are."""
     if scene.scheme != "cordis":  # whose parts are not one for each type of module
         words = f"a part of the scheme {scene.scheme}, or what pulls from outside it"
@@ -188,7 +188,7 @@ def _named(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part
         yield kind.name, count, kind.compiled_as, part
 
 
-def _alone(program: Program, part: Part) -> float:
+def _part_seconds(program: Program, part: Part) -> float:
     """What a part takes of a tick, called by itself at the program's own state; NaN where a tick does not call it."""
     seconds = []
     for name in ("add_forces", "integrate"):

@@ -26,11 +26,11 @@ from hapsim.compiling import entry, fence, helper
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.cordis.dispatch import Column
 from hapsim.cordis.stored_energy import (
+    affordable_share,
     call_evaluate,
-    left_of,
     number_at,
     put_number,
-    share_that_lasts,
+    remaining_ramp,
     spend,
     stored_at,
     tank_at,
@@ -141,17 +141,17 @@ def move(parameters, position, previous):
     parameters.left = max(parameters.left - 1.0, 0.0)
     s = 1.0 - parameters.left / parameters.samples
     parameters.share = s if parameters.straight else s * s * (3.0 - 2.0 * s)
-    _lead(parameters, origin, target)
+    _set_following(parameters, origin, target)
     if parameters.stored != 0:
         stored = stored_at(parameters.stored)
         tank = tank_at(stored.tank)
         change = (stored.address, position, previous, parameters.following - parameters.now)
         work = call_evaluate(stored.evaluate, change)
-        lasts = share_that_lasts(tank, work)
-        if lasts < 1.0:
-            parameters.share = before + lasts * (parameters.share - before)
-            parameters.left = parameters.samples * left_of(parameters.share)
-            _lead(parameters, origin, target)
+        share = affordable_share(tank, work)
+        if share < 1.0:
+            parameters.share = before + share * (parameters.share - before)
+            parameters.left = parameters.samples * remaining_ramp(parameters.share)
+            _set_following(parameters, origin, target)
             work = call_evaluate(stored.evaluate, change)
         spend(tank, work)
     for i in range(count):
@@ -160,7 +160,7 @@ def move(parameters, position, previous):
 
 
 @helper
-def _lead(parameters, origin, target):
+def _set_following(parameters, origin, target):
     """Works out the values that follow, at the share of the way that is behind them then."""
     for i in range(parameters.count):
         value = target[i]  # to the last digit

@@ -1,9 +1,8 @@
-"""Scene -> Program: the numbers that the compiled tick works on, the actions that it calls, and nothing that the scene
-does not have.
+"""Scene -> Program: the numbers of the compiled tick and the actions that it calls, for the scene's own modules alone.
 
-Points are numbered: device points first, then grounds, then material points, those of one type together, then the
-points of strings and membranes, each in one piece with the borders that its stencil needs, in whole lanes. Live values
-(stiffness, damping, rest positions) stand together in one array, of which the parts hold their columns.
+Points are numbered: device points first, then grounds, then material points by type, then strings and membranes. Each
+of those is one piece of memory, in whole lanes, with the borders that its stencil needs. Live values (stiffness,
+damping, rest positions) share one array; the parts hold their columns of it.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
-from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, Taken
+from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, PresentType
 from hapsim.cordis.dispatch import Column, Part, TickState, calls_of
 from hapsim.cordis.modules import linear_links, membrane, nonlinear_links, pick_ups, points, string, table_links
 from hapsim.cordis.parameters import LiveValues
@@ -29,30 +28,30 @@ from hapsim.scene.cross_checks import MOST_SINGLE
 
 _FILES = (points, string, membrane, linear_links, table_links, nonlinear_links, pick_ups)
 PART_TYPES = tuple(kind for file in _FILES for kind in vars(file).values() if isinstance(kind, PartType))
-"""The types of module that a program can have, in the order in which they act: that of these files and their text."""
+"""Types of module that a program can have, in the order in which they act: by file, then as defined there."""
 
 _REAL: dict[str, Any] = {"double": np.float64, "single": np.float32}
 
 
 class Program:
-    """A scene that is ready to be ticked: the state of N points, and the parts that move them."""
+    """A scene in memory, ready for ticks: the state of N points, and the parts that move them."""
 
     def __init__(
         self, scene: Scene, rows: Column, context: BuildContext, values: Column, parts: tuple[Part, ...]
     ) -> None:
-        state, self.heard = context.state, context.heard
+        state, self.pick_up_values = context.state, context.pick_up_values
         self.rows = rows
         """(2, N) positions in m: of this sample and of the one before, taking turns."""
         self.force = state.force
         self.parts = parts
         self.record = new_record(PROGRAM)
-        """What compiled code sees of it. It holds addresses of what this object keeps."""
+        """PROGRAM, for compiled code. It holds addresses of memory that this object keeps."""
         self.parameters = LiveValues(values, self.record.parameters)
         self.numbers = numbers_of(scene)
-        """Of each point, by its name."""
+        """Number of each point, by name."""
         self.places = places_of_values(scene)
         self.stored: Any = None
-        """Kept: what computes its energy, where that is accounted for."""
+        """StoredEnergy, where the energy is accounted for."""
         self._kept: list[Any] = []
         hands = sorted(point.channel for point in scene.device_points.values())
         self.record.hands = len(hands)
@@ -62,7 +61,7 @@ class Program:
         self.record.rows = [row.ctypes.data for row in rows]
         self.record.force = state.force.ctypes.data
         self.record.velocity = state.velocity.ctypes.data
-        self.record.heard = self.heard.ctypes.data
+        self.record.pick_up_values = self.pick_up_values.ctypes.data
         self._states = [Behind(_state_at(rows, turn, state.force, state.velocity)) for turn in range(2)]
         self.record.states = [one.address for one in self._states]
         for name in ("initialize", "retarget", "add_forces", "integrate"):
@@ -70,12 +69,12 @@ class Program:
 
     @property
     def address(self) -> int:
-        """Where compiled code finds it. Good for as long as this object is there."""
+        """Address for compiled code, valid as long as this object exists."""
         return address_of(self.record)
 
     def call(self, name: str, actions: Iterable[tuple[NativeFunction, Any]]) -> None:
-        """Fills one of the lists of calls in PROGRAM with actions, compiled where they are not yet, each with the
-        numbers that it works on: before the first tick."""
+        """Fills one of the lists of calls in PROGRAM with actions and their numbers, and compiles new actions. Call it
+        before the first tick."""
         behind = [(act, Behind(numbers)) for act, numbers in actions]
         pairs = calls_of(behind, self._states[0])
         self.record[name].pairs, self.record[name].count = pairs.ctypes.data, len(pairs)
@@ -87,13 +86,12 @@ class Program:
 
 
 def compile_scene(scene: Scene, values: Column | None = None) -> Program:
-    """The program of `scene`, at its initial state. `values`: those of `parameter_values`, kept and read at every tick,
-    so that the caller may change them. Raises UsageError: the scene's scheme, or its precision, cannot work out these
-    numbers."""
+    """Returns the program of `scene` at its initial state. `values`: the array of `parameter_values`, read at every
+    tick, so that the caller may change it. Raises UsageError for numbers beyond the scene's scheme or precision."""
     if values is None:
         values = parameter_values(scene)
     number, size, structures = _numbers(scene)
-    with np.errstate(all="ignore"):  # what comes of an infinity is refused here, or seen by the guard
+    with np.errstate(all="ignore"):  # an infinity is rejected here, or by the guard
         rows = _rows(scene, number, size, structures)
         velocity = np.zeros(len(scene.device_points))
         context = BuildContext(
@@ -102,16 +100,16 @@ def compile_scene(scene: Scene, values: Column | None = None) -> Program:
             real=_REAL[scene.precision],
             loaded=frozenset(number[end] for link in scene.links.values() for end in link.between),
             state=_state_at(rows, 0, np.zeros(size, _REAL[scene.precision]), velocity),
-            heard=np.zeros(len(scene.sound)),
+            pick_up_values=np.zeros(len(scene.sound)),
         )
-        parts = SCHEMES[scene.scheme].parts(scene, context, list(_taken(scene, values)))
+        parts = SCHEMES[scene.scheme].parts(scene, context, list(_present_types(scene, values)))
     _require_finite(scene, [rows, *(part.numbers for part in parts)])
     return Program(scene, rows, context, values, parts)
 
 
 def _require_finite(scene: Scene, numbers: Iterable[Any]) -> None:
-    """UsageError where a number of a scene of single precision exceeds its range. In double precision the guard ends a
-    run in which one becomes infinite."""
+    """Raises UsageError if a number exceeds the range of single precision. In double precision the guard ends a run in
+    which a number becomes infinite."""
     for one in numbers if scene.precision == "single" else ():
         if isinstance(one, tuple):
             _require_finite(scene, one)
@@ -123,8 +121,8 @@ def _require_finite(scene: Scene, numbers: Iterable[Any]) -> None:
 
 
 def parameter_values(scene: Scene) -> Column:
-    """What can be changed while the scene runs, shape (P,): the live columns of every type of module, in turn. Raises
-    UsageError: the scene's precision does not hold one."""
+    """Returns the values that can change while the scene runs, shape (P,): the live columns of all types of module.
+    Raises UsageError if one is beyond the scene's precision."""
     with np.errstate(over="ignore"):
         values = np.array(
             [value for *_, columns in _live(scene) for column in columns for value in column.values()], np.float64
@@ -135,14 +133,14 @@ def parameter_values(scene: Scene) -> Column:
 
 
 def places_of_values(scene: Scene) -> dict[tuple[str, str], int]:
-    """Where each value that can be changed stands in `parameter_values`: by the name of its module, and its field."""
+    """Returns the index of each live value in `parameter_values`, by module name and field."""
     keys = (key for *_, columns in _live(scene) for column in columns for key in column)
     return {key: i for i, key in enumerate(keys)}
 
 
 def _live(scene: Scene) -> Iterator[tuple[PartType, Mapping[str, Any], list[LiveColumn]]]:
-    """The types that the scene has, each with its modules, without those that are in its scheme's matrices, and what of
-    them is live."""
+    """Yields the types that the scene has, each with its live columns and its modules, except those that are in the
+    scheme's matrices."""
     fixed = fixed_modules(scene)
     for kind in PART_TYPES:
         modules = {name: one for name, one in kind.select(scene).items() if name not in fixed}
@@ -151,34 +149,34 @@ def _live(scene: Scene) -> Iterator[tuple[PartType, Mapping[str, Any], list[Live
 
 
 def fixed_modules(scene: Scene) -> frozenset[str]:
-    """The modules of which nothing can change while the scene runs, because its scheme has them in a matrix."""
+    """Returns the modules that cannot change while the scene runs, because its scheme has them in a matrix."""
     inside = SCHEMES[scene.scheme].inside
     return frozenset() if inside is None else inside(scene)
 
 
 def positions_of(program: Program) -> tuple[Column, Column]:
-    """(N,) where the points are, and where they were a sample before, in m; the program's own, not copies. Of hands,
-    the second is of use to the tick alone."""
+    """Returns the points' positions at this sample and at the one before, (N,) m each; the program's own, not copies.
+    The earlier position of a hand is valid only within a tick."""
     turn = int(program.record.turn)
     return program.rows[turn], program.rows[turn - 1]
 
 
 def numbers_of(scene: Scene) -> dict[str, int]:
-    """Where each point stands in a program's arrays, by its name."""
+    """Returns the index of each point in a program's arrays, by name."""
     return dict(_numbers(scene)[0])
 
 
-def _taken(scene: Scene, values: Column) -> Iterator[Taken]:
-    """All types with their columns of the parameters."""
+def _present_types(scene: Scene, values: Column) -> Iterator[PresentType]:
+    """Yields the scene's types with their columns of the parameters."""
     begin = 0
     for kind, modules, columns in _live(scene):
         ends = begin + np.cumsum([0, *map(len, columns)])
-        yield Taken(kind, modules, [values[low:high] for low, high in pairwise(ends)])
+        yield PresentType(kind, modules, [values[low:high] for low, high in pairwise(ends)])
         begin = int(ends[-1])
 
 
 def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:
-    """The number of each point, how many there are with borders and fill, and which of them each structure takes up."""
+    """Returns the number of each point, the total with borders and fill, and the slice of each structure."""
     hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
     names = [*hands, *scene.grounds, *scene.material_points]
     number = {name: i for i, name in enumerate(names)}
@@ -194,7 +192,7 @@ def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:
 
 
 def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mapping[str, slice]) -> Column:
-    """The positions at the first sample, and where the points were before it."""
+    """Returns the positions at the first sample and at the one before, (2, N) m."""
     rows = np.zeros((2, size), np.float64)
     modules: Mapping[str, Any] = scene.structures
     for name, structure in modules.items():
@@ -210,5 +208,5 @@ def _rows(scene: Scene, number: Mapping[str, int], size: int, structures: Mappin
 
 
 def _state_at(rows: Column, turn: int, force: Column, velocity: Any) -> TickState:
-    """The program's state where the positions of this sample are in row `turn`."""
+    """Returns the program's state when row `turn` has the positions of this sample."""
     return TickState(rows[turn], rows[1 - turn], force, velocity)

@@ -116,9 +116,9 @@ def evaluate(stored, position, previous, way):
     stored = stored_at(stored)
     springs, total = _springs_at(stored.springs, stored.count), 0.0
     for i in range(stored.count):
-        total += _spring_holds(stored, springs[i], position, way)
+        total += _spring_energy(stored, springs[i], position, way)
         if way != 0:
-            total -= _spring_holds(stored, springs[i], position, np.uint64(0))
+            total -= _spring_energy(stored, springs[i], position, np.uint64(0))
     count = stored.mass_count if way == 0 else 0
     points, masses = _points_at(stored.points, count), _doubles_at(stored.masses, count)
     for i in range(count):
@@ -128,12 +128,12 @@ def evaluate(stored, position, previous, way):
 
 
 @helper
-def _spring_holds(stored, spring, position, way):
+def _spring_energy(stored, spring, position, way):
     d = _end(stored, spring, position, way, 0) - _end(stored, spring, position, way, 1)
     if spring.offset:
         d -= _value(stored, spring.offset, way)
     if spring.kind == TABLE:
-        return _table_holds(spring, d, way, stored.single)
+        return _table_energy(spring, d, way, stored.single)
     if spring.kind == SINE:
         pitch, depth = _value(stored, spring.shape[0], way), _value(stored, spring.shape[1], way)
         return depth * pitch / math.pi * math.sin(math.pi * d / pitch) ** 2
@@ -164,7 +164,7 @@ def _value(stored, address, way):
 
 
 @helper
-def _table_holds(spring, d, way, single):
+def _table_energy(spring, d, way, single):
     """What a table does along its knots from the least on; beyond them with no more than `most` N."""
     edges, tensions = spring.shape[0] + way, spring.shape[1] + way
     below, beyond = number_at(spring.shape[2] + way, 0, single), number_at(spring.shape[3] + way, 0, single)
@@ -213,7 +213,7 @@ def _least_beyond(force, slope):
 
 
 @inlined
-def share_that_lasts(tank, work):
+def affordable_share(tank, work):
     """Of a step that adds so much, J."""
     if work <= tank.level:
         return 1.0
@@ -222,7 +222,7 @@ def share_that_lasts(tank, work):
 
 
 @inlined
-def left_of(share):
+def remaining_ramp(share):
     """Which part of a ramp is left where so much of its way, 3 s² - 2 s³, is done: 1 - s."""
     return 0.5 + math.sin(math.asin(1.0 - 2.0 * share) / 3.0)
 

@@ -3,7 +3,7 @@
 When a position arrives, all steps since the last one are taken at once, the hand on a straight line between the two.
 What the hand gets is the force of the last step, or the mean over the last sample's.
 
-While one scene follows another, `cross_fade` (loop/crossfade.py) moves both; where the scene has sound, `hear`
+While one scene follows another, `cross_fade` (loop/crossfade.py) moves both; where the scene has sound, `add_frame`
 (loop/sound.py) takes a frame of each step. Both are called by their addresses, and never compiled for scenes without.
 """
 
@@ -16,8 +16,8 @@ from firmware_protocol import schema
 from firmware_protocol.compiled import compact
 from hapsim.compiling import inlined
 from hapsim.compiling.native import function_at
-from hapsim.cordis.dispatch import call_hear
-from hapsim.cordis.tick import follow_parameters, program_at, set_hands, tick
+from hapsim.cordis.dispatch import call_add_frame
+from hapsim.cordis.tick import program_at, set_hands, tick, update_parameters
 
 SCENE_SLOT = np.dtype(
     [
@@ -33,7 +33,7 @@ SCENE_SLOT = np.dtype(
         ("left", np.float64),  # steps until the old scene is dropped
         ("weight", np.float64),  # w
         ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the new scene's force
-        ("hear", np.uint64),  # address of the function of that name; 0: the scene has no sound
+        ("add_frame", np.uint64),  # address of the function of that name; 0: the scene has no sound
         ("sound", np.uint64),  # address of its ring
         ("cross_fade", np.uint64),  # address of the function that moves two; 0: one scene, and none is posted
     ],
@@ -59,8 +59,8 @@ def move_scene(slot, io, samples):
             position, velocity = io.bridge, io.velocity_bridge
         if slot.cross_fade == 0:
             move_by_step(slot.program, position, velocity, io.asked)
-            if slot.hear != 0:
-                call_hear(slot.hear, (slot.sound, program_at(slot.program).heard, np.uint64(0), 0.0))
+            if slot.add_frame != 0:
+                call_add_frame(slot.add_frame, (slot.sound, program_at(slot.program).pick_up_values, np.uint64(0), 0.0))
         else:
             at = (np.uint64(position.ctypes.data), np.uint64(velocity.ctypes.data))
             _call_cross_fade(slot.cross_fade, (slot.address, io.address, at[0], at[1]))
@@ -85,5 +85,5 @@ def move_by_step(program, position, velocity, force):
     program = program_at(program)
     if program.parameters.stored != 0:
         set_hands(program, position)
-    follow_parameters(program)
+    update_parameters(program)
     tick(program, position, velocity, force)

@@ -23,7 +23,7 @@ PROGRAM = np.dtype(
         ("channel", np.uint64, (schema.MAX_CHANNELS,)),  # the device's channel of each
         ("senses", np.int64),  # 1: something asks for velocities
         ("velocity", np.uint64),  # address of the device points' velocities in m/s
-        ("heard", np.uint64),  # address of what the pick-ups heard in the last step
+        ("pick_up_values", np.uint64),  # address of what the pick-ups heard in the last step
         ("settling", np.int64),  # 1: parameters moved with the last sample
         ("initialize", CALLS),
         ("retarget", CALLS),
@@ -101,12 +101,12 @@ def _set_at_rest(program, measured):
 
 @inlined
 def set_hands(program, measured):
-    """Before `follow_parameters`, where energy is accounted for: the device points are where the hands are."""
+    """Before `update_parameters`, where energy is accounted for: the device points are where the hands are."""
     _set_positions(program, program.rows[np.uint64(program.turn)], measured)
 
 
 @inlined
-def follow_parameters(program):
+def update_parameters(program):
     """Before the tick: moves live parameters by one sample, and what they put elsewhere, which has no velocity any more
     with the sample after."""
     compact()

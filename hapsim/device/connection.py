@@ -26,7 +26,7 @@ from hapsim.loop.endings import FAILED, HUNG_UP
 from hapsim.loop.transport import PythonTransport
 from hapsim.stopping import is_urgent
 
-_REMEMBERED = 128  # frames of the conversation, for a report
+_KEPT_FRAMES = 128  # frames of the conversation, for a report
 
 
 def _new_inbox() -> Any:
@@ -56,7 +56,7 @@ class Connection(Client):
     inbox: Any = field(default_factory=_new_inbox)
     """INBOX"""
     _format: Format = SETUP
-    _written: deque[bytes] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    _written: deque[bytes] = field(default_factory=lambda: deque(maxlen=_KEPT_FRAMES))
     _buffer: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(AT_ONCE, np.uint8))
 
     @property
@@ -91,15 +91,15 @@ class Connection(Client):
             if found:
                 counts = tuple(decoder.counts[: decoder.framing.words].tolist())
                 return [Received(int(decoder.type), int(decoder.number), counts, self._format, now)]
-            if self._some(fetch_in_python(inbox, self.transport, round(max(give_up - now, 0.0) * 1e9))) == 0:
+            if self._checked_count(fetch_in_python(inbox, self.transport, round(max(give_up - now, 0.0) * 1e9))) == 0:
                 return []
 
     def receive_bytes(self, timeout_s: float) -> bytes:
         """Returns what comes next, raw, past the inbox; b"" after this time. Raises DeviceError if the port is gone."""
-        count = self._some(self.transport.receive(self._buffer, round(timeout_s * 1e9)))
+        count = self._checked_count(self.transport.receive(self._buffer, round(timeout_s * 1e9)))
         return self._buffer[:count].tobytes()
 
-    def _some(self, count: int) -> int:
+    def _checked_count(self, count: int) -> int:
         """Returns the count of received bytes; raises DeviceError for a code of hapsim.loop.endings."""
         if count == HUNG_UP:
             raise DeviceError(f"{self.name}: the device is gone (the port hung up)")
@@ -117,7 +117,7 @@ def describe(connection: Connection) -> Description:
     )
     for number in (schema.REG_SCHEMA, schema.REG_CHANNELS):
         registers[number] = read_register(connection, number)
-    _require_same_language(connection, registers)
+    _require_same_protocol(connection, registers)
     round_trips = []
     for number in registers_of_a_description(int(registers[schema.REG_CHANNELS])):
         asked = connection.clock.monotonic()
@@ -133,7 +133,7 @@ def read_register(connection: Connection, number: int, tries: int = client.TRIES
     word = connection.register(number, tries, after_quiet)
     if word is not None:
         return word
-    waited = f"within {tries * client.ANSWER_S:.2g} s{_refused(connection)}"
+    waited = f"within {tries * client.ANSWER_S:.2g} s{_rejected_frames(connection)}"
     if number == schema.REG_VERSION:
         at_baud = f" at {connection.baud} baud" if connection.baud else ""
         raise DeviceError(
@@ -146,7 +146,7 @@ def read_register(connection: Connection, number: int, tries: int = client.TRIES
     )
 
 
-def _require_same_language(connection: Connection, registers: Any) -> None:
+def _require_same_protocol(connection: Connection, registers: Any) -> None:
     version, schema_hash, channels = (
         int(registers[i]) for i in (schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS)
     )
@@ -175,9 +175,9 @@ def arm(
 
     DeviceError where it refuses, or answers everything but this. The counts of rejected frames begin anew.
     """
-    answer, received = connection.arm(description, pacing, watchdog_samples, velocity=velocity, fits=_answers_arming)
+    answer, received = connection.arm(description, pacing, watchdog_samples, velocity=velocity, fits=_is_arming_answer)
     if answer is None:
-        raise DeviceError(f"{connection.name}: {_never_armed(received)}{_refused(connection)}")
+        raise DeviceError(f"{connection.name}: {_arming_problem(received)}{_rejected_frames(connection)}")
     if answer.state != schema.ARMED:
         raise DeviceError(f"{connection.name}: the device does not arm: {fault_text(answer.fault)}")
     connection.use_format(connection.armed)
@@ -186,13 +186,13 @@ def arm(
     return connection.armed
 
 
-def _answers_arming(status: Received) -> bool:
+def _is_arming_answer(status: Received) -> bool:
     """Whether a STATUS says armed or why not; else it is a late answer to something before, perhaps an old fault."""
     old = (schema.NO_FAULT, schema.HOST_QUIET, schema.POSITION_OUT_OF_RANGE)
     return status.number == 0 and (status.state == schema.ARMED or status.fault not in old)
 
 
-def _never_armed(received: list[Received]) -> str:
+def _arming_problem(received: list[Received]) -> str:
     said = "it did not answer ARM"
     if received and received[-1].kind == schema.STATUS:
         said = f"it answered ARM with state {received[-1].state} and fault {received[-1].fault}"
@@ -202,7 +202,7 @@ def _never_armed(received: list[Received]) -> str:
     )
 
 
-def _refused(connection: Connection) -> str:
+def _rejected_frames(connection: Connection) -> str:
     """The rejected frames, in words that follow a sentence; "" where there were none."""
     decoder = connection.decoder
     frames = int(decoder.crc_errors + decoder.length_errors + decoder.form_errors)

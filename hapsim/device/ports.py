@@ -28,29 +28,29 @@ def free_name(name: Path | None) -> None:
     """Removes a link to a closed pseudo-terminal. UsageError where the name is taken by anything else."""
     if name is None or not os.path.lexists(name):
         return
-    link = leads_to(name)
+    link = link_target(name)
     if link is None:
         raise UsageError(f"{name}: found a file, a directory or a device, expected a free name for the port")
     if os.path.exists(name) or not _PSEUDO_TERMINAL.fullmatch(link):
         raise UsageError(f"{name}: found a link to {link}, expected a free name for the port; remove an unused link")
-    with _explained(name):
+    with _link_errors(name):
         name.unlink()
 
 
 @contextlib.contextmanager
-def linked(name: Path | None, port: str) -> Iterator[str]:
+def link_to(name: Path | None, port: str) -> Iterator[str]:
     """Makes `name` a link to `port` while open, and yields the port's name: the link, or without one its own. A link
     that leads elsewhere by then is not removed. UsageError where no link can be made."""
     if name is None:
         yield port
         return
     free_name(name)
-    with _explained(name):
+    with _link_errors(name):
         name.symlink_to(port)
     try:
         yield str(name)
     finally:
-        if leads_to(name) == port:
+        if link_target(name) == port:
             name.unlink(missing_ok=True)
 
 
@@ -74,7 +74,7 @@ def open_pseudo_terminal(of: str, instead: str) -> tuple[int, int]:
     return ends
 
 
-def leads_to(name: str | Path) -> str | None:
+def link_target(name: str | Path) -> str | None:
     """Returns the target of a symbolic link; None where there is no link."""
     try:
         return os.readlink(name)
@@ -83,7 +83,7 @@ def leads_to(name: str | Path) -> str | None:
 
 
 @contextlib.contextmanager
-def _explained(name: Path) -> Iterator[None]:
+def _link_errors(name: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
@@ -102,7 +102,7 @@ def state_directory() -> Path:
         raise FileNotFoundError(errno.ENOENT, message) from error
 
 
-def is_new(port: str) -> bool:
+def is_first_use(port: str) -> bool:
     """Returns whether this user meets the device at `port` for the first time, and remembers it.
 
     A device is known by its serial number, or else by the port's name. Where there is none, or nothing can be written,
@@ -168,7 +168,7 @@ def _open(path: str, baud: int) -> Any:
     try:
         return serial.Serial(path, baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError) as error:  # SerialException is an OSError
-        raise DeviceError(_why_not(path, baud, error)) from error
+        raise DeviceError(_opening_error(path, baud, error)) from error
 
 
 def serial_ports() -> list[dict[str, str]]:
@@ -208,20 +208,20 @@ def _set_low_latency(port: Any) -> bool:
 _BUSY = ("exclusively lock", "busy", "PermissionError(13, 'Access is denied.'")  # the last is how Windows says it
 
 
-def _why_not(path: str, baud: int, error: Exception) -> str:
+def _opening_error(path: str, baud: int, error: Exception) -> str:
     code = getattr(error, "errno", None)
     text = str(error)
     if code == errno.ENOENT or "No such file" in text or "FileNotFoundError" in text:
         ports = ", ".join(port["port"] for port in serial_ports())
         found = f"Ports found: {ports or 'none'} (details: `hapsim ports`)"
-        link = leads_to(path)
+        link = link_target(path)
         if link is not None:
             return f"{path}: a link to {link}, which is gone: was the program that made it stopped? {found}"
         return f"{path}: no such port. {found}"
     if code in (errno.EACCES, errno.EPERM) or "Permission denied" in text:
         return f"{path}: not permitted. On most systems: add yourself to the group dialout and log in again"
     if code in (errno.EAGAIN, errno.EBUSY) or any(word in text for word in _BUSY):
-        holders = who_holds(path)
+        holders = port_holders(path)
         which = f": {holders}. Close it" if holders else ". Close it (ModemManager is a frequent one)"
         return f"{path}: another program is using the port{which} and try again"
     if code in (errno.ENOTTY, errno.EISDIR) or "not configure port" in text or "Inappropriate ioctl" in text:
@@ -232,7 +232,7 @@ def _why_not(path: str, baud: int, error: Exception) -> str:
     return f"{path}: cannot be opened: {text}"
 
 
-def who_holds(path: str) -> str:
+def port_holders(path: str) -> str:
     """Returns the processes that hold `path`, in words that follow a colon; "" where none was found.
 
     Linux shows every lock to everyone, but open files only to their user and root.
@@ -241,13 +241,13 @@ def who_holds(path: str) -> str:
         port = os.stat(path)
     except (OSError, ValueError):
         return ""
-    locking = [pid for pid in _locking(port) if (_PROC / pid).exists()]
+    locking = [pid for pid in _lock_holders(port) if (_PROC / pid).exists()]
     if locking:
-        return " and ".join(f"{_named(pid)} holds its lock" for pid in locking)
-    return " and ".join(f"{_named(pid)} has it open" for pid in _opening(os.path.realpath(path)))
+        return " and ".join(f"{_process_name(pid)} holds its lock" for pid in locking)
+    return " and ".join(f"{_process_name(pid)} has it open" for pid in _open_holders(os.path.realpath(path)))
 
 
-def _locking(port: os.stat_result) -> list[str]:
+def _lock_holders(port: os.stat_result) -> list[str]:
     """The processes with a lock on this file, of lines like `1: FLOCK  ADVISORY  WRITE 2461 00:1a:3 0 EOF`."""
     where = f"{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}"
     with contextlib.suppress(OSError):
@@ -256,7 +256,7 @@ def _locking(port: os.stat_result) -> list[str]:
     return []
 
 
-def _opening(port: str) -> list[str]:
+def _open_holders(port: str) -> list[str]:
     """The readable processes that have this file open."""
     found = []
     for process in _PROC.glob("[0-9]*"):
@@ -266,7 +266,7 @@ def _opening(port: str) -> list[str]:
     return sorted(found, key=int)
 
 
-def _named(process: str) -> str:
+def _process_name(process: str) -> str:
     if process == str(os.getpid()):
         return f"this process itself (PID {process})"
     command = ""

@@ -99,10 +99,10 @@ def wake_up_latency(
 @contextlib.contextmanager
 def _punctual(realtime: bool) -> Iterator[list[PrivilegeResult]]:
     """While open, this thread wakes up as punctually as it may: at the least without the kernel's slack of 50 µs."""
-    from hapsim.loop.realtime import no_timer_slack
     from hapsim.loop.realtime import realtime as in_real_time
+    from hapsim.loop.realtime import remove_timer_slack
 
-    no_timer_slack()
+    remove_timer_slack()
     if not realtime:
         yield []
         return

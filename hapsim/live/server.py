@@ -52,10 +52,10 @@ class View(Protocol):
 class Server:
     """Runs views in a thread of its own, from `start` to `close`."""
 
-    def __init__(self, views: Sequence[View], report: Callable[[str], None], gives_way: bool = True) -> None:
-        """`report` prints a warning. `gives_way`: the thread has a lower priority than others; not beside a loop in
+    def __init__(self, views: Sequence[View], report: Callable[[str], None], idle_priority: bool = True) -> None:
+        """`report` prints a warning. `idle_priority`: the thread has a lower priority than others; not beside a loop in
         Python."""
-        self._views, self._report, self._gives_way = views, report, gives_way
+        self._views, self._report, self._idle_priority = views, report, idle_priority
         self._loop: asyncio.AbstractEventLoop
         self._stop: asyncio.Event
         self._thread = threading.Thread(target=self._run, name=_THREAD, daemon=True)
@@ -73,7 +73,7 @@ class Server:
         self._thread.join(2 * _PATIENCE_S)
 
     def _run(self) -> None:
-        if self._gives_way:
+        if self._idle_priority:
             with contextlib.suppress(OSError, AttributeError):
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
         asyncio.run(self._serve())

@@ -1,28 +1,28 @@
-"""The correction `adaptive`: the mass of the temporary hybrid system, estimated while it runs, with its uncertainty;
-and the force, which follows the estimate by a factor e in SLEW_S at most.
+"""The correction `adaptive`: an estimate of the mass of the temporary hybrid system, with its uncertainty, during a
+run. The force follows the estimate, by a factor e within SLEW_S at most.
 
-`prediction/correction/adaptive.py` computes the predictor's table beforehand: what to simulate for which mass, stable
-for all of them. A scene without this correction never compiles it.
+`prediction/correction/adaptive.py` computes the predictor's table beforehand: the simulated values for each mass,
+stable for all masses. A scene without this correction never compiles it.
 
-**The estimate.** A mass m that a held force f and a hand push is read as x + w, with w the noise and rounding of the
-sensor:
+**The estimate.** A held force f and a hand push a mass m. Its position is read as x + w, with w the noise and rounding
+of the sensor:
 
     y[n] - 2 y[n-1] + y[n-2] = (phi[n] + hand) / m + noise,      phi[n] = T² (sum of w_i f[n-i]) - k0 T² y[n-1]
 
 Summed twice over L samples both sides stay exact; the motion grows with L², the noise does not. L is half the loop's
 period, at most MOST_SPAN samples. A hand pushes slowly, so both sides are then differenced twice over D samples. The
-results are the motion Y and the forces P. What the velocity explains is friction: it is fitted, and subtracted from
-both.
+results are the motion Y and the forces P. The part in proportion to the velocity is friction: it is fitted, and
+subtracted from both.
 
 Noise in Y leaves sum(PP) / sum(PY) unbiased; a hand's push that the scene answers leaves sum(PY) / sum(YY) unbiased.
-Fourth differences of the positions are noise, since no hand moves that fast; it is subtracted from sum(YY). The
-estimate is the geometric mean of the two ratios. Its uncertainty consists of their distance, of the scatter between
-blocks (as long as the sums look back), and of what neither forces nor noise explain.
+Fourth differences of the positions are noise, since no hand moves that fast. Its energy is subtracted from sum(YY). The
+estimate is the geometric mean of the two ratios. Its uncertainty has three parts: their distance, the scatter between
+blocks (each as long as the sums), and the motion that neither forces nor noise explain.
 
-Only blocks count in which the forces move the mass clearly more than the noise. The estimate comes from the latest
-BLOCKS of them, or, if these disagree after a grip, from the latest FEWEST_BLOCKS. While neither is certain to KNOWN,
-the last known estimate stays, and `unwatched` counts for how long. After lost positions, and after late forces in a
-row, the force that acted is unknown: the sums start anew.
+A block counts only if the forces move the mass clearly more than the noise. The estimate comes from the latest BLOCKS
+of them, or, if these disagree after a grip, from the latest FEWEST_BLOCKS. While the uncertainty of both is above
+MOST_UNCERTAINTY, the last known estimate stays, and `age` counts for how long. After lost positions, and after late
+forces in a row, the force that acted is unknown: the sums start anew.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from hapsim.loop.predictor import IN_ALL, PREDICTOR, look_ahead, observe, set_nu
 
 MOST_SPAN, MOST_SLOW_SPAN = 24, 12  # samples, L and D
 BLOCKS, FEWEST_BLOCKS = 8, 3
-CLEARLY = 10.0  # least energy of the motion that the forces make of the heaviest mass, over that of the noise
-KNOWN = 0.1  # relative uncertainty below which the force follows
+LEAST_SIGNAL = 10.0  # least energy of the motion that the forces make of the heaviest mass, over that of the noise
+MOST_UNCERTAINTY = 0.1  # relative uncertainty below which the force follows
 MOST_WEIGHTS = 8
-_FOURTH = 70.0  # the energy of white noise in its fourth difference, over its own
-_UNKNOWN = 0.05  # variance of ln m where neither forces nor noise explain any motion: as much as dry friction needs
+_FOURTH_DIFFERENCE = 70.0  # the energy of white noise in its fourth difference, over its own
+_UNEXPLAINED = 0.05  # variance of ln m if neither forces nor noise explain any motion: enough for dry friction
 _TINY = 1e-300
 _COLOURED = 4.0  # variance of sums of filtered noise, over that of white noise of the same energy
 
@@ -57,15 +57,15 @@ MASS_ESTIMATE = np.dtype(
     [
         ("log_least", np.float64, _EACH),  # of the span, ln kg
         ("log_most", np.float64, _EACH),
-        ("log_mass", np.float64, _EACH),  # ln kg: the last estimate that was known; the least mass before there is one
+        ("log_mass", np.float64, _EACH),  # ln kg: the last known estimate; the least mass before the first
         ("uncertainty", np.float64, _EACH),  # relative, standard; infinite before there is an estimate
-        ("unwatched", np.int64, _EACH),  # samples since the motion last showed it
+        ("age", np.int64, _EACH),  # samples since the motion last showed it
         ("explained", np.float64, _EACH),  # R²: the share of the latest motion that the forces explain
         ("span", np.int64, _EACH),  # samples, L,
         ("slow_span", np.int64, _EACH),  # and D
-        ("next_span", np.int64, _EACH),  # of a scene that follows
+        ("next_span", np.int64, _EACH),  # of the next scene
         ("rounding", np.float64, _EACH),  # m², the mean square of the counts
-        ("sprung", np.float64, _EACH),  # k0 T², kg
+        ("spring", np.float64, _EACH),  # k0 T², kg
         ("first_lag", np.int64),  # f[n - first_lag] has the first of the weights
         ("count", np.int64),
         ("weights", np.float64, (MOST_WEIGHTS,)),  # s²
@@ -76,9 +76,9 @@ MASS_ESTIMATE = np.dtype(
         ("area", np.float64, _EACH),
         ("rings", np.float64, (*_EACH, _RINGS, _MASK + 1)),
         ("sums", np.float64, (*_EACH, _SUMS)),  # of the block that is being filled
-        ("block", np.int64, _EACH),  # how many were filled
+        ("block", np.int64, _EACH),  # count of filled blocks
         ("blocks", np.float64, (*_EACH, BLOCKS, _SUMS)),
-        ("total", np.float64, (_SUMS,)),  # of those that are fitted
+        ("total", np.float64, (_SUMS,)),  # over the fitted blocks
     ],
     align=True,
 )
@@ -86,7 +86,7 @@ MASS_ESTIMATE = np.dtype(
 
 @helper
 def note_sample(estimate, gap, late):
-    """Notes whether the force that acted until this sample is known. Call it before the channels."""
+    """Counts samples whose force is known, up to this one. Call it before `estimate_mass`."""
     unknown = gap != 1 or (late and estimate.was_late)
     estimate.seen = 0 if unknown else estimate.seen + 1
     estimate.was_late = late
@@ -94,26 +94,26 @@ def note_sample(estimate, gap, late):
 
 @helper
 def estimate_mass(estimate, predictor, forces, c, position):
-    """Adds a sample of a channel. Returns ln of the mass in kg."""
+    """Adds a sample of a channel to the estimate. Returns ln of the mass in kg."""
     seen = estimate.seen
-    estimate.unwatched[c] += 1
+    estimate.age[c] += 1
     ring, sums = estimate.rings[c], estimate.sums[c]
     ring[_POSITION, seen & _MASK] = position
-    begins = 2 + estimate.first_lag + estimate.count  # from here on the forces are known
-    if seen < begins:
+    first_known = 2 + estimate.first_lag + estimate.count  # from here on the forces are known
+    if seen < first_known:
         return estimate.log_mass[c]
-    pushed = -estimate.sprung[c] * ring[_POSITION, (seen - 1) & _MASK]
+    pushed = -estimate.spring[c] * ring[_POSITION, (seen - 1) & _MASK]
     for i in range(estimate.count):
         row = (predictor.newest - (estimate.first_lag - 1 + i)) & predictor.mask
         pushed += estimate.weights[i] * forces[row * 2 * _ROW + IN_ALL + c]
     ring[_FORCE, seen & _MASK] = pushed
-    if not _sum_over_span(estimate, ring, c, seen - begins):
+    if not _sum_over_span(estimate, ring, c, seen - first_known):
         return estimate.log_mass[c]
     D = estimate.slow_span[c]
     P = _difference(ring, _PUSHED, seen, D)
     V = _difference(ring, _SWEPT, seen, D)
     Y = _difference(ring, _MOVED, seen, D)
-    # The same over one sample, and twice more: there the noise is.
+    # The same over one sample, and twice more for the positions: the noise.
     U = _difference(ring, _FORCE, seen, 1)
     A = _difference(ring, _POSITION, seen, 1) - 2.0 * _difference(ring, _POSITION, seen - 1, 1)
     A += _difference(ring, _POSITION, seen - 2, 1)
@@ -161,11 +161,13 @@ def _difference(ring, kind, n, over):
 
 @helper
 def _close_block(estimate, c):
-    """Keeps a block in which the forces move the mass clearly, and estimates anew."""
+    """Keeps the block if the forces move the mass clearly, and estimates anew; begins the next block."""
     sums = estimate.sums[c]
     explained = sums[_AU] * sums[_AU] / sums[_UU] if sums[_UU] > 0.0 else 0.0
-    noise = max((sums[_AA] - explained) / _FOURTH, estimate.rounding[c] * sums[_COUNT]) * _noise_gain(estimate, c)
-    if sums[_PP] * math.exp(-2.0 * estimate.log_most[c]) > CLEARLY * noise:
+    noise = max((sums[_AA] - explained) / _FOURTH_DIFFERENCE, estimate.rounding[c] * sums[_COUNT]) * _noise_gain(
+        estimate, c
+    )
+    if sums[_PP] * math.exp(-2.0 * estimate.log_most[c]) > LEAST_SIGNAL * noise:
         newest = estimate.block[c] % BLOCKS
         for i in range(_SUMS):
             estimate.blocks[c, newest, i] = sums[i]
@@ -196,33 +198,33 @@ def _fit(estimate, c, count):
     inverse = product / P
     left = max(Y - inverse * product, 0.0)
     estimate.explained[c] = 1.0 - left / Y
-    white = (total[_AA] - 2.0 * inverse * total[_AU] + inverse * inverse * total[_UU]) / _FOURTH
+    white = (total[_AA] - 2.0 * inverse * total[_AU] + inverse * inverse * total[_UU]) / _FOURTH_DIFFERENCE
     noise = min(max(white, estimate.rounding[c] * samples) * _noise_gain(estimate, c), left)
-    friction = in_Y - inverse * in_P  # -b0 T/m, of which the sums are right to the square
+    friction = in_Y - inverse * in_P  # -b0 T/m; the sums are exact up to its square
     scatter = 0.0
     for i in range(count):
         one = blocks[(newest - i) % BLOCKS]
-        missed = one[_PY] - inverse * one[_PP] - friction * one[_PV]
-        missed -= in_P * (one[_VY] - inverse * one[_PV] - friction * one[_VV])
-        scatter += missed * missed * count / (count - 1.0)
+        residual = one[_PY] - inverse * one[_PP] - friction * one[_PV]
+        residual -= in_P * (one[_VY] - inverse * one[_PV] - friction * one[_VV])
+        scatter += residual * residual * count / (count - 1.0)
     scatter += _COLOURED * left / samples * P
-    # Where what is left beside the noise is a hand that the scene answers, 1/m is (Y - noise) / product.
-    apart = 0.5 * math.log((Y - noise) / (inverse * product))
-    variance = scatter / (product * product) + apart * apart + 0.25 * friction**4
-    uncertainty = math.sqrt(variance + _UNKNOWN * (left - noise) / Y)
-    log_mass = -math.log(inverse) - apart
+    # If the rest is noise and a hand that the scene answers, 1/m is (Y - noise) / product.
+    log_distance = 0.5 * math.log((Y - noise) / (inverse * product))
+    variance = scatter / (product * product) + log_distance * log_distance + 0.25 * friction**4
+    uncertainty = math.sqrt(variance + _UNEXPLAINED * (left - noise) / Y)
+    log_mass = -math.log(inverse) - log_distance
     least, most = estimate.log_least[c], estimate.log_most[c]
-    if not (uncertainty < KNOWN and least - 3.0 * uncertainty < log_mass < most + 3.0 * uncertainty):
+    if not (uncertainty < MOST_UNCERTAINTY and least - 3.0 * uncertainty < log_mass < most + 3.0 * uncertainty):
         return False
     estimate.log_mass[c] = min(max(log_mass, least), most)
     estimate.uncertainty[c] = uncertainty
-    estimate.unwatched[c] = 0
+    estimate.age[c] = 0
     return True
 
 
 @helper
 def _noise_gain(estimate, c):
-    """Returns the energy of white noise of the position in Y over its own: of (1, -2, 1) over L, and again over D."""
+    """Returns the energy of white position noise in Y over its own: gain of (1, -2, 1) over L, and again over D."""
     L, D = estimate.span[c], estimate.slow_span[c]
     return 70.0 if L == D else 28.0 if L == 2 * D else 36.0
 
@@ -243,10 +245,10 @@ SLEW_S, LEAST_SLEW = 0.05, 25  # s, samples: for a factor e of the mass
 
 ADAPTIVE = np.dtype(
     [
-        ("adapts", np.int64, _EACH),  # 1: this channel's force follows an estimate
+        ("adapts", np.int64, _EACH),  # 1: an estimate sets this channel's force
         ("log_least", np.float64, _EACH),  # ln kg: the span of masses,
         ("log_most", np.float64, _EACH),
-        ("log_mass", np.float64, _EACH),  # and the mass that the force is for
+        ("log_mass", np.float64, _EACH),  # and the mass for which the force is computed
         ("slew", np.float64),  # the largest change of ln m in a sample
         ("estimate", MASS_ESTIMATE),
     ],
@@ -257,12 +259,12 @@ _predictor_at, _doubles_at = record_at(PREDICTOR), array_at(np.float64)
 _adaptive_at = record_at(ADAPTIVE)
 
 ADDED = 3
-"""The last of a channel's numbers: N/m, N·s/m and N, which are added to the scene's force."""
+"""Count of a channel's last numbers: N/m, N·s/m and N that are added to the scene's force."""
 
 
 @hook
 def predict_adaptively(predictor, tick):
-    """As `predict`, with the numbers for the estimated mass."""
+    """Replaces the measured state by the expected one, as `predict`, with the numbers for the estimated mass."""
     predictor, tick = _predictor_at(predictor), tick_at(tick)
     io = io_at(tick.io)
     adaptive = _adaptive_at(predictor.adaptive)
@@ -287,7 +289,7 @@ def predict_adaptively(predictor, tick):
 
 @hook
 def add_difference(predictor, tick):
-    """Adds to the scene's force: the scene's links are those for the least mass."""
+    """Adds the difference to the force for the estimated mass: the scene's links are those for the least mass."""
     predictor, io = _predictor_at(predictor), io_at(tick_at(tick).io)
     numbers = _doubles_at(predictor.numbers, _ROW * predictor.width)
     for c in range(io.channels):

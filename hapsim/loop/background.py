@@ -1,4 +1,4 @@
-"""Work beside a running loop that the loop does not wait for."""
+"""Background tasks of a running loop, which does not wait for them."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ _GRACE_S, _SLICE_S = 0.5, 0.1
 
 
 class BackgroundWork(Generic[Result]):
-    """Work in a thread of its own. The end of the program does not wait for it.
+    """A function that runs in a thread of its own. The end of the program does not wait for it.
 
-    `gives_way`: the thread gets a processor only where no other wants it (SCHED_IDLE). On a machine with few processors
-    a loop that wakes up would otherwise wait milliseconds for its turn. Not beside a loop in Python: a thread that
-    gives way may hold the interpreter's lock meanwhile.
+    `idle_priority`: the thread runs only where no other wants the processor (SCHED_IDLE). On a machine with few
+    processors a loop that wakes up would otherwise wait milliseconds for its turn. Not for a loop in Python: the thread
+    may lose the processor while it holds the interpreter's lock.
     """
 
-    def __init__(self, work: Callable[[], Result], gives_way: bool = True) -> None:
-        self._work, self._gives_way = work, gives_way
+    def __init__(self, work: Callable[[], Result], idle_priority: bool = True) -> None:
+        self._work, self._idle_priority = work, idle_priority
         self._failure: BaseException | None = None
         self._result: Result
-        self._over = threading.Event()  # not the thread's own end: an interrupt during a join confuses that
+        self._over = threading.Event()  # not `join`, which an interrupt can leave in a wrong state
         threading.Thread(target=self._run, name=_NAME, daemon=True).start()
 
     @property
     def is_done(self) -> bool:
-        """Whether the work has ended."""
+        """True once the function has ended."""
         return self._over.is_set()
 
     def result(self) -> Result:
-        """Waits for the work, and returns or raises what it did. An interrupt ends the wait, not the work."""
-        while not self._over.wait(_SLICE_S):  # in slices: an interrupt may arrive in another thread
+        """Waits for the function; returns its result or raises its error. An interrupt ends the wait, not the task."""
+        while not self._over.wait(_SLICE_S):  # in slices, because another thread may receive the interrupt
             pass
         if self._failure is not None:
             raise self._failure
         return self._result
 
     def _run(self) -> None:
-        if self._gives_way:
-            with contextlib.suppress(OSError, AttributeError):  # where there is no such scheduling
+        if self._idle_priority:
+            with contextlib.suppress(OSError, AttributeError):  # systems without this scheduling
                 os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
         try:
             self._result = self._work()
@@ -55,7 +55,7 @@ class BackgroundWork(Generic[Result]):
 
 
 def exit_with_unfinished(status: int) -> None:
-    """Ends the process with this exit status if work is not done: the interpreter would crash over it as it ends."""
+    """Ends the process with this exit status if a task still runs: the interpreter would crash at its own end."""
     left = [thread for thread in threading.enumerate() if thread.name == _NAME]
     for thread in left:
         thread.join(_GRACE_S)

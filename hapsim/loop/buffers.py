@@ -1,7 +1,7 @@
-"""The memory of an exchange: bytes that arrived and that are sent, and each channel's position and force.
+"""The memory of an exchange: received and sent bytes, and the position and force of each channel.
 
-The last bytes each way stay as they were on the wire, for the report of a run that a guard or the device ended. Nothing
-is copied for that: bytes go to the next place of a buffer, and to its beginning once KEPT bytes are there.
+The last bytes of each direction stay as they were on the wire, for the report of a run that a guard or the device
+ended. Nothing is copied for that: bytes go to the next place of a buffer, and to its beginning after KEPT bytes.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from hapsim.loop.system import SCRATCH
 from hapsim.loop.transport import TRANSPORT, PythonTransport
 
 KEPT = 1 << 14  # bytes: more than a hundred of the longest frames
-AT_ONCE = 8192  # bytes that are received at once, at most
+AT_ONCE = 8192  # most bytes of one receive call
 
 _EACH = (schema.MAX_CHANNELS,)
 
 LAST_BYTES = np.dtype(
     [
         ("at", np.int64),  # where the next bytes go
-        ("end", np.int64),  # of the bytes of the round before
+        ("end", np.int64),  # end of the bytes of the round before
     ],
     align=True,
 )
-"""The place in a buffer of KEPT bytes and room for the most that come at once."""
+"""Place in a buffer of KEPT bytes, with room for the most bytes of one call."""
 
 INBOX = np.dtype(
     [
         ("transport", TRANSPORT),
         ("decoder", DECODER),
-        ("start", np.int64),  # of what is not yet decoded
+        ("start", np.int64),  # of the bytes that are not yet decoded
         ("stop", np.int64),
         ("last", LAST_BYTES),
         ("bytes", np.uint8, KEPT + AT_ONCE),
     ],
     align=True,
 )
-"""A transport, the bytes that arrived over it, and their decoder. Conversation and loop share it."""
+"""A transport, its received bytes, and their decoder. Conversation and loop share it."""
 
 inbox_at = record_at(INBOX)
 
@@ -60,7 +60,7 @@ IO_BUFFER = np.dtype(
         ("velocity_before", np.float64, _EACH),  # m/s, with the one before
         ("velocity_bridge", np.float64, _EACH),  # m/s, likewise
         ("asked", np.float64, _EACH),  # N, the scene's force
-        ("as_hand", np.float64, _EACH),  # N, the part of the excitation that plays the hand
+        ("as_hand", np.float64, _EACH),  # N, the part of the excitation that counts as the hand's push
         ("excitation", np.float64, _EACH),  # N, added to the scene's force
         ("position_counts", np.int64, _EACH),  # from the scene's origin on
         ("velocity_counts", np.int64, _EACH),  # as on the wire
@@ -77,18 +77,18 @@ IO_BUFFER = np.dtype(
     ],
     align=True,
 )
-"""What one exchange reads and writes, channel by channel."""
+"""Values that one exchange reads and writes, by channel."""
 
 
 @inlined
 def clip(force, limit):
-    """A force in N, clipped to -limit ... limit. What is no number comes out as none, or as the limit."""
+    """Returns a force in N, clipped to -limit ... limit. NaN stays NaN; infinity becomes the limit."""
     return -limit if force < -limit else limit if force > limit else force
 
 
 @inlined
 def next_place(last):
-    """Returns where the next bytes go. The caller then moves `last.at` behind them."""
+    """Returns the place of the next bytes. The caller then moves `last.at` behind them."""
     if last.at >= KEPT:
         last.end = last.at
         last.at = 0
@@ -96,20 +96,20 @@ def next_place(last):
 
 
 def last_bytes(last: Any, buffer: NDArray[np.uint8]) -> bytes:
-    """Returns the bytes that a buffer keeps, oldest first."""
+    """Returns the bytes in a buffer, oldest first."""
     at, end = int(last.at), int(last.end)
     return buffer[at:end].tobytes() + buffer[:at].tobytes()
 
 
 def put_bytes(last: Any, buffer: NDArray[np.uint8], data: bytes) -> None:
-    """Keeps bytes, outside the compiled loop."""
+    """Writes bytes into a buffer, outside the compiled loop."""
     at = int(next_place(last))
     buffer[at : at + len(data)] = np.frombuffer(data, np.uint8)
     last.at = at + len(data)
 
 
 def fetch_in_python(inbox: Any, transport: PythonTransport, timeout_ns: int) -> int:
-    """Reads what has arrived into an inbox that is used up: the count, or a code of endings.py."""
+    """Receives into an inbox whose bytes are all decoded. Returns the count, or a code of endings.py."""
     at = int(next_place(inbox.last))
     inbox.start = inbox.stop = at
     count = transport.receive(inbox.bytes[at : at + AT_ONCE], timeout_ns)

@@ -1,6 +1,6 @@
-"""What paces a loop: the device, whose positions are awaited, or the host, by a grid of its own.
+"""Clocks that pace a loop: the device, whose positions the loop awaits, or the host, with a grid of its own.
 
-Where the host paces, each tick sends the force and with it asks for the next position.
+If the host paces, each tick sends the force and thereby requests the next position.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.system import SCRATCH, now_ns, sleep_until
 
 SLICE_NS = 100_000_000
-"""The longest wait without a look at `control.stop`."""
+"""Longest wait between two checks of `control.stop`."""
 
 
 @inlined
 def next_point(due, now, period):
-    """Returns (the point of the grid after `due`, 1 if this one was missed else 0); ns, woken for it at `now`.
+    """Returns (next point of the grid after `due`, 1 if `due` was missed else 0), in ns. `now`: the wake-up for `due`.
 
-    The grid is absolute, so that lateness does not add up. A point that is a whole period late or more is missed, and
+    The grid is absolute, so that lateness does not add up. A wake-up that is a whole period late misses its point, and
     the grid starts anew from there: catching up would be a burst.
     """
     return (due + period, 0) if now < due + period else (now + period, 1)
@@ -28,7 +28,7 @@ def next_point(due, now, period):
 
 @inlined
 def plan_by_device(loop):
-    """Plans the next wait where the device paces, in real or virtual time. Returns RUNNING, or why the loop ends."""
+    """Plans the next wait of a loop that the device paces, in real or virtual time. Returns RUNNING or an ending."""
     loop.wait.begun_ns = loop.state.sent_ns
     loop.wait.for_ns = loop.control.silence_ns
     loop.wait.answers = 1
@@ -37,11 +37,11 @@ def plan_by_device(loop):
 
 @inlined
 def plan_by_host(loop):
-    """Plans the next wait where the host paces. Returns RUNNING, or why the loop ends.
+    """Plans the next wait of a loop that the host paces. Returns RUNNING or an ending.
 
-    A tick has two waits. When it is due, the loop answers a position that came after the tick before was over:
-    otherwise every later force would be a sample older than necessary. Then the loop waits for the next position, until
-    the next tick is due. The first position comes without a request.
+    A tick has two waits. When it is due, the loop answers a position that came after the last tick had ended: otherwise
+    every later force would be a sample older than necessary. Then the loop waits for the next position, until the next
+    tick is due. The first position comes without a request.
     """
     wait, state, control = loop.wait, loop.state, loop.control
     if state.ticks == 0:
@@ -70,8 +70,8 @@ def plan_by_host(loop):
 
 
 @inlined
-def may_ask_again(loop):
-    """Whether the host asks again for a position that did not come; not after too long a silence of the device."""
+def may_retry(loop):
+    """Returns whether the host repeats its request for a position: not after too long a silence of the device."""
     return loop.state.ticks > 0 and loop.state.sent_ns - loop.state.newest_ns < loop.control.silence_ns
 
 
@@ -82,13 +82,13 @@ GRID = np.dtype(
         ("end_ns", np.int64),  # the last one
         ("period_ns", np.int64),
         ("wakeups", np.int64),
-        ("restarts", np.int64),  # how often the grid started anew, a whole period late
+        ("restarts", np.int64),  # times that the grid started anew, a whole period late
         ("lateness", HISTOGRAM),  # ns
         SCRATCH,
     ],
     align=True,
 )
-"""A grid without a loop, to measure wake-up latency."""
+"""A grid without a loop, for measuring wake-up latency."""
 
 
 @entry

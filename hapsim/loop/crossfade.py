@@ -1,12 +1,12 @@
-"""Moving two scenes for a while, after a change of a scene's structure.
+"""The crossfade after a change of a scene's structure: the loop moves two scenes for a while.
 
-Another thread posts the program of the new scene, and the loop takes it between two samples. What both scenes have
-continues from where it is (the program's list `take_over`); the same hands move both, and the force crossfades:
+Another thread posts the program of the new scene, and the loop takes it between two samples. Modules of both scenes
+continue from their state (`take_over` of `cordis/tick.py`). The same hands move both scenes, and the force crossfades:
 
     F = F_old + w(s) (F_new - F_old),     w = 3 s² - 2 s³,     s = 1/N, 2/N, ... 1
 
-over N steps: none adds more than 1.5/N of the difference. A step that adds more energy than the tank has is
-shortened (cordis/stored_energy.py), and the crossfade takes longer. At its end the old scene is dropped.
+over N steps: none adds more than 1.5/N of the difference. A step that adds more energy than the tank holds is
+shortened (cordis/stored_energy.py), and the crossfade takes longer. At its end the loop drops the old scene.
 
 A scene that never changes its structure never compiles the crossfade: its address is 0 until a scene is posted.
 """
@@ -17,8 +17,8 @@ import numpy as np
 
 from hapsim.compiling import fence, helper
 from hapsim.compiling.native import array_at, native, record_at
-from hapsim.cordis.dispatch import call_hear
-from hapsim.cordis.stored_energy import left_of, share_that_lasts, spend, stored_at, tank_at
+from hapsim.cordis.dispatch import call_add_frame
+from hapsim.cordis.stored_energy import affordable_share, remaining_ramp, spend, stored_at, tank_at
 from hapsim.cordis.substep_loop import CROSS_FADE, SCENE_SLOT, move_by_step
 from hapsim.cordis.tick import program_at, stored_energy, take_over
 from hapsim.loop.buffers import IO_BUFFER
@@ -28,7 +28,7 @@ _slot_at, _io_at, _doubles_at = record_at(SCENE_SLOT), record_at(IO_BUFFER), arr
 
 @native(CROSS_FADE.return_type, *CROSS_FADE.args)
 def cross_fade(slot, io, position, velocity):
-    """Moves both scenes by a step, once the posted one is taken."""
+    """Takes the posted scene, if it has not yet, and moves both scenes by a step."""
     slot, io = _slot_at(slot), _io_at(io)
     position, velocity = _doubles_at(position, io.channels), _doubles_at(velocity, io.channels)
     if slot.posted != 0 and slot.next == 0:
@@ -39,15 +39,15 @@ def cross_fade(slot, io, position, velocity):
         take_over(program_at(slot.program), program_at(slot.next), position)
     _advance(slot, position)
     for c in range(io.channels):
-        io.asked[c] = 0.0  # for a channel that the old scene does not have
+        io.asked[c] = 0.0  # for a channel without a hand in the old scene
     move_by_step(slot.program, position, velocity, io.asked)
     move_by_step(slot.next, position, velocity, slot.incoming)
     weight = slot.weight
-    if slot.hear != 0:
-        older, newer = program_at(slot.program).heard, program_at(slot.next).heard
-        call_hear(slot.hear, (slot.sound, older, newer, 1.0 if slot.left == 0 else weight))
+    if slot.add_frame != 0:
+        older, newer = program_at(slot.program).pick_up_values, program_at(slot.next).pick_up_values
+        call_add_frame(slot.add_frame, (slot.sound, older, newer, 1.0 if slot.left == 0 else weight))
     for c in range(io.channels):
-        # At the end it is the new scene's alone, even where the old one's was not a number.
+        # At the end only the new scene's force counts, even if the old one's was NaN.
         io.asked[c] = io.asked[c] + weight * (slot.incoming[c] - io.asked[c]) if slot.left > 0 else slot.incoming[c]
     if slot.left == 0:
         slot.program = slot.next
@@ -58,7 +58,7 @@ def cross_fade(slot, io, position, velocity):
 
 @helper
 def _advance(slot, position):
-    """Advances the weight by a step, or as far as the tank lasts."""
+    """Advances the weight by a step, or as far as the tank allows."""
     before = slot.weight
     slot.left = max(slot.left - 1.0, 0.0)
     s = 1.0 - slot.left / slot.steps
@@ -68,8 +68,8 @@ def _advance(slot, position):
         return
     added = stored_energy(following, position) - stored_energy(program_at(slot.program), position)
     tank = tank_at(stored_at(following.parameters.stored).tank)
-    lasts = share_that_lasts(tank, (slot.weight - before) * added)
-    if lasts < 1.0:
-        slot.weight = before + lasts * (slot.weight - before)
-        slot.left = slot.steps * left_of(slot.weight)
+    share = affordable_share(tank, (slot.weight - before) * added)
+    if share < 1.0:
+        slot.weight = before + share * (slot.weight - before)
+        slot.left = slot.steps * remaining_ramp(slot.weight)
     spend(tank, (slot.weight - before) * added)

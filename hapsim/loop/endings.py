@@ -1,23 +1,24 @@
-"""The result of a wait for a position, and why a loop ends: one set of codes, passed on unchanged.
+"""Codes for the result of a wait and for the end of a loop: one set, passed on unchanged.
 
-Where bytes are read a positive number is their count. Guards have codes of their own, from -20 on (hapsim.loop.guards).
+A function that reads bytes returns their count as a positive number. Guards have codes of their own, from -20 on
+(hapsim.loop.guards).
 """
 
 from __future__ import annotations
 
 from hapsim.compiling import inlined
 
-HEARD = 1  # a position was taken
+RECEIVED = 1  # a position was taken
 RUNNING = 1  # nothing ends the loop yet
-TIMED_OUT = 0  # nothing came, or nothing among the bytes was a position
+TIMED_OUT = 0  # no bytes came, or no position among them
 HUNG_UP = -1  # the other side of the port is gone
-FAILED = -2  # the system refused, and a retry will not help
+FAILED = -2  # the system refused the call, and a retry will not help
 DEVICE_STOPPED = -3  # the device reported that it stopped
 NOT_FINITE = -4  # the scene's force is not a number
 SILENT = -10  # the device has sent no position for too long
 DONE = -11
 STOPPED = -12
-RING_FULL = -13  # the reader has to make room; the device stays armed, and the loop is called again
+RING_FULL = -13  # the reader must make room; the device stays armed, and the loop is called again
 
 IN_WORDS = {
     DONE: "done",
@@ -28,19 +29,19 @@ IN_WORDS = {
     DEVICE_STOPPED: "device stopped",
     FAILED: "port failed",
 }
-"""The `ending` of a report where no guard ended the run."""
+"""`ending` of a report by code, if no guard ended the run."""
 
 
 @inlined
 def ending_before_exchange(loop):
-    """Returns RUNNING, or why the loop ends before its next exchange: STOPPED, DONE, RING_FULL."""
+    """Returns RUNNING, or the ending before the next exchange: STOPPED, DONE, RING_FULL."""
     if loop.control.stop:
         return STOPPED
     state, control = loop.state, loop.control
-    # Samples, answered or lost; where they come too slowly, the time on the host's clock.
+    # Samples, answered or lost; if they come too slowly, the time on the host's clock.
     if 0 <= control.samples <= state.ticks + state.lost_frames or state.newest_ns - state.first_ns > control.lasts_ns:
         return DONE
-    # With a margin, for positions that arrive several at once.
+    # Half of the ring is a margin for positions that arrive together.
     ring, sound = loop.ring, loop.sound
     if ring.waits and ring.head - ring.tail > ring.capacity // 2:
         return RING_FULL
@@ -49,7 +50,7 @@ def ending_before_exchange(loop):
 
 @inlined
 def ending_of(code, stop):
-    """Returns why the loop ends after a wait with the result `code`. `stop`: another thread stopped the loop."""
+    """Returns the ending after a wait with the result `code`. `stop`: another thread stopped the loop."""
     if code != TIMED_OUT:
         return code
     return STOPPED if stop != 0 else SILENT

@@ -1,14 +1,14 @@
-"""One exchange: positions in, the scene moved, the guarded force out. Shared by every loop.
+"""One exchange: takes positions, moves the scene, returns the guarded force. Shared by every loop.
 
-No system call is made here: the caller (compiled_loop.py in the kernel, portable.py in Python) brings bytes and time.
+It makes no system call: the caller (compiled_loop.py in the kernel, portable.py in Python) supplies bytes and time.
 
 **No force is sent that answers a position older than a force may live.** A force acts for its time to live and one
-sample more; then the device makes it zero and takes no older one (PROTOCOL.md, section 6). In two cases the host has to
+sample more. Then the device makes it zero and takes no older one (PROTOCOL.md, section 6). In two cases the host has to
 send zero in place of a force:
 
-* Where the host paces, a device takes the next force as an answer in time, however long the host took. Zero leaves
-  while the device still takes an answer to that position, and asks for the next one.
-* A position arrives later than that, delayed in a buffer. It moves the scene, but is of the past.
+* The host paces: the device would accept the next force as in time, however long the host took. So zero is sent while
+  the device still accepts an answer to that position; it also requests the next one.
+* A buffer delayed the position for longer than that. The position moves the scene, but its force comes too late.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ STATE = np.dtype(
         ("gap", np.int64),  # samples from the one before to it
         *((name, np.int64) for name, place in words_at("at").items() if place == "state"),  # `counts.py` says which
         ("old_positions", np.int64),  # of the stale ones, those that came again or after a newer one
-        # Samples from the position that the acting force answers to the force's change, at most: the device reports of
-        # a late force only that it was late. No force acts beyond its time to live and one more; two more say that.
+        # Most samples from the position that the acting force answers to the next force: the device reports only that
+        # a force was late. No force acts beyond its time to live and one more, so the value ends at two more.
         ("age", np.int64),
         ("fault", np.int64),  # what the device reported when it stopped,
         ("device_state", np.int64),  # its state then,
@@ -137,16 +137,16 @@ LOOP = np.dtype(
     ],
     align=True,
 )
-"""All that an exchange works on. Everything is allocated before the device is armed."""
+"""Memory of an exchange, allocated before the device is armed."""
 
 
 @inlined
 def take_frame(loop, decoder, now):
     """Takes the decoder's frame, which arrived at `now` (ns). A position moves the scene up to its sample and computes
-    the force that answers it. Returns HEARD, or a code of endings.py that ends the loop.
+    the force that answers it.
 
-    Counts and ignores a position that comes twice or after a newer one (the scene never goes back in time), and ignores
-    frames of other types: TIMED_OUT.
+    Returns RECEIVED, TIMED_OUT for a frame that is ignored, or a code of endings.py that ends the loop. A position that
+    comes twice or after a newer one is counted and ignored, since the scene never goes back in time.
     """
     compact()
     state, io, tick = loop.state, loop.io, loop.tick
@@ -207,7 +207,7 @@ def _begin_tick(loop, gap, is_held, now):
 
 @inlined
 def _read_position(io, decoder, is_first):
-    """The decoder's counts in m, from the origin on (for some channels where the device was armed), and in m/s."""
+    """Converts the decoder's counts to m from the origin (on some channels the place of arming), and to m/s."""
     for c in range(np.uint64(io.channels)):
         if is_first and io.origin_at_arming[c]:
             io.origin_counts[c] = decoder.counts[c]
@@ -226,8 +226,8 @@ def _read_position(io, decoder, is_first):
 
 @inlined
 def _answer(loop):
-    """Makes the scene's force what is to leave, and counts the tick. Returns HEARD, or the code that ends the loop
-    before that force leaves."""
+    """Turns the scene's force into the guarded force, and counts the tick. Returns RECEIVED, or the code that ends the
+    loop before that force is sent."""
     compact()
     state, io, tick = loop.state, loop.io, loop.tick
     is_finite, limited = _set_force(io, loop.control, state, tick.push)
@@ -245,7 +245,7 @@ def _answer(loop):
     state.unanswered = 1
     if not is_finite:
         return endings.NOT_FINITE
-    return tick.ending if tick.ending != 0 else endings.HEARD
+    return tick.ending if tick.ending != 0 else endings.RECEIVED
 
 
 @inlined
@@ -269,17 +269,17 @@ def compose_frame(loop, disarm):
 
 @inlined
 def _is_outdated(control, since, now):
-    """Whether a position of `since` (ns) is older at `now` than a force may live."""
+    """Returns whether a position that arrived at `since` (ns) is older at `now` than a force may live."""
     return now - since > control.stale_ns
 
 
 @inlined
 def _held_since(state, control):
-    """Where the host paces: the time in ns, or an earlier one, from which the device counts the time to live.
+    """Returns the time in ns from which the device counts the time to live, or an earlier one. Only for a host clock.
 
-    A force that is sent again, since no position came, has to be zero while the device still takes it: a sample before
-    its time to live is over. One that is late for its position may find a device at zero: that counts from the force
-    before, less a quarter of a period, because its arrival is not known any better.
+    A force that is repeated, since no position came, must be zero while the device still accepts it: a sample before
+    its time to live ends. A force that is late for its position may find a device at zero. That device counts from the
+    force before, less a quarter of a period, because its arrival is not known any better.
     """
     if not state.unanswered:
         return state.newest_ns - control.period_ns
@@ -289,7 +289,7 @@ def _held_since(state, control):
 
 @inlined
 def _leave_zero(loop, channels):
-    """Informs the slew limit and the history that zero leaves in place of the force."""
+    """Records in the slew limit and in the history that zero is sent in place of the force."""
     hold_zero(loop.slew, channels)
     for c in range(np.uint64(channels)):
         loop.slew.decided[c] = 0
@@ -298,7 +298,7 @@ def _leave_zero(loop, channels):
 
 @inlined
 def on_force_sent(loop, now):
-    """Notes that the force has left, at `now` (ns), and publishes the tick."""
+    """Records that the force was sent at `now` (ns), and publishes the tick."""
     if loop.control.clock != HOST_CLOCK:
         note(loop.histograms.exchange, now - loop.state.newest_ns)
     loop.state.sent_ns = now
@@ -308,7 +308,7 @@ def on_force_sent(loop, now):
 
 @inlined
 def flush_unsent(loop):
-    """Publishes the last tick at the end of the loop, marked if its force never left."""
+    """Publishes the last tick at the end of the loop, marked if its force was never sent."""
     if loop.state.unanswered:
         mark_last(loop.ring, ring.UNSENT)
     publish(loop.ring)
@@ -318,9 +318,9 @@ def flush_unsent(loop):
 def _note_time(loop, now, gap):
     """Counts the lateness of a position, `gap` samples after the last. Returns the row's flags for it.
 
-    Where the device paces, lateness is relative to the earliest recent arrivals, by the device's own count of samples:
-    it does not report when it sampled. The grid of expected arrivals moves to every earlier arrival, and by a 16th of
-    the lateness after a later one, so that it follows a device whose clock is slow.
+    A device that paces does not report when it sampled. Its lateness is relative to the earliest recent arrivals, by
+    its own count of samples. The grid of expected arrivals moves to every earlier arrival, and by a 16th of the
+    lateness after a later one, so that it follows a device with a slow clock.
     """
     state, control, period = loop.state, loop.control, loop.control.period_ns
     if loop.control.clock == DEVICE_CLOCK:
@@ -342,8 +342,8 @@ _GOLDEN = 0.6180339887498949  # its multiples are spread evenly over every inter
 
 @inlined
 def _excitation(control, state):
-    """Returns the excitation's force in N. No two pushes are alike, so that no two ring-downs are rounded alike. A
-    periodic one follows the device's count of samples: lost positions do not shift it."""
+    """Returns the excitation's force in N. All pushes differ, so that no two ring-downs are rounded alike. A periodic
+    excitation follows the device's count of samples: lost positions do not shift it."""
     if control.pulse_every == 0:
         if control.periodic_length == 0:
             return 0.0
@@ -362,8 +362,8 @@ def _excitation(control, state):
 
 @inlined
 def _set_force(io, control, state, guided):
-    """Adds the excitation, with the guide's force in N, limits the force, makes it counts: (whether it is a number,
-    whether it was clipped)."""
+    """Adds excitation and the guide's force (N), limits the force, converts it to counts. Returns (whether it is
+    finite, whether it was clipped)."""
     compact()
     excitation = _excitation(control, state) + guided
     io.excitation[np.uint64(control.pulse_channel)] = excitation

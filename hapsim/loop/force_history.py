@@ -1,10 +1,10 @@
 """The force that acted in each sample, for guards that compare forces with the motion.
 
-With a delay of d samples, the force that acts from sample n-1 to n answers sample n-1-d: the one that left, clipped,
-rounded and with every push. Instead of one that never left, or that the device reports as late, the one before acted;
-once its time to live is over, none. The history also keeps the scene's part as it would have acted in time: for every
-sample the force that answers it, sent or not, and over lost positions the forces along the line between the two that
-are known. What an excitation adds is the hand's force, and so is what the limit clips because of it.
+With a delay of d samples, the force that acts from sample n-1 to n answers sample n-1-d. It is the force as sent:
+clipped, rounded and with every push. If that force was not sent, or the device reports it as late, the one before acted
+instead, until its time to live ended. The history also keeps the scene's part without lateness: for every sample the
+force that answers it, sent or not, and over lost positions a straight line between the known forces. An excitation
+counts as the hand's force, and so does the part that the limit clips because of it.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from hapsim.compiling.native import address_of, array_at, record_at
 from hapsim.loop.buffers import clip
 from hapsim.loop.hooks import Hook, Stage, hook, io_at, tick_at
 
-# The first columns of the scene's part of a force, of all of it, and of the scene's part in time.
+# First columns: the scene's part of the acting force, the whole acting force, and the scene's part without lateness.
 OF_SCENE, IN_ALL, IN_TIME = 0, schema.MAX_CHANNELS, 2 * schema.MAX_CHANNELS
 _COLUMNS = 3 * schema.MAX_CHANNELS
 
 FORCE_HISTORY = np.dtype(
     [
-        ("forces", np.uint64),  # of (rows, 3 MAX_CHANNELS): N, the last samples
+        ("forces", np.uint64),  # address of (rows, 3 MAX_CHANNELS): N, the last samples
         ("mask", np.int64),  # rows - 1, and rows is a power of two
         ("newest", np.int64),  # the row of the last sample
         ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes
@@ -34,8 +34,8 @@ FORCE_HISTORY = np.dtype(
         ("share", np.float64),  # and the share of the one before it
         ("begun", np.int64),  # 1: there was a sample
         ("late", np.int64),  # samples in a row, up to now, whose force was late
-        ("decided", np.float64, (_COLUMNS,)),  # N, with the last sample,
-        ("sent", np.float64, (_COLUMNS,)),  # and the last that left before
+        ("decided", np.float64, (_COLUMNS,)),  # N, the answer to the last sample,
+        ("sent", np.float64, (_COLUMNS,)),  # and the last force that was sent before
     ],
     align=True,
 )
@@ -73,8 +73,8 @@ def _keep_in_time(history, forces, c, decided, gap):
 
 @helper
 def _keep_column(history, forces, c, decided, tick):
-    """Keeps the forces that acted, and the new one. A late force after lost positions is the one of the last of these:
-    that says nothing of the one before them."""
+    """Keeps the forces that acted, and the new one. After lost positions a late force belongs to the last of them, so
+    the force before them counts as in time."""
     if history.begun:
         gap = tick.gap
         held = history.sent[c] if history.keeps_last_force else 0.0
@@ -93,7 +93,7 @@ def _keep_column(history, forces, c, decided, tick):
 
 @inlined
 def acting_force(history, column, before):
-    """Returns the force (N) of a column, `before` samples before the one that ended last."""
+    """Returns the force (N) of a column, `before` samples before the last complete sample."""
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     row = history.newest - before - history.lag
     newer = forces[(row & history.mask) * _COLUMNS + column]

@@ -1,10 +1,10 @@
-"""A guide leads one hand to a place before it is excited, and then holds it there by a constant force.
+"""The guide: it leads one hand to a target before the excitation, and then holds it there by a constant force.
 
-The guide is a spring, a damper and an integrator. They follow a path of minimum jerk from where the hand is at arming
-to the target, or where the scene has dry friction, a little beyond it and back, so that its bristles are not bent. The
-integrator makes up for the scene's force, gravity and the device's friction, so that no model of them is needed. It
-stops after the settling time; the mean of the guide's force over the time that follows is the bias. The guide then
-crossfades to this bias, which stays until the run ends: the hand rests, and feels the scene alone.
+The guide is a spring, a damper and an integrator. They follow a path of minimum jerk from the hand's position at arming
+to the target. In a scene with dry friction the path goes a little beyond the target and back, so that no bristle stays
+bent. The integrator compensates the scene's force, gravity and the device's friction, so that no model of them is
+needed. It stops after the settling time. The mean of the guide's force over the following time is the bias. The guide
+then crossfades to this bias, which stays until the run ends: the hand rests, and feels the scene alone.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from hapsim.compiling.native import record_at
 from hapsim.loop.buffers import clip
 from hapsim.loop.hooks import Hook, Stage, hook, io_at, tick_at
 
-_SMOOTHED = 5.0  # times the spring's eigenfrequency: the low-pass of its damper, which would be loud on a noisy device
-_SUMMED = 3.0  # radians of the spring's eigenfrequency, in which the integrator adds as much as the spring has
+_LOW_PASS_RATIO = 5.0  # cut-off of the damper's low-pass over the spring's eigenfrequency, against a noisy device
+_INTEGRAL_ANGLE = 3.0  # radians of the spring's eigenfrequency in which the integrator adds as much as the spring has
 
 GUIDE = np.dtype(
     [
         ("channel", np.uint64),
         ("target", np.float64),  # m
-        ("beyond", np.float64),  # m, how far the path goes beyond it before
+        ("beyond", np.float64),  # m, the path's overshoot
         ("ramp", np.int64),  # ticks of the path,
         ("settling", np.int64),  # of the integrator beyond it,
         ("mean", np.int64),  # of the mean,
@@ -35,12 +35,12 @@ GUIDE = np.dtype(
         ("tick", np.int64),
         ("stiffness", np.float64),  # N/m
         ("damping", np.float64),  # N/m, in a sample
-        ("summing", np.float64),  # N/m, in a sample
-        ("begun", np.float64),  # m, where the hand was at arming,
+        ("integral_gain", np.float64),  # N/m, in a sample
+        ("begun", np.float64),  # m, the hand's position at arming,
         ("before", np.float64),  # its position less the path's, at the last tick,
-        ("velocity", np.float64),  # and what it changes by in a tick, low-passed, m
-        ("follows", np.float64),  # by which share of a change a tick
-        ("summed", np.float64),  # N, of the integrator
+        ("velocity", np.float64),  # and the low-passed change of that in a tick, m
+        ("low_pass", np.float64),  # share of a change per tick
+        ("integral", np.float64),  # N, of the integrator
         ("bias", np.float64),  # N
     ],
     align=True,
@@ -51,7 +51,7 @@ _guide_at = record_at(GUIDE)
 
 @hook
 def lead(guide, tick):
-    """Sets the push to the guide's force in N, one tick on."""
+    """Sets the push to the guide's force (N) of this tick."""
     guide, tick = _guide_at(guide), tick_at(tick)
     tick.push = _force(guide, io_at(tick.io))
     return 0
@@ -67,15 +67,15 @@ def _force(guide, io):
     if tick == 0:
         guide.begun = x
     beyond = guide.beyond if guide.target >= guide.begun else -guide.beyond
-    path = guide.begun + (guide.target + beyond - guide.begun) * _way(tick / guide.ramp)
-    off = x - path + beyond * _way(2.0 * (tick - guide.ramp) / guide.settling)
+    path = guide.begun + (guide.target + beyond - guide.begun) * _minimum_jerk(tick / guide.ramp)
+    off = x - path + beyond * _minimum_jerk(2.0 * (tick - guide.ramp) / guide.settling)
     if tick == 0:
         guide.before = off
     if tick < settled:
-        guide.summed = clip(guide.summed - guide.summing * off, io.force_limit[guide.channel])
-    guide.velocity += guide.follows * (off - guide.before - guide.velocity)
+        guide.integral = clip(guide.integral - guide.integral_gain * off, io.force_limit[guide.channel])
+    guide.velocity += guide.low_pass * (off - guide.before - guide.velocity)
     guide.before = off
-    force = guide.summed - guide.stiffness * off - guide.damping * guide.velocity
+    force = guide.integral - guide.stiffness * off - guide.damping * guide.velocity
     if tick < settled:
         return force
     since = tick - settled
@@ -87,8 +87,8 @@ def _force(guide, io):
 
 
 @helper
-def _way(share):
-    """The share of a path of minimum jerk behind a hand, after this share of its time."""
+def _minimum_jerk(share):
+    """Returns the completed share of a path of minimum jerk after this share of its time."""
     s = min(max(share, 0.0), 1.0)
     return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
 
@@ -104,13 +104,12 @@ def guide_hook(
     stiffness: float,
     mass: float,
 ) -> Hook:
-    """Fills a GUIDE, and returns the hook that leads. `target`: m; `beyond`: m, how far the path goes farther before;
-    `ticks`: of the path, of the integrator beyond it, of the mean and of the crossfade; `stiffness`: N/m, of the
-    spring; `mass`: kg, which it leads."""
+    """Fills a GUIDE and returns its hook. `target`: m. `beyond`: m, the path's overshoot. `ticks`: of the path, of
+    settling, of the mean and of the crossfade. `stiffness`: N/m, of the spring. `mass`: kg, of hand and device."""
     angular = math.sqrt(stiffness / mass)
     record.channel, record.target, record.beyond, record.stiffness = channel, target, beyond, stiffness
     record.ramp, record.settling, record.mean, record.fade = ticks
     record.damping = 2.0 * mass * angular * rate_hz
-    record.follows = -math.expm1(-_SMOOTHED * angular / rate_hz)
-    record.summing = stiffness * angular / (_SUMMED * rate_hz)
+    record.low_pass = -math.expm1(-_LOW_PASS_RATIO * angular / rate_hz)
+    record.integral_gain = stiffness * angular / (_INTEGRAL_ANGLE * rate_hz)
     return Hook(Stage.LEAD, lead, record)

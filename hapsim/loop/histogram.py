@@ -26,7 +26,7 @@ HISTOGRAM = np.dtype([("maximum", np.int64), ("counts", np.int64, (_BINS,))], al
 
 @inlined
 def note(histogram, value):
-    """Counts one whole number; a negative one counts as 0."""
+    """Counts a whole number; a negative one counts as 0."""
     i: Any = 0
     if value > 0:
         i = (np.float64(value).view(np.int64) >> _SHIFT) - _FIRST
@@ -37,7 +37,7 @@ def note(histogram, value):
 
 @dataclass(frozen=True)
 class Spread:
-    """Quantiles of a histogram (p999: 99.9 %); None where nothing was counted."""
+    """Quantiles of a histogram (p999: 99.9 %); None if it is empty."""
 
     count: int
     p50: float | None
@@ -48,12 +48,12 @@ class Spread:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Histogram:
-    """A copy of what a loop counted, in `unit` (1e-9 makes seconds of counted nanoseconds)."""
+    """A copy of a loop's histogram. `unit`: of the counted values, such as 1e-9 for nanoseconds in s."""
 
     counts: NDArray[np.int64]
-    """(bins,) how often; bin i holds what is >= edges[i] and < edges[i + 1]."""
+    """Count of each bin, (bins,); bin i holds values >= edges[i] and < edges[i + 1]."""
     maximum: float
-    """The largest value itself."""
+    """Largest value."""
     unit: float = 1.0
 
     def __repr__(self) -> str:
@@ -63,17 +63,17 @@ class Histogram:
 
     @property
     def edges(self) -> NDArray[np.float64]:
-        """(bins + 1,)"""
+        """Edges of the bins, (bins + 1,)."""
         return self.unit * _edges()
 
     @property
     def total(self) -> int:
-        """How many values were counted."""
+        """Number of counted values."""
         return int(self.counts.sum())
 
     def quantile(self, share: float) -> float | None:
-        """Returns the value that `share` of all (0 to 1) do not exceed: the upper end of its bin, so never too small;
-        for whole numbers below 32 the number itself. None of nothing. Raises ValueError for another share."""
+        """Returns the value that `share` of all (0 to 1) do not exceed; None if the histogram is empty. It is the upper
+        end of the bin, so never too small, and exact below 32. Raises ValueError for another share."""
         if self.total == 0:
             return None
         if not 0.0 <= share <= 1.0:
@@ -87,7 +87,7 @@ class Histogram:
         return float(self.counts[self.edges[:-1] >= value].sum() / max(self.total, 1))
 
     def spread(self) -> Spread:
-        """Returns its quantiles."""
+        """Returns the quantiles."""
         largest = self.maximum if self.total else None
         return Spread(self.total, self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), largest)
 
@@ -97,18 +97,18 @@ class Histogram:
     __hash__ = None  # type: ignore[assignment]
 
     def as_row(self) -> NDArray[np.float64]:
-        """Returns all of it in one array, for a file."""
+        """Returns unit, maximum and counts in one array, for a file."""
         return np.concatenate([[self.unit, self.maximum], self.counts])
 
     @staticmethod
     def from_row(row: NDArray[np.float64]) -> Histogram:
-        """Returns the histogram of which `as_row` made a row."""
+        """Returns the histogram of a row that `as_row` made."""
         return Histogram(row[2:].astype(np.int64), float(row[1]), float(row[0]))
 
 
 @cache
 def _edges() -> NDArray[np.float64]:
-    """Returns where the bins begin, in counted units; the last of them has no end."""
+    """Returns the lower edges of the bins, in counted units; the last bin has no upper edge."""
     octave, part = np.divmod(np.arange(_BINS), 1 << _PART_BITS)
     return np.concatenate([[0.0], np.ldexp(1.0 + part / (1 << _PART_BITS), octave)])
 

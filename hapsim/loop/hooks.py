@@ -1,9 +1,9 @@
-"""What an exchange calls by address: hooks, each compiled by itself, all with one signature, in three lists of calls.
+"""Hooks that an exchange calls by address, each compiled by itself, all with one signature, in three lists.
 
-An exchange knows no hook. It fills a TICK and calls a list of hooks before the scene moves, one after it, and one once
-the force is limited; within a list they stand in the order of Stage. A hook reads the TICK and what that has addresses
-of, remembers in a record of its own, and returns 0 or the code that ends the run. A hook that a scene lacks costs
-nothing and is never compiled; one that it has is compiled once, whatever other hooks the scene has.
+An exchange fills a TICK and calls one list of hooks before the scene moves, one after it, and one after the force is
+limited. Within a list the hooks are in the order of Stage. A hook reads the TICK and the records to which it has
+addresses, keeps its state in a record of its own, and returns 0 or the code that ends the run. A hook that a scene
+lacks costs nothing and is never compiled. Any other is compiled once, whatever other hooks the scene has.
 """
 
 from __future__ import annotations
@@ -36,42 +36,42 @@ TICK = np.dtype(
         ("gap", np.int64),  # and samples from the one before to it
         ("now_ns", np.int64),  # when it arrived,
         ("before_ns", np.int64),  # when the one before arrived,
-        ("sent_ns", np.int64),  # and when the last force had left
+        ("sent_ns", np.int64),  # and when the last force was sent
         ("age", np.int64),  # samples from the position that the acting force answers
-        ("late", np.int64),  # 1: the device says that no force came in time, and the loop is not made for that
+        ("late", np.int64),  # 1: the device reports that no force came in time, and the loop does not expect that
         ("missed", np.int64),  # deadline misses up to now
-        ("unsent", np.int64),  # 1: the force of the tick before never left
-        ("expired", np.int64),  # 1: the time to live of the last force that left is over
-        ("withheld", np.int64),  # 1: the position is older than a force may live, so that zero leaves
+        ("unsent", np.int64),  # 1: the force of the tick before was never sent
+        ("expired", np.int64),  # 1: the time to live of the last sent force is over
+        ("withheld", np.int64),  # 1: the position is older than a force may live, so zero is sent
         ("flags", np.int64),  # of the row (ring.py); a hook that changes the force adds its own
         ("ending", np.int64),  # the code that ends the run, 0: none
         ("push", np.float64),  # N, which a hook adds to the excitation
-        ("held", np.float64),  # J, what the scene holds at the first sample
+        ("held", np.float64),  # J, stored in the scene at the first sample
     ],
     align=True,
 )
-"""The newest position, as hooks see it. The exchange fills it once for each."""
+"""The newest position, for hooks. The exchange fills it once for each position."""
 
 HOOK = types.int64(types.uint64, types.uint64)
 hook = native(HOOK.return_type, *HOOK.args)
 """Decorates a hook (own, tick): addresses of a record of its own and of a TICK, so that it begins with
-`own, tick = _own_at(own), tick_at(tick)`. Returns 0, or the code that ends the run before its force leaves."""
+`own, tick = _own_at(own), tick_at(tick)`. It returns 0, or the code that ends the run before its force is sent."""
 
 call_hook = function_at(HOOK)
 tick_at, io_at, _words_at = record_at(TICK), record_at(IO_BUFFER), array_at(np.uint64)
 
 
 class Stage(IntEnum):
-    """When a hook is called. A list of calls has several stages, in this order."""
+    """The stage of a tick in which a hook is called. A list of calls has several stages, in this order."""
 
-    READ = 0  # the position as it was read
+    READ = 0  # may read the measured position
     PREDICT = 1  # may replace it
     ADD = 2  # the scene has moved: may add to its force
     LEAD = 3  # may set `push`
-    LOWER = 4  # the force is limited and in counts: may make it less
+    LOWER = 4  # the force is limited and in counts: may lower it
     SHAPE = 5  # may keep it near the one before
-    KEEP = 6  # the force is what will leave
-    JUDGE = 7
+    KEEP = 6  # the force is final: may record it
+    JUDGE = 7  # may end the run
 
 
 _LISTS = {
@@ -85,7 +85,7 @@ HOOKS = np.dtype([(name, CALLS) for name in _LISTS], align=True)
 
 @inlined
 def call_hooks(calls, tick):
-    """Calls the hooks of a list, in order. Of several endings the code nearest to 0 is what ends the run."""
+    """Calls the hooks of a list, in order. If several end the run, the code nearest to 0 counts."""
     compact()
     pairs = _words_at(calls.pairs, 2 * calls.count)
     for i in range(np.uint64(calls.count)):
@@ -100,14 +100,14 @@ class Hook(NamedTuple):
     stage: Stage
     function: PlainNative
     record: Any
-    """Its own."""
+    """Record of its state."""
     kept: Any = None
-    """What has to stay in memory with it."""
+    """Objects that must stay in memory with it."""
 
 
 def set_hooks(hooks: Any, chosen: Iterable[Hook]) -> list[Any]:
-    """Fills HOOKS: those of a stage are called in the order of `chosen`. Returns the lists of calls, which have to stay
-    in memory, as `chosen` has."""
+    """Fills HOOKS; hooks of one stage are called in the order of `chosen`. Returns the lists of calls, which must stay
+    in memory, like `chosen`."""
     ordered, lists = sorted(chosen, key=lambda one: one.stage), []
     for name, stages in _LISTS.items():
         pairs = [(one.function.address(), address_of(one.record)) for one in ordered if one.stage in stages]
@@ -117,21 +117,21 @@ def set_hooks(hooks: Any, chosen: Iterable[Hook]) -> list[Any]:
 
 
 class Setting(NamedTuple):
-    """What guards are set up by."""
+    """Input of the guards' set-up."""
 
     scene: Scene
     description: Description
     bounds: ForceBounds
     in_hand: bool
-    """Whether a hand may hold the device: it is behind a port, and does not run in virtual time."""
+    """True if a hand may hold the device: it is behind a port, and does not run in virtual time."""
     behind_port: bool = False
     judges_energy: bool = False
     judges_sign: bool = False
     first_late: str = ""
-    """How late the first forces may be, and why, if most of them are and the scene is unstable then."""
+    """Delay of the wire, in words, if most first forces may be late and the scene is unstable then; else ""."""
 
 
-class Ended(NamedTuple):
+class EndedRun(NamedTuple):
     """A run that a guard ended, for its sentence."""
 
     loop: Any
@@ -144,23 +144,23 @@ class Ended(NamedTuple):
 
 
 class Guard(NamedTuple):
-    """A guard: all that set-up, exchange and report have to know of it."""
+    """A guard, as set-up, exchange and report use it."""
 
     name: str
-    """Of its field of LOOP."""
+    """Name of its field of LOOP."""
     record: np.dtype[Any]
-    """What it remembers, in that field."""
+    """Type of that field, which holds its state."""
     hooks: Mapping[Stage, PlainNative]
-    """What an exchange calls."""
+    """Hooks that an exchange calls, by stage."""
     set_up: Callable[[Any, Setting], Any]
-    """Fills the record of a LOOP, and returns it for the hooks; None where the scene does not need the guard."""
+    """Function that fills the record of a LOOP and returns it; None if the scene does not need the guard."""
     code: int = 0
-    """Ends a run; 0: the guard ends none. Where two guards end a run in one tick, the code nearest to 0 is reported."""
+    """Code that ends a run; 0: the guard ends none. If two guards end a run, the code nearest to 0 is reported."""
     words: str = ""
-    """The `ending` of a report."""
-    sentence: Callable[[Ended], str] = lambda _: ""
-    """What it found and what to do, without a full stop."""
-    advice: Callable[[Ended], str] = lambda _: ""
-    """More to do where no value of the scene is unlikely, without a full stop."""
+    """`ending` of a report."""
+    sentence: Callable[[EndedRun], str] = lambda _: ""
+    """Function that returns the finding and the remedy, without a full stop."""
+    advice: Callable[[EndedRun], str] = lambda _: ""
+    """Function that returns further remedies if no value of the scene is unlikely, without a full stop."""
     reads_history: bool = False
-    """Whether it judges by the forces that acted (force_history.py)."""
+    """True if it judges by the forces that acted (force_history.py)."""

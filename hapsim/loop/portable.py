@@ -1,7 +1,7 @@
-"""The loop in plain Python: for systems without the calls of `system.py`, and for transports in Python.
+"""The loop in plain Python, for systems without the calls of `system.py` and for transports in Python.
 
-It waits, reads, writes and sleeps in Python, so any delay of Python delays it. The exchange itself is the same compiled
-code, so forces and guards are the same.
+It waits, reads, writes and sleeps in Python, so any delay of Python delays it. The exchange is the same compiled code,
+so forces and guards are the same.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from hapsim.compiling import entry
 from hapsim.compiling.kept import compile_for
 from hapsim.loop.buffers import fetch_in_python, inbox_at, put_bytes
-from hapsim.loop.clocks import may_ask_again, plan_by_device, plan_by_host
+from hapsim.loop.clocks import may_retry, plan_by_device, plan_by_host
 from hapsim.loop.compiled_loop import SLICE_NS, take_received_frames
-from hapsim.loop.endings import FAILED, HEARD, HUNG_UP, RING_FULL, RUNNING, TIMED_OUT, ending_of
+from hapsim.loop.endings import FAILED, HUNG_UP, RECEIVED, RING_FULL, RUNNING, TIMED_OUT, ending_of
 from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent
 from hapsim.loop.transport import PythonTransport
 
@@ -32,19 +32,19 @@ class PortableTransport:
         self._full: type[OSError] = SerialTimeoutException
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """Waits for bytes and takes all: their count, or a code of endings.py."""
+        """Waits for bytes and receives all. Returns their count, or a code of endings.py."""
         try:
             self._serial.timeout = max(timeout_ns, 0) * 1e-9
             data = self._serial.read(1)
             if data:
                 data += self._serial.read(min(self._serial.in_waiting, buffer.size - 1))
-        except (OSError, TypeError):  # pyserial's own errors are OSErrors; TypeError where it was closed meanwhile
+        except (OSError, TypeError):  # pyserial's own errors are OSErrors; TypeError: the port was closed meanwhile
             return HUNG_UP
         buffer[: len(data)] = np.frombuffer(data, np.uint8)
         return len(data) if data else TIMED_OUT
 
     def send(self, frame: bytes) -> int:
-        """Sends a frame: 0, HUNG_UP, or FAILED where the port takes nothing within its timeout."""
+        """Sends a frame. Returns 0, HUNG_UP, or FAILED if the port takes nothing within its timeout."""
         try:
             self._serial.write(frame)
         except self._full:
@@ -56,14 +56,14 @@ class PortableTransport:
 
 @entry
 def _take_and_compose(loop, now):
-    """Returns (the code of the received bytes, where the force's frame in the outbox ends)."""
+    """Returns (the code of the received bytes, the end of the force's frame in the outbox)."""
     code = take_received_frames(loop, inbox_at(loop.inbox), now)
-    return code, compose_frame(loop, False) if code == HEARD else 0
+    return code, compose_frame(loop, False) if code == RECEIVED else 0
 
 
 @entry
 def _compose(loop, disarm):
-    """Composes the force's frame again, or the frame that disarms; then publishes the rest."""
+    """Composes the force's frame again, or the frame that disarms and then publishes the last row. Returns its end."""
     stop = compose_frame(loop, disarm)
     if disarm:
         flush_unsent(loop)
@@ -81,23 +81,23 @@ def _plan_by_device(loop):
 
 
 def entries_for(loop: Any) -> list[tuple[Any, ...]]:
-    """Returns what the loop in Python calls, each with arguments of its types."""
+    """Returns the entries that the loop in Python calls, each with arguments of its types."""
     return [(_take_and_compose, loop, 0), (_compose, loop, False), (_on_force_sent, loop, 0), (_plan_by_device, loop)]
 
 
 class PortableLoop:
-    """`run_loop` in Python. `loop`: LOOP; `inbox`: the INBOX that it reads; `transport`: what fills it."""
+    """`run_loop` in Python. `loop`: LOOP; `inbox`: its INBOX; `transport`: fills that inbox."""
 
     def __init__(self, loop: Any, inbox: Any, transport: PythonTransport) -> None:
         self._loop, self._inbox, self._transport = loop, inbox, transport
         self._control, self._wait = loop.control, loop.wait
         self._frame = b""
-        """The newest force's."""
+        """Frame of the newest force."""
         for function, *arguments in entries_for(loop):
             compile_for(function, *arguments)
 
     def run(self, _loop: Any = None) -> int:
-        """Exchanges until something ends it; returns a code of endings.py. Only RING_FULL leaves the device armed."""
+        """Runs exchanges until the loop ends; returns a code of endings.py. Only RING_FULL leaves the device armed."""
         loop, control, wait = self._loop, self._control, self._wait
         while not control["go"] and not control["stop"]:
             time.sleep(1e-4)
@@ -108,7 +108,7 @@ class PortableLoop:
             if ending != RUNNING:
                 break
             code = self._take_newest_position(int(wait["begun_ns"]), int(wait["for_ns"]))
-            if code != HEARD and not (by_host and code == TIMED_OUT and may_ask_again(loop)):
+            if code != RECEIVED and not (by_host and code == TIMED_OUT and may_retry(loop)):
                 ending = int(ending_of(code, control["stop"]))
             elif wait["answers"]:
                 if by_host and loop.state.unanswered:
@@ -123,15 +123,15 @@ class PortableLoop:
         return ending
 
     def _take_newest_position(self, begun: int, timeout_ns: int) -> int:
-        """As in compiled_loop.py."""
-        now, give_up, last_look = begun, begun + timeout_ns, False
+        """Waits for positions and answers the newest, as the function of this name in compiled_loop.py."""
+        now, give_up, last_pass = begun, begun + timeout_ns, False
         while True:
             code, stop = _take_and_compose(self._loop, now)
-            if code == HEARD:
+            if code == RECEIVED:
                 self._frame = self._composed(stop)
-            if code != TIMED_OUT or last_look:
+            if code != TIMED_OUT or last_pass:
                 return int(code)
-            last_look = now >= give_up or bool(self._control["stop"])
+            last_pass = now >= give_up or bool(self._control["stop"])
             count = fetch_in_python(self._inbox, self._transport, min(give_up - now, SLICE_NS))
             now = time.monotonic_ns()
             if count < 0:
@@ -142,6 +142,6 @@ class PortableLoop:
         return bytes(io.outbox[int(io.sent.at) : stop])
 
     def _send(self, frame: bytes) -> int:
-        """The same frame may be sent again."""
+        """Sends a frame, perhaps once more. Returns 0, or a code of endings.py."""
         put_bytes(self._loop.io.sent, self._loop.io.outbox, frame)
         return self._transport.send(frame)

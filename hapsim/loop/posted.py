@@ -1,7 +1,7 @@
-"""What another thread posts to a running loop: words that the loop writes itself, at the beginning of a tick.
+"""The mailbox of a running loop: another thread posts words, which the loop writes at the beginning of a tick.
 
 A change of a scene touches several parts of the loop: the values of its parameters, the correction, the guards, or the
-scene itself. All of it acts from one tick on, whose number the loop notes, so that a record can be replayed.
+scene itself. All of it acts from one tick on. The loop keeps the number of that tick, so that a record can be replayed.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ POSTED = np.dtype(
     [
         ("number", np.int64),  # of changes posted,
         ("taken", np.int64),  # and taken
-        ("tick", np.int64),  # with which the last one was taken; the first tick is 0
+        ("tick", np.int64),  # in which the last one was taken; the first tick is 0
         ("count", np.int64),  # words of the posted one:
         ("at", np.uint64, (MOST,)),  # their addresses,
-        ("word", np.int64, (MOST,)),  # and what is written there
+        ("word", np.int64, (MOST,)),  # and their values
     ],
     align=True,
 )
 
-_GLANCE_S = 5e-5
+_POLL_S = 5e-5
 _words_at = array_at(np.int64)
 
 
 @inlined
 def take_posted(posted):
-    """Writes the words of a new change. Returns its number, for `note_taken` at the end of the tick."""
+    """Writes the words of a new change. Returns the newest change's number, for `note_taken` later in the tick."""
     number = posted.number
     if number != posted.taken:
         fence()
@@ -46,36 +46,36 @@ def take_posted(posted):
 
 @inlined
 def note_taken(posted, number, tick):
-    """Notes that nothing reads any more what a change was posted with."""
+    """Marks a change as taken in this tick: the memory that it was posted with is free again."""
     if number != posted.taken:
         posted.tick = tick
         fence()
         posted.taken = number
 
 
-class Posts:
-    """Where changes are posted, by one thread at a time. `record`: POSTED."""
+class Mailbox:
+    """The writer's side of POSTED, for one thread at a time."""
 
-    def __init__(self, record: Any, runs: Callable[[], bool]) -> None:
-        """`runs`: whether a loop ticks, which takes what is posted."""
-        self._record, self._runs = record, runs
+    def __init__(self, record: Any, is_running: Callable[[], bool]) -> None:
+        """`record`: POSTED. `is_running`: returns whether a loop ticks and takes changes."""
+        self._record, self._is_running = record, is_running
         self._words: list[tuple[Any, str, int, int | float]] = []
 
     def add(self, record: Any, field: str, value: int | float, at: int = 0) -> None:
-        """Adds a value for a field, of 8 bytes, to the next change; `at`: which of several."""
+        """Adds a value of 8 bytes for a record's field to the next change. `at`: index in the field."""
         self._words.append((record, field, at, value))
 
     @property
     def next_number(self) -> int:
-        """The number of the next change."""
+        """Number of the next change."""
         return int(self._record.number) + 1
 
     def send(self) -> None:
-        """Posts what was added. Where no loop runs, it is written at once."""
+        """Posts the added values as one change. Without a running loop it writes them at once."""
         words, self._words = self._words, []
-        if not self._runs():
+        if not self._is_running():
             for record, field, at, value in words:
-                record[field] = value if np.ndim(record[field]) == 0 else _with(record[field], at, value)
+                record[field] = value if np.ndim(record[field]) == 0 else _replaced(record[field], at, value)
             self._record.number = self._record.taken = self._record.number + 1
             return
         posted = self._record
@@ -87,15 +87,15 @@ class Posts:
         posted.number += 1
 
     def wait(self) -> None:
-        """Waits until the loop has taken what was posted."""
-        while self._record.taken != self._record.number and self._runs():
-            time.sleep(_GLANCE_S)
+        """Waits until the loop has taken the last change."""
+        while self._record.taken != self._record.number and self._is_running():
+            time.sleep(_POLL_S)
 
     def tick_of(self, number: int) -> int | None:
-        """The tick with which the loop took this change, the last one; None as long as it has not."""
+        """Returns the tick in which the loop took this change, the last one; None while it has not."""
         return int(self._record.tick) if self._record.taken >= number else None
 
 
-def _with(values: Any, at: int, value: int | float) -> Any:
+def _replaced(values: Any, at: int, value: int | float) -> Any:
     values[at] = value
     return values

@@ -1,13 +1,13 @@
-"""The predictor: the scene gets the state in which its force will find the mass, not the position that was read.
+"""The predictor: the scene gets the expected state of the mass when its force will act, not the measured position.
 
-An observer advances its state from sample to sample by the forces that acted, and corrects it by what is read
-(`hapsim.theory.correction`). The forces are those that left, clipped, rounded and with every push; where the device
-reports one as late, the one before. An excitation that measures an impedance counts as the hand's push: the predictor
-does not know it, and observes it.
+An observer advances its state from sample to sample by the forces that acted, and corrects it by the measurement
+(`hapsim.theory.correction`). The forces are those that were sent: clipped, rounded and with every push. If the device
+reports one as late, the one before acted. An excitation that measures an impedance counts as the hand's push: the
+predictor does not know it, and observes it.
 
-It keeps its forces itself, unlike the guards (force_history.py): it needs them before the scene moves, and follows the
-device's own count of late samples. The observer's numbers come as a table, so that they change with the scene and with
-an estimate of the mass.
+It keeps its forces itself, unlike the guards (force_history.py): it needs them before the scene moves, and uses the
+device's own count of late samples. The observer's numbers come from a table, so that they change with the scene and
+with an estimate of the mass.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ POSITION, VELOCITY, PUSH, STATES = 0, 1, 2, 3
 PREDICTOR = np.dtype(
     [
         ("adaptive", np.uint64),  # address of an ADAPTIVE; 0: no mass is estimated
-        ("lags", np.int64),  # how many past forces count
+        ("lags", np.int64),  # count of past forces in use
         ("readings", np.int64),  # 2: the velocity is read too
         ("keeps_last_force", np.int64),  # 1: the device keeps a force until the next one comes,
         ("lives", np.int64),  # at most for this many samples
         ("width", np.int64),  # numbers of a channel (running/correction_setup.py)
         ("numbers", np.uint64),  # address of (channels, width): the numbers now
         ("table", np.uint64),  # of (channels, rows, width): for masses in equal ratios, or one row
-        ("before", np.uint64),  # of the table before it, while one fades into the other
+        ("before", np.uint64),  # of the table before it, during a fade
         ("posted", np.uint64),  # of the next table; 0: none
         ("posted_samples", np.int64),
         ("samples", np.int64),  # of the fade
@@ -44,7 +44,7 @@ PREDICTOR = np.dtype(
         ("begun", np.int64),  # samples read, up to 2
         ("sent", np.float64, (2, schema.MAX_CHANNELS)),  # N, with the sample before the last, known and in all
         ("state", np.float64, (schema.MAX_CHANNELS, STATES)),  # m, m/s and N: of the last sample
-        ("expected", np.float64, (schema.MAX_CHANNELS, 2)),  # m and m/s: what is read now, by what was known before
+        ("expected", np.float64, (schema.MAX_CHANNELS, 2)),  # m and m/s: this sample's measurement, as predicted
     ],
     align=True,
 )
@@ -56,7 +56,7 @@ IN_ALL = schema.MAX_CHANNELS
 
 @hook
 def predict(predictor, tick):
-    """Replaces what was read, `gap` samples after the last, by the expected state."""
+    """Replaces the measured state by the expected one."""
     predictor, tick = _predictor_at(predictor), tick_at(tick)
     io = io_at(tick.io)
     take_posted(predictor)
@@ -71,15 +71,16 @@ def predict(predictor, tick):
 
 @helper
 def observe(predictor, io, gap, late, age):
-    """Advances the state of every channel to this sample, and corrects it by what was read. `late`: the last force did
-    not act in time; `age`: samples from the position that the acting force answers."""
+    """Advances the state of every channel to this sample, and corrects it by the measurement. `gap`: samples since the
+    last one. `late`: the last force did not act in time. `age`: samples since the position that the acting force
+    answers."""
     forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     if predictor.begun:
         for sample in range(gap):
             _keep_forces(predictor, io, forces, sample, late and gap == 1, age)
             for c in range(io.channels):
-                _lead(predictor, forces, numbers, c)
+                _advance(predictor, forces, numbers, c)
         for c in range(io.channels):
             predictor.sent[0, c], predictor.sent[1, c] = _sent(io, c)
     for c in range(io.channels):
@@ -95,8 +96,8 @@ def _sent(io, c):
 
 @helper
 def _keep_forces(predictor, io, forces, sample, late, age):
-    """Keeps the force that acted in a sample, counted from the last one. Instead of a late force the one before
-    acted: the device kept it, or, on a wire that takes a sample longer, it was late itself."""
+    """Keeps the force that acted in a sample, counted from the last one. Instead of a late force the one before acted:
+    the device kept it, or it was late itself on a wire that takes a sample longer."""
     before = predictor.newest * _ROW
     predictor.newest = (predictor.newest + 1) & predictor.mask
     row = predictor.newest * _ROW
@@ -113,7 +114,7 @@ def _keep_forces(predictor, io, forces, sample, late, age):
 
 @helper
 def _sum(predictor, forces, numbers, first, c):
-    """Returns a row of numbers times state and forces."""
+    """Returns the product of a row of numbers with state and forces."""
     state = predictor.state[c]
     total = numbers[first] * state[POSITION] + numbers[first + 1] * state[VELOCITY] + numbers[first + 2] * state[PUSH]
     for lag in range(predictor.lags):
@@ -122,7 +123,7 @@ def _sum(predictor, forces, numbers, first, c):
 
 
 @helper
-def _lead(predictor, forces, numbers, c):
+def _advance(predictor, forces, numbers, c):
     """Advances the state by a sample."""
     first, row = c * predictor.width, STATES + predictor.lags
     x = _sum(predictor, forces, numbers, first, c)
@@ -134,7 +135,8 @@ def _lead(predictor, forces, numbers, c):
 
 @helper
 def _correct(predictor, numbers, c, position, velocity, gap):
-    """Corrects the state. After lost positions the gains of velocity and push are those of the longer period."""
+    """Corrects the state by the measurement. After lost positions velocity and push have the gains of the longer
+    period."""
     state, senses = predictor.state[c], predictor.readings == 2
     if predictor.begun == 0:
         state[POSITION], state[VELOCITY], state[PUSH] = position, velocity if senses else 0.0, 0.0
@@ -156,7 +158,7 @@ def _correct(predictor, numbers, c, position, velocity, gap):
 
 @helper
 def look_ahead(predictor, io):
-    """Replaces position and velocity by those at the instant when the force will act."""
+    """Replaces position and velocity by those expected at the instant at which the force will act."""
     forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     row = STATES + predictor.lags
@@ -170,7 +172,7 @@ def look_ahead(predictor, io):
 
 @helper
 def take_posted(predictor):
-    """Begins to fade to the posted table, unless a fade goes on; returns whether it does."""
+    """Begins a fade to the posted table, unless another fade is under way. Returns whether it began."""
     if predictor.posted == 0 or predictor.left != 0:
         return False
     predictor.before, predictor.table = predictor.table, predictor.posted
@@ -181,7 +183,7 @@ def take_posted(predictor):
 
 @helper
 def set_numbers(predictor, c, at):
-    """Interpolates between rows of the table, at row `at`, and during a fade between two tables."""
+    """Sets a channel's numbers by interpolation at row `at` of the table, and between two tables during a fade."""
     width, rows = predictor.width, predictor.rows
     size = schema.MAX_CHANNELS * rows * width
     table, before = _doubles_at(predictor.table, size), _doubles_at(predictor.before, size)
@@ -201,8 +203,8 @@ def set_numbers(predictor, c, at):
 
 @entry
 def corrected_ticks(loop, program, measured, samples):
-    """Ticks of a program behind the predictor of a LOOP, without a device: to time them. `program`: its record;
-    `measured`: (rows, channels) m, the hands' positions, over and over."""
+    """Runs ticks of a program behind the predictor of a LOOP, without a device, for timing. `program`: PROGRAM.
+    `measured`: (rows, channels) m, the hands' positions, repeated."""
     io = loop.io
     for n in range(samples):
         row = n % measured.shape[0]

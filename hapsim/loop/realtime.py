@@ -1,8 +1,8 @@
-"""What `hapsim run --realtime` requests of the system; each measure is reported as granted or denied.
+"""Real-time measures that `hapsim run --realtime` requests of the system, each reported as granted or denied.
 
-The call is made and its error read: nothing is guessed from the kernel's name or from limits. A denial costs a
-sentence, never the run. To add a measure: write it here, name it in `_MEASURES`. `no_timer_slack` is not among them: it
-needs no privilege and serves every run.
+Each measure makes its call and reads the error: nothing is guessed from the kernel's name or from limits. A denial
+costs a sentence, never the run. To add a measure, write it here and name it in `_MEASURES`. `remove_timer_slack` is not
+among them: it needs no privilege and serves every run.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ ONLY_LINUX = "only Linux has it"
 
 @dataclass(frozen=True)
 class PrivilegeResult:
-    """The system's answer to one measure."""
+    """Result of one measure."""
 
     privilege: str
-    """Its usual name: ``SCHED_FIFO``."""
+    """Usual name of the privilege: ``SCHED_FIFO``."""
     granted: bool
     detail: str
-    """Granted: what exactly (``priority 80``). Denied: why, and what to do about it, without a full stop."""
+    """Granted: the exact grant (``priority 80``). Denied: reason and remedy, without a full stop."""
 
 
 Measure = Callable[[int], AbstractContextManager[PrivilegeResult]]
-"""Requests something for the process and its thread with this native id, and gives it back on leaving."""
+"""Function that requests a grant for the process and its thread with this native id, until the context ends."""
 
 Request = Callable[[int], Iterator[str]]
-"""A generator that requests, yields what exactly was granted, and then undoes it; or raises OSError at first."""
+"""Generator that requests a grant, yields its description, and then undoes it; or raises OSError at first."""
 
 
 def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = False) -> Callable[[Request], Measure]:
-    """Makes a measure called `name` of a request. `advise` returns the sentence about an error of the call.
+    """Decorates a request as a measure called `name`. `advise` returns the sentence about an error of the call.
     `everywhere`: not only on Linux.
 
-    The measure raises no error of the system, neither in requesting nor in undoing.
+    The measure raises no error of the system, neither for the request nor for its undoing.
     """
 
     def _make(request: Request) -> Measure:
         @contextlib.contextmanager
-        def _held(thread_id: int) -> Iterator[PrivilegeResult]:
+        def _granted(thread_id: int) -> Iterator[PrivilegeResult]:
             asked = request(thread_id)
             try:
                 if sys.platform == "linux" or everywhere:
@@ -61,37 +61,37 @@ def measure(name: str, advise: Callable[[OSError], str], *, everywhere: bool = F
                     answer = PrivilegeResult(name, False, ONLY_LINUX)
             except OSError as error:
                 answer = denied(name, error, advise)
-            except Exception as error:  # an answer that no system should give is no reason to end a run
+            except Exception as error:  # an answer that no system should give must not end a run
                 why = f"the system's answer could not be used ({type(error).__name__}: {error})"
                 answer = PrivilegeResult(name, False, why)
             try:
                 yield answer
             finally:
-                # The body's own failure matters more than what could not be given back.
+                # The body's own failure matters more than a grant that could not be undone.
                 with contextlib.suppress(Exception):
                     if answer.granted:
                         next(asked, None)
 
-        return _held
+        return _granted
 
     return _make
 
 
 def denied(name: str, error: OSError, advise: Callable[[OSError], str]) -> PrivilegeResult:
-    """Returns the denial of `name`. `advise` has to know only the errors that are the measure's own."""
+    """Returns the denial of `name`. `advise` need only handle the measure's own errors."""
     if error.errno == errno.ESRCH:
         return PrivilegeResult(name, False, "the loop's thread is not there: it has ended already")
     if error.errno == errno.ENOSYS:
         return PrivilegeResult(name, False, "this kernel or C library does not have the call; another one may")
     try:
         return PrivilegeResult(name, False, advise(error))
-    except Exception:  # advice asks the system, too
+    except Exception:  # `advise` makes system calls, too
         return PrivilegeResult(name, False, f"it was refused ({error.strerror or error})")
 
 
 def call_c(name: str, *arguments: int) -> int:
-    """Calls a function of the C library that Python's standard library does not offer. Raises OSError with its errno
-    where it returns -1, with ENOSYS where there is no such function."""
+    """Calls a function of the C library that Python's standard library lacks. Raises OSError with its errno if it
+    returns -1, with ENOSYS if the C library lacks it."""
     function = getattr(ctypes.CDLL(None, use_errno=True), name, None)
     if function is None:
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS), name)
@@ -104,24 +104,24 @@ def call_c(name: str, *arguments: int) -> int:
 
 
 def is_root() -> bool:
-    """Whether the user is root. Decides what is advised, never what is tried."""
+    """Returns whether the user is root; this affects advice, never the requests."""
     return os.geteuid() == 0
 
 
-def what_grants(capability: str, item: str, value: str) -> str:
-    """Returns what grants a capability, or enough of the limit `item`, to follow "it takes"."""
+def required_privilege(capability: str, item: str, value: str) -> str:
+    """Returns the ways to a capability, or to enough of the limit `item`, to follow "it takes"."""
     if is_root():
         return f"{capability} (in a container: --cap-add={capability.removeprefix('CAP_')})"
     return f"{login_limit(item, value)}, or {capability}, or root"
 
 
 def login_limit(item: str, value: str) -> str:
-    """Returns what raises this user's limit on `item`, as in limits.conf(5), to follow "it takes"."""
+    """Returns the line that raises this user's limit on `item`, as in limits.conf(5), to follow "it takes"."""
     import pwd
 
     try:
         user = pwd.getpwuid(os.getuid()).pw_name
-    except KeyError:  # a user of a container need not be in its list
+    except KeyError:  # a container need not list its user
         user = "*"
     return f"the line '{user} - {item} {value}' in /etc/security/limits.d/hapsim.conf and a new login"
 
@@ -129,7 +129,7 @@ def login_limit(item: str, value: str) -> str:
 # Memory that never makes the loop wait: no garbage collection, and no page fault.
 #
 # A collection takes tens of milliseconds, in which no other Python runs. A page that is not in memory may wait for a
-# disk. What is mapped is locked (MCL_CURRENT), not what will be (MCL_FUTURE): the loop allocates nothing, while each
+# disk. Only memory that is mapped now is locked (MCL_CURRENT, not MCL_FUTURE): the loop allocates nothing, while each
 # further thread would lock its whole stack and heap, 74 MB, and beyond the limit an allocation would fail during a run.
 
 _MCL_CURRENT = 1
@@ -141,8 +141,8 @@ def _collector_advice(error: OSError) -> str:
 
 
 @measure("garbage collector frozen", _collector_advice, everywhere=True)
-def collector_frozen(_thread_id: int) -> Iterator[str]:
-    """Collects once, then sets what is left aside and switches collecting off. References still free what they hold."""
+def freeze_collector(_thread_id: int) -> Iterator[str]:
+    """Collects garbage once, freezes the other objects, disables collection. Reference counts still free memory."""
     was_enabled, was_frozen = gc.isenabled(), gc.get_freeze_count() > 0
     gc.collect()
     if not was_frozen:  # gc.unfreeze would also thaw what was frozen before
@@ -156,11 +156,11 @@ def collector_frozen(_thread_id: int) -> Iterator[str]:
 
 
 class _GroupLimitError(OSError):
-    """More is mapped than the control group may have."""
+    """More memory is mapped than the control group allows."""
 
 
 def memory_limit(root: Path = Path("/"), process: str = "self") -> float:
-    """Returns how many bytes of memory the control groups of a process allow, infinity without a limit."""
+    """Returns the bytes of memory that the control groups of a process allow; infinity without a limit."""
     limits = [math.inf]
     for _, controllers, group in re.findall("^(.*?):(.*?):(.*)$", _text(root / f"proc/{process}/cgroup"), re.MULTILINE):
         version_2 = not controllers
@@ -175,14 +175,14 @@ def memory_limit(root: Path = Path("/"), process: str = "self") -> float:
 
 
 def _mapped_bytes() -> int:
-    """Returns what locking reads in, bytes: all that is mapped and not closed to every access."""
+    """Returns the bytes that locking reads in: all mapped memory that allows any access."""
     lines = (line.split(maxsplit=2) for line in _text(Path("/proc/self/maps")).splitlines())
     ranges = [span.split("-") for span, access, *_ in lines if not access.startswith("---")]
     return sum(int(end, 16) - int(start, 16) for start, end in ranges)
 
 
 def _text(file: Path) -> str:
-    """The text of a file of the system; "" where there is none."""
+    """Returns the text of a system file; "" if it cannot be read."""
     try:
         return file.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -200,13 +200,14 @@ def _lock_advice(error: OSError) -> str:
         return refused
     if limit == resource.RLIM_INFINITY:
         return f"{refused} though no limit is set: free some memory, or let the container call mlockall"
-    takes = what_grants("CAP_IPC_LOCK", "memlock", "unlimited")
+    takes = required_privilege("CAP_IPC_LOCK", "memlock", "unlimited")
     return f"{refused}: the limit is {limit / 1e6:.3g} MB; it takes {takes}"
 
 
 @measure("memory locked", _lock_advice)
-def memory_locked(_thread_id: int) -> Iterator[str]:
-    """Locks and reads in what the process has mapped. Undoing unlocks what was locked before, too (munlockall(2))."""
+def lock_memory(_thread_id: int) -> Iterator[str]:
+    """Locks and reads in the mapped memory of the process. Undoing also unlocks memory that was locked before
+    (munlockall(2))."""
     limit, needed = memory_limit(), _mapped_bytes()
     if limit < needed:  # the kernel would kill the process
         raise _GroupLimitError(
@@ -218,20 +219,20 @@ def memory_locked(_thread_id: int) -> Iterator[str]:
 
 
 def _megabytes(field: str) -> str:
-    """Returns a line of the process's status in MB of 10^6 bytes; "all memory" where it cannot be read."""
+    """Returns a line of the process's status in MB of 10^6 bytes; "all memory" if it cannot be read."""
     found = re.search(rf"^{field}:\s+(\d+) kB$", _text(_STATUS), re.MULTILINE)
     return f"{int(found[1]) * 1024 / 1e6:.0f} MB" if found else "all memory"
 
 
-# When the loop's thread runs: before all others, on a CPU of its own that does not idle, woken on time.
+# Scheduling of the loop's thread: before all others, on a CPU of its own that does not idle, woken on time.
 #
-# Where SCHED_FIFO is denied, another thread on the same CPU makes the loop wait for its whole time slice, some
-# milliseconds; where it is granted, the loop makes the other one wait. So the process's other threads leave the loop's
-# CPU, if there is another. SCHED_FIFO is safe because the loop sleeps in the kernel and never spins.
+# Without SCHED_FIFO, another thread on the same CPU makes the loop wait for its whole time slice, some milliseconds.
+# With it, the loop makes the other one wait. So the process's other threads leave the loop's CPU, if there is another.
+# SCHED_FIFO is safe because the loop sleeps in the kernel and never spins.
 
 PRIORITY = 80
-"""Above 50, the priority of the kernel's interrupt threads: a loop that blocks does not delay them, and those of a disk
-do not delay the loop. Below 99, that of the kernel's own watchdogs and migrations."""
+"""Priority above 50, that of the kernel's interrupt threads: a blocked loop does not delay them, and a disk's do not
+delay the loop. Below 99, that of the kernel's own watchdogs and migrations."""
 
 _DEVICE = "/dev/cpu_dma_latency"
 _ISOLATED = Path("/sys/devices/system/cpu/isolated")
@@ -245,14 +246,14 @@ def _fifo_advice(error: OSError) -> str:
     if not isinstance(error, PermissionError):
         return refused
     group = " and real-time runtime in the control group (cpu.rt_runtime_us)" if is_root() else ""
-    return f"{refused}: it takes {what_grants('CAP_SYS_NICE', 'rtprio', str(PRIORITY))}{group}"
+    return f"{refused}: it takes {required_privilege('CAP_SYS_NICE', 'rtprio', str(PRIORITY))}{group}"
 
 
 @measure("SCHED_FIFO", _fifo_advice)
-def scheduled_fifo(thread_id: int) -> Iterator[str]:
-    """SCHED_FIFO for the thread, at PRIORITY or at the highest that is granted below it; never lower than it was."""
+def use_fifo(thread_id: int) -> Iterator[str]:
+    """Requests SCHED_FIFO for the thread, at PRIORITY or the highest that is granted below it; never lowers it."""
     policy, parameters = os.sched_getscheduler(thread_id), os.sched_getparam(thread_id)
-    fifo = os.SCHED_FIFO | policy & os.SCHED_RESET_ON_FORK  # dropping this flag takes a privilege of its own
+    fifo = os.SCHED_FIFO | policy & os.SCHED_RESET_ON_FORK  # removing this flag takes a privilege of its own
     priority = max(PRIORITY, parameters.sched_priority)
     while True:
         try:
@@ -275,9 +276,9 @@ def _pin_advice(error: OSError) -> str:
 
 
 @measure("one processor", _pin_advice)
-def pinned(thread_id: int) -> Iterator[str]:
-    """Pins the thread to one CPU: one that is isolated from the scheduler, or the last that is allowed. The process's
-    other threads leave it where they may run elsewhere."""
+def pin_to_cpu(thread_id: int) -> Iterator[str]:
+    """Pins the thread to one CPU: one that is isolated from the scheduler, or else the last allowed one. The process's
+    other threads leave it if they may run elsewhere."""
     allowed = os.sched_getaffinity(thread_id)
     cpu, detail = _pin(thread_id, allowed)
     moved = _clear(cpu)
@@ -290,8 +291,8 @@ def pinned(thread_id: int) -> Iterator[str]:
 
 
 def _pin(thread_id: int, allowed: set[int]) -> tuple[int, str]:
-    """Pins the thread; returns its CPU, and the same in words."""
-    # An isolated one is as a rule not among the allowed: that is what keeps all others off it.
+    """Pins the thread. Returns its CPU, and a phrase about it."""
+    # An isolated CPU is usually not among the allowed ones: that keeps all other threads off it.
     for cpu in sorted(_isolated(), key=lambda cpu: (cpu in allowed, cpu), reverse=True):
         with contextlib.suppress(OSError):
             os.sched_setaffinity(thread_id, {cpu})
@@ -302,7 +303,7 @@ def _pin(thread_id: int, allowed: set[int]) -> tuple[int, str]:
 
 
 def _isolated() -> set[int]:
-    """Returns the CPUs that the kernel keeps its scheduler off, as in ``2-3,6``; none where it does not say."""
+    """Returns the CPUs that are isolated from the scheduler (in the file as ``2-3,6``); none if it cannot be read."""
     try:
         ranges = [part.split("-") for part in _ISOLATED.read_text(encoding="utf-8").strip().split(",") if part]
         return {cpu for ends in ranges for cpu in range(int(ends[0]), int(ends[-1]) + 1)}
@@ -311,7 +312,7 @@ def _isolated() -> set[int]:
 
 
 def _clear(cpu: int) -> dict[int, set[int]]:
-    """Moves the process's threads off `cpu`, if they may run elsewhere. Returns where they were allowed before."""
+    """Moves the process's threads off `cpu`, if they may run elsewhere. Returns the CPUs that each could use before."""
     moved = {}
     with contextlib.suppress(OSError):
         for thread in map(int, os.listdir(_THREADS)):
@@ -337,8 +338,8 @@ def _idle_advice(error: OSError) -> str:
 
 
 @measure("power saving off", _idle_advice)
-def idle_states_off(_thread_id: int) -> Iterator[str]:
-    """Requests a wake-up latency of 0 µs, which the kernel keeps for as long as the file is open."""
+def disable_idle_states(_thread_id: int) -> Iterator[str]:
+    """Requests a wake-up latency of 0 µs, which the kernel keeps while the file is open."""
     descriptor = os.open(_DEVICE, os.O_WRONLY)
     try:
         os.write(descriptor, struct.pack("=i", 0))
@@ -347,10 +348,10 @@ def idle_states_off(_thread_id: int) -> Iterator[str]:
         os.close(descriptor)
 
 
-def no_timer_slack() -> PrivilegeResult:
-    """Takes the timer slack from the calling thread, for the rest of its life: its sleeps end on time, where ordinary
-    threads wake up to 50 µs late to save power. It needs no privilege; a thread under SCHED_FIFO has no slack anyway.
-    Raises nothing if it is denied."""
+def remove_timer_slack() -> PrivilegeResult:
+    """Removes the timer slack of the calling thread for good: it wakes up on time, while ordinary threads wake up to
+    50 µs late to save power. It needs no privilege; a thread under SCHED_FIFO has no slack anyway. Raises nothing if it
+    is denied."""
     if sys.platform != "linux":
         return PrivilegeResult(_SLACK, False, ONLY_LINUX)
     try:
@@ -366,22 +367,22 @@ def no_timer_slack() -> PrivilegeResult:
     return PrivilegeResult(_SLACK, True, f"{slack_ns} ns")
 
 
-# Garbage is collected before memory is locked; the thread gets its priority once the rest is in place.
-_MEASURES: tuple[Measure, ...] = (collector_frozen, memory_locked, idle_states_off, pinned, scheduled_fifo)
+# Garbage is collected before memory is locked; the thread gets its priority last.
+_MEASURES: tuple[Measure, ...] = (freeze_collector, lock_memory, disable_idle_states, pin_to_cpu, use_fifo)
 
-_HELD = threading.Lock()  # two that undid their measures in another order than they began would restore neither
+_IN_USE = threading.Lock()  # two loops that undid their measures in the wrong order would restore neither
 
 
 @contextlib.contextmanager
 def realtime(thread_id: int) -> Iterator[list[PrivilegeResult]]:
-    """While open, every measure that the system grants is in force: for this process, and for its thread with the
-    native id `thread_id` (the loop's). Yields a PrivilegeResult for each measure.
+    """Requests every measure for this process and its thread with the native id `thread_id` (the loop's), while open.
+    Yields a PrivilegeResult for each measure.
 
     Enter it when everything is allocated and compiled: it takes some tenths of a second, in which memory is read in. On
-    leaving, the measures are undone in reverse order, whatever the body raised. Raises nothing for what is denied. Of
-    two loops in one process the second is denied it.
+    leaving, the measures are undone in reverse order, whatever the body raised. A denial raises nothing. The second of
+    two loops in one process is denied all measures.
     """
-    if not _HELD.acquire(blocking=False):
+    if not _IN_USE.acquire(blocking=False):
         why = "another loop of this process has it, and gives it back for all when it ends"
         yield [PrivilegeResult("real time", False, why)]
         return
@@ -389,4 +390,4 @@ def realtime(thread_id: int) -> Iterator[list[PrivilegeResult]]:
         with contextlib.ExitStack() as held:
             yield [held.enter_context(measure(thread_id)) for measure in _MEASURES]
     finally:
-        _HELD.release()
+        _IN_USE.release()

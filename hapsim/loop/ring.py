@@ -1,7 +1,7 @@
-"""The rows of a trace on their way out of the loop: a ring with one writer, the loop, and one reader.
+"""The ring of a trace's rows, with one writer, the loop, and one reader.
 
-The loop never waits for the reader: where there is no room it drops a row and counts it. In virtual time the loop
-returns instead, so that the reader can make room, and no row is ever lost.
+The loop never waits for the reader: if the ring is full, it drops a row and counts it. In virtual time the loop returns
+instead, so that the reader can make room, and no row is ever lost.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from hapsim.compiling.native import array_at
 
 # Flags of a row.
 LATE_FORCE = 1  # the device reports that in the sample before this position no force arrived in time
-UNSENT = 2  # a newer position was already there: this row's force was never sent
+UNSENT = 2  # a newer position had already arrived: this row's force was never sent
 LIMITED = 4  # the force was clipped to its limit
-BRIDGED = 8  # positions before this one never arrived; the scene was moved along a straight line instead
+BRIDGED = 8  # positions before this one were lost; the scene was moved along a straight line instead
 OFF_GRID = 16  # the host paces, and the last two positions are clearly more or less than a period apart
 SLEWED = 32  # the slew limit, the soft start or a test of the motor's sign changed the force
 WITHHELD = 64  # the position was older than a force may live, so zero was sent, and the force is not LIMITED
-FADED = 128  # outside the device's travel, or for a position that stands still, the force is less than the scene's
+FADED = 128  # the force was lowered: outside the device's travel, or because the position stands still
 
 RING = np.dtype(
     [
@@ -36,7 +36,7 @@ RING = np.dtype(
         ("unpublished", np.int64),
         ("dropped", np.int64),
         ("waits", np.int64),  # 1: the loop returns when it is half full (virtual time) instead of dropping rows
-        ("newest", np.uint64),  # address of the row that was written last
+        ("newest", np.uint64),  # address of the last written row
     ],
     align=True,
 )
@@ -46,33 +46,33 @@ _SAMPLE, _TIME, _FLAGS, _TICK, _ASKED, _SENT, _VALUES = range(7)
 _words_at = array_at(np.int64)
 
 ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_force")
-"""The columns of a trace, a row per tick."""
+"""Columns of a trace, with a row per tick."""
 
 
 BEFORE = ("tick_before_ns", "asked_before_ns", "sent_before_ns")
-"""Columns of a row where the host paces: how long before this position the loop woke up to ask for it, asked for the
-last time, and had sent the force with that."""
+"""Columns of a run that the host paces: time in ns from the loop's wake-up, from its last request, and from the end of
+that sending, to this position."""
 VELOCITY = "velocity_counts"
-"""The column of velocities that the device senses."""
+"""Column of velocities that the device senses."""
 
 
 def row_type(channels: int, velocity: bool = False, by_host: bool = False) -> np.dtype[Any]:
-    """Returns the type of a row for its reader, and in files: little-endian, without gaps. `velocity`: with those that
-    are sensed; `by_host`: with BEFORE."""
+    """Returns the type of a row for its reader and in files: little-endian, without gaps. `velocity`: with sensed
+    velocities. `by_host`: with BEFORE."""
     types: list[Any] = ["<i8", "<i8", "u1", *((kind, (channels,)) for kind in ("<i4", "<i4", "<f8"))]
     columns = [*zip(ROWS, types, strict=True), *((VELOCITY, "<i4", (channels,)) for _ in range(velocity))]
     return np.dtype(columns + [(name, "<i4") for name in BEFORE if by_host])
 
 
 class Ring:
-    """The reader's side. A row is contiguous in memory: sample, time in ns, flags, positions and forces in counts, and
-    the bits of the scene's force in N before excitation, limit and rounding."""
+    """The reader's side of a ring. A row is contiguous in memory: sample, time in ns, flags, positions and forces in
+    counts, and the bits of the scene's force in N before excitation, limit and rounding."""
 
     def __init__(self, record: object, of: np.dtype[Any], capacity: int, waits: bool) -> None:
-        """An empty ring in `record`, a RING, of rows that are read as `of`; `capacity` is a power of two."""
+        """Makes an empty ring in `record`, a RING. `of`: type of the rows that are read. `capacity`: a power of two."""
         self.record: np.record = record  # type: ignore[assignment]
         self.of = of
-        """The `row_type`."""
+        """Type of the rows, from `row_type`."""
         channels = of["position_counts"].shape[0]
         self._rows = np.zeros((capacity, _VALUES + 4 * channels), np.int64)
         self._rows.fill(0)  # so that the loop causes no page fault
@@ -82,7 +82,7 @@ class Ring:
         self.record.waits = waits
 
     def drain(self) -> NDArray[Any]:
-        """Returns every published row, as `row_type`, and frees them."""
+        """Returns all published rows, as `row_type`, and frees their places."""
         tail, head = int(self.record.tail), int(self.record.head)
         taken = self._rows[np.arange(tail, head) & (len(self._rows) - 1)]
         self.record.tail = head
@@ -101,7 +101,7 @@ class Ring:
 
 @inlined
 def push(ring, state, time_ns, flags, io):
-    """Writes a row of `io` and the loop's `state`, which the reader does not see before `publish`."""
+    """Writes a row of `io` and the loop's `state`, invisible to the reader before `publish`."""
     compact()
     at = ring.head + ring.unpublished
     if at - ring.tail >= ring.capacity:
@@ -122,14 +122,14 @@ def push(ring, state, time_ns, flags, io):
 
 @inlined
 def mark_last(ring, flag):
-    """Adds a flag to the last row, while the reader cannot see it yet."""
+    """Adds a flag to the last row, if it is not yet published."""
     if ring.unpublished > 0:
         _words_at(ring.newest, ring.width)[_FLAGS] |= flag
 
 
 @inlined
 def withhold_last(ring):
-    """Makes the last row, still unpublished, that of a withheld force. Returns 1 if it was LIMITED, else 0."""
+    """Turns the last row, if unpublished, into that of a withheld force. Returns 1 if it was LIMITED, else 0."""
     if ring.unpublished == 0:
         return 0
     row = _words_at(ring.newest, ring.width)
@@ -143,7 +143,7 @@ def withhold_last(ring):
 
 @inlined
 def publish(ring):
-    """Shows the pushed rows to the reader."""
+    """Makes the pushed rows visible to the reader."""
     fence()
     ring.head += ring.unpublished
     ring.unpublished = 0

@@ -1,7 +1,7 @@
 """System calls for compiled code: clock, sleep, wait, read, write (Linux, 64 bit), and the processor's denormals.
 
 `numba.types.ExternalFunction` is internal to numba and used in this file alone. Unlike with a ctypes pointer, the
-compiled code can be kept on disk. Structures are int64 or int32 arrays laid out as the C library's.
+compiled code can be kept on disk. Structures are int64 or int32 arrays in the layout of the C library.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.endings import FAILED, HUNG_UP, TIMED_OUT
 
 SCRATCH = ("scratch", np.int64, (4,))
-"""A field of a record for the structures of system calls, so that nothing is allocated."""
+"""Field of a record for the structures of system calls, so that nothing is allocated."""
 
 _CLOCK_MONOTONIC = 1
 _TIMER_ABSTIME = 1
@@ -40,7 +40,7 @@ _write = types.ExternalFunction("write", types.intp(types.int32, types.uintp, ty
 _errno_location = types.ExternalFunction("__errno_location", types.CPointer(types.int32)())
 
 CALLS = tuple(call.symbol for call in (_clock_gettime, _clock_nanosleep, _ppoll, _read, _write, _errno_location))
-"""Their names in the C library."""
+"""Names of these functions in the C library."""
 
 
 def missing_calls() -> list[str]:
@@ -53,14 +53,14 @@ def missing_calls() -> list[str]:
 
 
 def require_linux(what: str, instead: str) -> None:
-    """Raises UsageError where a call is missing. `what`: what takes Linux; `instead`: the alternative elsewhere."""
+    """Raises UsageError if a call is missing. `what`: the subject that takes Linux. `instead`: the alternative."""
     missing = missing_calls()
     if missing:
         raise UsageError(f"{what} takes Linux; this system ({sys.platform}) has no {', '.join(missing)}: {instead}")
 
 
 def now_ns(scratch):  # noqa: ARG001
-    """Monotonic time in ns. `scratch`: the caller's own, SCRATCH. In plain Python it is Python's own clock."""
+    """Returns the monotonic time in ns. `scratch`: the caller's SCRATCH. In plain Python this is Python's own clock."""
     return time.monotonic_ns()
 
 
@@ -84,7 +84,7 @@ def _compiled_sleep_until(deadline_ns, scratch):  # noqa: ARG001
         while now_ns(scratch) < deadline_ns:
             scratch[0] = deadline_ns // 1_000_000_000
             scratch[1] = deadline_ns % 1_000_000_000
-            # Returns its error number instead of setting errno; a signal's interruption is simply slept on.
+            # Returns its error number instead of setting errno; after a signal it sleeps on.
             if _clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, scratch.ctypes.data, 0) not in (0, _EINTR):
                 return
 
@@ -93,7 +93,7 @@ def _compiled_sleep_until(deadline_ns, scratch):  # noqa: ARG001
 
 @inlined
 def _wait(descriptor, events, timeout_ns, scratch):
-    """Waits for `events`; the events seen, 0 when the time is over, negative on failure."""
+    """Waits for `events`. Returns those that occurred, 0 after the timeout, a negative code on failure."""
     timeout_ns = timeout_ns if timeout_ns > 0 else 0
     scratch[0] = timeout_ns // 1_000_000_000
     scratch[1] = timeout_ns % 1_000_000_000
@@ -106,7 +106,7 @@ def _wait(descriptor, events, timeout_ns, scratch):
 
 @inlined
 def read_some(descriptor, buffer, timeout_ns, scratch):
-    """Reads what is there into a buffer within `timeout_ns`: the count, or a code of endings.py."""
+    """Reads the available bytes into a buffer within `timeout_ns`. Returns their count, or a code of endings.py."""
     seen = _wait(descriptor, _POLLIN, timeout_ns, scratch)
     if seen <= 0:
         return seen
@@ -118,7 +118,7 @@ def read_some(descriptor, buffer, timeout_ns, scratch):
     if count > 0:
         return count
     if count == 0:
-        # With VMIN = 1 "nothing there" is EAGAIN, so an empty read means that the other side hung up.
+        # With VMIN = 1 an empty port reads as EAGAIN, so an empty read means that the other side hung up.
         return HUNG_UP
     error = _errno_location()[0]
     if error in (_EINTR, _EAGAIN):
@@ -128,7 +128,7 @@ def read_some(descriptor, buffer, timeout_ns, scratch):
 
 @inlined
 def write_some(descriptor, buffer, start, stop):
-    """Writes as much of buffer[start:stop] as there is room for, without waiting: the count, or HUNG_UP."""
+    """Writes as much of buffer[start:stop] as fits, without waiting. Returns the count, or HUNG_UP."""
     if start == stop:
         return 0
     count = _write(descriptor, buffer.ctypes.data + start, stop - start)
@@ -139,7 +139,7 @@ def write_some(descriptor, buffer, start, stop):
 
 @inlined
 def write_all(descriptor, buffer, stop, timeout_ns, scratch):
-    """Writes buffer[:stop]; 0 when all went out, else HUNG_UP or FAILED."""
+    """Writes buffer[:stop]. Returns 0, HUNG_UP, or FAILED if not all fits within `timeout_ns`."""
     at = give_up = 0
     while at < stop:
         count = write_some(descriptor, buffer, at, stop)
@@ -154,9 +154,9 @@ def write_all(descriptor, buffer, stop, timeout_ns, scratch):
     return 0
 
 
-# Denormals, floating-point numbers below 1e-307, count as zero while a loop runs. A string that has rung down is full
-# of them, and arithmetic with them takes many times as long: a scene would become slow by falling silent. It is a mode
-# of the processor for each thread. The loop restores it at its end: the rest of the program may rely on such numbers.
+# Denormals, floating-point numbers below 1e-307, count as zero while a loop runs. A string at rest is full of them, and
+# arithmetic with them takes many times as long: a scene would become slow as it becomes silent. This is a mode of the
+# processor for each thread. The loop restores it at its end: the rest of the program may rely on such numbers.
 
 ir = cgutils.ir
 
@@ -166,7 +166,7 @@ _HAS_REGISTER = platform.machine() in ("x86_64", "AMD64")
 
 @intrinsic
 def flush_denormals(_typing: Any) -> Any:
-    """Sets the mode for the calling thread; returns the one before, to `restore`. Does nothing except on x86."""
+    """Sets the mode for the calling thread; returns the old one for `restore_denormals`. Does nothing except on x86."""
 
     def _generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         if not _HAS_REGISTER:
@@ -182,7 +182,7 @@ def flush_denormals(_typing: Any) -> Any:
 
 
 @intrinsic
-def restore(_typing: Any, mode: Any) -> Any:  # noqa: ARG001
+def restore_denormals(_typing: Any, mode: Any) -> Any:  # noqa: ARG001
     """Restores the mode of the calling thread."""
 
     def _generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:

@@ -1,7 +1,7 @@
 """A transport: the code that moves bytes between the loop and a device, behind addresses.
 
-The loop calls two functions by their addresses, with the address of the transport's context. Here is the transport over
-a file descriptor (a serial port or a pseudo-terminal); the mock's are in `device/mock`.
+The loop calls two functions by their addresses, with the address of the transport's context. This file has the
+transport over a file descriptor (a serial port or a pseudo-terminal); those of the mock are in `device/mock`.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ _SEND = types.int64(types.uint64, types.uint64, types.int64)
 _call_receive, _call_send = function_at(_RECEIVE), function_at(_SEND)
 
 receiver = native(_RECEIVE.return_type, *_RECEIVE.args)
-"""Decorates a receiving function (context, buffer, room, timeout_ns): it puts at most `room` received bytes into
+"""Decorates a receiving function (context, buffer, room, timeout_ns). It puts at most `room` received bytes into
 `buffer`, and returns their count, or TIMED_OUT, HUNG_UP, FAILED. Context and buffer are addresses."""
 
 sender = native(_SEND.return_type, *_SEND.args)
-"""Decorates a sending function (context, buffer, stop): it sends `stop` bytes, and returns 0, HUNG_UP or FAILED."""
+"""Decorates a sending function (context, buffer, stop). It sends `stop` bytes, and returns 0, HUNG_UP or FAILED."""
 
 
 @inlined
 def receive(transport, buffer, at, room, timeout_ns):
-    """Receives into buffer[at:], `room` bytes at most: their count, or TIMED_OUT, HUNG_UP, FAILED."""
+    """Receives at most `room` bytes into buffer[at:]. Returns their count, or TIMED_OUT, HUNG_UP, FAILED."""
     address = np.uint64(buffer.ctypes.data) + np.uint64(at)
     return _call_receive(transport.receive, (transport.context, address, np.int64(room), np.int64(timeout_ns)))
 
 
 @inlined
 def send(transport, buffer, start, stop):
-    """Sends buffer[start:stop]: 0, HUNG_UP or FAILED."""
+    """Sends buffer[start:stop]. Returns 0, HUNG_UP or FAILED."""
     address = np.uint64(buffer.ctypes.data) + np.uint64(start)
     return _call_send(transport.send, (transport.context, address, np.int64(stop - start)))
 
@@ -50,10 +50,10 @@ class PythonTransport(Protocol):
     """A transport for Python."""
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """Bytes that have arrived, into a buffer: their count, or a code of endings.py."""
+        """Receives bytes into a buffer. Returns their count, or a code of endings.py."""
 
     def send(self, frame: bytes) -> int:
-        """0, or a code of endings.py."""
+        """Sends a frame. Returns 0, or a code of endings.py."""
 
 
 class Transport:
@@ -68,16 +68,16 @@ class Transport:
         self.record.context = address_of(context)
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """The count of bytes that have arrived, or a code of endings.py."""
+        """Receives bytes into a buffer. Returns their count, or a code of endings.py."""
         return int(self._receive(int(self.record.context), buffer.ctypes.data, buffer.size, timeout_ns))
 
     def send(self, frame: bytes) -> int:
-        """0, or HUNG_UP or FAILED."""
+        """Sends a frame. Returns 0, HUNG_UP or FAILED."""
         data = np.frombuffer(frame, np.uint8)
         return int(self._send(int(self.record.context), data.ctypes.data, data.size))
 
 
-_SEND_TIMEOUT_NS = 100_000_000  # a port that takes nothing for this long is no port
+_SEND_TIMEOUT_NS = 100_000_000  # a port that takes nothing for this long has failed
 
 _DESCRIPTOR = np.dtype([("number", np.int64), SCRATCH], align=True)
 
@@ -97,7 +97,7 @@ def send_to_descriptor(context, buffer, stop):
 
 
 def descriptor_transport(number: int) -> Transport:
-    """A transport over an open, raw, non-blocking descriptor, which stays the caller's to close."""
+    """Returns a transport over an open, raw, non-blocking descriptor, which the caller closes."""
     context = new_record(_DESCRIPTOR)
     context.number = number
     return Transport(receive_from_descriptor, send_to_descriptor, context)

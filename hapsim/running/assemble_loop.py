@@ -1,4 +1,4 @@
-"""Assembles a loop for a scene and a device: all the memory that it works on, allocated once and touched once."""
+"""Assembling a loop for a scene and a device: all its memory, allocated and touched once."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from hapsim.loop import guards
 from hapsim.loop.crossfade import cross_fade
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import history_hook
-from hapsim.loop.guards.energy_guard import follow_scene
+from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.guide import guide_hook
 from hapsim.loop.hooks import Hook, Setting, set_hooks
-from hapsim.loop.posted import Posts
+from hapsim.loop.posted import Mailbox
 from hapsim.loop.ring import Ring, row_type
-from hapsim.loop.sound import SoundRing, hear
+from hapsim.loop.sound import SoundRing, add_frame
 from hapsim.loop.transport import Transport
 from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
     from hapsim.device.mock.stand_ins import LiveHand
 
 _RING_ROWS = 1 << 16
-_SOUND_S, _LEAST_FRAMES = 1.0, 4096  # that the sound's ring holds at least
+_SOUND_S, _LEAST_FRAMES = 1.0, 4096  # least size of the ring of sound
 _CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK}
 _FOREVER_NS = 1 << 62
-_GRACE_NS = 50_000_000  # a run may end so late before the clock ends it
+_GRACE_NS = 50_000_000  # beyond the duration, until the host's clock ends the run
 
 
 class LoopMemory:
-    """A loop that is ready to run, with everything that has to stay in memory meanwhile."""
+    """A loop that is ready to run, with everything that must stay in memory meanwhile."""
 
     def __init__(self, connection: Connection, description: Description, velocity: bool, clock: str) -> None:
         """`clock`: the device's, as in a scene."""
@@ -54,7 +54,7 @@ class LoopMemory:
         """LOOP of hapsim.loop.exchange."""
         self.inbox = connection.inbox
         self.wire = armed_format(description.channels, velocity)
-        """The format that an armed device speaks."""
+        """Format of an armed device's frames."""
         rows = row_type(description.channels, velocity, clock == "host")
         self.ring = Ring(self.record.ring, rows, _RING_ROWS, waits=clock == "lockstep")
         self.record.inbox = address_of(self.inbox)
@@ -67,95 +67,95 @@ class LoopMemory:
         self.watchdog_samples = 0
         """Samples without a force after which the device releases."""
         self.setting: Setting
-        """What the guards are set up by."""
+        """Input of the guards' set-up."""
         self.rendered_scene: Scene
         """The scene that the loop moves: the newest one, corrected."""
         self.correction: LoopCorrection | None = None
         """The rest of the correction: predictors and the estimate of the mass."""
         self.sound: SoundRing | None = None
-        """What the scene's pick-ups hear; None where it has none."""
+        """Frames of the scene's pick-ups; None for a scene without pick-ups."""
         self.sound_output: SoundOutput | None = None
-        """What becomes of it; None where it goes nowhere."""
+        """Playback and file of these frames; None if there is neither."""
         self.excitation: Excitation | PeriodicExcitation | None = None
-        """Kept here because the loop reads the forces of a periodic one."""
+        """Excitation of the run; the loop reads the forces of a periodic one."""
         self.hooks: list[Hook] = []
-        """What the exchange calls."""
+        """Hooks that the exchange calls."""
         self.hand: LiveHand | None = None
-        """The hand that holds the mock; None where the device is no mock of this process."""
+        """Hand that holds the mock; None if the device is no mock in this process."""
         self._programs: list[Program] = []
         self._changes_before = 0
 
     @property
     def program(self) -> Program:
-        """The program of the newest scene."""
+        """Program of the newest scene."""
         return self._programs[-1]
 
     def account_for(self, program: Program, scene: Scene) -> None:
-        """Accounts for the energy of live changes to `program`, of `scene`, if the energy guard is on."""
-        if self.counts_energy:
+        """Accounts for the energy of live changes to `program` of `scene`, if the energy guard is enabled."""
+        if self.has_energy_guard:
             limit = float(self.record.io.force_limit[: self.wire.channels].max())
             program.stored = StoredEnergy(program, scene, self.record.tank, limit)
 
     @property
-    def counts_energy(self) -> bool:
-        """Whether the energy guard is on."""
+    def has_energy_guard(self) -> bool:
+        """True if the energy guard is enabled."""
         return bool(self.record.tank.address)
 
     def set_hooks(self, hooks: Iterable[Hook]) -> None:
-        """Sets what the exchange calls."""
+        """Sets the hooks that the exchange calls."""
         self.hooks = list(hooks)
         self._calls = set_hooks(self.record.hooks, self.hooks)
 
-    def begin_with(self, program: Program) -> None:
+    def set_program(self, program: Program) -> None:
         """Sets the program that the loop moves from the first tick on."""
         self._programs = [program]
         self.record.slot.program = program.address
 
-    def follow_with(self, program: Program, steps: int, posts: Posts) -> None:
-        """Adds a crossfade to `program`, which `take_over_from` has prepared, over this number (>= 1) of steps of the
-        scene, to what is posted next."""
+    def crossfade_to(self, program: Program, steps: int, mailbox: Mailbox) -> None:
+        """Adds to the next change a crossfade to `program`, prepared by `take_over_from`, over `steps` (>= 1) of the
+        scene."""
         if self.is_replacing:
             raise ValueError("the crossfade before is not over")
         self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])
         self._programs = [self.program, program]
-        posts.add(self.record.slot, "posted_steps", steps)
-        posts.add(self.record.slot, "posted", program.address)
-        posts.add(self.record.slot, "cross_fade", cross_fade.address())
+        mailbox.add(self.record.slot, "posted_steps", steps)
+        mailbox.add(self.record.slot, "posted", program.address)
+        mailbox.add(self.record.slot, "cross_fade", cross_fade.address())
 
-    def hear_with(self, scene: Scene, waits: bool) -> None:
-        """Has the loop write what the scene's pick-ups hear into a ring; `waits`: and wait for who drains it."""
+    def add_sound_ring(self, scene: Scene, waits: bool) -> None:
+        """Makes the loop write pick-up values into a ring. `waits`: the loop waits for the ring's reader."""
         record, channels = self.record.sound, len(scene.sound)
         capacity = 1 << math.ceil(math.log2(max(_SOUND_S * scene.step_rate, _LEAST_FRAMES)))
         self.sound = SoundRing(record, channels, capacity, waits)
         highpass = np.array([one.highpass for one in scene.sound.values()])
         record.keeps[:channels] = np.exp(-2.0 * np.pi * highpass / scene.step_rate)
-        self.record.slot.sound, self.record.slot.hear = record.address, hear.address()
+        self.record.slot.sound, self.record.slot.add_frame = record.address, add_frame.address()
 
     @property
     def is_replacing(self) -> bool:
-        """Whether a crossfade to another scene is under way."""
+        """True during a crossfade to another scene."""
         return len(self._programs) > 1 and bool(self.record.slot.cross_fade)
 
     @property
     def changes(self) -> int:
-        """How many sets of live parameters the loop has taken."""
+        """Number of sets of live parameters that the loop has taken."""
         return self._changes_before + sum(int(program.record.parameters.sets) for program in self._programs)
 
     @property
     def control(self) -> Any:
-        """What the session asks of the loop: its CONTROL record."""
+        """CONTROL record: the session's requests to the loop."""
         return self.record.control
 
     @property
     def state(self) -> Any:
-        """What the loop reports: its STATE record."""
+        """STATE record: the loop's reports."""
         return self.record.state
 
 
 def assemble_loop(
     scene: Scene, connection: Connection, description: Description, options: RunOptions | None = None
 ) -> LoopMemory:
-    """Returns the loop of `scene` over `connection`, not yet armed. It uses the options `duration`, `excitation`,
+    """Returns the loop of `scene` over `connection`; arms nothing. Reads the options `duration`, `excitation`,
     `judges_energy`, `judges_sign`, `sound_file` and `unstable`."""
     options = options or RunOptions()
     rendering = rendered(scene)
@@ -163,9 +163,9 @@ def assemble_loop(
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene
-    loop.begin_with(compile_scene(rendering.scene))
+    loop.set_program(compile_scene(rendering.scene))
     if scene.sound:
-        loop.hear_with(scene, options.sound_file is not None and scene.device.clock == "lockstep")
+        loop.add_sound_ring(scene, options.sound_file is not None and scene.device.clock == "lockstep")
     loop.record.slot.substeps, loop.record.slot.mean = scene.substeps, scene.device.decimation == "mean"
     _set_io(loop.record.io, scene, description)
     _set_control(loop.control, scene, options.duration)
@@ -187,7 +187,7 @@ def _setting_of(
     loop: LoopMemory, scene: Scene, connection: Connection, description: Description, options: RunOptions
 ) -> Setting:
     limit = float(loop.record.io.force_limit[: description.channels].max())
-    in_hand = connection.behind_port and scene.device.clock != "lockstep"  # no hand lives in virtual time
+    in_hand = connection.behind_port and scene.device.clock != "lockstep"  # no hand in virtual time
     samples = timing.samples_if_late(scene, connection.round_trip_s)
     late = options.unstable is False and surely_shaken_by(timing.with_wire_delay(scene, samples)) is not None
     return Setting(
@@ -210,12 +210,12 @@ def _guard_hooks(loop: LoopMemory, options: RunOptions) -> list[Hook]:
         if record is not None:
             hooks += [Hook(stage, function, record) for stage, function in guard.hooks.items()]
             reads_history = reads_history or guard.reads_history
-    if options.unstable and loop.counts_energy:
-        follow_scene(loop.record.energy_guard, unstable=surely_shaken_by(scene) is not None)
+    if options.unstable and loop.has_energy_guard:
+        set_predicted_unstable(loop.record.energy_guard, unstable=surely_shaken_by(scene) is not None)
     if reads_history:
         device = timing.on_wire(scene).device
         hold = HOLDS[device.hold]
-        # The mean instant of a position that is averaged is half a sample earlier.
+        # The mean instant of an averaged position is half a sample earlier.
         shift = (0.5 if device.sampling == "average" else 0.0) + hold.mean_delay - 0.5
         history = loop.record.history
         hooks.append(history_hook(history, delay=device.delay + shift, keeps_last_force=hold.keeps_last_force))
@@ -232,19 +232,19 @@ def _set_control(control: Any, scene: Scene, duration: float | None) -> None:
     control.wire_samples = timing.samples_on_wire(scene)
     control.period_ns = round(1e9 / scene.rate)
     control.clock = _CLOCK[scene.device.clock]
-    # In virtual time the mock may live in a process that still compiles.
+    # In virtual time the mock's process may still be compiling.
     control.silence_ns = round(1e9 * (5.0 if virtual else max(0.25, 20.0 / scene.rate)))
     control.time_to_live = timing.time_to_live_samples(scene.rate)
     control.stale_ns = _stale_ns(scene, control)
 
 
 def _stale_ns(scene: Scene, control: Any) -> int:
-    """Returns the age (ns) above which no force answers a position. In virtual time no time passes."""
+    """Returns the age (ns) beyond which a position is answered by zero force. No limit in virtual time."""
     return _FOREVER_NS if scene.device.clock == "lockstep" else (int(control.time_to_live) + 1) * int(control.period_ns)
 
 
 def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, scene: Scene) -> list[Hook]:
-    """Returns the hook of the guide, if there is one."""
+    """Sets the excitation. Returns the hook of its guide, if it has one."""
     control = record.control
     control.pulse_channel = excitation.channel
     if isinstance(excitation, PeriodicExcitation):

@@ -24,8 +24,8 @@ from hapsim.cordis.schemes import without_matrices
 from hapsim.cordis.succession import take_over_from
 from hapsim.errors import UsageError
 from hapsim.loop.background import BackgroundWork
-from hapsim.loop.guards.energy_guard import follow_scene
-from hapsim.loop.posted import Posts
+from hapsim.loop.guards.energy_guard import set_predicted_unstable
+from hapsim.loop.posted import Mailbox
 from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
@@ -47,7 +47,7 @@ OVER = "the run is over: nothing can be changed any more"
 
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
-_GLANCE_S = 1e-3
+_POLL_S = 1e-3
 _LARGEST = 1e12  # in SI units; what is beyond is a mistake, and may be beyond what can be predicted
 _MOST_STATES = 250  # of a scene that is judged in the thread of who changes it: some milliseconds
 _MAY_DIFFER = (("mock", "initial"), ("mock", "hand"))
@@ -62,16 +62,18 @@ class LiveScene:
         scene: Scene,
         loop: LoopMemory,
         is_over: Callable[[], bool] = lambda: False,
-        gives_way: bool = False,
+        idle_priority: bool = False,
         unstable: bool | None = None,
     ) -> None:
-        """`is_over`: whether the loop has ended. `gives_way`: whether preparations give way to the loop. `unstable`: as
-        of `start`."""
+        """`is_over`: whether the loop has ended. `idle_priority`: preparations run in a thread of idle priority.
+        `unstable`: as of `start`."""
         self.scene = scene
         """The scene with every change so far."""
-        self._loop, self._is_over, self._gives_way, self._unstable = loop, is_over, gives_way, unstable
+        self._loop, self._is_over, self._idle_priority, self._unstable = loop, is_over, idle_priority, unstable
         self._replacing, self._writing = threading.Lock(), threading.Lock()
-        self._posts = Posts(loop.record.posted, lambda: bool(loop.control.go and loop.state.ticks) and not is_over())
+        self._mailbox = Mailbox(
+            loop.record.posted, lambda: bool(loop.control.go and loop.state.ticks) and not is_over()
+        )
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
         self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have it yet
@@ -79,16 +81,16 @@ class LiveScene:
 
     def set(self, changes: Changes, over: float) -> None:
         """Changes some live parameters, as `Session.set`."""
-        replaces = _crossfades(self.scene, changes)
+        replaces = _needs_crossfade(self.scene, changes)
 
-        def change(is_beside: bool = True) -> bool:
+        def change(in_background: bool = True) -> bool:
             with self._replacing if replaces else self._writing:
                 scene = changed(self.scene, changes)
                 if MOCK_HAND in changes and self._loop.hand is None:
                     raise UsageError(_NO_HAND)
                 is_same = self._unstable is False and scene.modules is self.scene.modules
                 if self._unstable is not None and not is_same and not is_soon_stable(scene, _MOST_STATES):
-                    if not is_beside:
+                    if not in_background:
                         return False
                     if self._unstable is False:
                         require_not_less_stable(self.scene, scene)
@@ -100,8 +102,8 @@ class LiveScene:
                 return True
 
         # Beside the loop it predicts the scene, which takes seconds for a large one, or compiles it.
-        if replaces or not change(is_beside=False):
-            self._beside_loop(change)
+        if replaces or not change(in_background=False):
+            self._run_in_background(change)
 
     def adopt(self, scene: Scene, over: float) -> None:
         """Changes to `scene`, as `Session.adopt`."""
@@ -113,7 +115,7 @@ class LiveScene:
                 self._require_possible(scene)
                 self._change_to(scene, over, note)
 
-        self._beside_loop(change)
+        self._run_in_background(change)
 
     def take_notes(self) -> list[dict[str, Any]]:
         """Returns the changes that the loop has taken since the last call, each as {"tick": with which, "set": changes
@@ -123,20 +125,20 @@ class LiveScene:
 
     def _note_taken(self) -> None:
         with self._noting:
-            if self._posted is not None and (tick := self._posts.tick_of(self._posted[0])) is not None:
+            if self._posted is not None and (tick := self._mailbox.tick_of(self._posted[0])) is not None:
                 self._notes.append({"tick": tick, **self._posted[1]})
                 self._posted = None
 
     def _wait_for_turn(self) -> None:
-        self._posts.wait()
+        self._mailbox.wait()
         self._note_taken()
 
     def _send(self, note: dict[str, Any]) -> None:
-        self._posted = self._posts.next_number, note
-        self._posts.send()
+        self._posted = self._mailbox.next_number, note
+        self._mailbox.send()
 
-    def _beside_loop(self, work: Callable[[], object]) -> None:
-        if self._gives_way:
+    def _run_in_background(self, work: Callable[[], object]) -> None:
+        if self._idle_priority:
             BackgroundWork(work).result()
         else:
             work()
@@ -163,9 +165,9 @@ class LiveScene:
         self._move_hand(scene, samples)
         if not np.array_equal(values, self._values[1]):
             self._wait_for_turn()
-            self._announce(samples, self._is_shaken_by(scene))
-            parameters.post_with(values, samples * scene.substeps, self._posts.add, begins)
-            self._correct_as(rendering, samples)
+            self._set_strictness(samples, self._is_predicted_unstable(scene))
+            parameters.post_with(values, samples * scene.substeps, self._mailbox.add, begins)
+            self._fade_correction(rendering, samples)
             self._send(note)
         self.scene, self._loop.rendered_scene, self._values = scene, rendering.scene, (plain, values)
         return True
@@ -175,40 +177,40 @@ class LiveScene:
         rendering = rendered(scene)
         after = rendering.scene
         require_in_time(after)
-        program, is_shaken = compile_scene(after), self._is_shaken_by(scene)
+        program, is_shaken = compile_scene(after), self._is_predicted_unstable(scene)
         self._wait_for_turn()
         while self._loop.is_replacing:
             if self._is_over():
                 raise UsageError(OVER)
-            time.sleep(_GLANCE_S)
+            time.sleep(_POLL_S)
         with self._writing:
             self._wait_for_turn()
-            self._announce(samples, is_shaken)
+            self._set_strictness(samples, is_shaken)
             take_over_from(self._loop.program, self._loop.rendered_scene, program, after)
             self._loop.account_for(program, after)
             program.parameters.post(parameter_values(after), samples * scene.substeps)
-            self._loop.follow_with(program, samples * scene.substeps, self._posts)
-            self._correct_as(rendering, samples)
+            self._loop.crossfade_to(program, samples * scene.substeps, self._mailbox)
+            self._fade_correction(rendering, samples)
             self._send(note)
             self._move_hand(scene, samples)
             self.scene, self._loop.rendered_scene, self._values = scene, after, None
 
     def _move_hand(self, scene: Scene, samples: int) -> None:
         if self._loop.hand is not None and parts_of(scene)[MOCK_HAND] != parts_of(self.scene)[MOCK_HAND]:
-            self._loop.hand.follow(scene, samples)
+            self._loop.hand.retarget(scene, samples)
 
-    def _is_shaken_by(self, scene: Scene) -> bool:
+    def _is_predicted_unstable(self, scene: Scene) -> bool:
         """Whether the scene is predicted unstable and may run, with the energy guard on."""
-        return bool(self._unstable) and self._loop.counts_energy and surely_shaken_by(scene) is not None
+        return bool(self._unstable) and self._loop.has_energy_guard and surely_shaken_by(scene) is not None
 
-    def _announce(self, samples: int, is_shaken: bool) -> None:
+    def _set_strictness(self, samples: int, is_shaken: bool) -> None:
         """Informs the energy guard, before a change acts, whether the scene will be predicted unstable."""
-        if self._loop.counts_energy:
-            follow_scene(self._loop.record.energy_guard, unstable=is_shaken, samples=samples)
+        if self._loop.has_energy_guard:
+            set_predicted_unstable(self._loop.record.energy_guard, unstable=is_shaken, samples=samples)
 
-    def _correct_as(self, rendering: Rendering, samples: int) -> None:
+    def _fade_correction(self, rendering: Rendering, samples: int) -> None:
         if self._loop.correction is not None:
-            self._loop.correction.follow(rendering, samples, self._posts)
+            self._loop.correction.fade_to(rendering, samples, self._mailbox)
 
     def _require_possible(self, scene: Scene) -> None:
         fixed = first_fixed_difference(self.scene, scene)
@@ -216,7 +218,7 @@ class LiveScene:
             raise UsageError(f"{fixed} cannot change while the scene runs: stop it and start it anew")
         for name, part in parts_of(scene).items():
             _require_sizes(name, {key: getattr(part, key) for key in part.live})
-        if self._loop.hand is None and not _agree(parts_of(self.scene)[MOCK_HAND], parts_of(scene)[MOCK_HAND]):
+        if self._loop.hand is None and not _is_equal(parts_of(self.scene)[MOCK_HAND], parts_of(scene)[MOCK_HAND]):
             raise UsageError(_NO_HAND)
         io = self._loop.record.io
         if scene.channels > io.channels:
@@ -245,7 +247,7 @@ def first_fixed_difference(now: Scene, wanted: Scene) -> str:
         if type(before) is not type(after) and _without_hand(before) != _without_hand(after):
             return part
         for key in type(before).model_fields if before is not None and after is not None else ():
-            if (part, key) not in _MAY_DIFFER and not _agree(getattr(before, key), getattr(after, key)):
+            if (part, key) not in _MAY_DIFFER and not _is_equal(getattr(before, key), getattr(after, key)):
                 return f"{part}.{key}"
     if list(now.sound) != list(wanted.sound):
         return "sound: the names and order of its pick-ups"
@@ -259,11 +261,11 @@ def _without_hand(mock: Mock | None) -> Mock:
     return (mock or Mock()).model_copy(update={"hand": Hand()})
 
 
-def _agree(before: Any, after: Any) -> bool:
+def _is_equal(before: Any, after: Any) -> bool:
     """Whether two values of a device mean the same for the channels that both have. A list has a value per channel; one
     value stands for all channels."""
     if isinstance(before, Part) and type(before) is type(after):
-        return all(_agree(getattr(before, key), getattr(after, key)) for key in type(before).model_fields)
+        return all(_is_equal(getattr(before, key), getattr(after, key)) for key in type(before).model_fields)
     if not isinstance(before, tuple | list) and not isinstance(after, tuple | list):
         return bool(before == after)
     values = (one if isinstance(one, tuple | list) else itertools.repeat(one) for one in (before, after))
@@ -296,7 +298,7 @@ def _samples(scene: Scene, over: float) -> int:
     return max(samples, 1)
 
 
-def _crossfades(scene: Scene, changes: Any) -> bool:
+def _needs_crossfade(scene: Scene, changes: Any) -> bool:
     """Whether a `set` changes what may need another program, such as a table."""
     sound = isinstance(changes, Mapping) and all(isinstance(values, Mapping) for values in changes.values())
     parts = parts_of(scene)

@@ -1,8 +1,8 @@
-"""Compiling before a run needs it: in `start`, and by `hapsim compile`. Half of it goes to a second process.
+"""Compiling before a run needs the code: in `start`, and by `hapsim compile`. A second process takes half of it.
 
 A run needs the loop, the module types of its scene and, with a mock in this process, the mock.
-`python -m hapsim.running.compile_ahead mock` is the second process: it prints the name of each function as its
-compilation begins, and leaves the machine code where the first process finds it.
+`python -m hapsim.running.compile_ahead mock` is the second process. It prints the name of each function as its
+compilation begins, and keeps the machine code where the first process finds it.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ _EVERY_MODULE = Path(__file__).with_name("every_module.yaml")
 
 
 class CompileUnit(NamedTuple):
-    """Functions that are compiled together. They are named and not imported: numba loads slowly."""
+    """Functions that are compiled together, named and not imported, because numba loads slowly."""
 
     functions: int
-    """Their estimated number, for the progress display."""
+    """Estimated number of functions, for the progress display."""
     natives: tuple[str, ...] = ()
-    """Native functions, or dicts of them: module and name, below hapsim."""
+    """Native functions, or dicts of them, as module:name below hapsim."""
     entries: Callable[[], Iterable[tuple[Any, ...]]] = tuple
-    """Returns entries, each with arguments of the types that it is compiled for."""
+    """Function that returns entries, each with arguments of the types to compile for."""
     modules: str = ""
-    """Every module type under every scheme, in this precision."""
+    """Precision in which every module type is compiled for every scheme; "" for none."""
     in_second_process: bool = False
-    """Whether the second process compiles it: half of what most runs need."""
+    """True if the second process compiles it: half of the code of most runs."""
     calls_system: bool = False
-    """Whether it exists only where the system has what the loop calls."""
+    """True if it needs the system calls of the loop."""
 
     def compile(self) -> None:
-        """Compiles or loads it."""
+        """Compiles or loads all functions."""
         for native in self._resolved():
             native.address()
         for function, *arguments in self.entries():
@@ -65,7 +65,8 @@ class CompileUnit(NamedTuple):
             _compile_modules(self.modules)
 
     def is_kept(self) -> bool:
-        """Whether all of it is there from an earlier run. Of modules it is faster to load them than to find out."""
+        """Returns whether an earlier run left all machine code; False for modules, which load faster than they are
+        checked."""
         return (
             not self.modules
             and all(native.is_kept() for native in self._resolved())
@@ -79,7 +80,8 @@ class CompileUnit(NamedTuple):
 
 
 def _entry(function: str, *arguments: Any) -> Callable[[], list[tuple[Any, ...]]]:
-    """Names an entry, below hapsim, and what it takes: of a record, its type's name."""
+    """Returns a function that finds an entry below hapsim by name, with its arguments; a name of a dtype stands for a
+    record."""
 
     def resolved(one: Any) -> Any:
         found = pkgutil.resolve_name(f"hapsim.{one}") if isinstance(one, str) else one
@@ -133,7 +135,7 @@ UNITS: dict[str, CompileUnit] = {
     ),
     "motion": CompileUnit(
         16,
-        ("device.mock.motion:move_with_spring_or_friction", "device.mock.stand_ins:lead_hand"),
+        ("device.mock.motion:move_with_spring_or_friction", "device.mock.stand_ins:move_hand"),
         in_second_process=True,
     ),
     "wire": CompileUnit(
@@ -142,7 +144,7 @@ UNITS: dict[str, CompileUnit] = {
         in_second_process=True,
         calls_system=True,
     ),
-    "sound": CompileUnit(2, ("loop.sound:hear",)),
+    "sound": CompileUnit(2, ("loop.sound:add_frame",)),
     "playback": CompileUnit(17, ("sound.resample:play",), calls_system=True),
     "changes": CompileUnit(
         8,
@@ -160,23 +162,23 @@ UNITS: dict[str, CompileUnit] = {
     "modules": CompileUnit(150, modules="double"),
     "modules in single precision": CompileUnit(148, modules="single", in_second_process=True),
 }
-"""What can be compiled ahead, by name."""
+"""Units that can be compiled ahead, by name."""
 
 DEVICE_UNITS: dict[Place, tuple[str, ...]] = {
     "port": ("port",),
     "terminal": ("port", "mock"),
     "loopback": ("loopback",),
 }
-"""The units that a device takes beside the loop, by where it is."""
+"""Units that a device needs in addition to the loop, by its place."""
 
 
 def compile_ahead(names: Iterable[str], counted: Counted, then: Callable[[], None] = lambda: None) -> None:
-    """Compiles or loads these units. `counted` counts both processes; `then` compiles more here, before the wait for
-    the second process. What this process has loaded before costs nothing."""
+    """Compiles or loads these units. `counted` counts both processes. `then` compiles more in this process, before the
+    wait for the second one. Units that this process has loaded before cost nothing."""
     names = [name for name in names if name not in _loaded]
     missing = [name for name in names if not UNITS[name].is_kept()]
     counted.expect(sum(UNITS[name].functions for name in missing))
-    # What a second process compiles gets here only if it can be kept.
+    # The second process can only pass code on by keeping it on disk.
     second = [name for name in missing if UNITS[name].in_second_process and directory_of_kept_code()]
     with _second_process(second if len(second) < len(missing) else [], counted.add) as wait:
         for name in missing:
@@ -194,8 +196,8 @@ _loaded: set[str] = set()
 
 @contextlib.contextmanager
 def _second_process(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Callable[[], None]]:
-    """While open, compiles units in another process, if there is a second processor; yields a function that waits for
-    it. If it fails, the first process compiles them."""
+    """Compiles units in another process while open, if there is a second processor. Yields a function that waits for
+    it. If it fails, this process compiles the units."""
     process = _start_compiling(names) if names and (os.cpu_count() or 1) > 1 else None
     if process is None:
         yield lambda: None
@@ -216,8 +218,8 @@ def _second_process(names: Sequence[str], heard: Callable[[str], None]) -> Itera
 
 
 def _start_compiling(names: Sequence[str]) -> subprocess.Popen[str] | None:
-    """Returns the process; None where Python cannot be started again, as when it is embedded in another program."""
-    # -P keeps files beside a user's scenes from being imported as ours; the paths are this process's own.
+    """Returns the process; None if Python cannot be started again, as when another program embeds it."""
+    # With -P, no file beside a user's scenes is imported as one of hapsim. The paths are this process's own.
     command = [sys.executable or "", "-P", "-m", "hapsim.running.compile_ahead", *names]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
@@ -241,13 +243,13 @@ class Prepared:
     functions: int
     seconds: float
     directory: Path | None
-    """Where machine code is kept; None where it is not."""
+    """Directory of the machine code; None if it is not kept."""
     problem: str = ""
-    """Why it is not kept."""
+    """Reason why it is not kept."""
 
 
 def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None] = lambda _: None) -> Prepared:
-    """Compiles what `scenes` need to run, to be measured and changed; without scenes, what any could need."""
+    """Compiles the code that `scenes` need to run, to be measured and changed; without scenes, all code."""
     from hapsim.device.open_connection import place_of_device
     from hapsim.prediction.timing import wire_of
 
@@ -284,12 +286,12 @@ def _compile_scenes(scenes: Sequence[Scene]) -> None:
 
 
 def scenes_with_every_module(precision: str) -> Iterator[Scene]:
-    """Yields two scenes with every module type for each scheme. In one of them damping couples the modes, which the
-    exact scheme then moves as one matrix."""
+    """Yields two scenes with every module type for each scheme. In one of them damping couples the modes, so that the
+    exact scheme uses one matrix."""
     from hapsim.scene import DamperScheme, SchemeName, parse_scene
     from hapsim.scene.choices import WITH_CUTOFF
 
-    template = _EVERY_MODULE.read_text(encoding="utf-8")  # and links that hold a point of each kind that can be held
+    template = _EVERY_MODULE.read_text(encoding="utf-8")  # and links to a point of each kind
     for damper, held in zip(get_args(DamperScheme), cycle(("ball", "gut.0", "bar.0", "skin.0.0")), strict=False):
         cutoff = ", cutoff: 10" if damper in WITH_CUTOFF else ""
         ends = f"between: [hand, {held}], stiffness: 1, damper: {damper}{cutoff}"

@@ -27,7 +27,7 @@ from hapsim.loop.adaptive import (
     predict_adaptively,
 )
 from hapsim.loop.hooks import Hook, Stage
-from hapsim.loop.posted import Posts
+from hapsim.loop.posted import Mailbox
 from hapsim.loop.predictor import STATES, predict
 from hapsim.prediction.correction import Corrected, Rendering
 from hapsim.prediction.correction.kind import predictor_for
@@ -89,7 +89,7 @@ class LoopCorrection:
             for spans in (record, estimate):
                 spans.log_least[channel], spans.log_most[channel] = np.log(_span(port))
                 spans.log_mass[channel] = spans.log_least[channel]
-            estimate.sprung[channel] = port.declared.stiffness * period**2
+            estimate.spring[channel] = port.declared.stiffness * period**2
             estimate.rounding[channel] = description.position_scale[channel] ** 2 / 12.0
         for channel, samples in self._spans(rendering):
             estimate.next_span[channel] = samples
@@ -105,15 +105,15 @@ class LoopCorrection:
             samples = min(max(half_period_s / rendering.desired.period, 1.0), float(MOST_SPAN))
             yield port.channel, round(samples)
 
-    def follow(self, rendering: Rendering, samples: int, posts: Posts) -> None:
+    def fade_to(self, rendering: Rendering, samples: int, mailbox: Mailbox) -> None:
         """Adds a fade to the correction of another scene, over `samples`, to what is posted next. A channel on which
         nothing adapts any more gets the predictor of its links, and nothing is added to their force."""
         for channel, span in self._spans(rendering) if self._ports else ():
-            posts.add(self._adaptive.estimate, "next_span", span, channel)
+            mailbox.add(self._adaptive.estimate, "next_span", span, channel)
         if self._predicts:
             self._tables = [*self._tables[-_KEPT_TABLES:], self._table(self._channel_tables(rendering))]
-            posts.add(self._record, "posted_samples", max(samples, 1))
-            posts.add(self._record, "posted", address_of(self._tables[-1]))
+            mailbox.add(self._record, "posted_samples", max(samples, 1))
+            mailbox.add(self._record, "posted", address_of(self._tables[-1]))
 
     def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
         """Returns the estimated masses under their names in `Report` and `Progress`: a value per channel, None where
@@ -126,7 +126,7 @@ class LoopCorrection:
         for channel, port in self._ports.items():
             (least, most), mass = _span(port), float(np.exp(estimate.log_mass[channel]))
             uncertainty = min(float(estimate.uncertainty[channel]) * mass, most - least)
-            age_s = float(estimate.unwatched[channel] * self._period)
+            age_s = float(estimate.age[channel] * self._period)
             rows[channel] = mass, uncertainty, float(estimate.explained[channel]), age_s
         return dict(zip(names, zip(*rows, strict=True), strict=True))
 

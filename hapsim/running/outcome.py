@@ -15,11 +15,11 @@ from hapsim.loop import endings
 from hapsim.loop.counts import Progress, words_at
 from hapsim.loop.exchange import HOST_CLOCK
 from hapsim.loop.guards import guard_that_ended, in_words
-from hapsim.loop.guards.energy_guard import STEADIER
-from hapsim.loop.guards.frozen_sensor import standing_still
+from hapsim.loop.guards.energy_guard import STEADINESS_ADVICE
+from hapsim.loop.guards.frozen_sensor import frozen_sentence
 from hapsim.loop.guards.leap import at_end_of_counts
 from hapsim.loop.histogram import histogram_of
-from hapsim.loop.hooks import Ended
+from hapsim.loop.hooks import EndedRun
 from hapsim.number_format import duration, plural
 from hapsim.prediction import unlikely
 from hapsim.prediction.timing import host_silence
@@ -65,7 +65,7 @@ def progress_of(loop: LoopMemory) -> Progress:
         force=tuple((io.force_counts * io.force_scale)[used].tolist()),
         position=tuple(io.measured[used].tolist()),
         age_samples=int(state.age),
-        frozen=standing_still(loop.rendered_scene, int(np.argmax(now_s)), float(now_s.max())),
+        frozen=frozen_sentence(loop.rendered_scene, int(np.argmax(now_s)), float(now_s.max())),
         **counters_of(loop),
     )
 
@@ -103,7 +103,7 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
         nominal_rate_hz=scene.rate,
-        frozen=standing_still(loop.rendered_scene, int(sensor.channel), float(sensor.longest / scene.rate)),
+        frozen=frozen_sentence(loop.rendered_scene, int(sensor.channel), float(sensor.longest / scene.rate)),
         lateness_s=statistics.lateness.spread(),
         exchange_s=statistics.exchange.spread(),
         age_samples=statistics.age.spread(),
@@ -111,12 +111,12 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
         motion=scene.device.motions(scene.channels),
         in_degrees=scene.in_degrees,
         timed_by_device=bool(loop.record.watch.period_ns),
-        released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _says_released(loop) else None,
+        released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _is_released(loop) else None,
         **counters_of(loop),
     )
 
 
-def _says_released(loop: LoopMemory) -> bool:
+def _is_released(loop: LoopMemory) -> bool:
     """Whether the device's last STATUS says that its force is zero: a device releases it before it says so."""
     return int(loop.state.device_state) in (schema.IDLE, schema.LATCHED)
 
@@ -130,7 +130,7 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
     guard, advice = guard_that_ended(ending), ""
     kind: type[RunError]
     if guard is not None:
-        run = Ended(loop.record, report, loop.rendered_scene, loop.setting)
+        run = EndedRun(loop.record, report, loop.rendered_scene, loop.setting)
         kind, what, advice = GuardError, guard.sentence(run), guard.advice(run)
     elif ending in _FAILURES:
         kind, sentence = _FAILURES[ending]
@@ -142,7 +142,7 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
     if kind is GuardError and (hints := " ".join(unlikely(scene)).removesuffix(".")):
         advice = f"A likely mistake: {hints}"
     what = f"{what}. {advice}" if advice else what
-    what = f"{what}; {_where_the_force_is(scene, loop, bool(report.released))}"
+    what = f"{what}; {_force_state(scene, loop, bool(report.released))}"
     return _with_trace(kind(f"{name}: {what}"), trace)
 
 
@@ -210,7 +210,7 @@ def _useless_input(loop: LoopMemory, report: Report) -> str:
 def _stop_reason(loop: LoopMemory, report: Report) -> str:
     """Returns why the device stopped, as it says; where its watchdog expired, also what this host saw before."""
     state, fault = loop.state, int(loop.state.fault)
-    if not _says_released(loop):
+    if not _is_released(loop):
         return (
             f"it sent a STATUS with state {state.device_state} and fault {fault}, where an armed device says only that "
             "it is idle or latched (PROTOCOL.md, section 7)"
@@ -231,14 +231,14 @@ def _stop_reason(loop: LoopMemory, report: Report) -> str:
     held_up_s = force_s if report.ticks and position_s < 0.5 * watchdog_s else 0.0
     if int(loop.control.clock) == HOST_CLOCK:
         held_up_s = report.lateness_s.max or 0.0
-    held_up = f". This program, or its port, was held up for {duration(held_up_s)}. {STEADIER}"
+    held_up = f". This program, or its port, was held up for {duration(held_up_s)}. {STEADINESS_ADVICE}"
     return (
         f"{fault_text(fault)} ({loop.watchdog_samples} samples): {', '.join(before)}"
         f"{held_up if held_up_s > watchdog_s else ''}"
     )
 
 
-def _where_the_force_is(scene: Scene, loop: LoopMemory, released: bool) -> str:
+def _force_state(scene: Scene, loop: LoopMemory, released: bool) -> str:
     """Returns what is known of the force after the end of the loop, and what to do."""
     if released:
         return "the force is zero: the device confirmed that it released it"

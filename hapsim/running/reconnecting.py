@@ -22,7 +22,7 @@ from hapsim.loop import endings
 from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram
 from hapsim.recording.trace import Report, Statistics
-from hapsim.running.session import Session, follow, start
+from hapsim.running.session import Session, start, wait_and_report
 from hapsim.running.session_view import OfDevice
 from hapsim.scene import Scene
 from hapsim.stopping import stopping_on_signals
@@ -30,7 +30,7 @@ from hapsim.stopping import stopping_on_signals
 LOST = tuple(endings.IN_WORDS[one] for one in (endings.SILENT, endings.HUNG_UP, endings.FAILED, endings.DEVICE_STOPPED))
 """The endings in a report after which a device may come back."""
 
-_GLANCE_S = 0.05  # how soon a signal or the end of the duration is noticed while nothing runs
+_POLL_S = 0.05  # how soon a signal or the end of the duration is noticed while nothing runs
 _PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)  # before each try; the last one again and again
 _LONG_S = 10.0  # after a session of this length the pauses start from the first one
 
@@ -53,7 +53,7 @@ class RunObserver:
     """(event, sentence): `lost`, `waiting` (a try failed), `reconnected`."""
 
 
-def together(*observers: RunObserver) -> RunObserver:
+def observe_all(*observers: RunObserver) -> RunObserver:
     """Returns an observer that calls all of these, in this order."""
 
     def each(name: str) -> Callable[..., None]:
@@ -188,12 +188,12 @@ class _Reconnector:
     def run(self) -> Lifetime:
         """Runs session after session until one ends for good, or the device does not come back."""
         failure = self._run_once()
-        while failure is not None and self._may_come_back(failure):
+        while failure is not None and self._may_reconnect(failure):
             self.lost_at, why = time.monotonic(), str(failure)
             at = datetime.now(UTC).isoformat(timespec="milliseconds")
             self.interruptions.append(Interruption(why, at, 0.0, came_back=False))
             self.observer.report("lost", f"{why}. Waiting for {self._port} to answer again")
-            failure = self._come_back(why)
+            failure = self._reconnect(why)
         records, sound_files = (tuple(one.names[: len(self.runs)]) for one in (self.records, self.sound_files))
         return Lifetime(_report_of_all(self.runs), failure, tuple(self.interruptions), records, sound_files)
 
@@ -201,16 +201,16 @@ class _Reconnector:
     def _port(self) -> str:
         return self.scene.device.port or ""
 
-    def _may_come_back(self, failure: HapsimError) -> bool:
+    def _may_reconnect(self, failure: HapsimError) -> bool:
         lost = isinstance(failure, DeviceError) and self.runs[-1].report.ending in LOST
         wrong = isinstance(failure, DescriptionError)  # waiting would not help
-        return self.reconnect and lost and not wrong and self._goes_on()
+        return self.reconnect and lost and not wrong and self._should_continue()
 
-    def _come_back(self, why: str) -> HapsimError | None:
+    def _reconnect(self, why: str) -> HapsimError | None:
         """Tries until the device is armed again, and returns how that session ended. If it is never armed: None after a
         stop, a DeviceError after the duration. `why`: what had happened."""
-        said = ""
-        while self._waits_for_port():
+        last_error = ""
+        while self._wait_for_port():
             try:
                 return self._run_once()
             except (DescriptionError, UsageError) as error:
@@ -220,9 +220,9 @@ class _Reconnector:
                 break
             except DeviceError as error:
                 self.short += 1
-                if str(error) != said:
-                    said = str(error)
-                    self.observer.report("waiting", f"{said}. It is tried again until {self._port} answers")
+                if str(error) != last_error:
+                    last_error = str(error)
+                    self.observer.report("waiting", f"{last_error}. It is tried again until {self._port} answers")
         self._end_wait(came_back=False)
         if not self.stopped:
             return DeviceError(
@@ -240,18 +240,18 @@ class _Reconnector:
         self.interruptions[-1] = replace(self.interruptions[-1], waited_s=waited_s, came_back=came_back)
         return waited_s
 
-    def _waits_for_port(self) -> bool:
+    def _wait_for_port(self) -> bool:
         """Waits for a pause, and until a file of the port's name exists; False where the run is to end before."""
         pause_over = time.monotonic() + _PAUSES_S[min(self.short, len(_PAUSES_S) - 1)]
-        while self._goes_on():
+        while self._should_continue():
             is_there = not os.path.isabs(self._port) or os.path.exists(self._port)
             if is_there and time.monotonic() >= pause_over:
                 return True
             self.observer.waiting()
-            time.sleep(_GLANCE_S)
+            time.sleep(_POLL_S)
         return False
 
-    def _goes_on(self) -> bool:
+    def _should_continue(self) -> bool:
         left = self._left_s()
         return not self.stopped and (left is None or left > 0)
 
@@ -285,11 +285,11 @@ class _Reconnector:
                 if self.lost_at is not None:
                     waited_s = self._end_wait(came_back=True)
                     reset = "The device restarted: its position 0 is where it powered up or homed"
-                    told = f"armed again after {waited_s:.1f} s; the scene goes on as it is now"
-                    told += f". {reset}" if session.restarted else ""
-                    self.observer.report("reconnected", f"{self._port}: {told}")
+                    sentence = f"armed again after {waited_s:.1f} s; the scene goes on as it is now"
+                    sentence += f". {reset}" if session.restarted else ""
+                    self.observer.report("reconnected", f"{self._port}: {sentence}")
                 self.observer.started(session)
-                follow(session, self.observer.running)
+                wait_and_report(session, self.observer.running)
             trace = session.trace
         except RunError as error:
             if error.trace is None:

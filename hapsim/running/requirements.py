@@ -102,7 +102,7 @@ def require_not_less_stable(before: Scene, scene: Scene) -> None:
         raise UsageError(f"the scene is predicted unstable: {shaken.sentence(scene.units)}")
 
 
-def why_not_armed(path: str, scene: Scene, prediction: Prediction) -> str:
+def refusal_to_arm(path: str, scene: Scene, prediction: Prediction) -> str:
     """Returns why `scene`, of the file `path`, is not armed with this prediction; "" if it may be armed."""
     if not is_surely_unstable(prediction):
         return ""

@@ -21,7 +21,7 @@ from hapsim.running import outcome
 from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
 from hapsim.running.requirements import PACING, require_compatible, require_in_time, require_runnable
-from hapsim.running.session import Session, follow, start
+from hapsim.running.session import Session, start, wait_and_report
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource
@@ -60,7 +60,7 @@ def run_to_end(
     **options: Any,
 ) -> Trace:
     """Does what `run` does. A KeyboardInterrupt is passed to `on_interrupt` [default: raised]."""
-    show = options.get("on_progress") or (lambda _: None)
+    report = options.get("on_progress") or (lambda _: None)
     armed: Session | None = None
     stopped = False
 
@@ -84,7 +84,7 @@ def run_to_end(
         try:
             if on_start is not None:
                 on_start(session)
-            follow(session, show)
+            wait_and_report(session, report)
         except KeyboardInterrupt as interrupt:
             if on_interrupt is None:
                 raise

@@ -76,7 +76,7 @@ def unit_for(
     )
 
 
-def closed_to_service(scene: str) -> str:
+def service_access_problem(scene: str) -> str:
     """Returns why the system's service could not read the scene, the interpreter or hapsim; "" where it can."""
     user, number, group = _account()
     groups = [0] if number == 0 else os.getgrouplist(user, group)
@@ -188,7 +188,7 @@ class Notifier:
         self._send("STOPPING=1", *([f"STATUS={_one_line(why)}"] if why else []))
 
     @contextlib.contextmanager
-    def notifying_failures(self) -> Iterator[None]:
+    def notify_failures(self) -> Iterator[None]:
         """While open, notifies of every failure, also before arming."""
         try:
             yield

@@ -32,7 +32,7 @@ from hapsim.loop.buffers import last_bytes
 from hapsim.loop.compiled_loop import run_loop
 from hapsim.loop.counts import Progress
 from hapsim.loop.portable import PortableLoop
-from hapsim.loop.realtime import PrivilegeResult, no_timer_slack, realtime
+from hapsim.loop.realtime import PrivilegeResult, realtime, remove_timer_slack
 from hapsim.loop.system import missing_calls
 from hapsim.prediction.linear import with_device
 from hapsim.recording.recorder import Recorder
@@ -59,7 +59,7 @@ from hapsim.sound.wav import WavFile
 from hapsim.stopping import note_arming, undisturbed
 
 _COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
-_LOOK_S = 0.05  # how often the live line looks at the loop
+_REPORT_S = 0.05  # how often the live line looks at the loop
 _LAST_ROWS = 1 << 16  # of the last second, at most
 _MOST_HISTORY = 1 << 21  # rows
 _Keywords = ParamSpec("_Keywords")
@@ -97,7 +97,7 @@ class Session(SessionView):
                         "port. Call its `close` first (`hapsim.sessions()` returns the sessions that run)"
                     )
         self._in_python = options.portable or options.between is not None or bool(missing_calls())
-        self.gives_way = scene.device.clock != "lockstep" and not self._in_python
+        self.idle_priority = scene.device.clock != "lockstep" and not self._in_python
         """Whether work beside the loop gives way to it (hapsim.loop.background)."""
         self._over, self._done = threading.Event(), threading.Event()  # the loop has ended; everything has
         self._ending: int | None = None
@@ -111,7 +111,7 @@ class Session(SessionView):
             self._connection = self._open_device(scene, stack)
             self._loop = assemble_loop(scene, self._connection, self._description, options)
             require_in_time(self._loop.rendered_scene)
-            self._live = LiveScene(scene, self._loop, self._over.is_set, self.gives_way, options.unstable)
+            self._live = LiveScene(scene, self._loop, self._over.is_set, self.idle_priority, options.unstable)
             self._body: Callable[[Any], int] = run_loop
             if self._in_python:
                 self._body = PortableLoop(self._loop.record, self._loop.inbox, self._connection.transport).run
@@ -134,7 +134,7 @@ class Session(SessionView):
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        failure = self._leave()
+        failure = self._end()
         if failure is not None and kind is None:
             raise failure
 
@@ -151,7 +151,7 @@ class Session(SessionView):
 
         Raises what ended the run before, as `start` describes, the first time that it is called.
         """
-        failure = self._leave()
+        failure = self._end()
         if failure is not None:
             raise failure
 
@@ -170,8 +170,8 @@ class Session(SessionView):
         """Opens the device and asks for its description. Compiles what loop and mock need; the mock before it has to
         answer, the loop on a port only once the port is open."""
         options = self._options
-        show = options.on_progress or _ignore
-        counted = Counted(lambda name, share: show(Progress("compiling", name, share=share)))
+        report = options.on_progress or _ignore
+        counted = Counted(lambda name, share: report(Progress("compiling", name, share=share)))
         stack.enter_context(on_compilation(counted.add))
         require_possible_here(self._place, portable=options.portable or options.between is not None)
         loop = () if self._in_python else ("loop",)
@@ -235,11 +235,11 @@ class Session(SessionView):
             self._reader.start()
             loop.control.go = 1
         except BaseException:
-            self._leave()
+            self._end()
             raise
 
     def _run_loop(self) -> None:
-        no_timer_slack()
+        remove_timer_slack()
         try:
             ending = self._body(self._loop.record)
             while ending == endings.RING_FULL:
@@ -266,7 +266,7 @@ class Session(SessionView):
                     self._collect_sound()
             finally:
                 self._failure = self._finish()
-        except BaseException as error:  # `_leave` returns it to the thread that waits
+        except BaseException as error:  # `_end` returns it to the thread that waits
             self._failure = error
         if self._failure is None:
             _open.remove(self)
@@ -274,7 +274,7 @@ class Session(SessionView):
 
     # Ending
 
-    def _leave(self) -> BaseException | None:
+    def _end(self) -> BaseException | None:
         """Ends the run, waits until everything is released, and returns what was not yet raised of how it ended."""
         self.stop()
         if self._thread.ident is None:
@@ -423,11 +423,11 @@ def start(scene: SceneSource, **options: Any) -> Session:
     return session
 
 
-def follow(session: Session, show: Callable[[Progress], None]) -> None:
+def wait_and_report(session: Session, report: Callable[[Progress], None]) -> None:
     """Waits until the session has ended, and reports its progress meanwhile."""
-    while not session.wait(_LOOK_S):
-        show(session.progress())
-    show(session.progress())
+    while not session.wait(_REPORT_S):
+        report(session.progress())
+    report(session.progress())
 
 
 _NAME = "mock in memory"
@@ -442,7 +442,7 @@ def _end_with_the_program() -> None:
         for session in _open.copy():
             session.stop()
         for session in _open.copy():
-            failure = session._leave()
+            failure = session._end()
             session._reader.join()
             if failure is not None:
                 print(f"hapsim: {failure}", file=sys.stderr)

@@ -37,13 +37,13 @@ _LONGEST = 1 << 20
 
 
 @contextlib.contextmanager
-def serving_status(path: Path, document: Callable[[], str], gives_way: bool = True) -> Iterator[None]:
+def serve_status(path: Path, document: Callable[[], str], idle_priority: bool = True) -> Iterator[None]:
     """While open, sends what `document` returns to each client of `path`. Replaces the socket of a process that was
-    killed. Raises UsageError where no socket can be made. `gives_way`: the answering thread has idle priority."""
+    killed. Raises UsageError where no socket can be made. `idle_priority`: the answering thread has idle priority."""
     listening = _listen(path)
     asked_to_stop, stop = socket.socketpair()
     try:
-        work = BackgroundWork(lambda: _serve(listening, asked_to_stop, document), gives_way)
+        work = BackgroundWork(lambda: _serve(listening, asked_to_stop, document), idle_priority)
         try:
             yield
         finally:
@@ -85,13 +85,13 @@ def sockets(port: str | None = None) -> list[Path]:
     return list(found)
 
 
-def answers(path: Path) -> bool:
+def is_served(path: Path) -> bool:
     """Whether a run listens there: one that was killed leaves a socket behind."""
     with _unix_socket() as connection:
         return connection.connect_ex(str(path)) in (0, errno.EAGAIN)  # EAGAIN: its queue of clients is full
 
 
-def ask(path: Path) -> str:
+def request_status(path: Path) -> str:
     """Returns what the run at `path` sends. Raises UsageError where none answers."""
     with _unix_socket() as connection:
         try:
@@ -139,7 +139,7 @@ def _make_room(path: Path) -> None:
         return
     if not stat.S_ISSOCK(status.st_mode):
         raise UsageError(f"--status {path}: there is a file that is no socket; it was not touched")
-    if answers(path):
+    if is_served(path):
         raise UsageError(f"--status {path}: another hapsim reports its status there; name another path")
     path.unlink()
 

@@ -14,12 +14,12 @@ from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
 
 _OVER_S = 0.05  # the ramp of a change
-_AT_THE_NEXT_START = " (how it begins: felt at the next start)"
-_PATIENCE = 10  # looks at a missing file: an editor may replace it
+_NEXT_START = " (how it begins: felt at the next start)"
+_MOST_MISSES = 10  # looks at a missing file: an editor may replace it
 
 
 @dataclass(frozen=True)
-class News:
+class EditResult:
     """The result of an edit."""
 
     changed: tuple[str, ...] = ()
@@ -37,14 +37,14 @@ class WatchedFile:
         self._missed = 0
         self._refused = False
 
-    def look(self, session: Session) -> News | None:
+    def check(self, session: Session) -> EditResult | None:
         """Changes the running scene to what the file says, if it was written since the last look; else returns None.
 
         A file that is wrong, missing for ten looks, or asks for what cannot change while a scene runs, changes nothing.
         """
         stamp = _stamp(self._path)
         self._missed = 0 if stamp else self._missed + 1
-        if stamp is None and self._missed == _PATIENCE:
+        if stamp is None and self._missed == _MOST_MISSES:
             self._stamp = None
             return self._refuse(f"{self._path}: the file is gone; the scene goes on as it was")
         if stamp is None or stamp == self._stamp:
@@ -69,11 +69,11 @@ class WatchedFile:
         if not changed and not self._refused:
             return None
         self._refused = False
-        return News(changed=changed or ("nothing: the file says what runs",))
+        return EditResult(changed=changed or ("nothing: the file says what runs",))
 
-    def _refuse(self, why: str) -> News:
+    def _refuse(self, why: str) -> EditResult:
         self._refused = True
-        return News(refused=why)
+        return EditResult(refused=why)
 
 
 def _stamp(path: str) -> tuple[int, ...] | None:
@@ -91,7 +91,7 @@ def _differences(before: Scene, after: Scene) -> Iterator[str]:
     """Yields a phrase for each difference between two scenes."""
     yield from _different_keys("", before, after, ("scheme", "precision"))
     if before.mock is not None and after.mock is not None and before.mock.initial != after.mock.initial:
-        yield f"mock.initial{_AT_THE_NEXT_START}"
+        yield f"mock.initial{_NEXT_START}"
     hand, moved = parts_of(before)[MOCK_HAND], parts_of(after)[MOCK_HAND]
     yield from _different_keys(f"{MOCK_HAND}.", hand, moved, hand.live)
     for name in {**before.modules, **after.modules}:
@@ -102,8 +102,8 @@ def _differences(before: Scene, after: Scene) -> Iterator[str]:
             yield f"{name}: {old.type} → {new.type}"
         else:
             yield from _different_keys(f"{name}.", old, new, type(old).model_fields, old.initial)
-    for name, heard in before.sound.items():  # whose names are the same: others are refused
-        yield from _different_keys(f"sound.{name}.", heard, after.sound[name], type(heard).model_fields)
+    for name, pick_up in before.sound.items():  # whose names are the same: others are refused
+        yield from _different_keys(f"sound.{name}.", pick_up, after.sound[name], type(pick_up).model_fields)
 
 
 def _different_keys(
@@ -112,7 +112,7 @@ def _different_keys(
     for key in keys:
         old, new = getattr(before, key), getattr(after, key)
         if old != new:
-            yield f"{prefix}{key} {_text(old)} → {_text(new)}{_AT_THE_NEXT_START if key in initial else ''}"
+            yield f"{prefix}{key} {_text(old)} → {_text(new)}{_NEXT_START if key in initial else ''}"
 
 
 def _text(value: object) -> str:

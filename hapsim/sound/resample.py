@@ -24,7 +24,7 @@ from hapsim.compiling import fence, helper, reassociated
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.loop.histogram import HISTOGRAM, note
 from hapsim.loop.sound import SOUND_RING, SoundRing
-from hapsim.loop.system import SCRATCH, flush_denormals, now_ns, restore
+from hapsim.loop.system import SCRATCH, flush_denormals, now_ns, restore_denormals
 
 CHUNK = 64  # frames that are computed at once
 _HALF = 32  # taps on either side, at the lower rate
@@ -167,7 +167,7 @@ def play(_unused, output, count, times, flags, player):
         _fill(player, ring, out, first, some)
         first += some
     player.frames += frames
-    restore(mode)
+    restore_denormals(mode)
     return 0
 
 

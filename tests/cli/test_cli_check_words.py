@@ -13,7 +13,7 @@ import pytest
 
 from hapsim.cli.check_details import margin_sentence
 from hapsim.prediction import predict, unlikely, warnings_about
-from hapsim.running.requirements import why_not_armed
+from hapsim.running.requirements import refusal_to_arm
 from hapsim.scene import Scene, parse_scene
 
 Hapsim = Callable[..., Any]
@@ -154,7 +154,7 @@ def test_a_refusal_says_what_bounds_the_force() -> None:
     for links, most in ((detent, "the 3.2 N of its links"), ({"it": link(1e6, 0.0)}, "the force limit of 10 N")):
         scene = parsed(scene_of(links, force_limit=10.0))
         prediction = predict(scene)
-        assert f"oscillate with up to {most} until" in why_not_armed("x.yaml", scene, prediction)
+        assert f"oscillate with up to {most} until" in refusal_to_arm("x.yaml", scene, prediction)
         assert any(f"oscillates with up to {most}, until" in one for one in warnings_about(scene, prediction))
 
 

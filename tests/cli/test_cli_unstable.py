@@ -63,6 +63,6 @@ def test_a_running_scene_becomes_unstable_only_where_it_may(
             path.read_text(encoding="utf-8").replace("stiffness: 1000.0", "stiffness: 50000.0"), encoding="utf-8"
         )
         os.utime(path, ns=(1, 1))
-        news = file.look(session)
+        news = file.check(session)
         assert news is not None
         assert ("predicted unstable" in news.refused, bool(news.changed)) == (bool(file_refused), not file_refused)

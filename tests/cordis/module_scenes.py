@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hapsim.cordis.offline import follow_parameters, start, tick
+from hapsim.cordis.offline import start, tick, update_parameters
 from hapsim.cordis.program import Program, compile_scene, parameter_values
 from hapsim.scene import DamperScheme, Scene, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DetentShape
@@ -217,7 +217,7 @@ class Bench:
         if rests is not None and not np.array_equal(self._wanted[self._places], rests.astype(self._wanted.dtype)):
             self._wanted[self._places] = rests
             self.program.parameters.post(self._wanted, 1)
-        follow_parameters(self.program)
+        update_parameters(self.program)
         force = np.zeros(len(self.hands))
         tick(self.program, position, velocity, force)
         return force

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.cordis.offline import follow_parameters, start, tick
+from hapsim.cordis.offline import start, tick, update_parameters
 from hapsim.cordis.program import compile_scene, parameter_values
 from hapsim.scene import Scene
 
@@ -79,7 +79,7 @@ def played(scene: Scene) -> np.ndarray:
             program.parameters.post(values, 1)
         measured[0], velocity[0] = hand[n], speed[n]
         measured[1:] = 0.01 * np.sin(0.03 * n)
-        follow_parameters(program)
+        update_parameters(program)
         tick(program, measured, velocity, force)
         forces[n] = force[0]
     return forces

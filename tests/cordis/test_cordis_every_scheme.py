@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from hapsim.cordis.offline import follow_parameters, start, tick
+from hapsim.cordis.offline import start, tick, update_parameters
 from hapsim.cordis.program import PART_TYPES, Program, compile_scene, numbers_of, parameter_values, positions_of
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.scene import Scene, parse_scene
@@ -259,7 +259,7 @@ def ticks_of(program: Program, scene: Scene, seed: int) -> Iterator[tuple[Array,
     start(program, measured[0])
     for n in range(SAMPLES):
         force = np.zeros(len(OUTSIDE))
-        follow_parameters(program)
+        update_parameters(program)
         tick(program, measured[n], sensed[n], force)
         yield force, positions_of(program)[0][held].astype(np.float64)
 

@@ -15,7 +15,7 @@ from pydantic import Field
 import hapsim
 from hapsim.compiling.native import value_of
 from hapsim.cordis import program as programs
-from hapsim.cordis.build_context import BuildContext, Scheme, Taken
+from hapsim.cordis.build_context import BuildContext, PresentType, Scheme
 from hapsim.cordis.dispatch import Column, Part, action, fma_action
 from hapsim.cordis.modules.linear_links import damped_type, initialize_centred
 from hapsim.cordis.modules.link import Ends, count, link_type, pull_ends, pull_link, stretch
@@ -161,7 +161,7 @@ def go_on(points, state):
         state.force[p] = 0.0
 
 
-def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
+def _parts(scene: Scene, context: BuildContext, taken: Sequence[PresentType]) -> tuple[Part, ...]:
     mobility = mobility_of_all(scene, context)
     steps = EulerSteps(np.uint64(first_moved(scene)), mobility, np.zeros_like(mobility))
     return (*(one.build(context) for one in taken if not one.kind.moves_points), Part(steps, integrate=go_on))

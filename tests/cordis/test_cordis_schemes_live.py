@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from hapsim.cordis.offline import follow_parameters, start, tick
+from hapsim.cordis.offline import start, tick, update_parameters
 from hapsim.cordis.program import compile_scene, parameter_values, positions_of
 from hapsim.cordis.schemes import SCHEMES
 
@@ -43,7 +43,7 @@ def test_a_ground_that_moves_pulls_what_is_tied_to_it(scheme: str) -> None:
     values = parameter_values(scene)
     values[0] = 0.01
     program.parameters.post(values, 1)
-    follow_parameters(program)
+    update_parameters(program)
     tick(program, np.zeros(1), np.zeros(1), np.zeros(1))
     a = np.array(
         [[0.0, 1.0, 0.0], [-2 * 1e3 / 0.1, -2 * 2.0 / 0.1, (1e3 * 0.01 + 2.0 * 0.01 * RATE) / 0.1], [0.0, 0.0, 0.0]]

@@ -12,7 +12,7 @@ import pytest
 from pydantic import Field
 
 from firmware_protocol.compiled import new_record
-from hapsim.cordis.offline import follow_parameters, start, tick
+from hapsim.cordis.offline import start, tick, update_parameters
 from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
 from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
 from hapsim.laws import Law
@@ -45,7 +45,7 @@ def changed_while_it_moves(before: Any, after: Any, d: np.ndarray, at: int) -> n
     for n in range(len(d)):
         if n == at:
             program.parameters.post(parameter_values(scene_of(after)), RAMP)
-        follow_parameters(program)
+        update_parameters(program)
         tick(program, d[n : n + 1], np.zeros(1), force[n])
     return -force[:, 0]
 
@@ -117,7 +117,7 @@ def test_while_its_sharpness_ramps_a_detent_is_a_detent(shape: str) -> None:
         tension = np.zeros_like(d)
         for n, x in enumerate(d):
             start(program, np.array([x]))
-            follow_parameters(program)
+            update_parameters(program)
             tick(program, np.array([x]), np.zeros(1), force)
             tension[n] = -force[0]
         assert np.abs(tension).max() == pytest.approx(depth, rel=0.05)

@@ -12,7 +12,7 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device
 from hapsim.device.mock.assemble_mock import assemble_mock
-from hapsim.device.mock.firmware import look_at_watchdog, prepare, take_bytes, take_sample
+from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
 
 
@@ -101,8 +101,8 @@ class Host:
         take_sample(self.mock, now)
         return self.listen()
 
-    def look_at_watchdog(self, now: int = 0) -> list[Heard]:
-        look_at_watchdog(self.mock, now)
+    def check_watchdog(self, now: int = 0) -> list[Heard]:
+        check_watchdog(self.mock, now)
         return self.listen()
 
     # Hearing the answer.

@@ -104,7 +104,7 @@ def test_no_stream_of_bytes_breaks_the_mock_or_its_promises(
         if host.state == schema.ARMED and host.mock.board.pacing == DEVICE:
             host.sample_passes(now=i * T_NS)
             assert_safe(host)
-        host.look_at_watchdog(now=i * T_NS)
+        host.check_watchdog(now=i * T_NS)
         assert_safe(host)
         assert host.misread == 0
     if not high_scale:
@@ -231,7 +231,7 @@ class Model:
         self.n += 1
         self.said.append((schema.POSITION if in_time else schema.POSITION_HELD, self.n % 4096))
 
-    def look_at_watchdog(self, now: int) -> None:
+    def check_watchdog(self, now: int) -> None:
         if self.state != schema.ARMED or self.pacing == LOCKSTEP:
             return  # no test here waits ten seconds
         quiet = self.n - self.quiet_since if self.pacing == DEVICE else (now - self.quiet_since_ns) // T_NS
@@ -286,8 +286,8 @@ def test_whatever_is_said_the_mock_and_a_model_of_its_firmware_say_and_command_t
             model.sample()
         elif event == "time":
             now += int(what[0] * T_NS)
-            heard += host.look_at_watchdog(now)
-            model.look_at_watchdog(now)
+            heard += host.check_watchdog(now)
+            model.check_watchdog(now)
         elif event == "arm":
             heard += host.arm(*what, now)
             model.arm(*what, True, now)
@@ -300,7 +300,7 @@ def test_whatever_is_said_the_mock_and_a_model_of_its_firmware_say_and_command_t
         elif event == "wrong format":
             heard += host.send(host.frame(what[0], 0, 1, [HASH], armed=not listening), now)
         if i == 0 and model.state == schema.ARMED:  # as after a long run
-            host.mock.board.n = host.mock.board.heard = model.n = model.quiet_since = start
+            host.mock.board.n = host.mock.board.accepted = model.n = model.quiet_since = start
             host.mock.board.answered = start - 1
         assert_safe(host)
         assert host.state == model.state

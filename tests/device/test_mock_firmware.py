@@ -114,8 +114,8 @@ def test_paced_by_the_host_the_watchdog_is_a_time(new_host: New, rate: float) ->
     host.arm(HOST, watchdog=10, now=start)
     host.force(0, [FULL], now=start + T_NS)
     period = 1e9 / rate
-    assert host.look_at_watchdog(now=start + T_NS + int(10.99 * period)) == []
-    (status,) = host.look_at_watchdog(now=start + T_NS + int(11.01 * period))
+    assert host.check_watchdog(now=start + T_NS + int(10.99 * period)) == []
+    (status,) = host.check_watchdog(now=start + T_NS + int(11.01 * period))
     assert (status.state, status.fault) == (schema.LATCHED, schema.HOST_QUIET)
     assert not host.commanded.any()
 
@@ -161,8 +161,8 @@ def test_in_lockstep_only_a_host_that_is_gone_latches_whatever_the_watchdog(new_
     host = new_host()
     host.arm(LOCKSTEP, watchdog=1, now=10**12)
     host.force(0, [FULL], now=10**12 + 5 * 10**9)
-    assert host.look_at_watchdog(now=10**12 + 15 * 10**9) == []
-    (status,) = host.look_at_watchdog(now=10**12 + 15 * 10**9 + 1)
+    assert host.check_watchdog(now=10**12 + 15 * 10**9) == []
+    (status,) = host.check_watchdog(now=10**12 + 15 * 10**9 + 1)
     assert (status.state, status.fault) == (schema.LATCHED, schema.HOST_QUIET)
     assert not host.commanded.any()
     assert host.register(schema.REG_VERSION) == schema.VERSION  # the next host is heard
@@ -170,10 +170,10 @@ def test_in_lockstep_only_a_host_that_is_gone_latches_whatever_the_watchdog(new_
 
 def test_the_watchdog_sleeps_while_the_device_is_not_armed(new_host: New) -> None:
     host = new_host()
-    assert host.look_at_watchdog(now=10**18) == []
+    assert host.check_watchdog(now=10**18) == []
     host.arm(HOST, watchdog=1, now=0)
     host.disarm()
-    assert host.look_at_watchdog(now=10**18) == []
+    assert host.check_watchdog(now=10**18) == []
 
 
 def latched(new_host: New, channels: int = 1) -> Any:
@@ -182,7 +182,7 @@ def latched(new_host: New, channels: int = 1) -> Any:
     host.force(0, [FULL] * channels, 255)
     host.sample_passes()
     host.sample_passes()
-    assert host.look_at_watchdog()[0].state == schema.LATCHED
+    assert host.check_watchdog()[0].state == schema.LATCHED
     return host
 
 

@@ -47,7 +47,7 @@ def test_after_a_straight_ramp_the_mock_is_one_in_the_new_hand(
     built.arm()
     moving = LiveHand(host.mock, scene)
     begun, wanted = of_bodies(host.bodies), of_bodies(built.bodies)
-    moving.follow(with_hand(scene, **then), N)
+    moving.retarget(with_hand(scene, **then), N)
     for n in range(N):
         host.force(n, forces(n))
         built.force(n, forces(n))
@@ -66,7 +66,7 @@ def test_each_change_goes_on_from_where_the_hand_is_and_takes_four_ms_at_least(n
     host.arm()
     moving, seen = LiveHand(host.mock, scene), []
     for step in range(1, 15):  # twice 4 ms apart, then 2 ms apart
-        moving.follow(with_hand(scene, stiffness=100.0, position=0.001 * step), 1)
+        moving.retarget(with_hand(scene, stiffness=100.0, position=0.001 * step), 1)
         for _ in range(4 if step < 3 else 2):
             host.force(int(host.mock.board.n))
             seen.append(float(host.bodies["push"][0]))
@@ -80,7 +80,7 @@ def test_a_device_that_is_armed_anew_stays_in_the_hand(new_scene: New, new_host:
     scene, host = new_scene(2, device=DEVICE), new_host(2, device=DEVICE)
     host.arm()
     moving = LiveHand(host.mock, scene)
-    moving.follow(with_hand(scene, **HELD), 1)
+    moving.retarget(with_hand(scene, **HELD), 1)
     for n in range(5):
         host.force(n)
     held = of_bodies(host.bodies)

@@ -229,7 +229,7 @@ def test_a_device_that_latches_while_it_sends_velocities_says_so_in_their_format
     host.arm(schema.PACED_BY_DEVICE, watchdog=1, velocity=True)
     for _ in range(3):
         host.sample_passes()
-    (status,) = host.look_at_watchdog()
+    (status,) = host.check_watchdog()
     assert status.counts == (schema.LATCHED | schema.HOST_QUIET << 8, 0, 0, 0, 0, 0)
     assert host.register(schema.REG_FAULT) == schema.HOST_QUIET
     assert host.misread == 0

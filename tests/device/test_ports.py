@@ -17,7 +17,7 @@ import pytest
 from serial.tools import list_ports
 
 from hapsim.device import ports
-from hapsim.device.ports import free_name, is_new, linked, open_serial_port, who_holds
+from hapsim.device.ports import free_name, is_first_use, link_to, open_serial_port, port_holders
 from hapsim.errors import DeviceError, UsageError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
@@ -42,7 +42,7 @@ def refusal(name: Path) -> str:
 def test_a_link_to_a_pseudo_terminal_that_is_gone_is_replaced(tmp_path: Path) -> None:
     name = tmp_path / "port"
     name.symlink_to("/dev/pts/99999")
-    with terminal() as port, linked(name, port) as named:
+    with terminal() as port, link_to(name, port) as named:
         assert (named, os.readlink(name)) == (str(name), port)
     assert not name.is_symlink()
     free_name(name)
@@ -59,7 +59,7 @@ def test_a_link_to_a_pseudo_terminal_that_is_there_stays(tmp_path: Path) -> None
 
 def test_a_link_that_leads_elsewhere_by_now_stays(tmp_path: Path) -> None:
     name = tmp_path / "port"
-    with terminal() as port, linked(name, "/dev/pts/99999"):
+    with terminal() as port, link_to(name, "/dev/pts/99999"):
         name.unlink()
         name.symlink_to(port)
     assert os.readlink(name) == port
@@ -84,7 +84,7 @@ def test_what_is_no_link_of_ours_stays(tmp_path: Path, made, told: str) -> None:
 
 def test_a_name_where_no_link_can_be_made_is_told_with_what_to_do(tmp_path: Path) -> None:
     told = "No such file or directory; choose a name in a directory of yours"
-    with pytest.raises(UsageError, match=told), linked(tmp_path / "none" / "port", "/dev/pts/99999"):
+    with pytest.raises(UsageError, match=told), link_to(tmp_path / "none" / "port", "/dev/pts/99999"):
         pass
 
 
@@ -137,7 +137,7 @@ def test_the_program_that_holds_a_port_is_named_and_killed_it_holds_nothing(port
 
 
 def test_without_a_lock_those_are_told_that_have_it_open(by_id: str) -> None:
-    assert who_holds(by_id) == f"this process itself (PID {os.getpid()}) has it open"
+    assert port_holders(by_id) == f"this process itself (PID {os.getpid()}) has it open"
 
 
 def test_who_waits_for_a_lock_or_has_died_holds_no_port(
@@ -158,10 +158,10 @@ def test_who_waits_for_a_lock_or_has_died_holds_no_port(
         (tmp_path / str(number)).mkdir()
     (tmp_path / "7" / "cmdline").write_bytes(b"hapsim\0run\0my\xffscene.yaml\0")
     monkeypatch.setattr(ports, "_PROC", tmp_path)
-    assert who_holds(port) == "PID 7 (hapsim run my\N{REPLACEMENT CHARACTER}scene.yaml) holds its lock"
+    assert port_holders(port) == "PID 7 (hapsim run my\N{REPLACEMENT CHARACTER}scene.yaml) holds its lock"
     monkeypatch.setattr(ports, "_PROC", tmp_path / "nowhere")
-    assert who_holds(port) == ""
-    assert who_holds(str(tmp_path / "nowhere")) == ""
+    assert port_holders(port) == ""
+    assert port_holders(str(tmp_path / "nowhere")) == ""
 
 
 def test_a_port_of_the_mock_is_open_to_the_next_who_is_not_root(port: str) -> None:
@@ -190,8 +190,8 @@ def device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_a_device_is_new_once(device: str) -> None:
-    assert [is_new(device), is_new(device)] == [True, False]
-    assert not is_new(f"{device}_that_is_not_there")
+    assert [is_first_use(device), is_first_use(device)] == [True, False]
+    assert not is_first_use(f"{device}_that_is_not_there")
 
 
 def test_a_device_is_known_by_its_serial_number_at_any_port(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,7 +200,7 @@ def test_a_device_is_known_by_its_serial_number_at_any_port(device: str, monkeyp
         there.touch()
         numbered = [SimpleNamespace(device=str(there), serial_number=number)]
         monkeypatch.setattr(list_ports, "comports", lambda numbered=numbered: numbered)
-        assert is_new(str(there)) == new
+        assert is_first_use(str(there)) == new
 
 
 def test_where_nothing_can_be_kept_nothing_is_said(
@@ -208,4 +208,4 @@ def test_where_nothing_can_be_kept_nothing_is_said(
 ) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
-    assert not is_new(device)
+    assert not is_first_use(device)

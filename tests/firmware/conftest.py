@@ -18,7 +18,7 @@ from firmware_protocol import schema
 from firmware_protocol.description import to_registers
 from firmware_protocol.vectors import DEVICES, LIMIT, STATES
 from hapsim.device.mock.assemble_mock import assemble_mock, describe_mock
-from hapsim.device.mock.firmware import OUTBOX_BYTES, look_at_watchdog, prepare, take_bytes, take_sample
+from hapsim.device.mock.firmware import OUTBOX_BYTES, check_watchdog, prepare, take_bytes, take_sample
 from hapsim.scene import Scene
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -171,7 +171,7 @@ class MockPlayer:
             return self._said(lambda: take_bytes(self.mock, data, data.size, self.now))
         elif "pass" in step:
             self.now += step["pass"] * _PERIOD_NS // 1000
-            return self._said(lambda: look_at_watchdog(self.mock, self.now))
+            return self._said(lambda: check_watchdog(self.mock, self.now))
         else:
             return b"".join(self._tick() for _ in range(step["tick"]))
         return b""
@@ -182,7 +182,7 @@ class MockPlayer:
         before = b""
         if self.state == "armed" and self.mock.board.pacing == schema.PACED_BY_DEVICE:
             before = self._said(lambda: take_sample(self.mock, self.now))
-        return before + self._said(lambda: look_at_watchdog(self.mock, self.now))
+        return before + self._said(lambda: check_watchdog(self.mock, self.now))
 
     def _said(self, event: Callable[[], None]) -> bytes:
         self.mock.board.out = OUTBOX_BYTES if self.full else 0

@@ -70,8 +70,8 @@ WAYS_OUT = {
     ),
     "Ctrl-C again at the end": (
         "session = runs(hapsim.start(scene))\n"
-        "leave = hapsim.Session._leave\n"
-        "hapsim.Session._leave = lambda self: [os.kill(os.getpid(), signal.SIGINT), leave(self)][1]",
+        "end = hapsim.Session._end\n"
+        "hapsim.Session._end = lambda self: [os.kill(os.getpid(), signal.SIGINT), end(self)][1]",
         0,
         "",
     ),

@@ -10,7 +10,7 @@ import pytest
 import hapsim
 from hapsim.compiling import entry
 from hapsim.cordis.program import numbers_of, positions_of
-from hapsim.loop.system import flush_denormals, restore
+from hapsim.loop.system import flush_denormals, restore_denormals
 from hapsim.running import Session
 from hapsim.scene import Scene
 
@@ -26,7 +26,7 @@ RATE, MASS = 1000.0, 0.1
 def product_while_flushed(a, b):
     mode = flush_denormals()
     flushed = a * b
-    restore(mode)
+    restore_denormals(mode)
     return flushed
 
 

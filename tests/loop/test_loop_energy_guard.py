@@ -30,9 +30,9 @@ from hapsim.loop.guards.energy_guard import (
     SHAKING,
     SWINGING,
     SWINGS,
-    follow_scene,
     is_strict,
     judge_energy,
+    set_predicted_unstable,
     watch_energy,
 )
 from hapsim.loop.hooks import TICK, call_hook
@@ -250,7 +250,7 @@ def judge(
         credit_j=1e15,
     )
     record.limit[:] = energy
-    follow_scene(record, unstable=unstable)
+    set_predicted_unstable(record, unstable=unstable)
     kept = history_hook(history, delay=delay, keeps_last_force=True)
     hooks = [keep.address(), address_of(history), judge_energy.address(), address_of(record)]
     told = np.asarray(positions, np.int64), stiffness, damping, limit

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hapsim.errors import DeviceError, GuardError
-from hapsim.loop.guards.energy_guard import MOST_HELD
+from hapsim.loop.guards.energy_guard import MOST_STORED
 from hapsim.prediction.characteristic import characteristic_of
 from hapsim.running import run
 from hapsim.scales import SCALES
@@ -123,7 +123,7 @@ def test_what_is_wound_up_at_arming_is_no_scene_that_gives(kind: str, at: float)
 
 @pytest.mark.parametrize("far", [1e3, 1e200])
 def test_an_endless_store_lends_up_to_ten_metres_at_the_force_limit(far: float) -> None:
-    assert MOST_HELD * CREDIT == 10.0
+    assert MOST_STORED * CREDIT == 10.0
     ball: Modules = {"ball": {"type": "mass", "mass": 0.5, "velocity": far}, "touch": LINKS["spring"]}
     sessions: list[Any] = []
     linked = {"to_ball": {"type": "damper", "between": ["hand", "ball"], "damping": 1e-9}}

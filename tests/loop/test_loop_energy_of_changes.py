@@ -16,7 +16,7 @@ from rich.console import Console
 
 from firmware_protocol.compiled import new_record
 from hapsim.cli.live import live_line
-from hapsim.cordis.offline import follow_parameters, start
+from hapsim.cordis.offline import start, update_parameters
 from hapsim.cordis.program import Program, compile_scene, parameter_values, positions_of
 from hapsim.cordis.stored_energy import TANK, StoredEnergy, Tank, evaluate
 from hapsim.loop.counts import Progress
@@ -239,7 +239,7 @@ def test_a_change_adds_its_energy(modules: dict[str, Any], change: dict[str, dic
     for samples in (5, 1):
         program.parameters.post(parameter_values(parse_scene(json.dumps(document))), samples)
         for _ in range(samples):
-            follow_parameters(program)
+            update_parameters(program)
     assert float(tank.spent) == pytest.approx(added, abs=1e-12)
     assert float(tank.level) == pytest.approx(CAPACITY - max(TAKEN + added, 0.0), abs=1e-12)
 
@@ -353,5 +353,5 @@ def test_a_change_of_a_detent_or_a_click_adds_the_area_that_it_changes(
         program, tank = accounted(scenes["before"], hand)
         tank.level = CAPACITY - TAKEN
         program.parameters.post(parameter_values(scenes["after"]), 1)
-        follow_parameters(program)
+        update_parameters(program)
         assert float(tank.spent) == pytest.approx(added, abs=2e-8), hand

@@ -10,7 +10,7 @@ from frozen_device import FrozenDevice, after
 from loop_rig import arrive, assembled, frame, scene_of, served
 
 from hapsim.errors import GuardError
-from hapsim.loop.endings import HEARD
+from hapsim.loop.endings import RECEIVED
 from hapsim.loop.guards.frozen_sensor import MOST_RAMP_S, MOST_WAIT_S
 from hapsim.loop.ring import FADED
 from hapsim.recording.trace import Trace
@@ -186,7 +186,7 @@ def test_lost_positions_are_bridged() -> None:
     for step in (1, 4):
         loop = assembled(scene_of(damping=0.0), options=RunOptions(judges_energy=True))
         for n in range(0, 400, step):
-            assert arrive(loop, frame(n, 2000), 1_000_000 * (n + 1)) == HEARD
+            assert arrive(loop, frame(n, 2000), 1_000_000 * (n + 1)) == RECEIVED
             loop.record.state.unanswered = 0  # its force has left
             if loop.record.frozen_sensor.tests and step not in begun:
                 begun[step] = n

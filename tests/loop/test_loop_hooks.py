@@ -15,7 +15,7 @@ from hapsim.errors import GuardError
 from hapsim.loop import endings, guards
 from hapsim.loop.guards import GUARDS, HOOKS, energy_guard, in_words
 from hapsim.loop.hooks import HOOKS as CALLS
-from hapsim.loop.hooks import TICK, Ended, Guard, Hook, Setting, Stage, call_hooks, hook, io_at, set_hooks, tick_at
+from hapsim.loop.hooks import TICK, EndedRun, Guard, Hook, Setting, Stage, call_hooks, hook, io_at, set_hooks, tick_at
 from hapsim.running import run
 
 TOO_FAR = -40
@@ -40,7 +40,7 @@ def distance_guard(most_m: float) -> tuple[Guard, Any]:
         record.most_m = most_m
         return record if setting.scene.channels == 1 else None
 
-    def sentence(run: Ended) -> str:
+    def sentence(run: EndedRun) -> str:
         return f"the hand was {record.far_m:.3f} m away at tick {run.report.ticks}"
 
     return Guard("distance", BOUND, {Stage.JUDGE: judge_distance}, set_up, TOO_FAR, "too far", sentence), record

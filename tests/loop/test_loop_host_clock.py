@@ -16,7 +16,7 @@ from firmware_protocol.decoder import Frame, frames_in, new_decoder
 from hapsim.compiling.native import array_at, record_at
 from hapsim.loop.clocks import next_point
 from hapsim.loop.compiled_loop import run_loop
-from hapsim.loop.endings import DONE, HEARD, TIMED_OUT
+from hapsim.loop.endings import DONE, RECEIVED, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.portable import PortableLoop, _compose
 from hapsim.loop.ring import OFF_GRID, UNSENT
@@ -135,7 +135,7 @@ def test_a_sample_that_took_clearly_more_or_less_than_a_period_is_marked() -> No
     took = [0, period, period + most, period + most + 1, period - most, period - most - 1, 0, 3600 * 10**9, period]
     for number, ns in enumerate(took):
         now += ns
-        assert arrive(loop, frame(number, number), now) == HEARD
+        assert arrive(loop, frame(number, number), now) == RECEIVED
     _compose(loop.record, True)  # which shows the reader what there is
     marked = [0, 0, 0, OFF_GRID, 0, OFF_GRID, OFF_GRID, OFF_GRID, 0]
     assert (loop.ring.drain()["flags"] & OFF_GRID).tolist() == marked

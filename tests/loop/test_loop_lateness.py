@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 from loop_rig import arrive, assembled, frame, scene_of
 
-from hapsim.loop.endings import HEARD, TIMED_OUT
+from hapsim.loop.endings import RECEIVED, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
 from hapsim.running.assemble_loop import LoopMemory
 
 BEGIN, PERIOD = 5_000_000_000, 1_000_000  # ns
 
 
-def hear(loop: LoopMemory, number: int, at: float, code: int = HEARD) -> None:
+def hear(loop: LoopMemory, number: int, at: float, code: int = RECEIVED) -> None:
     """Position `number` arrives at `at` periods after the first one's."""
     assert arrive(loop, frame(number, 0), BEGIN + round(at * PERIOD)) == code
 

@@ -97,7 +97,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 @pytest.fixture(autouse=True)
 def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reconnecting, "_PAUSES_S", (0.0,))
-    monkeypatch.setattr(reconnecting, "_GLANCE_S", 1e-3)
+    monkeypatch.setattr(reconnecting, "_POLL_S", 1e-3)
 
 
 @pytest.fixture

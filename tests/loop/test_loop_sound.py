@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hapsim.cordis.offline import start, tick
 from hapsim.cordis.program import compile_scene, positions_of
 from hapsim.errors import UsageError
-from hapsim.loop.endings import HEARD
+from hapsim.loop.endings import RECEIVED
 from hapsim.loop.sound import KNEE
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.running.changes import LiveScene
@@ -47,7 +47,7 @@ def heard(scene: Scene, hands: list[int], change: Any = None) -> tuple[LoopMemor
     if change is not None:
         change(LiveScene(scene, loop))
     for number, counts in enumerate(hands):
-        assert arrive(loop, frame(number, counts), 1 + number * 1_000_000) == HEARD
+        assert arrive(loop, frame(number, counts), 1 + number * 1_000_000) == RECEIVED
     assert loop.sound is not None
     frames = loop.sound.drain()
     assert loop.sound.lost == 0

@@ -10,7 +10,7 @@ from loop_rig import arrive, assembled, frame, scene_of
 from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import armed_format
-from hapsim.loop.endings import HEARD
+from hapsim.loop.endings import RECEIVED
 from hapsim.loop.portable import _compose
 from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
 from hapsim.running.assemble_loop import LoopMemory
@@ -27,7 +27,7 @@ def on(clock: str, **device: Any) -> LoopMemory:
 
 def hear(loop: LoopMemory, number: int, at: int, kind: int = schema.POSITION) -> None:
     """The loop takes a position at FAR, at a time in ns."""
-    assert arrive(loop, frame(number, FAR, kind=kind), at) == HEARD
+    assert arrive(loop, frame(number, FAR, kind=kind), at) == RECEIVED
 
 
 def leaves(loop: LoopMemory, now: int) -> list[int]:

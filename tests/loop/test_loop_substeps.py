@@ -10,7 +10,7 @@ from loop_rig import POSITION_SCALE, arrive, assembled, frame
 from numpy.typing import NDArray
 
 from hapsim.errors import SceneError, UsageError
-from hapsim.loop.endings import HEARD
+from hapsim.loop.endings import RECEIVED
 from hapsim.running import requirements, start
 from hapsim.running.changes import LiveScene
 from hapsim.scene import Scene, parse_scene
@@ -72,7 +72,7 @@ def answered(scene: Scene, change: Any = None) -> list[float]:
         change(LiveScene(scene, loop))
     forces = []
     for i, (number, counts) in enumerate(ARRIVALS):
-        assert arrive(loop, frame(number, counts), 1 + i * 1_000_000) == HEARD
+        assert arrive(loop, frame(number, counts), 1 + i * 1_000_000) == RECEIVED
         forces.append(float(loop.record.io.asked[0]))
     return forces
 
@@ -155,7 +155,7 @@ def test_the_mean_weakens_fast_vibration_by_a_box_filter(hertz: float, weaker_db
         loop = assembled(scene_of(substeps, decimation, modules=modules))
         force = []
         for number in range(samples):
-            assert arrive(loop, frame(number, 0), 1 + number * 1_000_000) == HEARD
+            assert arrive(loop, frame(number, 0), 1 + number * 1_000_000) == RECEIVED
             force.append(float(loop.record.io.asked[0]))
         angle = 2.0 * np.pi * hertz * np.arange(samples) / RATE
         both, *_ = np.linalg.lstsq(np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array(force), rcond=None)

@@ -10,7 +10,7 @@ from loop_rig import arrive, assembled, frame, scene_of
 from numpy.typing import NDArray
 
 from hapsim.errors import DescriptionError, GuardError, UsageError
-from hapsim.loop.endings import HEARD
+from hapsim.loop.endings import RECEIVED
 from hapsim.loop.guards.travel import OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED, LIMITED
 from hapsim.measuring.measure import pushes
@@ -145,7 +145,12 @@ def test_after_lost_positions_the_newest_one_counts() -> None:
     scene = scene_of(stiffness=100.0, damping=0.0, device={**BAND, "clock": "device"})
     loop = assembled(scene)
     inside, far, beyond = 1000, 11000, 14000  # µm
-    for number, counts, code in ((0, inside, HEARD), (1, inside, HEARD), (7, far, HEARD), (12, beyond, OUT_OF_TRAVEL)):
+    for number, counts, code in (
+        (0, inside, RECEIVED),
+        (1, inside, RECEIVED),
+        (7, far, RECEIVED),
+        (12, beyond, OUT_OF_TRAVEL),
+    ):
         assert arrive(loop, frame(number, counts), 1_000_000 * (number + 1)) == code
         asked = -100.0 * counts * 1e-6
         sent = int(loop.record.io.force_counts[0])

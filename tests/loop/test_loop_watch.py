@@ -48,8 +48,8 @@ def edit(path: Path, old: str, new: str) -> None:
 
 def test_an_untouched_file_is_no_news(path: Path, session: Session) -> None:
     file = WatchedFile(str(path))
-    assert file.look(session) is None
-    assert file.look(session) is None
+    assert file.check(session) is None
+    assert file.check(session) is None
 
 
 def test_an_edit_of_the_sound_is_reported(path: Path) -> None:
@@ -57,7 +57,7 @@ def test_an_edit_of_the_sound_is_reported(path: Path) -> None:
     with hapsim.start(load_scene(path)) as session:
         file = WatchedFile(str(path))
         edit(path, "gain: 1.0", "gain: 0.5")
-        news = file.look(session)
+        news = file.check(session)
         assert news is not None
         assert news.changed == ("sound.ear.gain 1 → 0.5",)
         assert session.scene.sound["ear"].gain == 0.5
@@ -67,10 +67,10 @@ def test_what_is_edited_is_adopted_and_reported_once(path: Path, session: Sessio
     file = WatchedFile(str(path))
     edit(path, "stiffness: 1000, damping: 2", "stiffness: 500, damping: 3")
     edit(path, "position: 0.0", "position: 0.01")
-    news = file.look(session)
+    news = file.check(session)
     assert news.changed == ("wall.position 0 → 0.01", "touch.stiffness 1000 → 500", "touch.damping 2 → 3")
     assert session.scene.links["touch"].stiffness == 500.0  # type: ignore[attr-defined]
-    assert file.look(session) is None
+    assert file.check(session) is None
 
 
 @pytest.mark.parametrize(
@@ -86,13 +86,13 @@ def test_an_error_changes_nothing_and_is_reported_once(
 ) -> None:
     file, before = WatchedFile(str(path)), session.scene
     edit(path, old, new)
-    news = file.look(session)
+    news = file.check(session)
     assert sentence in news.refused
     assert not news.changed
     assert session.scene == before
-    assert file.look(session) is None
+    assert file.check(session) is None
     edit(path, new, old)
-    back = file.look(session)
+    back = file.check(session)
     assert back.changed == ("nothing: the file says what runs",)
 
 
@@ -100,16 +100,16 @@ def test_a_file_that_is_gone_for_a_moment_is_waited_for(path: Path, session: Ses
     file = WatchedFile(str(path))
     text = path.read_text(encoding="utf-8")
     path.unlink()
-    assert file.look(session) is None
+    assert file.check(session) is None
     path.write_text(text.replace("1000, damping", "700, damping"), encoding="utf-8")
-    news = file.look(session)
+    news = file.check(session)
     assert news.changed == ("touch.stiffness 1000 → 700",)
 
 
 def test_a_file_that_stays_away_is_reported_once(path: Path, session: Session) -> None:
     file = WatchedFile(str(path))
     path.unlink()
-    told = [news for _ in range(30) if (news := file.look(session)) is not None]
+    told = [news for _ in range(30) if (news := file.check(session)) is not None]
     assert len(told) == 1
     assert "the file is gone" in told[0].refused
 
@@ -118,13 +118,13 @@ def test_a_pipe_in_its_place_holds_nothing_up(path: Path, session: Session) -> N
     file = WatchedFile(str(path))
     path.unlink()
     os.mkfifo(path)
-    assert file.look(session) is None
+    assert file.check(session) is None
 
 
 def test_the_port_of_the_command_counts_more_than_the_files(path: Path) -> None:
     with served(load_scene(path)) as (scene, _), hapsim.start(scene) as session:
         file = WatchedFile(str(path))
         edit(path, "stiffness: 1000", "stiffness: 400")
-        news = file.look(session)
+        news = file.check(session)
         assert news.changed == ("touch.stiffness 1000 → 400",)
         assert session.scene.device.port == scene.device.port

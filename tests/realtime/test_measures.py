@@ -19,12 +19,12 @@ from hapsim.loop import realtime
 from hapsim.loop.realtime import (
     PRIORITY,
     PrivilegeResult,
-    collector_frozen,
-    idle_states_off,
+    disable_idle_states,
+    freeze_collector,
+    lock_memory,
     login_limit,
-    memory_locked,
-    no_timer_slack,
-    scheduled_fifo,
+    remove_timer_slack,
+    use_fifo,
 )
 
 Refuse = Callable[[str, int], None]
@@ -60,7 +60,7 @@ def test_nothing_is_collected_while_it_lasts_and_afterwards_all_is_as_it_was(ena
         gc.disable()
     before = gc.get_freeze_count()
     made_since: list[list[int]] = [[] for _ in range(1000)]
-    with collector_frozen(1) as grant:
+    with freeze_collector(1) as grant:
         assert not gc.isenabled()
         assert gc.get_freeze_count() > 0
     assert grant.granted
@@ -75,7 +75,7 @@ def test_garbage_is_collected_before_the_rest_is_set_aside() -> None:
     freed: list[bool] = []
     Ring(freed)
     assert not freed
-    with collector_frozen(1):
+    with freeze_collector(1):
         assert freed == [True]
 
 
@@ -118,7 +118,7 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[object,
 def test_mapped_memory_is_locked(calls: list[tuple[object, ...]], tmp_path: Path, is_told: bool, detail: str) -> None:
     if not is_told:
         (tmp_path / "status").unlink()
-    with memory_locked(1) as grant:
+    with lock_memory(1) as grant:
         assert calls == [("mlockall", 1)], "MCL_CURRENT alone"
     assert calls[1:] == [("munlockall",)]
     assert (grant.granted, grant.detail) == (True, detail)
@@ -129,7 +129,7 @@ def test_more_than_the_control_group_has_is_not_locked(
 ) -> None:
     """The kernel would kill the process without a word."""
     monkeypatch.setattr(realtime, "memory_limit", lambda: 25e6)
-    with memory_locked(1) as grant:
+    with lock_memory(1) as grant:
         assert not grant.granted
     assert calls == []
     assert "its control group has 25 MB, locking takes" in grant.detail
@@ -165,7 +165,7 @@ def test_a_refusal_says_how_much_was_wanted_and_what_it_takes(
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (65_536, 65_536))
     refuse("hapsim.loop.realtime.call_c", number)
-    with memory_locked(1) as grant:
+    with lock_memory(1) as grant:
         pass
     for words in ("358 MB", "0.0655 MB", os.strerror(number)):
         assert words in grant.detail
@@ -176,7 +176,7 @@ def test_a_refusal_says_how_much_was_wanted_and_what_it_takes(
 def test_without_a_limit_no_limit_is_blamed(refuse: Refuse, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     refuse("hapsim.loop.realtime.call_c", errno.ENOMEM)
-    with memory_locked(1) as grant:
+    with lock_memory(1) as grant:
         assert "free some memory" in grant.detail
         assert "limits.d" not in grant.detail
 
@@ -206,7 +206,7 @@ def open_files() -> list[str]:
 
 
 def test_zero_is_written_and_the_file_held_open_while_it_lasts(device: Path) -> None:
-    with idle_states_off(1) as grant:
+    with disable_idle_states(1) as grant:
         assert device.read_bytes() == bytes(4)
         assert str(device) in open_files()
     assert grant.granted
@@ -216,7 +216,7 @@ def test_zero_is_written_and_the_file_held_open_while_it_lasts(device: Path) -> 
 @pytest.mark.usefixtures("root")
 def test_a_file_that_takes_nothing_is_closed_again(device: Path, refuse: Refuse) -> None:
     refuse("os.write", errno.EIO)
-    with idle_states_off(1) as grant:
+    with disable_idle_states(1) as grant:
         assert str(device) not in open_files()
     assert not grant.granted
     assert grant.detail == f"{device} failed ({os.strerror(errno.EIO)})"
@@ -224,7 +224,7 @@ def test_a_file_that_takes_nothing_is_closed_again(device: Path, refuse: Refuse)
 
 def test_a_system_without_the_device_says_so(device: Path) -> None:
     device.unlink()
-    with idle_states_off(1) as grant:
+    with disable_idle_states(1) as grant:
         assert f"there is no {device}" in grant.detail
     assert not grant.granted
 
@@ -232,7 +232,7 @@ def test_a_system_without_the_device_says_so(device: Path) -> None:
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM])
 def test_who_may_not_write_it_reads_what_it_takes(number: int, root: bool, refuse: Refuse) -> None:
     refuse("os.open", number)
-    with idle_states_off(1) as grant:
+    with disable_idle_states(1) as grant:
         pass
     assert not grant.granted
     assert os.strerror(number) in grant.detail
@@ -263,7 +263,7 @@ class Scheduler:
 
 def test_the_thread_is_scheduled_first_while_it_lasts_and_as_before_afterwards(thread_id: int) -> None:
     before = os.sched_getscheduler(thread_id), os.sched_getparam(thread_id).sched_priority
-    with scheduled_fifo(thread_id) as grant:
+    with use_fifo(thread_id) as grant:
         inside = os.sched_getscheduler(thread_id), os.sched_getparam(thread_id).sched_priority
         assert os.sched_getscheduler(0) == before[0], "this thread is not the loop's"
     assert (inside == (os.SCHED_FIFO, PRIORITY)) is (grant.granted and grant.detail == f"priority {PRIORITY}")
@@ -285,7 +285,7 @@ def test_the_highest_priority_is_granted(
     most: int, before: Policy, priority: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     system = Scheduler(monkeypatch, most, before)
-    with scheduled_fifo(1) as grant:
+    with use_fifo(1) as grant:
         assert system.now == (os.SCHED_FIFO | before[0] & RESET, priority)
     assert grant.granted
     assert grant.detail.partition(",")[0] == f"priority {priority}"
@@ -295,7 +295,7 @@ def test_the_highest_priority_is_granted(
 
 def test_who_is_refused_reads_what_it_takes(root: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     system = Scheduler(monkeypatch, most=0)
-    with scheduled_fifo(1) as grant:
+    with use_fifo(1) as grant:
         assert system.now == (os.SCHED_OTHER, 0)
     assert not grant.granted
     assert os.strerror(errno.EPERM) in grant.detail
@@ -305,7 +305,7 @@ def test_who_is_refused_reads_what_it_takes(root: bool, monkeypatch: pytest.Monk
 @pytest.mark.usefixtures("root")
 def test_an_error_that_no_right_would_cure_is_named_without_advice(thread_id: int, refuse: Refuse) -> None:
     refuse("os.sched_setscheduler", errno.EINVAL)
-    with scheduled_fifo(thread_id) as grant:
+    with use_fifo(thread_id) as grant:
         assert grant.detail == f"priority {PRIORITY} was refused ({os.strerror(errno.EINVAL)})"
 
 
@@ -325,7 +325,7 @@ def test_the_thread_that_asks_has_no_slack_and_the_others_keep_theirs() -> None:
     before = slack_ns()
 
     def ask() -> tuple[PrivilegeResult, int, int]:
-        return no_timer_slack(), slack_ns(), threading.get_native_id()
+        return remove_timer_slack(), slack_ns(), threading.get_native_id()
 
     with ThreadPoolExecutor(1) as pool:
         grant, inside, thread_id = pool.submit(ask).result()
@@ -348,13 +348,13 @@ def test_the_least_slack_is_requested_and_reported(monkeypatch: pytest.MonkeyPat
         return 0
 
     monkeypatch.setattr(realtime, "call_c", prctl)
-    grant = no_timer_slack()
+    grant = remove_timer_slack()
     assert (grant.granted, said in grant.detail) == (most == 1, True)
 
 
 def test_whatever_the_error_is_it_is_denied_with_a_sentence(refuse: Refuse) -> None:
     for number in errno.errorcode:
         refuse("hapsim.loop.realtime.call_c", number)
-        grant = no_timer_slack()
+        grant = remove_timer_slack()
         assert not grant.granted
         assert os.strerror(number) in grant.detail or number in (errno.ESRCH, errno.ENOSYS)

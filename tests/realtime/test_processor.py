@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from hapsim.loop import realtime as processor
-from hapsim.loop.realtime import pinned
+from hapsim.loop.realtime import pin_to_cpu
 
 LOOP, MAIN, OTHER = 11, 22, 33
 
@@ -56,7 +56,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
 
 def test_the_thread_has_one_processor_while_it_lasts_and_all_it_had_afterwards(thread_id: int) -> None:
     before, mine = os.sched_getaffinity(thread_id), os.sched_getaffinity(0)
-    with pinned(thread_id) as grant:
+    with pin_to_cpu(thread_id) as grant:
         inside, mine_inside = os.sched_getaffinity(thread_id), os.sched_getaffinity(0)
     assert grant.granted is (len(inside) == 1)
     if grant.granted and len(mine) > 1:
@@ -87,7 +87,7 @@ def test_which_processor_it_is_and_who_leaves_it(case: str, machine: Machine) ->
     else:
         machine.isolated.write_text(isolated, encoding="utf-8")
     machine.affinity = dict(zip((LOOP, MAIN, OTHER), before, strict=True))
-    with pinned(LOOP) as grant:
+    with pin_to_cpu(LOOP) as grant:
         assert list(machine.affinity.values()) == inside
     assert grant.granted
     assert grant.detail.startswith(detail)
@@ -95,14 +95,14 @@ def test_which_processor_it_is_and_who_leaves_it(case: str, machine: Machine) ->
 
 
 def test_a_thread_that_ends_in_between_does_not_keep_the_others_from_their_places(machine: Machine) -> None:
-    with pinned(LOOP):
+    with pin_to_cpu(LOOP):
         del machine.affinity[MAIN]
     assert machine.affinity == {LOOP: {0, 1, 2, 3}, OTHER: {0, 1, 2, 3}}
 
 
 def test_a_thread_that_ended_before_it_was_moved_is_passed_over(machine: Machine) -> None:
     del machine.affinity[MAIN]
-    with pinned(LOOP) as grant:
+    with pin_to_cpu(LOOP) as grant:
         assert machine.affinity == {LOOP: {3}, OTHER: {0, 1, 2}}
     assert grant.detail == "CPU 3; 1 other thread moved off it"
 
@@ -111,7 +111,7 @@ def test_without_a_list_of_threads_the_loop_has_its_processor(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(processor, "_THREADS", machine.threads / "nowhere")
-    with pinned(LOOP) as grant:
+    with pin_to_cpu(LOOP) as grant:
         assert machine.affinity == {LOOP: {3}, MAIN: {0, 1, 2, 3}, OTHER: {0, 1, 2, 3}}
     assert grant.granted
 
@@ -119,7 +119,7 @@ def test_without_a_list_of_threads_the_loop_has_its_processor(
 @pytest.mark.usefixtures("machine")
 def test_who_is_refused_reads_what_to_do(refuse: Callable[[str, int], None]) -> None:
     refuse("os.sched_setaffinity", errno.EPERM)
-    with pinned(LOOP) as grant:
+    with pin_to_cpu(LOOP) as grant:
         pass
     assert not grant.granted
     assert os.strerror(errno.EPERM) in grant.detail

@@ -14,18 +14,18 @@ from collections.abc import Callable, Iterator
 import pytest
 
 import hapsim.loop.realtime as room
-from hapsim.loop.realtime import Measure, PrivilegeResult, measure, no_timer_slack, pinned, realtime
-from hapsim.loop.realtime import collector_frozen as frozen
-from hapsim.loop.realtime import idle_states_off as awake
-from hapsim.loop.realtime import memory_locked as locked
-from hapsim.loop.realtime import scheduled_fifo as fifo
+from hapsim.loop.realtime import Measure, PrivilegeResult, measure, pin_to_cpu, realtime, remove_timer_slack
+from hapsim.loop.realtime import disable_idle_states as awake
+from hapsim.loop.realtime import freeze_collector as frozen
+from hapsim.loop.realtime import lock_memory as locked
+from hapsim.loop.realtime import use_fifo as fifo
 
 Refuse = Callable[[str, int], None]
 # What each measure that can be refused is refused by.
 CALLS = {
     "memory locked": (locked, "hapsim.loop.realtime.call_c"),
     "power saving off": (awake, "os.open"),
-    "one processor": (pinned, "os.sched_setaffinity"),
+    "one processor": (pin_to_cpu, "os.sched_setaffinity"),
     "SCHED_FIFO": (fifo, "os.sched_setscheduler"),
 }
 
@@ -63,7 +63,7 @@ def test_a_c_library_without_the_call_is_a_denial(thread_id: int, monkeypatch: p
     monkeypatch.setattr("hapsim.loop.realtime.ctypes.CDLL", lambda *_, **__: object())
     with locked(thread_id) as grant:
         assert "does not have the call" in grant.detail
-    assert not no_timer_slack().granted
+    assert not remove_timer_slack().granted
 
 
 def test_where_advice_cannot_be_had_the_denial_is_told_without(thread_id: int, refuse: Refuse) -> None:
@@ -90,7 +90,7 @@ def test_elsewhere_each_measure_says_that_only_linux_has_it(thread_id: int, monk
     monkeypatch.delattr(os, "sched_getaffinity")
     monkeypatch.setattr("sys.platform", "darwin")
     with realtime(thread_id) as grants:
-        denied = {grant.privilege: grant.detail for grant in [*grants, no_timer_slack()] if not grant.granted}
+        denied = {grant.privilege: grant.detail for grant in [*grants, remove_timer_slack()] if not grant.granted}
         assert gc.isenabled() is False
     assert denied == dict.fromkeys([*CALLS, "timer slack"], "only Linux has it")
 
@@ -213,7 +213,7 @@ def test_the_failure_of_a_body_does_not_carry_the_refusal_along(refuse: Refuse) 
 def test_an_ended_thread_is_reported_and_the_rest_goes_on(
     ended_thread_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(room, "_MEASURES", (frozen, pinned, fifo))
+    monkeypatch.setattr(room, "_MEASURES", (frozen, pin_to_cpu, fifo))
     with realtime(ended_thread_id) as grants:
         assert [grant.granted for grant in grants] == [True, False, False]
         assert all("ended" in grant.detail for grant in grants[1:])

@@ -16,7 +16,7 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
-from hapsim.cordis.offline import follow_parameters, start, take_over, tick
+from hapsim.cordis.offline import start, take_over, tick, update_parameters
 from hapsim.cordis.program import Program, compile_scene, parameter_values
 from hapsim.cordis.succession import take_over_from
 from hapsim.device.connection import arm, describe, disarm
@@ -128,7 +128,7 @@ def work_out(runner: Runner) -> tuple[Expected, Program]:
             program.parameters.post(parameter_values(scene), SAMPLES)
         for one, into in ((older, forces[1, n]), (program, forces[2, n])):
             if one is not None:
-                follow_parameters(one)
+                update_parameters(one)
                 tick(one, measured, still, into)
         left = max(left - 1, 0)
         s = 1.0 - left / SAMPLES
@@ -167,7 +167,7 @@ def played(scene: Scene, positions: np.ndarray, change: Scene | None = None, at:
             older, program = program, compile_scene(change)
             take_over_from(older, scene, program, change)
             take_over(older, program, measured)
-        follow_parameters(program)
+        update_parameters(program)
         tick(program, measured, still, force[n])
     return force, program
 

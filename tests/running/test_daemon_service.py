@@ -19,7 +19,7 @@ import pytest
 
 from hapsim.errors import UsageError
 from hapsim.loop.counts import Progress
-from hapsim.running.service import Notifier, closed_to_service, unit_for
+from hapsim.running.service import Notifier, service_access_problem, unit_for
 
 SCENE = """
 version: 1
@@ -144,7 +144,7 @@ def test_the_command_notifies_of_arming_and_end(
 
 def test_a_defect_is_told_and_a_name_is_no_command(manager: Manager) -> None:
     notifying = notifier(manager, [0.0])
-    with pytest.raises(ZeroDivisionError), notifying.notifying_failures():
+    with pytest.raises(ZeroDivisionError), notifying.notify_failures():
         _ = 1 // 0
     (told,) = manager.told()
     assert told.startswith("STOPPING=1\nSTATUS=a defect of hapsim: ZeroDivisionError(")
@@ -214,11 +214,11 @@ def test_the_service_has_the_user_s_account(scene: Path, tmp_path: Path, monkeyp
     closed = {str(tmp_path): 0o40750}
     stat_of = Path.stat
     monkeypatch.setattr(Path, "stat", lambda path, **how: _as_nobodys(stat_of(path, **how), closed.get(str(path))))
-    assert f"the scene, {scene}, is below {tmp_path}, which a service of root may not enter" in closed_to_service(
+    assert f"the scene, {scene}, is below {tmp_path}, which a service of root may not enter" in service_access_problem(
         str(scene)
     )
     closed[str(tmp_path)] = 0o40751
-    assert "the scene" not in closed_to_service(str(scene))
+    assert "the scene" not in service_access_problem(str(scene))
 
 
 def _as_nobodys(found: os.stat_result, mode: int | None) -> os.stat_result:

@@ -20,7 +20,7 @@ from hapsim.cli.output import document
 from hapsim.cli.status_command import show_status
 from hapsim.errors import UsageError
 from hapsim.running import start, status
-from hapsim.running.status import RunState, ask, path_for, serving_status, sockets
+from hapsim.running.status import RunState, path_for, request_status, serve_status, sockets
 from hapsim.scene import parse_scene
 
 SCENE = """
@@ -46,20 +46,20 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_a_running_scene_reports_its_status_to_its_owner_only(folder: Path) -> None:
     state = RunState("scene.yaml", "/dev/serial/by-id/usb-1", 1000.0)
     path = path_for("/dev/serial/by-id/usb-1")
-    with serving_status(path, lambda: document(state.document())):
-        assert json.loads(ask(path))["phase"] == "starting"
+    with serve_status(path, lambda: document(state.document())):
+        assert json.loads(request_status(path))["phase"] == "starting"
         with start(parse_scene(SCENE, "scene.yaml"), duration=0.5) as session:
             state.observer.started(session)
             session.wait()
-            told = json.loads(ask(path))
+            told = json.loads(request_status(path))
         assert (path, stat.S_IMODE(path.stat().st_mode)) == (folder / "usb-1.sock", 0o600)
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
         state.observer.over()
-        over = json.loads(ask(path))
+        over = json.loads(request_status(path))
         nothing_runs = [over[name] for name in ("armed_since", "force_n", "position_m", "age_samples")]
         assert (nothing_runs, told["released"], over["released"]) == ([None] * 4, None, True)
         state.observer.over()  # a try that did not arm: what became of it is not known
-        assert json.loads(ask(path))["released"] is None
+        assert json.loads(request_status(path))["released"] is None
     assert not path.exists()
     assert told.keys() >= {"rate_hz", "deadline_misses", "limited_ticks", "age_samples", "estimated_mass_kg", "news"}
     assert told["frozen"] == ""
@@ -104,23 +104,23 @@ def test_on_a_terminal_a_sentence_breaks_at_its_words_and_a_path_stays_whole() -
 def test_readers_that_do_not_read_hold_nothing_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(status, "_TIMEOUT_S", 60.0)  # who waited for such a reader would wait for ever
     path = tmp_path / "s"
-    with serving_status(path, lambda: json.dumps("x" * 900_000)):
+    with serve_status(path, lambda: json.dumps("x" * 900_000)):
         idle = [socket.socket(socket.AF_UNIX) for _ in range(5)]
         for one in idle:
             one.connect(str(path))
-        assert ask(path).startswith('"xxx')
+        assert request_status(path).startswith('"xxx')
         for one in idle:
             one.close()
-        assert ask(path).startswith('"xxx')
+        assert request_status(path).startswith('"xxx')
 
 
 def test_what_cannot_be_told_once_is_no_end(tmp_path: Path) -> None:
     values: list[Any] = [{"ticks": 1}]
-    with serving_status(tmp_path / "s", lambda: json.dumps(values[0])):
+    with serve_status(tmp_path / "s", lambda: json.dumps(values[0])):
         values[0] = object()
-        assert json.loads(ask(tmp_path / "s")) == {"error": "the status cannot be reported: TypeError"}
+        assert json.loads(request_status(tmp_path / "s")) == {"error": "the status cannot be reported: TypeError"}
         values[0] = 7
-        assert ask(tmp_path / "s") == "7"
+        assert request_status(tmp_path / "s") == "7"
 
 
 def _answering(path: Path, answer: Callable[[socket.socket], object]) -> socket.socket:
@@ -148,7 +148,7 @@ def test_what_is_no_document_is_told(tmp_path: Path, hapsim: Callable[..., Any])
 
 
 def test_what_another_user_put_where_sockets_are_is_passed_over(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with serving_status(path_for("/dev/ttyACM0"), lambda: "{}"):
+    with serve_status(path_for("/dev/ttyACM0"), lambda: "{}"):
         assert sockets() == [folder / "ttyACM0.sock"]
         someone = os.geteuid() + 1
         monkeypatch.setattr(os, "geteuid", lambda: someone)
@@ -168,17 +168,17 @@ def test_a_socket_that_was_left_is_replaced_and_one_that_is_heard_is_not(tmp_pat
     left = socket.socket(socket.AF_UNIX)
     left.bind(str(path))
     left.close()
-    with serving_status(path, lambda: "1"):
-        second = serving_status(path, lambda: "2")
+    with serve_status(path, lambda: "1"):
+        second = serve_status(path, lambda: "2")
         with pytest.raises(UsageError, match="another hapsim reports its status there"), second:
             pass
-        assert ask(path) == "1"
+        assert request_status(path) == "1"
     path.write_text("mine", encoding="utf-8")
-    with pytest.raises(UsageError, match="a file that is no socket"), serving_status(path, lambda: "3"):
+    with pytest.raises(UsageError, match="a file that is no socket"), serve_status(path, lambda: "3"):
         pass
     assert path.read_text(encoding="utf-8") == "mine"
     for nowhere in (tmp_path / "no" / "s", tmp_path / ("s" * 120)):
-        with pytest.raises(UsageError, match="no socket can be made there"), serving_status(nowhere, lambda: "4"):
+        with pytest.raises(UsageError, match="no socket can be made there"), serve_status(nowhere, lambda: "4"):
             pass
 
 
@@ -197,17 +197,17 @@ def test_the_command_finds_it(
 ) -> None:
     monkeypatch.setattr("hapsim.loop.background.exit_with_unfinished", lambda _: None)  # both sides are this process
     assert "no running hapsim was found" in hapsim("status", "--json").sentence
-    with serving_status(path_for("/dev/ttyACM0"), lambda: '{"ticks": 5, "force_n": [0.5, null]}'):
+    with serve_status(path_for("/dev/ttyACM0"), lambda: '{"ticks": 5, "force_n": [0.5, null]}'):
         left = socket.socket(socket.AF_UNIX)
         left.bind(str(folder / "left.sock"))
         left.close()
         assert hapsim("status", "--json").document == {"ticks": 5, "force_n": [0.5, None]}
         assert hapsim("status", "/dev/ttyACM0").out.splitlines() == ["ticks     5", "force  N  0.5 –"]
         news = "the report: " + "/long" * 40 + "/x.json"
-        with serving_status(tmp_path / "news", lambda: json.dumps({"news": f"{news}\n\x1b[2Jlate"})):
+        with serve_status(tmp_path / "news", lambda: json.dumps({"news": f"{news}\n\x1b[2Jlate"})):
             assert hapsim("status", tmp_path / "news").out == f"news  {news} ?[2Jlate\n"
         assert hapsim("status", "/dev/ttyACM1").status == 2
-        with serving_status(tmp_path / "other", lambda: "\x1b[2J"):
+        with serve_status(tmp_path / "other", lambda: "\x1b[2J"):
             assert hapsim("status", tmp_path / "other").status == 2
-        with serving_status(path_for(None), lambda: "{}"):
+        with serve_status(path_for(None), lambda: "{}"):
             assert "name one of them" in hapsim("status").sentence

@@ -107,10 +107,10 @@ def test_an_edited_hand_is_followed_whether_the_file_had_one_or_not(tmp_path: Pa
             (4, "", ("stiffness 300 → 0", "position [0.02] → 0")),
         ):
             write(mock, at)
-            news = file.look(session)
+            news = file.check(session)
             assert news is not None
             assert news.changed == tuple(f"mock.hand.{one}" for one in changed)
         write("mock: {noise: 1.0e-6}", 5)
-        news = file.look(session)
+        news = file.check(session)
         assert news is not None
         assert "mock cannot change while the scene runs" in news.refused

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapsim.cordis.offline import follow_parameters, start, take_over, tick
+from hapsim.cordis.offline import start, take_over, tick, update_parameters
 from hapsim.cordis.program import Program, compile_scene, numbers_of, parameter_values, positions_of
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.succession import take_over_from
@@ -123,7 +123,7 @@ def test_a_ground_that_is_taken_over_on_its_ramp_stands_still_there() -> None:
             older, program = program, compile_scene(scene)
             take_over_from(older, scene, program, scene)
             take_over(older, program, still)
-        follow_parameters(program)
+        update_parameters(program)
         tick(program, still, still, force[n])
     place = positions_of(program)[0][numbers_of(scene)["wall"]]
     assert 0.004 < place < 0.007
@@ -145,7 +145,7 @@ def test_live_parameters_go_on_from_where_they_are() -> None:
             take_over_from(older, before, program, after)
             take_over(older, program, rest)
             program.parameters.post(parameter_values(after), 100)
-        follow_parameters(program)
+        update_parameters(program)
         tick(program, rest, still, force[n])
     assert force[49] == pytest.approx(100.0 * 0.001)
     assert force[-1] == pytest.approx(300.0 * 0.011)

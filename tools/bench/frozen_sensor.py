@@ -30,7 +30,7 @@ from hapsim.compiling import entry, helper
 from hapsim.compiling.native import address_of
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.force_history import FORCE_HISTORY, history_hook, keep
-from hapsim.loop.guards.frozen_sensor import FLOOR, FROZEN_SENSOR, judge_sensor, lower, watch_sensor
+from hapsim.loop.guards.frozen_sensor import FROZEN_SENSOR, LEAST_FORCE, judge_sensor, lower_force, watch_sensor
 from hapsim.loop.hooks import TICK, call_hook
 from hapsim.scales import SCALES
 
@@ -111,12 +111,12 @@ def simulate(run, io, hooks, tick, sensor, guarded, found):
         call_hook(hooks[0], (hooks[1], tick.address))
         call_hook(hooks[2], (hooks[3], tick.address))
         if guarded and found.ends == 0:
-            was = sensor.asked[0] >= 0
+            was = sensor.test_age[0] >= 0
             found.ends = call_hook(hooks[4], (hooks[5], tick.address)) != 0
-            if sensor.asked[0] >= 0 and not was:
+            if sensor.test_age[0] >= 0 and not was:
                 asked_at = x
         sent = io.force_counts[0] * SCALE if found.ends == 0 else 0.0
-        if sensor.lowers != 0 and sensor.frozen[0] == 0:
+        if sensor.lowered != 0 and sensor.frozen[0] == 0:
             found.lowered = max(found.lowered, abs(force - sent))
             found.share = max(found.share, 1.0 - sensor.share[0])
             found.moved = max(found.moved, abs(x - asked_at))
@@ -157,7 +157,7 @@ def simulated(drawn: dict[str, float], *, declared: dict[str, Any] | None = None
         travel=np.array([[declared.get("low", -math.inf)], [declared.get("high", math.inf)]]),
         soft_start_s=0.05,
     )
-    calls = ((lower, sensor), (keep, history), (judge_sensor, sensor))
+    calls = ((lower_force, sensor), (keep, history), (judge_sensor, sensor))
     hooks = [word for function, record in calls for word in (function.address(), address_of(record))]
     simulate(run, io, np.array(hooks, np.uint64), tick, sensor, guarded, found)
     assert kept.kept.size  # the history has but its address
@@ -309,8 +309,8 @@ def dead(number: int, seed: int, moment: str, limit: float, mass: float, count: 
         one |= {"mass": mass, "stiffness": min(one["stiffness"], 0.5 * RATE**2 * mass / 10)}
         MOMENTS[moment](chance, one)
         runs.append(simulated(one, declared={"mass": mass})[0])
-    strong = [one for one in runs if one.last > FLOOR * limit]
-    weak = [one.energy for one in runs if one.last <= FLOOR * limit]
+    strong = [one for one in runs if one.last > LEAST_FORCE * limit]
+    weak = [one.energy for one in runs if one.last <= LEAST_FORCE * limit]
     return {
         "runs": len(strong),
         "mm": _spread([1e3 * one.way for one in strong]),

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hapsim.bringup.faults.injector import Injector, Passed
-from hapsim.device.ports import free_name, linked, open_pseudo_terminal
+from hapsim.device.ports import free_name, link_to, open_pseudo_terminal
 from hapsim.errors import DeviceError
 
 _PIECE = 1 << 16
@@ -195,7 +195,7 @@ class Relay:
         with contextlib.ExitStack() as stack:
             for end in (far, near):
                 stack.callback(os.close, end)
-            name = stack.enter_context(linked(self._path, os.ttyname(far)))
+            name = stack.enter_context(link_to(self._path, os.ttyname(far)))
             self._host = _Host(near, name, stack.pop_all())
 
     def _hang_up(self) -> None:

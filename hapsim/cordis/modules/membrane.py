@@ -30,8 +30,8 @@ from hapsim.cordis.modules.structure import (
     UniformLinks,
     linear_terms,
     link_coefficients,
-    moved,
     neighbours,
+    next_position,
     push_loaded_points,
     structure_type,
     sweep,
@@ -162,7 +162,7 @@ def _update_by_coefficients(step, rows, here, terms):
 @fma
 def _update_by_differences(step, rows, here, terms):
     t, x, before = terms[1]
-    return moved(step, x, before, _sum_of_four(step, rows, here, terms) - rows[0].dtype.type(4) * t)
+    return next_position(step, x, before, _sum_of_four(step, rows, here, terms) - rows[0].dtype.type(4) * t)
 
 
 @fma

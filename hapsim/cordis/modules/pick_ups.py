@@ -1,7 +1,7 @@
 """Pick-ups: what a scene's output channels hear in each step.
 
 They act last among those that add forces. So the positions are those of this step and of the one before, and a point's
-force is the sum of what its links pull it with. Each leaves gain times that in the program's row `heard`.
+force is the sum of what its links pull it with. Each leaves gain times that in the program's row `pick_up_values`.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ assert QUANTITIES == ("velocity", "position", "force")
 
 
 class PickUps(NamedTuple):
-    """C pick-ups: point and quantity, by number, gain; shape (C,). `rate`: Hz; `heard`: what they leave, (C,)."""
+    """C pick-ups: point and quantity, by number, gain; shape (C,). `rate`: Hz; `pick_up_values`: the result, (C,)."""
 
     point: NDArray[np.uint32]
     of: NDArray[np.uint8]
     gain: Column
     rate: NDArray[np.float64]
-    heard: NDArray[np.float64]
+    pick_up_values: NDArray[np.float64]
 
 
 @action
-def listen(pick_ups, state):
+def sample_pick_ups(pick_ups, state):
     """Takes what each hears in this step."""
     pick_ups, state = value_of(pick_ups), value_of(state)
     for c in range(np.uint64(pick_ups.point.size)):
@@ -43,13 +43,15 @@ def listen(pick_ups, state):
             value = np.float64(state.position[p])
         else:
             value = np.float64(state.force[p])
-        pick_ups.heard[c] = np.float64(pick_ups.gain[c]) * value
+        pick_ups.pick_up_values[c] = np.float64(pick_ups.gain[c]) * value
 
 
 def _build(pick_ups: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
     point = np.array([context.number[one.point] for one in pick_ups.values()], np.uint32)
     of = np.array([QUANTITIES.index(one.of) for one in pick_ups.values()], np.uint8)
-    return Part(PickUps(point, of, columns[0], np.array([context.rate]), context.heard), add_forces=listen)
+    return Part(
+        PickUps(point, of, columns[0], np.array([context.rate]), context.pick_up_values), add_forces=sample_pick_ups
+    )
 
 
 PICK_UP = PartType(lambda scene: scene.sound, _build, name="pick-ups", compiled_as="gain times what they hear")

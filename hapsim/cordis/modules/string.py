@@ -41,8 +41,8 @@ from hapsim.cordis.modules.structure import (
     UniformLinks,
     linear_terms,
     link_coefficients,
-    moved,
     neighbours,
+    next_position,
     push_loaded_points,
     structure_type,
     sweep,
@@ -51,9 +51,9 @@ from hapsim.cordis.simd import padded, put_one, shift_lanes
 from hapsim.scene import String
 
 _ONE = np.uint64(1)
-_STAYS, _FOLLOWS, _MIRRORS, _CONTINUES = (np.uint8(i) for i in range(4))  # what the borders at an end do
-_BORDERS = {"fixed": _STAYS, "clamped": _STAYS, "free": _FOLLOWS}
-_STIFF_BORDERS = {"fixed": _MIRRORS, "clamped": _STAYS, "free": _CONTINUES}
+_FIXED, _EQUAL, _MIRRORED, _EXTRAPOLATED = (np.uint8(i) for i in range(4))  # what the borders at an end do
+_BORDERS = {"fixed": _FIXED, "clamped": _FIXED, "free": _EQUAL}
+_STIFF_BORDERS = {"fixed": _MIRRORED, "clamped": _FIXED, "free": _EXTRAPOLATED}
 
 
 class StringRows(NamedTuple):
@@ -142,9 +142,9 @@ def integrate_stiff(strings, state):
         first, end = rows.first[s], rows.first[s] + rows.masses[s]
         pulls = _border_pull(step, state, first, first - _ONE), _border_pull(step, state, end - _ONE, end)
         sweep(step, state, first, rows.masses[s])
-        if rows.borders[s, 0] == _CONTINUES:
+        if rows.borders[s, 0] == _EXTRAPOLATED:
             put_one(state.previous, first, state.previous[first] - pulls[0])
-        if rows.borders[s, 1] == _CONTINUES:
+        if rows.borders[s, 1] == _EXTRAPOLATED:
             put_one(state.previous, end - _ONE, state.previous[end - _ONE] - pulls[1])
     push_loaded_points(strings.loaded, state)
 
@@ -154,20 +154,20 @@ def place_borders(rows, s, position):
     """Both ends' borders go where they belong to these positions."""
     first = rows.first[s]
     last = first + rows.masses[s] - _ONE
-    _place(rows.borders[s, 0], position, first + _ONE, first, first - _ONE, first - np.uint64(2))
-    _place(rows.borders[s, 1], position, last - _ONE, last, last + _ONE, last + np.uint64(2))
+    _place_end(rows.borders[s, 0], position, first + _ONE, first, first - _ONE, first - np.uint64(2))
+    _place_end(rows.borders[s, 1], position, last - _ONE, last, last + _ONE, last + np.uint64(2))
 
 
 @inlined
-def _place(borders, position, inner, outer, border, beyond):
+def _place_end(borders, position, inner, outer, border, beyond):
     """The end's mass is at `outer`, its neighbour at `inner`."""
-    if borders == _FOLLOWS:
+    if borders == _EQUAL:
         put_one(position, border, position[outer])
-    elif borders == _CONTINUES:
+    elif borders == _EXTRAPOLATED:
         way = position[outer] - position[inner]
         put_one(position, border, position[outer] + way)
         put_one(position, beyond, position[outer] + way + way)
-    elif borders == _MIRRORS:
+    elif borders == _MIRRORED:
         put_one(position, beyond, position[border] + (position[border] - position[outer]))
 
 
@@ -191,7 +191,7 @@ def _update_by_coefficients(step, rows, _here, terms):
 @fma
 def _update_by_differences(step, rows, _here, terms):
     t, x, before = terms[1]
-    return moved(step, x, before, neighbours(terms, 0) - rows[0].dtype.type(2) * t)
+    return next_position(step, x, before, neighbours(terms, 0) - rows[0].dtype.type(2) * t)
 
 
 @fma
@@ -215,7 +215,7 @@ def _update_stiff_by_differences(step, rows, _here, terms):
     t, x, before = terms[1]
     two = rows[0].dtype.type(2)
     bend = (shift_lanes(terms, 1, -2) + shift_lanes(terms, 1, 2)) - two * x
-    return moved(step, x, before, (neighbours(terms, 0) - two * t) - step.g * bend)
+    return next_position(step, x, before, (neighbours(terms, 0) - two * t) - step.g * bend)
 
 
 STENCIL_KERNELS[StringStep] = StencilKernel(linear_terms, _update_by_coefficients, _update_by_differences)

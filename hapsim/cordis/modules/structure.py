@@ -158,7 +158,7 @@ def neighbours(terms, which):
 
 
 @fma
-def moved(step, x, before, pull):
+def next_position(step, x, before, pull):
     """x[n+1] by differences; `pull`: how far the links move the masses, in m."""
     way = x - before
     return x + ((way - step.e * way) + pull)

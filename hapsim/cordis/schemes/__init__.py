@@ -13,7 +13,7 @@ from hapsim.cordis.schemes.midpoint import MIDPOINT
 from hapsim.cordis.schemes.rk4 import RK4
 from hapsim.cordis.schemes.semi_implicit import SEMI_IMPLICIT
 
-CORDIS = Scheme(lambda _scene, context, taken: tuple(one.build(context) for one in taken))
+CORDIS = Scheme(lambda _scene, context, present: tuple(one.build(context) for one in present))
 """CORDIS's own: every type of module moves its points itself (`modules/points.py`, `modules/string.py`)."""
 
 SCHEMES: dict[str, Scheme] = {

@@ -190,10 +190,10 @@ def resume_modes(modes, state):
     modes, state = value_of(modes), value_of(state)
     for j in range(np.uint64(modes.position.size)):
         modes.position[j] = modes.step[j] = modes.mass.dtype.type(0)
-    looked_at = np.uint64(modes.point.size)
+    loaded = np.uint64(modes.point.size)
     for h in range(np.uint64(modes.mass.size)):
-        p = modes.point[h] if h < looked_at else modes.hidden[h - looked_at]
-        shape = modes.shape[h] if h < looked_at else modes.hidden_shape[h - looked_at]
+        p = modes.point[h] if h < loaded else modes.hidden[h - loaded]
+        shape = modes.shape[h] if h < loaded else modes.hidden_shape[h - loaded]
         x = state.position[p]
         _push(modes.position, shape, modes.mass[h] * x)
         _push(modes.step, shape, modes.mass[h] * (x - state.previous[p]))
@@ -237,8 +237,8 @@ def modes_of(inner: LinearSubsystem, context: BuildContext) -> Modes | None:
     scaled = [matrix / (float(np.abs(matrix).max(initial=0.0)) or 1.0) for matrix in (stiffness, damping)]
     for share in (0.0, 0.5, 0.3819660112501051):  # where K alone leaves open which, B says so together with it
         vectors = np.linalg.eigh(scaled[0] + share * scaled[1])[1]
-        turned = [vectors.T @ matrix @ vectors for matrix in scaled]
-        if all(np.abs(one - np.diag(np.diag(one))).max(initial=0.0) <= DIAGONAL for one in turned):
+        rotated = [vectors.T @ matrix @ vectors for matrix in scaled]
+        if all(np.abs(one - np.diag(np.diag(one))).max(initial=0.0) <= DIAGONAL for one in rotated):
             return _refined(inner, vectors * root[:, None] * context.rate, context)
     return None
 
@@ -280,26 +280,26 @@ def _gains(k: Reals, b: Reals) -> Reals:
     """(6, n): of the oscillators q'' + b q' + k q = g over a time of one."""
     decay, square = 0.5 * b, k - 0.25 * b * b
     omega = np.sqrt(np.abs(square))
-    swings = square > 0.0
-    faster = np.where(swings, 0.0, omega)
+    oscillates = square > 0.0
+    faster = np.where(oscillates, 0.0, omega)
     # An over-damped motion's slower rate is k over the faster, and not the difference of two large numbers.
-    slow = np.where(swings, -decay, -k / np.maximum(decay + faster, 1e-300))
+    slow = np.where(oscillates, -decay, -k / np.maximum(decay + faster, 1e-300))
     slow = np.where(decay + faster > 0.0, slow, 0.0)
     fast = -decay - faster
-    grown = np.exp(np.where(swings, -decay, slow))
-    fell = np.exp(np.where(swings, -decay, fast))
-    cosine = np.where(swings, grown * np.cos(omega), 0.5 * (grown + fell))
+    slow_decay = np.exp(np.where(oscillates, -decay, slow))
+    fast_decay = np.exp(np.where(oscillates, -decay, fast))
+    cosine = np.where(oscillates, slow_decay * np.cos(omega), 0.5 * (slow_decay + fast_decay))
     # sinh(w)/w exp(-decay) = exp(slow) (1 - exp(-2 w))/(2 w)
     spread = np.where(omega > 0.0, -np.expm1(-2.0 * omega) / np.where(omega > 0.0, 2.0 * omega, 1.0), 1.0)
-    sine = np.where(swings, grown * np.sinc(omega / np.pi), grown * spread)
-    stays, moves_on = cosine + decay * sine, sine
-    return np.array([stays, moves_on, -k * sine, cosine - decay * sine, _lag(k, b, stays), sine])
+    sine = np.where(oscillates, slow_decay * np.sinc(omega / np.pi), slow_decay * spread)
+    e11, e12 = cosine + decay * sine, sine
+    return np.array([e11, e12, -k * sine, cosine - decay * sine, _lag(k, b, e11), sine])
 
 
-def _lag(k: Reals, b: Reals, stays: Reals) -> Reals:
+def _lag(k: Reals, b: Reals, e11: Reals) -> Reals:
     """q after a time of one from rest, under g = 1: (1 - e11)/k, and where that is 0/0 its series in time."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        closed = (1.0 - stays) / k
+        closed = (1.0 - e11) / k
     # q = sum a_m t^m with a_2 = 1/2, (m+2)(m+1) a_(m+2) = -b (m+1) a_(m+1) - k a_m
     older, newer = np.zeros_like(k), np.full_like(k, 0.5)
     total = newer.copy()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, Taken, live_shares, masses_of
+from hapsim.cordis.build_context import BuildContext, PresentType, live_shares, masses_of
 from hapsim.cordis.dispatch import Column, Part, action
 from hapsim.cordis.modules.link import Ends, pull_ends, stretch
 from hapsim.cordis.modules.string import STRING, StringRows, place_borders, rows_of
@@ -67,22 +67,22 @@ def mobility_of_all(scene: Scene, context: BuildContext) -> Column:
     return mobility
 
 
-def expanded_forces(taken: Taken, context: BuildContext) -> tuple[Part, ...]:
+def expanded_forces(present: PresentType, context: BuildContext) -> tuple[Part, ...]:
     """The parts that add up the forces in what this type's modules move, and move nothing."""
-    kind, modules, columns = taken
+    kind, modules, columns = present
     if kind.layout is None:  # points, between which there is no force
         return ()
     if kind is STRING:
         return (Part(StringForces(rows_of(modules, context), *columns), add_forces=add_string_forces),)
-    return weighted_links_of(taken, context)
+    return weighted_links_of(present, context)
 
 
-def weighted_links_of(taken: Taken, context: BuildContext) -> tuple[Part, ...]:
+def weighted_links_of(present: PresentType, context: BuildContext) -> tuple[Part, ...]:
     """The links inside structures of any kind."""
     lists: dict[tuple[str | None, bool], list[Any]] = {}
-    values: dict[str | None, Column] = {None: np.ones(len(taken.modules), context.real)}
-    for owner, (name, structure) in enumerate(taken.modules.items()):
-        values |= zip(structure.live, taken.columns, strict=True)
+    values: dict[str | None, Column] = {None: np.ones(len(present.modules), context.real)}
+    for owner, (name, structure) in enumerate(present.modules.items()):
+        values |= zip(structure.live, present.columns, strict=True)
         places = [context.number[f"{name}.{place}"] for place in structure.point_names()]
         for field, unit, weight in live_shares(structure, context.rate):
             for first, second, k, z in unit.elements().links:

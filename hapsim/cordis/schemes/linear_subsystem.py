@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.compiling import inlined
-from hapsim.cordis.build_context import BuildContext, Scheme, Taken, masses_of
+from hapsim.cordis.build_context import BuildContext, PresentType, Scheme, masses_of
 from hapsim.cordis.dispatch import Column, Part
 from hapsim.errors import UsageError
 from hapsim.scene import Scene
 
-STAYS = -1
+FIXED = -1
 
 
 class Ties(NamedTuple):
@@ -58,7 +58,7 @@ class LinearSubsystem(NamedTuple):
         """Sparse (L, n): what takes positions to the links' stretches."""
         from scipy.sparse import coo_array
 
-        link, end = np.nonzero(self.ends != STAYS)
+        link, end = np.nonzero(self.ends != FIXED)
         place = self.ends[link, end]
         return coo_array((1.0 - 2.0 * end, (link, place)), (len(self.ends), self.point.size)).tocsr()
 
@@ -87,8 +87,8 @@ def inside(scene: Scene) -> frozenset[str]:
 def matrix_scheme(part_of: Callable[[LinearSubsystem, BuildContext], Part]) -> Scheme:
     """The scheme that works the linear subsystem into matrices: `part_of` makes the part that moves it."""
 
-    def parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
-        outside = tuple(one.build(context) for one in taken if not one.kind.moves_points)
+    def parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) -> tuple[Part, ...]:
+        outside = tuple(one.build(context) for one in present if not one.kind.moves_points)
         inner = _linear_subsystem(scene, context)
         return outside if inner is None else (*outside, part_of(inner, context))
 
@@ -109,7 +109,7 @@ def _linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | 
     velocity = context.rate * (position - context.state.previous[point])
     force = np.zeros(point.size)
     for first, second, k, _, rest in joins:
-        if second == STAYS:
+        if second == FIXED:
             force[first] += k * rest
     for name, one in scene.material_points.items():
         velocity[place[context.number[name]]] = one.start()[1]  # to the last digit, whatever the rows' precision
@@ -147,14 +147,14 @@ def _joins(
     for name, structure in structures.items():
         places = [place[context.number[f"{name}.{each}"]] for each in structure.point_names()]
         for first, second, k, z in structure.elements().links:
-            yield places[first], STAYS if second < 0 else places[second], k, z, structure.position
+            yield places[first], FIXED if second < 0 else places[second], k, z, structure.position
     for name, point in scene.material_points.items():
         held = point.held_by()
         if held is not None:
-            yield place[context.number[name]], STAYS, *held
+            yield place[context.number[name]], FIXED, *held
     for link in _inner_links(scene).values():
-        first, second = (place.get(context.number[end], STAYS) for end in link.between)
-        if first == STAYS:
+        first, second = (place.get(context.number[end], FIXED) for end in link.between)
+        if first == FIXED:
             first, second = second, first
         yield first, second, *link.law().linear()[:2], 0.0
 

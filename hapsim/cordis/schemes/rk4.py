@@ -21,7 +21,7 @@ import numpy as np
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import fma, inlined
 from hapsim.compiling.native import Behind, value_of
-from hapsim.cordis.build_context import BuildContext, Scheme, Taken
+from hapsim.cordis.build_context import BuildContext, PresentType, Scheme
 from hapsim.cordis.dispatch import CALLS, Column, Part, TickState, action, call_all, calls_of
 from hapsim.cordis.modules.pick_ups import PICK_UP
 from hapsim.cordis.modules.points import CELL
@@ -67,16 +67,16 @@ def integrate(points, state):
     c1, c2, c3 = points.change
     quarter, half, one = x.dtype.type(0.25), x.dtype.type(0.5), x.dtype.type(1)
     _change(mobility, state.force[start:], c1)
-    _go(x, before, half, c1, x.dtype.type(0), y)
-    _go_before(x, before, y, half, c1, y_before)
+    _advance_points(x, before, half, c1, x.dtype.type(0), y)
+    _advance_previous(x, before, y, half, c1, y_before)
     _add_forces_at(points, state, half)
     _change(mobility, force, c2)
-    _go(x, before, half, c1, quarter, y)
-    _go_before(x, before, y, half, c2, y_before)
+    _advance_points(x, before, half, c1, quarter, y)
+    _advance_previous(x, before, y, half, c2, y_before)
     _add_forces_at(points, state, half)
     _change(mobility, force, c3)
-    _go(x, before, one, c2, half, y)
-    _go_before(x, before, y, one, c3, y_before)
+    _advance_points(x, before, one, c2, half, y)
+    _advance_previous(x, before, y, one, c3, y_before)
     _add_forces_at(points, state, one)
     _finish(mobility, force, x, before, points.change, y)
     for i in range(np.uint64(c1.size)):
@@ -108,14 +108,14 @@ def _change(mobility, force, change):
 
 
 @fma
-def _go(x, before, share, change, of_change, y):
+def _advance_points(x, before, share, change, of_change, y):
     """Where the points are after this share of their step, and of a change."""
     for i in range(np.uint64(y.size)):
         y[i] = x[i] + (share * (x[i] - before[i]) + of_change * change[i])
 
 
 @fma
-def _go_before(x, before, y, share, change, y_before):
+def _advance_previous(x, before, y, share, change, y_before):
     """Where they would have been at the step that they have by then."""
     for i in range(np.uint64(y.size)):
         y_before[i] = y[i] - ((x[i] - before[i]) + share * change[i])
@@ -137,28 +137,28 @@ def _finish(mobility, force, x, before, change, after):
         before[i] = after[i]
 
 
-def _parts(scene: Scene, context: BuildContext, taken: Sequence[Taken]) -> tuple[Part, ...]:
-    once: list[Part] = []
-    always: list[Part] = []
-    for one in taken:
+def _parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) -> tuple[Part, ...]:
+    per_sample: list[Part] = []
+    per_instant: list[Part] = []
+    for one in present:
         if one.kind.moves_points:
-            always += expanded_forces(one, context)
+            per_instant += expanded_forces(one, context)
         else:
             part = one.build(context)
             remembers = part.memory is not None and one.kind is not CELL  # which remembers where it rested, no force
-            (once if remembers or one.kind is PICK_UP else always).append(part)
+            (per_sample if remembers or one.kind is PICK_UP else per_instant).append(part)
     size, mobility = context.state.force.size, mobility_of_all(scene, context)
     position, previous, force, kept = np.zeros((4, size), context.real)
     at = Behind(TickState(position, previous, force, context.state.velocity))
-    asked = [(part.add_forces, Behind(part.numbers)) for part in always if part.add_forces is not None]
-    calls, pairs = new_record(CALLS), calls_of(asked, at)
+    actions = [(part.add_forces, Behind(part.numbers)) for part in per_instant if part.add_forces is not None]
+    calls, pairs = new_record(CALLS), calls_of(actions, at)
     calls.pairs, calls.count = pairs.ctypes.data, len(pairs)
     change = (np.zeros_like(mobility), np.zeros_like(mobility), np.zeros_like(mobility))
     numbers = RungeKutta(
         np.uint64(first_moved(scene)), mobility, change, KeptForce(kept), at.value, np.uint64(at.address), calls
     )
-    keeping = [Part(numbers.kept, add_forces=keep_force)] if once else []
-    return (*once, *keeping, *always, Part(numbers, integrate=integrate, kept=(at, asked, pairs)))
+    keeping = [Part(numbers.kept, add_forces=keep_force)] if per_sample else []
+    return (*per_sample, *keeping, *per_instant, Part(numbers, integrate=integrate, kept=(at, actions, pairs)))
 
 
 RK4 = Scheme(_parts)

@@ -1,4 +1,4 @@
-"""Scene -> MOCK: the device that the scene describes, disarmed."""
+"""Scene -> MOCK: the device of the scene, disarmed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hapsim.scene import Scene
 
 
 def describe_mock(scene: Scene) -> Description:
-    """Returns the description that the scene's mock gives of itself."""
+    """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
     return Description(
         name="hapsim mock",
@@ -37,8 +37,8 @@ def describe_mock(scene: Scene) -> Description:
 
 
 def assemble_mock(scene: Scene) -> Any:
-    """Returns the MOCK of the scene's `device` and `mock`. UsageError where in virtual time no force gets through its
-    wire."""
+    """Returns the MOCK of the scene's `device` and `mock`. Raises UsageError if every force would expire on
+    the wire in virtual time."""
     description, device = describe_mock(scene), scene.mock_device
     mock = described_mock(description)
     bodies, converters = mock.initial[: scene.channels], mock.converters[: scene.channels]
@@ -62,15 +62,14 @@ def assemble_mock(scene: Scene) -> Any:
 
 
 def described_mock(description: Description) -> Any:
-    """Returns a MOCK that describes itself so and speaks in the formats of its channels, without bodies and
-    converters."""
+    """Returns a MOCK with this description and the frame formats of its channels, without bodies and converters."""
     mock, channels = new_record(MOCK), description.channels
     mock.channels = channels
     mock.force_scale[:channels] = description.force_scale
     mock.force_limit[:channels] = description.force_limit
     mock.registers[:] = to_registers(description)
     mock.grips["sample"] = -1
-    for formats, to_device in ((mock.heard, True), (mock.spoken, False)):
+    for formats, to_device in ((mock.host_formats, True), (mock.mock_formats, False)):
         formats.setup = framing_of(SETUP, to_device)
         formats.armed = framing_of(armed_format(channels), to_device)
         formats.armed_with_velocity = framing_of(armed_format(channels, velocity=True), to_device)
@@ -79,8 +78,8 @@ def described_mock(description: Description) -> Any:
 
 
 def hand_values(scene: Scene) -> NDArray[np.float64]:
-    """Returns what the hand makes of the mock's bodies, shape (3, C): friction (N·s/m) and stiffness (N/m), the
-    device's among them, and the push (N) of each."""
+    """Returns the values of the mock's bodies in the hand, shape (3, C): friction (N·s/m) and stiffness (N/m), with the
+    device's own, and push (N)."""
     device, values = scene.mock_device, np.empty((3, scene.channels))
     hand = device.hand
     values[0] = np.add(device.friction, hand.damping)
@@ -90,12 +89,12 @@ def hand_values(scene: Scene) -> NDArray[np.float64]:
 
 
 def _seeds(entropy: int | tuple[int, int], count: int) -> NDArray[np.uint64]:
-    """Seeds far apart, and never zero, where the generator would stay."""
+    """Returns seeds far apart, never zero: from zero the generator would not move."""
     return np.random.SeedSequence(entropy).generate_state(count, np.uint64) | np.uint64(1)
 
 
 def _set_wire(mock: Any, scene: Scene) -> None:
-    """Sets its delays. In virtual time only the wire takes time, not the host."""
+    """Sets the delays of the wire. In virtual time the host itself takes no time."""
     device = scene.mock_device
     wire = wire_time(scene.channels, bool(scene.sensed_links), scene.rate, device.baud, device.turnaround, 0.0)
     late = None if wire.delay_samples is None else wire.delay_samples - 1

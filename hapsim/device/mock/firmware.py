@@ -1,7 +1,7 @@
 """The mock's firmware, compiled: what a microcontroller does with the bytes of the protocol.
 
 A state machine of three events: bytes arrived (`take_bytes`), a sample is due (`take_sample`), the watchdog is checked
-(`look_at_watchdog`). Its answers go to its outbox. Each event is called by its address, so that the mock in memory and
+(`check_watchdog`). Its answers go to its outbox. Each event is called by its address, so that the mock in memory and
 the one on a pseudo-terminal share compiled code.
 """
 
@@ -50,8 +50,8 @@ BOARD = np.dtype(
         ("n", np.int64),  # the current sample
         ("answered", np.int64),  # the sample that the newest accepted force answers
         ("expires", np.int64),  # the last sample in which that force may act
-        ("heard", np.int64),  # the sample in which a force was last accepted
-        ("heard_ns", np.int64),
+        ("accepted", np.int64),  # the sample in which a force was last accepted
+        ("accepted_ns", np.int64),
         ("sampled_ns", np.int64),
         ("lives", np.float64),  # s of the current sample for which a force may act, paced by the host
         ("out", np.int64),  # bytes in the outbox
@@ -62,12 +62,12 @@ BOARD = np.dtype(
 CALLED = np.dtype(
     [
         ("take_bytes", np.uint64),  # the events
-        ("take_sample", np.uint64),  # or `lead_hand` before it
-        ("look_at_watchdog", np.uint64),
+        ("take_sample", np.uint64),  # or `move_hand` before it
+        ("check_watchdog", np.uint64),
         ("take_force", np.uint64),  # for a received force: `act_on_force`, or `take_late_force` before it
         ("act_on_force", np.uint64),
         ("read", np.uint64),  # the codec
-        ("say", np.uint64),
+        ("put_frame", np.uint64),
         ("move", np.uint64),  # of motion.py
     ],
     align=True,
@@ -93,8 +93,8 @@ MOCK = np.dtype(
         ("force_limit", np.float64, _EACH),
         ("counts", np.int64, (schema.MAX_WORDS,)),  # of the next frame: all positions, then all velocities
         ("registers", np.int64, (schema.REGISTERS,)),
-        ("heard", FORMATS),  # of the host's frames
-        ("spoken", FORMATS),  # of the mock's frames
+        ("host_formats", FORMATS),  # of the host's frames
+        ("mock_formats", FORMATS),  # of the mock's frames
         ("decoder", DECODER),
         ("outbox", np.uint8, (OUTBOX_BYTES,)),
         ("late_samples", np.int64),  # that a force spends on the wire in virtual time
@@ -120,7 +120,7 @@ call_event = function_at(types.void(types.uint64, types.int64))
 """Call the events from compiled code, with the mock's address and the time in ns."""
 
 _call_read = function_at(types.int64(types.uint64, types.uint64, types.int64, types.int64))
-call_say = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
+call_put_frame = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
 
 
 @native(types.int64, types.uint64, types.uint64, types.int64, types.int64)
@@ -149,7 +149,7 @@ def _take_bytes(mock, data, stop, now):
         kind, armed = mock.decoder.type, mock.board.state == schema.ARMED
         if kind == schema.DISARM:
             disarm(mock, schema.IDLE)
-            _say_status(mock, mock.spoken.setup)
+            _put_status(mock, mock.mock_formats.setup)
         elif kind == schema.FORCE and armed:
             call_event(mock.called.take_force, (mock.address, now))
         elif kind == schema.DESCRIBE and not armed:
@@ -183,25 +183,25 @@ def _take_sample(mock, now):
         if acts < h:
             move(mock.called.move, body, 0.0, h - acts)
         position = sample(body, converter, h)
-        _show(mock, c, position, sample_velocity(body, converter, h) if board.velocity else 0.0)
+        _put_channel(mock, c, position, sample_velocity(body, converter, h) if board.velocity else 0.0)
     if acts < h:  # with the time to live, the commands still on their way are over
         for row in range(mock.depth):
             if row != board.n % mock.depth:
                 mock.commands[row, :] = 0.0
     board.n += 1
-    _say_position(mock, schema.POSITION if fresh else schema.POSITION_HELD)
+    _put_position(mock, schema.POSITION if fresh else schema.POSITION_HELD)
 
 
 @native(types.void, types.uint64, types.int64)
-def _look_at_watchdog(mock, now):
+def _check_watchdog(mock, now):
     """Latches where the host is quiet for too long, in samples. Lockstep has none then: there it waits in real time."""
     mock = mock_at(mock)
     board = mock.board
-    quiet, most = board.n - board.heard, board.watchdog
+    quiet, most = board.n - board.accepted, board.watchdog
     if board.pacing == schema.LOCKSTEP:
-        quiet, most = now - board.heard_ns, _LOCKSTEP_PATIENCE_NS
+        quiet, most = now - board.accepted_ns, _LOCKSTEP_PATIENCE_NS
     elif board.pacing == schema.PACED_BY_HOST:
-        quiet = np.int64((now - board.heard_ns) * 1e-9 / mock.converters[0].period)
+        quiet = np.int64((now - board.accepted_ns) * 1e-9 / mock.converters[0].period)
     if board.state == schema.ARMED and quiet > most:
         _fail(mock, schema.HOST_QUIET)
 
@@ -217,8 +217,8 @@ def _take_force(mock, now):
         return
     board.answered = board.n - age
     board.expires = board.answered + mock.decoder.argument
-    board.heard = board.n
-    board.heard_ns = now
+    board.accepted = board.n
+    board.accepted_ns = now
     mock.registers[schema.REG_ACCEPTED] += 1
     for c in range(mock.channels):
         force = mock.decoder.counts[c] * mock.force_scale[c]
@@ -265,10 +265,10 @@ def _decide_command(mock):
     """
     board = mock.board
     row, before = board.n % mock.depth, (board.n - 1) % mock.depth
-    if board.heard == board.n and board.answered == board.n:
+    if board.accepted == board.n and board.answered == board.n:
         return True
     mock.registers[schema.REG_HELD] += 1
-    if board.heard == board.n:
+    if board.accepted == board.n:
         return False
     lives = board.n <= board.expires and mock.converters[0].keeps_last_force
     for c in range(mock.channels):
@@ -277,7 +277,7 @@ def _decide_command(mock):
 
 
 @helper
-def _show(mock, channel, position, velocity):
+def _put_channel(mock, channel, position, velocity):
     """Puts a channel into the next frame. A velocity that does not fit its scale stops at the end: no fault."""
     converter = mock.converters[channel]
     counts, fits = to_counts(position, converter.quantum)
@@ -295,23 +295,23 @@ def _armed(mock, formats):
 
 
 @inlined
-def _say(mock, framing, kind, number):
-    call_say(mock.called.say, (mock.address, address_in_memory(framing), kind, number))
+def _put(mock, framing, kind, number):
+    call_put_frame(mock.called.put_frame, (mock.address, address_in_memory(framing), kind, number))
 
 
 @helper
-def _say_position(mock, kind):
+def _put_position(mock, kind):
     if mock.board.scale_out_of_range:
         _fail(mock, schema.POSITION_OUT_OF_RANGE)
     else:
-        _say(mock, _armed(mock, mock.spoken), kind, mock.board.n % schema.SAMPLE_MODULUS)
+        _put(mock, _armed(mock, mock.mock_formats), kind, mock.board.n % schema.SAMPLE_MODULUS)
 
 
 @helper
-def _say_status(mock, framing):
+def _put_status(mock, framing):
     mock.counts[:] = 0
     mock.counts[0] = mock.board.state | (mock.board.fault << 8)
-    _say(mock, framing, schema.STATUS, mock.board.n % schema.SAMPLE_MODULUS)
+    _put(mock, framing, schema.STATUS, mock.board.n % schema.SAMPLE_MODULUS)
 
 
 @helper
@@ -322,7 +322,7 @@ def _describe(mock):
     mock.registers[schema.REG_REJECTED] = decoder.crc_errors + decoder.length_errors + decoder.form_errors
     mock.counts[:] = 0
     mock.counts[0] = mock.registers[number] & 0xFFFFFFFF if number < mock.registers.size else 0
-    _say(mock, mock.spoken.setup, schema.DESCRIPTION, number)
+    _put(mock, mock.mock_formats.setup, schema.DESCRIPTION, number)
 
 
 @helper
@@ -347,14 +347,14 @@ def _arm(mock, now):
     board.fault = _refusal(mock, pacing, velocity)
     board.n = 0
     if board.fault != schema.NO_FAULT:
-        _say_status(mock, mock.spoken.setup)
+        _put_status(mock, mock.mock_formats.setup)
         return
     disarm(mock, schema.ARMED)
     board.pacing = pacing
     board.velocity = 1 if velocity else 0
     board.watchdog = decoder.number
-    board.answered = board.heard = board.expires = -1
-    board.heard_ns = board.sampled_ns = now
+    board.answered = board.accepted = board.expires = -1
+    board.accepted_ns = board.sampled_ns = now
     board.lives = math.inf
     board.scale_out_of_range = 0
     mock.gripped = 0
@@ -362,14 +362,14 @@ def _arm(mock, now):
     for register in range(schema.REG_ACCEPTED, schema.REG_LIMITED + 1):
         mock.registers[register] = 0
     decoder.crc_errors = decoder.length_errors = decoder.form_errors = 0
-    _say_status(mock, mock.spoken.setup)
-    use_framing(decoder, _armed(mock, mock.heard))
+    _put_status(mock, mock.mock_formats.setup)
+    use_framing(decoder, _armed(mock, mock.host_formats))
     for c in range(mock.channels):
         mock.bodies[c] = mock.initial[c]
         body, converter = mock.bodies[c], mock.converters[c]
         position = first_sample(body, converter)
-        _show(mock, c, position, first_velocity(body, converter) if board.velocity else 0.0)
-    _say_position(mock, schema.POSITION)
+        _put_channel(mock, c, position, first_velocity(body, converter) if board.velocity else 0.0)
+    _put_position(mock, schema.POSITION)
 
 
 @helper
@@ -377,7 +377,7 @@ def disarm(mock, state):
     """Sets every force to zero, at once, and listens for the setup format."""
     mock.board.state = state
     mock.commands[: mock.depth] = 0.0
-    use_framing(mock.decoder, mock.heard.setup)
+    use_framing(mock.decoder, mock.host_formats.setup)
 
 
 @helper
@@ -385,7 +385,7 @@ def _fail(mock, fault):
     """Latches: the force is zero until the host arms again. The STATUS goes out in the format of before."""
     mock.board.fault = fault
     mock.board.state = schema.LATCHED
-    _say_status(mock, _armed(mock, mock.spoken))
+    _put_status(mock, _armed(mock, mock.mock_formats))
     disarm(mock, schema.LATCHED)
 
 
@@ -399,18 +399,18 @@ def take_sample(mock: Any, now: int) -> None:
     _take_sample(address_of(mock), now)
 
 
-def look_at_watchdog(mock: Any, now: int) -> None:
+def check_watchdog(mock: Any, now: int) -> None:
     """Latches the force at zero where the host has been quiet for longer than its watchdog allows."""
-    _look_at_watchdog(address_of(mock), now)
+    _check_watchdog(address_of(mock), now)
 
 
 FUNCTIONS = {
     "take_bytes": _take_bytes,
     "take_sample": _take_sample,
-    "look_at_watchdog": _look_at_watchdog,
+    "check_watchdog": _check_watchdog,
     "act_on_force": _take_force,
     "read": _read,
-    "say": _put_frame,
+    "put_frame": _put_frame,
 }
 """By their names in CALLED."""
 

@@ -24,7 +24,7 @@ from firmware_protocol.description import Description
 from hapsim.compiling.native import address_of, array_at, native, record_at
 from hapsim.cordis.parameters import PARAMETERS, LiveValues, call_move
 from hapsim.device.mock.assemble_mock import described_mock, hand_values
-from hapsim.device.mock.firmware import FUNCTIONS, call_event, call_say, disarm, mock_at
+from hapsim.device.mock.firmware import FUNCTIONS, call_event, call_put_frame, disarm, mock_at
 from hapsim.device.mock.motion import move_with_spring_or_friction
 from hapsim.device.mock.sampler import set_timing
 from hapsim.scene import Scene
@@ -44,7 +44,7 @@ class LiveHand:
         self._values = LiveValues(hand_values(scene).ravel(), self._record.values)
         self._record.values.straight = 1
 
-    def follow(self, scene: Scene, samples: int) -> None:
+    def retarget(self, scene: Scene, samples: int) -> None:
         """Moves the hand to where `scene` has it, within this number of samples, or 4 ms if that is longer. One thread
         at a time."""
         mock, values = self._mock, hand_values(scene)
@@ -54,11 +54,11 @@ class LiveHand:
         if not mock.hand:
             self._record.take_sample = mock.called.take_sample
             mock.hand = address_of(self._record)
-            mock.called.take_sample = lead_hand.address()
+            mock.called.take_sample = move_hand.address()
 
 
 @native(types.void, types.uint64, types.int64)
-def lead_hand(mock, now):
+def move_hand(mock, now):
     """Stands before `take_sample`: moves the hand by a sample."""
     address, mock = mock, mock_at(mock)
     hand, channels = _hand_at(mock.hand), mock.channels
@@ -111,7 +111,7 @@ class RecordedDevice:
         record, channels = self._record, self.description.channels
         record.samples, record.words = self._samples.ctypes.data, self._counts.ctypes.data
         record.rows, record.width = self._counts.shape
-        record.put_frame = FUNCTIONS["say"].address()
+        record.put_frame = FUNCTIONS["put_frame"].address()
         self.mock = mock = described_mock(self.description)
         mock.bodies["mass"][:channels] = mock.initial["mass"][:channels] = _STILL_KG
         for converter in mock.converters[:channels]:
@@ -120,12 +120,12 @@ class RecordedDevice:
         mock.converters["quantum"][:channels] = self.description.position_scale
         mock.converters["velocity_quantum"][:channels] = self.description.velocity_scale or 0.0
         mock.recorded = address_of(record)
-        mock.called.say = say_recorded.address()
+        mock.called.put_frame = put_recorded_frame.address()
         return mock
 
 
 @native(types.void, types.uint64, types.uint64, types.int64, types.int64)
-def say_recorded(mock, framing, kind, number):
+def put_recorded_frame(mock, framing, kind, number):
     """Stands before the function that puts a frame into the outbox."""
     address, mock = mock, mock_at(mock)
     recorded, n = _recorded_at(mock.recorded), mock.board.n
@@ -146,4 +146,4 @@ def say_recorded(mock, framing, kind, number):
             words = _words_at(recorded.words, recorded.rows * recorded.width)
             for i in range(recorded.width):
                 mock.counts[i] = words[recorded.next * recorded.width + i]
-    call_say(recorded.put_frame, (address, framing, kind, number))
+    call_put_frame(recorded.put_frame, (address, framing, kind, number))

@@ -23,10 +23,10 @@ from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.mock.firmware import INPUT_BYTES, call_event, call_take_bytes, prepare
 from hapsim.device.mock.wire import transmitter_transport, uart_transport
-from hapsim.device.ports import free_name, linked, open_pseudo_terminal
+from hapsim.device.ports import free_name, link_to, open_pseudo_terminal
 from hapsim.loop.clocks import next_point
 from hapsim.loop.counts import Progress
-from hapsim.loop.realtime import no_timer_slack, scheduled_fifo
+from hapsim.loop.realtime import remove_timer_slack, use_fifo
 from hapsim.loop.system import SCRATCH, now_ns, require_linux, sleep_until
 from hapsim.loop.transport import TRANSPORT, receive, send
 from hapsim.stopping import STOPS
@@ -78,7 +78,7 @@ def serve(mock, service):
             # A device's timer is never late, but this machine may be.
             due, late = next_point(due, now, period)
             service.late_samples += late
-        call_event(mock.called.look_at_watchdog, (mock.address, now))
+        call_event(mock.called.check_watchdog, (mock.address, now))
         _send_outbox(mock, service)
 
 
@@ -117,14 +117,14 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
         compile_for(serve, mock, service)
 
         def serve_without_slack() -> None:
-            no_timer_slack()
+            remove_timer_slack()
             serve(mock, service)
 
         # A daemon: else the program's end would wait for it before it ends the session that it serves.
         thread = threading.Thread(target=serve_without_slack, name="mock device", daemon=True)
         thread.start()
         try:
-            with scheduled_fifo(thread.native_id or 0) if as_hardware else contextlib.nullcontext():
+            with use_fifo(thread.native_id or 0) if as_hardware else contextlib.nullcontext():
                 yield os.ttyname(far)
         finally:
             service.stop = 1
@@ -138,7 +138,7 @@ def serve_until_stopped(
     assemble: Callable[[], Any],
     link: Path | None,
     announce: Callable[[str], None],
-    tell: Callable[[Progress], None],
+    report: Callable[[Progress], None],
     as_hardware: bool = False,
 ) -> None:
     """Serves the MOCK that `assemble` returns until SIGINT, SIGTERM or SIGHUP; calls `announce(path)` once it answers.
@@ -152,10 +152,10 @@ def serve_until_stopped(
     stops: SimpleQueue[None] = SimpleQueue()
     for number in STOPS:
         signal.signal(number, lambda _number, _frame: stops.put(None))
-    counted = Counted(lambda name, share: tell(Progress("compiling", name, share=share)))
-    with on_compilation(counted.add), serving(assemble(), as_hardware) as path, linked(link, path) as name:
+    counted = Counted(lambda name, share: report(Progress("compiling", name, share=share)))
+    with on_compilation(counted.add), serving(assemble(), as_hardware) as path, link_to(link, path) as name:
         if not stops.empty():
             raise KeyboardInterrupt  # before it announced a port that answers
         announce(name)
-        tell(Progress("serving", name))
+        report(Progress("serving", name))
         stops.get()

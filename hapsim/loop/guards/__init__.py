@@ -1,6 +1,6 @@
-"""Guards: what ends a run or changes a force for the hand's sake, a file each; and the list of them.
+"""Guards, which end a run or change a force to protect the hand: a file each, and their list.
 
-To add one: write its file, with a `Guard` at its end, and name it here.
+To add one, write its file with a `Guard` at its end, and name it here.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ GUARDS: tuple[Guard, ...] = (
     rate.GUARD,
     rate.FIRST_FORCES,
 )
-"""In this order those of one stage act."""
+"""All guards; those of one stage act in this order."""
 
 HOOKS = {hook.function.__name__: hook for guard in GUARDS for hook in guard.hooks.values()}
-"""What an exchange calls of them."""
+"""Hooks of all guards, by function name."""
 
 
 def guard_that_ended(code: int) -> Guard | None:
-    """Returns the guard whose code ended a run, None where it was none."""
+    """Returns the guard whose code ended a run; None if no guard ended it."""
     return next((guard for guard in GUARDS if guard.code == code), None)
 
 

@@ -3,61 +3,60 @@
 **The energy.** Time-domain passivity (Hannaford and Ryu, IEEE Trans. Robotics and Automation 18(1), 2002). The energy
 that the simulated force has given to the hand, summed over channels and samples, is
 
-    S += f dx - b0 dx² / T,     dx = x[n] - x[n-1],
+    S += f dx - b0 dx² / T,     dx = x[n] - x[n-1].
 
-with f the force that acted from sample n-1 to n: with a delay of d samples the answer to sample n-1-d, for a fraction
-of a sample its two neighbours, weighted. b0 is the declared friction, which takes at least b0 dx²/T of it. What an
-excitation adds counts as the hand's.
+f is the force that acted from sample n-1 to n. With a delay of d samples it answers sample n-1-d; for a fraction of a
+sample it is the weighted mean of two answers. b0 is the declared friction, which dissipates at least b0 dx²/T. An
+excitation counts as the hand's force.
 
-For a spring K and a backward damper B, S never exceeds what the spring holds at the beginning, for any positions,
+For a spring K and a backward damper B, S never exceeds the spring's energy at the beginning, for any positions,
 quantised or not, if b0 >= K T (1/2 + d) + |B|. Without delay, the spring held at x[n-1] gives
 
     -K x[n-1] dx[n] = -K/2 (x[n]² - x[n-1]²) + K/2 dx[n]²,
 
 a difference of stored energies and K T/2 · dx²/T. Each further sample of delay adds K dx[n-j] dx[n], at most
 K/2 (dx[n-j]² + dx[n]²): summed, at most K T · dx²/T. The damper, however late, gives -B/T dx[m] dx[n], summed at most
-|B| dx²/T. Friction takes all of it. That is Colgate's condition (`theory/hand/wall_passivity.py`) sample by sample.
-Where a force is clipped the spring is softer; two channels are two sums.
+|B| dx²/T. Friction dissipates all of it. That is Colgate's condition (`theory/hand/wall_passivity.py`) sample by
+sample. A clipped force makes the spring softer; two channels are two sums.
 
-Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. At the first
-sample S is minus what the scene holds then (cordis/stored_energy.py): what nothing connects to a hand counts as
-nothing. A change of K while the scene runs adds (K[n] - K[n-1]) x[n]²/2 to that. This is subtracted from S when the
-change acts, with its sign, for all modules alike, and bounded by a tank. Where credit was clipped, S is too high by
-`clipped`: so much of a rise above 0 is forgiven when a change takes energy away, and a passive scene stays below 0,
-whatever changes. The guard trips where S is above `limit`.
+Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. S begins at minus the
+energy that the scene holds at the first sample (cordis/stored_energy.py), without modules that no link connects to a
+hand. A change of K while the scene runs adds (K[n] - K[n-1]) x[n]²/2 to the stored energy. This is subtracted from S
+when the change acts, with its sign, for all modules, and a tank bounds it. Clipped credit makes S too high by
+`clipped`. When a change removes energy, the guard therefore forgives a rise above 0 up to `clipped`, and a passive
+scene stays below 0 whatever changes. The guard trips when S exceeds `limit`.
 
 **Two accounts.** The proof holds for forces in time; the account SCENE counts those (force_history.py). Late forces
-give energy, too, but that is the host's fault: no reason to stop a run in which a hand knocks while the host stalls.
-The account LATE counts the forces that acted, as far as the device reports them, with a larger `limit` and LATE_SWINGS
+also give energy, but the host causes that: no reason to stop a run in which a hand knocks while the host stalls. The
+account LATE counts the forces that acted, as far as the device reports them, with a larger `limit` and LATE_SWINGS
 episodes.
 
-**Swinging at the limit.** A swing that the force limit clips can keep its size while friction takes all the energy. So
-the guard also trips after SWINGS episodes in a row, each beginning within GAP_S (GAP_SAMPLES at least) of the one
-before, if over them the force did at least the work that friction took, and more than `swing_limit`. An episode begins
-where the scene's own force, without an excitation, reaches the limit on another side or after a sample within it, but
-neither at arming, where what is wound up holds more than at any crossing, nor behind lost positions. The sums begin
-anew where the force did less work than friction took: between two crossings of the limit at one place a spring holds
-the same energy, so any gain comes from the sampling. They also begin anew when a parameter changes, which moves the
-crossing. A hand that presses, knocks or shakes a passive object loses energy from episode to episode.
+**Swinging at the limit.** A swing that the force limit clips can keep its size while friction dissipates all the
+energy. So the guard also trips after SWINGS episodes in a row, each beginning within GAP_S (GAP_SAMPLES at least) of
+the one before, if the force's work over them is at least the friction's, and more than `swing_limit`. An episode begins
+when the scene's own force, without an excitation, reaches the limit on another side or after a sample within it. None
+begins at arming, when wound-up springs hold more than at any crossing, or after lost positions. The sums begin anew
+when the force did less work than friction: between two crossings of the limit at one place a spring holds the same
+energy, so any gain comes from the sampling. They also begin anew when a parameter changes, which moves the crossing. A
+hand that presses, knocks or shakes a passive object loses energy from episode to episode.
 
 **Shaking at the limit.** A mass that diverges, or a damper too large for the rate, throws the force from limit to limit
 so fast that the hand hardly moves. So the guard also trips after SHAKES turns in a row of one channel's force from one
-limit to the other, if the scene asks for no less from turn to turn, and each turn is
+limit to the other, if the requested force does not fall from turn to turn, and each turn is
 
-* within SHAKE_SAMPLES of the one before: friction ends so fast a swing of a passive object at once;
-* or within SHAKE_S, the scene asking for SHAKE_OVER times the limit: no hand shakes at 10 Hz and more, and a mass that
-  swings so on a passive object comes to rest;
-* or within GAP_S, the scene asking for FAR_OVER times the limit: no hand stretches anything so far.
+* within SHAKE_SAMPLES of the one before: friction ends such a fast swing of a passive object at once;
+* or within SHAKE_S, at SHAKE_OVERLOAD times the limit: no hand shakes at 10 Hz and more, and a mass that swings so on a
+  passive object comes to rest;
+* or within GAP_S, at GAP_OVERLOAD times the limit: no hand stretches anything so far.
 
-Late forces swing more slowly, and the device does not say how late they are, so that no account is right. The guard
-trips after SWINGS such turns in a row, however slow, in which every force was late and the scene asked for as much as
-two turns before, within ALIKE of it: a loop repeats itself so, a hand does not.
+Late forces swing more slowly, and the device does not report how late they are, so that no account is right. The guard
+trips after SWINGS turns in a row, however slow, if every force was late and each peak equals the one two turns before
+within PEAK_TOLERANCE: a loop repeats itself so, a hand does not.
 
-**A scene that is predicted unstable**, and runs at its user's request, is judged more strictly. Episodes count from LOW
-of the limit on, to find a contact that bounces below it; friction may take more than the work by NEARLY of it; and
-every turn from limit to limit within GAP_S is shaking, of which SWINGS are enough.
+**Stricter rules** apply to a scene that is predicted unstable and runs at its user's request. Episodes count from
+STRICT_SHARE of the limit on, to find a contact that bounces below it. Friction may exceed the work by STRICT_TOLERANCE
+of it. Every turn from limit to limit within GAP_S is shaking, and SWINGS of them suffice.
 """
-
 from __future__ import annotations
 
 import math
@@ -72,55 +71,55 @@ from hapsim.compiling.native import record_at
 from hapsim.cordis.stored_energy import Tank, tank_at
 from hapsim.loop.force_history import IN_TIME, OF_SCENE, acting_force, history_at
 from hapsim.loop.guards.slew import NO_LIMIT
-from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.number_format import duration, rounded_down, rounded_up
 
 ENERGY_EXCEEDED = -22
-STEADIER = "`hapsim doctor` reports what would help this machine, and `--realtime` requests it"
-REFILL_S = 10.0  # the tank of live changes fills within this time
-_MUCH_SLEWED = 0.1  # of all ticks
-MOST_HELD = 40.0  # credits: the guard would wait for ever for an energy without bounds
-LATE_GIVES, LATE_SWINGS = 5.0, 64  # times the usual limit
+STEADINESS_ADVICE = "`hapsim doctor` reports what would help this machine, and `--realtime` requests it"
+REFILL_S = 10.0  # time in which the tank of live changes fills
+_MANY_SLEWED = 0.1  # of all ticks
+MOST_STORED = 40.0  # credits: with infinite stored energy the guard would never trip
+LATE_LIMIT_FACTOR, LATE_SWINGS = 5.0, 64  # times the usual limit
 SWINGS, GAP_S, GAP_SAMPLES = 16, 0.5, 3
-SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVER, FAR_OVER = 64, 6, 0.05, 1.5, 100.0
-ALIKE = 0.01
-LOW, NEARLY = 0.02, 0.01
+SHAKES, SHAKE_SAMPLES, SHAKE_S, SHAKE_OVERLOAD, GAP_OVERLOAD = 64, 6, 0.05, 1.5, 100.0
+PEAK_TOLERANCE = 0.01
+STRICT_SHARE, STRICT_TOLERANCE = 0.02, 0.01
 _FOREVER = 1 << 62
-_SAME_PEAK = 0.999  # of what was asked for: a sample need not fall on the peak
+_EQUAL_PEAK = 0.999  # share of the last peak: a sample need not fall on the peak
 
-GIVEN, SWINGING, SHAKING = 1, 2, 3  # why it tripped: the energy, or swinging or shaking at the limit
+GIVEN, SWINGING, SHAKING = 1, 2, 3  # cause of the trip: the energy, or swinging or shaking at the limit
 SCENE, LATE = 0, 1  # the accounts: of the forces in time, and of those that acted
 _EACH, _ACCOUNTS = (schema.MAX_CHANNELS,), (2,)
 
 ENERGY_GUARD = np.dtype(
     [
-        ("braked", np.float64, _EACH),  # b0/T, N/m
+        ("friction_per_step", np.float64, _EACH),  # b0/T, N/m
         ("limit", np.float64, _ACCOUNTS),  # J
         ("swing_limit", np.float64, _ACCOUNTS),  # J, of the work over episodes
         ("credit", np.float64),  # J
         ("tank", np.uint64),  # address of the TANK of live changes
-        ("taken", np.float64),  # J, of what these spent
+        ("taken", np.float64),  # J, its `spent` at the last sample
         ("changed_ticks", np.int64),  # of that TANK, at the last sample
         ("begun", np.int64),  # 1: there was a sample
-        ("most_held", np.float64),  # J, as much as counts of what the scene holds at the first sample
+        ("most_stored", np.float64),  # J, most of the stored energy that counts at the first sample
         ("given", np.float64, _ACCOUNTS),  # S, J
         ("clipped", np.float64, _ACCOUNTS),  # J, of the credit of the hand
         ("position", np.float64, _EACH),  # m, of the last sample
-        ("side", np.int64, _EACH),  # to which the force is out; 0: it is not
+        ("side", np.int64, _EACH),  # on which the force exceeds the limit; 0: neither
         ("most_gap", np.int64),  # samples from one episode to the next
         ("gap", np.int64),  # samples since this one began
         ("swings", np.int64, _ACCOUNTS),  # episodes in a row
         ("work", np.float64, _ACCOUNTS),  # J, of the force over these,
-        ("gained", np.float64, _ACCOUNTS),  # and what friction left of that
+        ("gained", np.float64, _ACCOUNTS),  # and the rest of it beyond friction
         ("most_turn", np.int64),  # samples from one turn to the next
-        ("last_side", np.int64, _EACH),  # to which each channel's force was cut last,
-        ("turn", np.int64, _EACH),  # how many samples ago it turned to that,
-        ("peak", np.float64, _EACH),  # N, the most that was asked for since,
-        ("least_peak", np.float64, _EACH),  # N, the least of those
-        ("turns", np.int64, _EACH),  # and how often in a row
+        ("last_side", np.int64, _EACH),  # on which each channel's force was clipped last,
+        ("turn", np.int64, _EACH),  # samples since it turned to that side,
+        ("peak", np.float64, _EACH),  # N, the largest requested force since,
+        ("least_peak", np.float64, _EACH),  # N, the least of these
+        ("turns", np.int64, _EACH),  # and turns in a row
         ("peaks", np.float64, (2 * schema.MAX_CHANNELS,)),  # N, of the last two turns
-        ("alike", np.int64, _EACH),  # how often in a row as two turns before, with late forces
-        ("shakes", np.int64),  # the most of these
+        ("repeats", np.int64, _EACH),  # turns in a row that equal the one two before, with late forces
+        ("shakes", np.int64),  # the most turns in a row
         ("elapsed", np.int64),  # samples since the first
         ("unstable_until", np.int64),  # sample; before it the scene is predicted unstable; another thread writes it
         ("why", np.int64),  # GIVEN, SWINGING, SHAKING
@@ -134,7 +133,7 @@ _energy_at = record_at(ENERGY_GUARD)
 
 @hook
 def judge_energy(energy, tick):
-    """Adds the energy of the last `gap` samples."""
+    """Adds the energy of the last `gap` samples. Returns ENERGY_EXCEEDED if the guard trips, else 0."""
     energy, tick = _energy_at(energy), tick_at(tick)
     history, io, gap = history_at(tick.history), io_at(tick.io), tick.gap
     has_begun = energy.begun != 0
@@ -142,8 +141,8 @@ def judge_energy(energy, tick):
         energy.elapsed += gap
     else:
         energy.begun = 1
-        energy.given[:] = -(tick.held if tick.held < energy.most_held else energy.most_held)  # also NaN
-    begins = _follow_sides(energy, history, io, gap) and gap == 1 and has_begun
+        energy.given[:] = -(tick.held if tick.held < energy.most_stored else energy.most_stored)  # also NaN
+    begins = _update_sides(energy, history, io, gap) and gap == 1 and has_begun
     energy.gap += gap
     follows = energy.gap <= energy.most_gap
     energy.gap = 0 if begins else energy.gap
@@ -166,8 +165,8 @@ def judge_energy(energy, tick):
             energy.why, energy.account = SWINGING, account
     for c in range(io.channels):
         energy.position[c] = io.position_counts[c] * io.position_scale[c]
-        if energy.why == 0 and energy.alike[c] >= SWINGS:
-            energy.why, energy.account, energy.shakes = SHAKING, LATE, energy.alike[c]
+        if energy.why == 0 and energy.repeats[c] >= SWINGS:
+            energy.why, energy.account, energy.shakes = SHAKING, LATE, energy.repeats[c]
     if energy.why == 0 and energy.shakes >= (SWINGS if _is_unstable(energy) else SHAKES):
         energy.why = SHAKING
     return ENERGY_EXCEEDED if energy.why != 0 else 0
@@ -175,7 +174,7 @@ def judge_energy(energy, tick):
 
 @helper
 def _energy_of(energy, history, io, account, gap):
-    """Returns (work of the force, the least that friction took of it) since the last sample, J."""
+    """Returns (work of the force, least work of friction) since the last sample, J."""
     work, lost = 0.0, 0.0
     column = IN_TIME if account == SCENE else OF_SCENE
     for c in range(io.channels):
@@ -184,14 +183,14 @@ def _energy_of(energy, history, io, account, gap):
         for i in range(gap):
             force += acting_force(history, column + c, i)
         work += force / gap * way
-        lost += energy.braked[c] * way * way / gap
+        lost += energy.friction_per_step[c] * way * way / gap
     return work, lost
 
 
 @helper
 def _take_account(energy, account, gained, added):
-    """Adds to S. A hand's credit is no larger than `credit`, but for what changes `added`. The scene had stored what
-    they take away, and so had lifted S for it where the credit was clipped: that much is forgiven, and no more."""
+    """Adds to S. A hand's credit is at most `credit`, plus the energy that changes `added`. A change that removes
+    energy also removes some that had raised S while the credit was clipped: that much is forgiven, and no more."""
     total = energy.given[account] + gained
     given = max(total, min(energy.given[account], -energy.credit))
     clipped = energy.clipped[account] + given - total
@@ -202,11 +201,11 @@ def _take_account(energy, account, gained, added):
 
 @helper
 def _count_swing(energy, account, work, lost, begins, follows):
-    """Adds to the sums over the episodes of swinging at the limit; `begins`: an episode does with this sample."""
+    """Adds to the sums over the episodes of swinging at the limit. `begins`: an episode begins with this sample."""
     energy.work[account] += work
     energy.gained[account] += work - lost
     if begins:
-        least = -NEARLY * energy.work[account] if _is_unstable(energy) else 0.0
+        least = -STRICT_TOLERANCE * energy.work[account] if _is_unstable(energy) else 0.0
         if follows and energy.swings[account] > 0 and energy.gained[account] >= least:
             energy.swings[account] += 1
         else:
@@ -215,10 +214,10 @@ def _count_swing(energy, account, work, lost, begins, follows):
 
 
 @helper
-def _follow_sides(energy, history, io, gap):
-    """Notes to which side each channel's force is out, and counts turns. Returns whether an episode begins."""
+def _update_sides(energy, history, io, gap):
+    """Updates the side of each channel's force, and counts turns. Returns whether an episode begins."""
     begins = False
-    from_on = LOW if _is_unstable(energy) else 1.0
+    from_on = STRICT_SHARE if _is_unstable(energy) else 1.0
     for c in range(io.channels):
         limit, wanted = io.force_limit[c], io.asked[c] + io.excitation[c]
         side = _side_of(io.asked[c], from_on * limit)
@@ -235,7 +234,7 @@ def _follow_sides(energy, history, io, gap):
 
 @helper
 def _is_unstable(energy):
-    """Whether the scene is predicted unstable, and runs all the same."""
+    """Returns whether the scene is predicted unstable and runs by request."""
     return energy.elapsed < energy.unstable_until
 
 
@@ -248,19 +247,19 @@ def _side_of(force, limit):
 def _count_turn(energy, c, limit, late):
     peak = energy.peak[c]
     turn = energy.turn[c]
-    over = 1.0 if turn <= SHAKE_SAMPLES else SHAKE_OVER if turn <= energy.most_turn else FAR_OVER
+    over = 1.0 if turn <= SHAKE_SAMPLES else SHAKE_OVERLOAD if turn <= energy.most_turn else GAP_OVERLOAD
     if _is_unstable(energy):
         energy.turns[c] = energy.turns[c] + 1 if turn <= energy.most_gap else 0
     elif turn > energy.most_gap or peak < over * limit:
         energy.turns[c], energy.least_peak[c] = 0, math.inf
-    elif peak < _SAME_PEAK * energy.least_peak[c]:
+    elif peak < _EQUAL_PEAK * energy.least_peak[c]:
         energy.turns[c], energy.least_peak[c] = 1, peak
     else:
         energy.turns[c] += 1
         energy.least_peak[c] = min(energy.least_peak[c], peak)
     before = energy.peaks[2 * c]
-    is_alike = energy.most_turn < turn <= late and abs(peak - before) <= ALIKE * before
-    energy.alike[c] = energy.alike[c] + 1 if is_alike else 0
+    is_alike = energy.most_turn < turn <= late and abs(peak - before) <= PEAK_TOLERANCE * before
+    energy.repeats[c] = energy.repeats[c] + 1 if is_alike else 0
     energy.peaks[2 * c], energy.peaks[2 * c + 1] = energy.peaks[2 * c + 1], peak
     energy.shakes = max(energy.shakes, energy.turns[c])
 
@@ -275,21 +274,21 @@ def watch_energy(
     usual_j: float,
     credit_j: float,
 ) -> None:
-    """Fills an ENERGY_GUARD. `tank`: of live changes; `friction`: (channels,) N·s/m; `limit_j`: the energy that the
-    scene may give; `usual_j`: that of a scene that declares none; `credit_j`: the most that a hand is credited with."""
+    """Fills an ENERGY_GUARD. `tank`: of live changes. `friction`: (channels,) N·s/m. `limit_j`: the energy that the
+    scene may give. `usual_j`: the default of that. `credit_j`: a hand's largest credit."""
     energy.tank = tank.address
-    energy.braked[: friction.size] = friction * rate_hz
-    late_j = max(limit_j, LATE_GIVES * usual_j)
+    energy.friction_per_step[: friction.size] = friction * rate_hz
+    late_j = max(limit_j, LATE_LIMIT_FACTOR * usual_j)
     energy.limit[:], energy.swing_limit[:] = (limit_j, late_j), (min(limit_j, usual_j), late_j)
-    energy.credit, energy.most_held = credit_j, MOST_HELD * credit_j
+    energy.credit, energy.most_stored = credit_j, MOST_STORED * credit_j
     energy.most_gap = max(GAP_SAMPLES, round(GAP_S * rate_hz))
     energy.most_turn = round(SHAKE_S * rate_hz)
     energy.least_peak[:] = math.inf
 
 
-def follow_scene(energy: Any, unstable: bool, samples: int = 0) -> None:
-    """Sets whether the scene, as it will be in `samples`, is predicted unstable and runs by request. On the way to such
-    a scene, and away from one, the stricter rules apply."""
+def set_predicted_unstable(energy: Any, unstable: bool, samples: int = 0) -> None:
+    """Sets whether the scene is predicted unstable after a change of `samples`, and runs by request. The stricter rules
+    also apply during a change to or from such a scene."""
     if unstable:
         energy.unstable_until = _FOREVER
     elif is_strict(energy):
@@ -318,11 +317,11 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     return loop.energy_guard
 
 
-def _sentence(run: Ended) -> str:
-    """Returns what was found, and what to do about late forces."""
+def _sentence(run: EndedRun) -> str:
+    """Returns the finding, and a remedy for late forces."""
     energy, report = run.loop.energy_guard, run.report
     why, account = int(energy.why), int(energy.account)
-    alike = "each time as far, by late forces" if account == LATE else "faster than any hand moves"
+    cause = "each time as far, by late forces" if account == LATE else "faster than any hand moves"
     on_what = "on a scene that is predicted unstable" if is_strict(energy) else ""
     if why == SWINGING:
         found = (
@@ -333,7 +332,7 @@ def _sentence(run: Ended) -> str:
     elif why == SHAKING:
         found = (
             f"the force shook at its limit: from one side to the other {energy.shakes} times in a row, the last at "
-            f"tick {report.ticks}, {on_what or alike}"
+            f"tick {report.ticks}, {on_what or cause}"
         )
     else:
         found = (
@@ -349,18 +348,18 @@ def _late_advice(report: Any) -> str:
     lost = f", and {report.lost_frames} positions were lost" if report.lost_frames else ""
     return (
         f". {report.deadline_misses} forces were up to {duration(late_s)} late{lost}; in time the scene would have "
-        f"given no more than it may. {STEADIER} (hapsim/STABILITY.md)"
+        f"given no more than it may. {STEADINESS_ADVICE} (hapsim/STABILITY.md)"
     )
 
 
-def _advice(run: Ended) -> str:
-    """Returns what to change; first the slew limit, where it held the force back in many ticks. "" where it was not the
-    scene's motion that ended the run."""
+def _advice(run: EndedRun) -> str:
+    """Returns the remedy: first the slew limit, if it held the force back in many ticks. "" if late forces ended the
+    run."""
     energy, report, slew = run.loop.energy_guard, run.report, run.loop.slew
     if int(energy.account) == LATE:
         return ""
     advice = "" if is_strict(energy) else "No passive object does that. "
-    if report.slewed_ticks > _MUCH_SLEWED * report.ticks:
+    if report.slewed_ticks > _MANY_SLEWED * report.ticks:
         limited, soft = int(slew.step[0]) < NO_LIMIT, float(slew.soft_samples) > 0.0
         by = " or ".join(["device.slew_limit"] * limited + ["device.soft_start"] * soft)
         advice = (

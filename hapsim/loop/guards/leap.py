@@ -1,4 +1,4 @@
-"""The loop stops before it answers a position where no force or blow can have brought a hand.
+"""The leap guard: it stops the loop before it answers a position that no force or blow can have caused.
 
 `watch_for_leaps` has the bound; STABILITY.md explains it.
 """
@@ -12,35 +12,35 @@ import numpy as np
 
 from firmware_protocol import schema
 from hapsim.compiling.native import record_at
-from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.number_format import rounded_down
 from hapsim.scales import Scale
 from hapsim.scene import Scene
 
 POSITION_LEAPT = -20
 
-LEAST_MASS = 0.1  # of the declared one, where the hand lets go. It also allows blows of ten times a hand's force
-_COUNTS, _NEAR_END = 2.0**31, 0.99  # to either side; a device that wraps round was nearer in the sample before
-NOISE_RMS = 20.0  # of the noise; one sample in 1e15 has more than 8 (a second difference has 2.45 rms)
+LEAST_MASS = 0.1  # of the declared one, for a released handle. It also allows blows of ten times a hand's force
+_COUNTS, _NEAR_END = 2.0**31, 0.99  # on either side; a count that wraps round was near the end a sample before
+NOISE_RMS = 20.0  # noise is above 8 rms in one sample of 1e15 (a second difference has 2.45 rms)
 
 _EACH = (schema.MAX_CHANNELS,)
 
 LEAP = np.dtype(
     [
-        ("channels", np.int64),  # that are judged
-        ("by_host", np.int64),  # 1: the host paces, and samples last as long as it takes
+        ("channels", np.int64),  # count of judged channels
+        ("by_host", np.int64),  # 1: the host paces, so that samples differ in length
         ("period_ns", np.int64),
-        ("last", np.float64, _EACH),  # m, the last position that was read
+        ("last", np.float64, _EACH),  # m, the last measured position
         ("span", np.float64),  # sample periods from the position before the last to the last
         ("pace", np.float64, _EACH),  # m per sample period, of the last step,
         ("pace_before", np.float64, _EACH),  # and of the one before
-        ("sent_ns", np.int64),  # when the force had left that asked for the last position
-        ("accelerated", np.float64, _EACH),  # m per sample period squared, by all forces together,
-        ("sprung", np.float64, _EACH),  # and by the device's own spring, per m of stretch
-        ("braked", np.float64, _EACH),  # share of the pace that the device's friction may take in a period
-        ("reversed", np.float64, _EACH),  # m per sample period: the fastest that a blow reverses
-        ("sensed", np.float64, _EACH),  # m
-        ("leapt_m", np.float64),  # the leap that was found,
+        ("sent_ns", np.int64),  # sending of the force that requested the last position
+        ("acceleration", np.float64, _EACH),  # m per sample period squared, by all forces together,
+        ("spring", np.float64, _EACH),  # and by the device's own spring, per m of stretch
+        ("friction_share", np.float64, _EACH),  # share of the pace that the device's friction may remove in a period
+        ("reversal", np.float64, _EACH),  # m per sample period: fastest that a blow reverses
+        ("sensor", np.float64, _EACH),  # m
+        ("leapt_m", np.float64),  # the leap,
         ("bound_m", np.float64),  # its bound,
         ("channel", np.int64),  # and its channel
     ],
@@ -53,14 +53,15 @@ _leap_at = record_at(LEAP)
 
 @hook
 def find_leap(leap, tick):
-    """Judges the position in `io.measured`. The first two positions begin a motion at any speed."""
+    """Judges the position in `io.measured`: POSITION_LEAPT for a leap, else 0. The first two positions begin a motion of
+    any speed."""
     leap, tick = _leap_at(leap), tick_at(tick)
     io = io_at(tick.io)
     periods = np.float64(tick.gap)
     if leap.by_host:
-        # The device samples on request. The longer of the two times counts: either may be delayed.
-        asked, heard = tick.sent_ns - leap.sent_ns, tick.now_ns - tick.before_ns
-        elapsed = np.float64(asked if asked > heard else heard) / leap.period_ns
+        # The device samples on request. The longer of two times counts: either may be delayed.
+        requested, received = tick.sent_ns - leap.sent_ns, tick.now_ns - tick.before_ns
+        elapsed = np.float64(requested if requested > received else received) / leap.period_ns
         leap.sent_ns = tick.sent_ns
         periods = elapsed if elapsed > periods else periods
     mean = 0.5 * (periods + leap.span)
@@ -76,12 +77,12 @@ def find_leap(leap, tick):
         speed = now_at if now_at > before else before
         leap.pace_before[c] = leap.pace[c]
         leap.pace[c] = step / periods
-        turned = 2.0 * (speed if speed < leap.reversed[c] else leap.reversed[c])
-        braked = leap.braked[c] * mean
-        bound = leap.sensed[c] + periods * (
+        turned = 2.0 * (speed if speed < leap.reversal[c] else leap.reversal[c])
+        slowed = leap.friction_share[c] * mean
+        bound = leap.sensor[c] + periods * (
             turned
-            + (braked if braked < 1.0 else 1.0) * speed
-            + mean * (leap.accelerated[c] + leap.sprung[c] * (abs(last) + speed * mean))
+            + (slowed if slowed < 1.0 else 1.0) * speed
+            + mean * (leap.acceleration[c] + leap.spring[c] * (abs(last) + speed * mean))
         )
         if off > bound and tick.number > 1:
             leap.leapt_m, leap.bound_m, leap.channel = off, bound, c
@@ -102,32 +103,31 @@ def watch_for_leaps(
     count_m: np.ndarray,
     scales: Sequence[Scale],
 ) -> None:
-    """Fills a LEAP. Arrays have the shape (channels,), in SI units: the least declared mass, the largest friction and
-    stiffness of the device, the sum of all forces but the hand's, and the m per count; `noise_m`: rms;
-    `scales`: of each channel's motion.
+    """Fills a LEAP. Arrays have shape (channels,), in SI units: the least declared mass, the device's largest friction
+    and stiffness, the sum of all forces except the hand's, the m per count. `noise_m`: rms. `scales`: of each motion.
 
     With A = (force + hand_force) / (LEAST_MASS mass), T the sample period, v the larger speed of the last two steps, a
     position may be off the line through the two before it by
 
         A T² + 2 min(v, hand_speed) T + min(1, b0 T / (LEAST_MASS m)) v T + k0 T² / (LEAST_MASS m) abs(x) + S
 
-    with S = sensor + NOISE_RMS noise + 4 counts; over lost positions by more, for the longer time.
+    with S = sensor + NOISE_RMS noise + 4 counts. After lost positions the bound grows with the time.
     """
     period, channels = 1.0 / rate_hz, mass.size
     least = LEAST_MASS * mass
     hand_force, speed, sensor = np.transpose([(one.hand_force, one.hand_speed, one.sensor) for one in scales])
     with np.errstate(over="ignore"):
         leap.channels, leap.by_host, leap.span, leap.period_ns = channels, by_host, 1.0, round(1e9 * period)
-        leap.accelerated[:channels] = (force + hand_force) / least * period**2
-        leap.sprung[:channels] = stiffness / least * period**2
+        leap.acceleration[:channels] = (force + hand_force) / least * period**2
+        leap.spring[:channels] = stiffness / least * period**2
         # Where the host paces, the length of a sample is uncertain: a whole step may be wrong.
-        leap.braked[:channels] = 1.0 if by_host else friction / least * period
-        leap.reversed[:channels] = speed * period
-        leap.sensed[:channels] = sensor + NOISE_RMS * noise_m + 4.0 * count_m
+        leap.friction_share[:channels] = 1.0 if by_host else friction / least * period
+        leap.reversal[:channels] = speed * period
+        leap.sensor[:channels] = sensor + NOISE_RMS * noise_m + 4.0 * count_m
 
 
 def _set_up(loop: Any, setting: Setting) -> Any:
-    """By the scene's device or, where the mock lets a position go farther, by the mock."""
+    """Fills the LEAP of a LOOP: each value from the scene's device or its mock, whichever allows larger steps."""
     scene, channels = setting.scene, setting.scene.channels
     device, mock = scene.device, scene.mock_device
     watch_for_leaps(
@@ -145,7 +145,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     return loop.leap
 
 
-def _sentence(run: Ended) -> str:
+def _sentence(run: EndedRun) -> str:
     leap = run.loop.leap
     units = run.scene.units_of(int(leap.channel))
     bound = units(rounded_down(units.scaled(leap.bound_m, "m")), "m")
@@ -158,8 +158,7 @@ def _sentence(run: Ended) -> str:
 
 
 def at_end_of_counts(io: Any, scene: Scene, near: float = 0.0) -> str:
-    """Returns a sentence where a channel's position is beyond this share of what its counts can say; else "".
-    `io`: IO_BUFFER."""
+    """Returns a sentence if a channel's count exceeds the share `near` of its range, else "". `io`: IO_BUFFER."""
     counts = [abs(int(io.position_counts[c]) + int(io.origin_counts[c])) for c in range(io.channels)]
     c = max(range(io.channels), key=lambda one: counts[one])
     if counts[c] < near * _COUNTS:

@@ -1,22 +1,22 @@
-"""A motor that is wired the wrong way: the loop stops before the hand has gone far, and names the channel.
+"""The sign guard: it stops the loop, before the hand has gone far, if a motor is wired the wrong way round.
 
 The acceleration itself does not show which way a motor pushes, because a hand pushes harder than most motors. Its
-change with the force that acted does. So both, x'' and F, go through the same filter,
+change with the force that acted does. So both x'' and F go through the same filter,
 
     D / (1 - a/q)³,     D = 1 - 1/q, a = exp(-T / FILTER_S),
 
-once as the second difference of the positions, once as that of the path on which the force alone takes 1 kg. The filter
+as the second differences of two paths: that of the positions, and that of 1 kg under the force alone. The filter
 passes changes within some milliseconds, but neither a hand's slow push nor single counts of an encoder. Over lost
-positions both follow a straight line, so that they stay comparable. Sums of their squares and products, which forget
+positions both paths are straight lines, so that they stay comparable. Sums of their squares and products, which decay
 within SUMS_S, give the residuals of x'' = F/m: R(right) for the best 1/m within RIGHT, R(wrong) within WRONG with the
 other sign, both times the declared mass; and
 
     J = (R(right) - R(wrong)) / (R(wrong) + counts²).
 
-A hand that leans into a wall harder and harder can make J large for a while. So if J is above SUSPICION for SUSPECT_S,
-and there is enough force, the force is released for RELEASE_S: a test that the hand does not expect. Only the sums from
-then on, until VERDICT_S, decide: with J above SURE the motor is wrong. If the other ratio,
-(R(wrong) - R(right)) / (R(right) + counts²), is above SURE for SUSPECT_S, with or without a test, the motor is right,
+A hand that leans into a wall harder and harder can make J large for a while. So if J exceeds SUSPICION for SUSPECT_S,
+and there is enough force, the guard releases the force for RELEASE_S: a test that the hand does not expect. Only the
+sums from then until VERDICT_S decide: with J above SURE the motor is wrong. If the other ratio,
+(R(wrong) - R(right)) / (R(right) + counts²), exceeds SURE for SUSPECT_S, with or without a test, the motor is right,
 and its channel is judged no more.
 
 The guard misses a motor whose force changes little, or moves the device less than the hand does: soft springs, heavy
@@ -35,16 +35,16 @@ from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import record_at
 from hapsim.loop.force_history import IN_ALL, acting_force, history_at
-from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import SLEWED
 
 WRONG_SIGN = -21
 
-FILTER_S, SUMS_S, LEAST_SUMS_S = 0.002, 0.005, 0.007  # below the last, sums are of too little
+FILTER_S, SUMS_S, LEAST_SUMS_S = 0.002, 0.005, 0.007  # shorter sums than the last hold too few samples
 SUSPECT_S, RELEASE_S, VERDICT_S = 0.003, 0.012, 0.028
 SUSPICION, SURE = 1.0, 12.0
-RELEASED_FROM = 0.1  # of the force limit: with less, taking it away shows nothing
-MOST_GAP = 3  # samples; what is led past more lost positions than that says nothing
+RELEASED_FROM = 0.1  # of the force limit: to release less shows nothing
+MOST_GAP = 3  # samples; after more lost positions the paths are not comparable
 RIGHT, WRONG = (0.4, 50.0), (0.4, 4.0)  # 1/m times the declared mass: a device alone is much lighter than in a hand
 
 _EACH = (schema.MAX_CHANNELS,)
@@ -55,9 +55,9 @@ SIGN = np.dtype(
         ("is_over", np.int64),  # 1: every motor is right
         ("releases", np.int64),  # channels whose force is released now
         ("tests", np.int64),  # releases so far
-        ("channel", np.int64),  # the one that is wrong
+        ("channel", np.int64),  # of the wrong motor
         ("pole", np.float64),  # a
-        ("forget", np.float64),  # what a sample leaves of the sums
+        ("forget", np.float64),  # decay of the sums per sample
         ("period_squared", np.float64),  # s²
         ("least", np.int64),  # samples in a sum,
         ("row", np.int64),  # suspicions in a row,
@@ -68,7 +68,7 @@ SIGN = np.dtype(
         ("seen", np.int64),  # positions
         ("position", np.float64, _EACH),  # m, the last one,
         ("step", np.float64, _EACH),  # and m in a sample, up to there
-        ("lead", np.float64, _EACH),  # kg·m in a sample, by which 1 kg is faster at a sample than on the way to it
+        ("lead", np.float64, _EACH),  # kg·m in a sample: speed of 1 kg at a sample less its mean speed up to there
         ("motion", np.float64, _STAGES),  # of the filter: three sums, and the last of them a sample before
         ("push", np.float64, _STAGES),
         ("kept", np.int64, _EACH),  # samples in these sums
@@ -102,7 +102,7 @@ def release(sign, tick):
 
 @hook
 def judge_signs(sign, tick):
-    """Judges the motion of the last `gap` samples. A motor that is wrong is that of `sign.channel`."""
+    """Judges the motion of the last `gap` samples: WRONG_SIGN for the motor of `sign.channel`, else 0."""
     sign, tick = _sign_at(sign), tick_at(tick)
     if sign.is_over:
         return 0
@@ -138,7 +138,7 @@ def judge_signs(sign, tick):
 
 @helper
 def _begin_test(sign, history, io, c):
-    """Begins a test, if there is suspicion and enough force."""
+    """Begins a test if there is suspicion and enough force."""
     acts = abs(acting_force(history, IN_ALL + c, 0))
     if sign.against[c] >= sign.row and acts >= RELEASED_FROM * io.force_limit[c]:
         sign.tests += 1
@@ -172,7 +172,7 @@ def _sum_up(sign, history, io, c, gap):
 
 @helper
 def _filtered(sums, at, bend, pole, gap):
-    """Filters a path that bends at the first of `gap` samples and then is straight."""
+    """Returns the filtered bend of a path that bends at the first of `gap` samples and is then straight."""
     for i in range(gap):
         sums[at] = pole * sums[at] + (bend if i == 0 else 0.0)
         sums[at + 1] = pole * sums[at + 1] + sums[at]
@@ -191,7 +191,7 @@ def _residual(sign, c, bounds):
 
 
 def watch_signs(sign: Any, *, rate_hz: float, masses: Sequence[tuple[float, float]]) -> None:
-    """Fills a SIGN. `masses`: kg, the least and the most of each channel."""
+    """Fills a SIGN. `masses`: kg, the least and the largest of each channel."""
     for c, (least, most) in enumerate(masses):
         sign.right[2 * c : 2 * c + 2] = RIGHT[0] / most, RIGHT[1] / least
         sign.wrong[2 * c : 2 * c + 2] = -WRONG[1] / least, -WRONG[0] / most
@@ -212,7 +212,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     return loop.sign
 
 
-def _sentence(run: Ended) -> str:
+def _sentence(run: EndedRun) -> str:
     return (
         f"motor and position of channel {run.loop.sign.channel} disagree in sign: the device accelerated against its "
         f"force, and a release of the force confirmed it (tick {run.report.ticks}). Swap the motor's two wires; or "

@@ -1,12 +1,12 @@
-"""Outside the travel that a scene declares for its device, the force fades; beyond a margin there, the loop stops.
+"""The travel guard: outside the declared travel the force fades, and beyond a margin there the loop stops.
 
-A position x is outside by max(low - x, x - high). There the force that would leave, clipped and with any push, is
-multiplied by 1 - outside / margin, and is zero beyond the margin. So a fade is no steeper than force_limit / margin,
-which is judged as a stiffness before a run. A device that rests at its own stop, within the margin, feels less force.
+A position x is outside by max(low - x, x - high). There the force, clipped and with any push, is multiplied by
+1 - outside / margin, and is zero beyond the margin. So the fade is no steeper than force_limit / margin, which is
+judged as a stiffness before a run. A device that rests at its own stop, within the margin, feels less force.
 
-Beyond the margin a motor has the wrong sign, or the zero is not where the scene has it. The loop stops as soon as noise
-and counts do not explain the position. A device that is armed outside may stay there: until it comes within its travel,
-the margin begins where it was armed.
+Beyond the margin a motor has the wrong sign, or the device's zero is wrong. The loop stops as soon as noise and counts
+do not explain the position. A device that is armed outside may stay there: until it comes within its travel, the margin
+begins at its position at arming.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import numpy as np
 
 from firmware_protocol import schema
 from hapsim.compiling.native import record_at
-from hapsim.loop.hooks import Ended, Guard, Setting, Stage, hook, io_at, tick_at
+from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
 
 OUT_OF_TRAVEL = -24
 
-NOISE_RMS = 8.0  # of the sensor's noise, where it is known: one sample in 1e15 has more
+NOISE_RMS = 8.0  # of the sensor's noise, if known: one sample in 1e15 has more
 
 _EACH = (schema.MAX_CHANNELS,)
 
@@ -31,11 +31,11 @@ TRAVEL = np.dtype(
         ("low", np.float64, _EACH),  # m, the limits; infinite: none
         ("high", np.float64, _EACH),
         ("margin", np.float64, _EACH),  # m, the width of the band outside them
-        ("unsure", np.float64, _EACH),  # m, by what noise and counts may be wrong
+        ("unsure", np.float64, _EACH),  # m, error by noise and counts
         ("begun", np.int64),  # 1: there was a sample
-        ("armed", np.float64, _EACH),  # m, how far outside it was armed; 0 once it was within
-        ("channel", np.int64),  # which one was found beyond,
-        ("position", np.float64),  # and where, m
+        ("armed", np.float64, _EACH),  # m, distance outside at arming; 0 after it was within
+        ("channel", np.int64),  # the channel beyond the margin,
+        ("position", np.float64),  # and its position, m
         ("faded_ticks", np.int64),
     ],
     align=True,
@@ -46,7 +46,7 @@ _travel_at = record_at(TRAVEL)
 
 @hook
 def fade(travel, tick):
-    """Fades forces and excitation on every channel that is outside."""
+    """Fades force and excitation on every channel that is outside. Returns OUT_OF_TRAVEL beyond the margin, else 0."""
     travel, tick = _travel_at(travel), tick_at(tick)
     io = io_at(tick.io)
     is_outside, code = False, 0
@@ -84,7 +84,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     return travel
 
 
-def _sentence(run: Ended) -> str:
+def _sentence(run: EndedRun) -> str:
     travel, c = run.loop.travel, int(run.loop.travel.channel)
     units = run.scene.units_of(c)
     return (

@@ -23,11 +23,11 @@ def test_what_comes_of_it_comes_back() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a scheduling of Linux")
-@pytest.mark.parametrize("gives_way", [True, False])
-def test_its_thread_alone_gives_way(gives_way: bool) -> None:
+@pytest.mark.parametrize("idle_priority", [True, False])
+def test_its_thread_alone_gives_way(idle_priority: bool) -> None:
     before = os.sched_getscheduler(0)
-    policy, thread = BackgroundWork(lambda: (os.sched_getscheduler(0), threading.get_ident()), gives_way).result()
-    assert policy == (os.SCHED_IDLE if gives_way else before)
+    policy, thread = BackgroundWork(lambda: (os.sched_getscheduler(0), threading.get_ident()), idle_priority).result()
+    assert policy == (os.SCHED_IDLE if idle_priority else before)
     assert thread != threading.get_ident()
     assert os.sched_getscheduler(0) == before != os.SCHED_IDLE
 
