@@ -1,6 +1,6 @@
 """Running a scene: open the port, describe, arm, loop, disarm. Every way out asks the device to release its force.
 
-Public is what `__all__` names.
+`__all__` lists the public names.
 """
 
 from hapsim.loop.counts import Progress

@@ -1,7 +1,7 @@
 """Changing a scene while it runs.
 
 If only live parameters and points of tables differ, they ramp to their new values. For any other difference in the
-modules, another program is compiled beside the running loop, which then crossfades to it.
+modules, another program is compiled in the background, and the running loop then crossfades to it.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from hapsim.scene.part import Part, Table
 from hapsim.units import Units
 
 Changes = Mapping[str, Mapping[str, float | str | Sequence[Sequence[float]]]]
-"""By module and field: a number, a word, or the points of a table."""
+"""New values by module and field: a number, a word, or the points of a table."""
 
 OVER = "the run is over: nothing can be changed any more"
 
 _EXAMPLE = '{"touch": {"stiffness": 500.0}}'
 _LONGEST = 2.0**40  # samples
 _POLL_S = 1e-3
-_LARGEST = 1e12  # in SI units; what is beyond is a mistake, and may be beyond what can be predicted
-_MOST_STATES = 250  # of a scene that is judged in the thread of who changes it: some milliseconds
+_LARGEST = 1e12  # in SI units; a larger value is a mistake, and may be too large to predict
+_MOST_STATES = 250  # of a scene that is judged in the caller's thread, in some milliseconds
 _MAY_DIFFER = (("mock", "initial"), ("mock", "hand"))
 _NO_HAND = f"{MOCK_HAND}: the device is no mock of this process; a hand that holds a real device cannot be set"
 
@@ -76,11 +76,11 @@ class LiveScene:
         )
         self._notes: deque[dict[str, Any]] = deque()
         self._noting = threading.Lock()
-        self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have it yet
-        self._values: tuple[Column, Column] | None = None  # its own and as posted; None: not worked out yet
+        self._posted: tuple[int, dict[str, Any]] | None = None  # the last change, if the loop may not have taken it
+        self._values: tuple[Column, Column] | None = None  # its own and as posted; None: not computed yet
 
     def set(self, changes: Changes, over: float) -> None:
-        """Changes some live parameters, as `Session.set`."""
+        """Changes live parameters, as `Session.set` does."""
         replaces = _needs_crossfade(self.scene, changes)
 
         def change(in_background: bool = True) -> bool:
@@ -101,14 +101,14 @@ class LiveScene:
                     self._ramp_to(scene, over, note)
                 return True
 
-        # Beside the loop it predicts the scene, which takes seconds for a large one, or compiles it.
+        # In the background: predicting a large scene takes seconds, and so does compiling one.
         if replaces or not change(in_background=False):
             self._run_in_background(change)
 
     def adopt(self, scene: Scene, over: float) -> None:
-        """Changes to `scene`, as `Session.adopt`."""
+        """Changes to `scene`, as `Session.adopt` does."""
         note = {"adopt": document_of(scene), "over": over}
-        _samples(scene, over)  # refuses first of all
+        _samples(scene, over)  # raises first
 
         def change() -> None:
             with self._replacing:
@@ -118,8 +118,8 @@ class LiveScene:
         self._run_in_background(change)
 
     def take_notes(self) -> list[dict[str, Any]]:
-        """Returns the changes that the loop has taken since the last call, each as {"tick": with which, "set": changes
-        or "adopt": the document of a scene, "over": seconds}."""
+        """Returns the changes that the loop has taken since the last call, each with its "tick", "set" (changes) or
+        "adopt" (document of a scene), and "over" (seconds)."""
         self._note_taken()
         return [self._notes.popleft() for _ in range(len(self._notes))]
 
@@ -152,7 +152,7 @@ class LiveScene:
             self._replace(scene, _samples(scene, over), note)
 
     def _ramp_to(self, scene: Scene, over: float, note: dict[str, Any]) -> bool:
-        """Posts the values of `scene`, if any differs; False where a table that it changes is still on its way."""
+        """Posts the values of `scene`, if any differs. Returns False if a table that it changes is still ramping."""
         samples = _samples(scene, over)
         rendering, parameters = rendered(scene), self._loop.program.parameters
         plain = parameter_values(rendering.scene)
@@ -173,7 +173,7 @@ class LiveScene:
         return True
 
     def _replace(self, scene: Scene, samples: int, note: dict[str, Any]) -> None:
-        """Compiles the program of `scene` and crossfades to it. Only the last lines hold the lock."""
+        """Compiles the program of `scene` and crossfades to it. Only the last lines hold `_writing`."""
         rendering = rendered(scene)
         after = rendering.scene
         require_in_time(after)
@@ -200,11 +200,11 @@ class LiveScene:
             self._loop.hand.retarget(scene, samples)
 
     def _is_predicted_unstable(self, scene: Scene) -> bool:
-        """Whether the scene is predicted unstable and may run, with the energy guard on."""
+        """Returns whether the scene is predicted unstable and may run, with the energy guard enabled."""
         return bool(self._unstable) and self._loop.has_energy_guard and surely_shaken_by(scene) is not None
 
     def _set_strictness(self, samples: int, is_shaken: bool) -> None:
-        """Informs the energy guard, before a change acts, whether the scene will be predicted unstable."""
+        """Sets in the energy guard, before a change acts, whether the scene will be predicted unstable."""
         if self._loop.has_energy_guard:
             set_predicted_unstable(self._loop.record.energy_guard, unstable=is_shaken, samples=samples)
 
@@ -238,7 +238,7 @@ def document_of(scene: Scene) -> dict[str, Any]:
 
 
 def first_fixed_difference(now: Scene, wanted: Scene) -> str:
-    """Returns the first key that differs and cannot change while a scene runs; "" if there is none."""
+    """Returns the first key that differs and cannot change while a scene runs; "" if none does."""
     for key in ("rate", "substeps"):
         if getattr(now, key) != getattr(wanted, key):
             return key
@@ -262,8 +262,8 @@ def _without_hand(mock: Mock | None) -> Mock:
 
 
 def _is_equal(before: Any, after: Any) -> bool:
-    """Whether two values of a device mean the same for the channels that both have. A list has a value per channel; one
-    value stands for all channels."""
+    """Returns whether two values of a device agree on their common channels. A list has a value per channel; one value
+    stands for all channels."""
     if isinstance(before, Part) and type(before) is type(after):
         return all(_is_equal(getattr(before, key), getattr(after, key)) for key in type(before).model_fields)
     if not isinstance(before, tuple | list) and not isinstance(after, tuple | list):
@@ -273,8 +273,8 @@ def _is_equal(before: Any, after: Any) -> bool:
 
 
 def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
-    """Whether two scenes differ in nothing but parameters that may change while a scene runs, and points of tables for
-    which its program has room."""
+    """Returns whether two scenes differ only in live parameters, and in points of tables for which the program has
+    room."""
     if first_fixed_difference(now, wanted) or (now.precision, now.scheme) != (wanted.precision, wanted.scheme):
         return False
     fixed = fixed_modules(now)
@@ -299,7 +299,7 @@ def _samples(scene: Scene, over: float) -> int:
 
 
 def _needs_crossfade(scene: Scene, changes: Any) -> bool:
-    """Whether a `set` changes what may need another program, such as a table."""
+    """Returns whether a `set` changes a value that may need another program, such as a table."""
     sound = isinstance(changes, Mapping) and all(isinstance(values, Mapping) for values in changes.values())
     parts = parts_of(scene)
     return sound and any(
@@ -308,7 +308,7 @@ def _needs_crossfade(scene: Scene, changes: Any) -> bool:
 
 
 def changed(scene: Scene, changes: Changes) -> Scene:
-    """Returns the scene with some values changed, checked as a scene file's values are."""
+    """Returns the scene with some values changed. Raises UsageError for values that a scene file could not have."""
     parts = parts_of(scene)
     if not isinstance(changes, Mapping) or not all(isinstance(values, Mapping) for values in changes.values()):
         raise UsageError(f"found {changes!r}, expected the names of modules, each with what changes: {_EXAMPLE}")
@@ -349,7 +349,7 @@ def _require_sizes(name: str, values: Mapping[str, Any]) -> None:
 
 
 def _size(value: Any) -> float:
-    """The size of the largest number in a value."""
+    """Returns the largest absolute number in a value."""
     if isinstance(value, list | tuple):
         return max(map(_size, value), default=0.0)
     return abs(value) if isinstance(value, int | float) else 0.0

@@ -1,4 +1,4 @@
-"""Fills the loop's memory for a correction: a predictor on each channel with a device point, and tables by mass where
+"""Filling the loop's memory for a correction: a predictor on each channel with a device point, and tables by mass if
 the mass is estimated."""
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from hapsim.theory.correction import StatePredictor, forces_in_second_difference
 Table = NDArray[np.float64]
 
 _LEAST_STIFFNESS = 1e-9  # N/m
-_KEPT_TABLES = 8  # more than the loop may still read, of those that it was posted
+_KEPT_TABLES = 8  # more of the posted tables than the loop may still read
 
 
 class LoopCorrection:
-    """What a correction keeps in memory for the loop; nothing if it predicts nothing."""
+    """The memory of a correction for the loop; empty for one that predicts nothing."""
 
     def __init__(self, loop: Any, rendering: Rendering, description: Description) -> None:
         """`loop`: a LOOP with its control set."""
         self._ports = {port.channel: port for port in rendering.ports if port.schedule is not None}
-        """By channel, what adapts; none is added while the scene runs."""
+        """Adaptive ports by channel; none is added while the scene runs."""
         self.hooks: list[Hook] = []
-        """What the exchange calls."""
+        """Hooks that the exchange calls."""
         predictors = rendering.predictors()
         self._predicts = bool(predictors)
         if not predictors:
@@ -98,7 +98,7 @@ class LoopCorrection:
         self._record.adaptive = address_of(record)
 
     def _spans(self, rendering: Rendering) -> Iterator[tuple[int, int]]:
-        """Yields channels, and the samples of the spans with which their estimates begin."""
+        """Yields each adaptive channel with the span of its estimate, in samples."""
         for port in (one for one in rendering.ports if one.channel in self._ports and one.schedule is not None):
             stiffness = max(port.written[0] + port.declared.stiffness, _LEAST_STIFFNESS)
             half_period_s = math.pi * math.sqrt(_span(port)[0] / stiffness)
@@ -106,8 +106,8 @@ class LoopCorrection:
             yield port.channel, round(samples)
 
     def fade_to(self, rendering: Rendering, samples: int, mailbox: Mailbox) -> None:
-        """Adds a fade to the correction of another scene, over `samples`, to what is posted next. A channel on which
-        nothing adapts any more gets the predictor of its links, and nothing is added to their force."""
+        """Adds to the next change a fade to the correction of another scene, over `samples`. A channel that no longer
+        adapts gets the predictor of its links, and nothing is added to their force."""
         for channel, span in self._spans(rendering) if self._ports else ():
             mailbox.add(self._adaptive.estimate, "next_span", span, channel)
         if self._predicts:
@@ -116,8 +116,8 @@ class LoopCorrection:
             mailbox.add(self._record, "posted", address_of(self._tables[-1]))
 
     def masses(self, channels: int) -> dict[str, tuple[float | None, ...]]:
-        """Returns the estimated masses under their names in `Report` and `Progress`: a value per channel, None where
-        none is estimated; no values if no channel has one."""
+        """Returns the estimated masses by their names in `Report` and `Progress`: a value per channel, None without an
+        estimate; no names if no channel has one."""
         names = ("estimated_mass_kg", "estimated_mass_uncertainty_kg", "mass_explained", "mass_age_s")
         if not self._ports:
             return {}
@@ -131,17 +131,17 @@ class LoopCorrection:
         return dict(zip(names, zip(*rows, strict=True), strict=True))
 
     def _table(self, tables: dict[int, Table]) -> Table:
-        """Returns all channels' tables as one; a channel without a predictor gets what is read."""
+        """Returns all channels' tables as one; a channel without a predictor passes the measured position on."""
         whole = np.zeros((schema.MAX_CHANNELS, int(self._record.rows), int(self._record.width)))
         row, readings = STATES + self._lags, int(self._record.readings)
-        whole[..., (2 + readings) * row] = whole[..., (4 + readings) * row] = 1.0  # the position that was read
+        whole[..., (2 + readings) * row] = whole[..., (4 + readings) * row] = 1.0  # the measured position
         for channel, table in tables.items():
             whole[channel] = table
         return whole
 
     def _channel_tables(self, rendering: Rendering) -> dict[int, Table]:
-        """Returns (masses or 1, width) numbers by channel: a predictor's for each mass, and where the mass is
-        estimated what is added to the scene's force, which is that for the least mass."""
+        """Returns (masses or 1, width) numbers by channel: a predictor's for each mass. With an estimated mass they end
+        with the addition to the scene's force, which is that for the least mass."""
         tables = {channel: self._numbers_of([one]) for channel, one in rendering.predictors().items()}
         if self._ports:
             tables = {channel: np.pad(table, ((0, 0), (0, ADDED))) for channel, table in tables.items()}

@@ -1,6 +1,6 @@
-"""The live parameters of a scene: what may change while it runs, with its unit, its bounds and its value.
+"""The live parameters of a scene, which may change while it runs, with value, unit and bounds.
 
-Built from the scene and from what its types declare: a new module's live fields appear by themselves.
+They are built from the scene and the declarations of its types: a new module's live fields appear by themselves.
 """
 
 from __future__ import annotations
@@ -28,47 +28,47 @@ MOCK_HAND = "mock.hand"
 
 LivePart = Module | PickUp | Hand
 
-_DECADES = 1.5  # that a logarithmic slider has on either side of the value
+_DECADES = 1.5  # of a logarithmic slider on either side of the value
 _REACH = {"m": 0.05, "rad": 1.0, "N": 10.0, "N·m": 1.0, "N/m": 1000.0, "N·s/m": 10.0}  # of a slider around 0, by unit
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One thing that may change while the scene runs."""
+    """A value that may change while the scene runs."""
 
     name: str
-    """Such as "touch.stiffness"."""
+    """Module or pick-up and field, such as "touch.stiffness"."""
     kind: Kind
-    """A number; numbers, one for each channel; a word; or points, a table's [x, y]."""
+    """Type of the value: a number; numbers, one for each channel; a word; or points, a table's [x, y]."""
     value: Value
     unit: str
     description: str
     least: float | None = None
-    """The bounds of a number; None where there is none."""
+    """Bounds of a number; None without a bound."""
     most: float | None = None
     is_least_excluded: bool = False
-    """Whether the number has to be above `least`."""
+    """True if the number must be above `least`."""
     words: tuple[str, ...] = ()
-    """The words that a word may be."""
+    """Choices of a word."""
 
     @property
     def part(self) -> str:
-        """The module or pick-up that it belongs to."""
+        """Name of its module or pick-up."""
         return self.name.rpartition(".")[0]
 
     @property
     def key(self) -> str:
-        """Its field there."""
+        """Name of its field."""
         return self.name.rpartition(".")[2]
 
     @property
     def is_logarithmic(self) -> bool:
-        """Whether a slider's scale should be logarithmic: the number is never negative, and above 0 now."""
+        """True if a slider should be logarithmic: the number is never negative, and above 0 now."""
         return self.kind == "number" and self.least == 0.0 and isinstance(self.value, float) and self.value > 0.0
 
     @property
     def span(self) -> tuple[float, float]:
-        """Where a slider should begin and end: around the value, within the bounds."""
+        """Ends of a slider: around the value, within the bounds."""
         value = self.value if isinstance(self.value, float) else 0.0
         if self.is_logarithmic:
             low, high = value * 10.0**-_DECADES, value * 10.0**_DECADES
@@ -80,13 +80,13 @@ class Parameter:
 
 
 def parts_of(scene: Scene) -> dict[str, LivePart]:
-    """What has live parameters, by name: the modules, the pick-ups, and the hand that holds the mock."""
+    """Returns the parts with live parameters, by name: the modules, the pick-ups, and the hand that holds the mock."""
     hand = (scene.mock or Mock()).hand
     return {**scene.modules, **scene.sound, MOCK_HAND: hand}
 
 
 def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:
-    """Every live parameter of a scene, by name. `has_mock`: its device is the mock of this process."""
+    """Returns every live parameter of a scene, by name. `has_mock`: its device is the mock of this process."""
     fixed, found = fixed_modules(scene), {}
     for name, part in parts_of(scene).items():
         if name in fixed or (name == MOCK_HAND and not has_mock):
@@ -99,8 +99,8 @@ def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:
 
 
 def changes_from(values: Mapping[str, Any], parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
-    """Values by a parameter's whole name ("touch.stiffness"), as `Session.set` takes them. Raises UsageError where no
-    parameter is called so."""
+    """Returns values by full name ("touch.stiffness") in the form of `Session.set`. Raises UsageError for an unknown
+    name."""
     changes: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
         if name not in parameters:
@@ -127,7 +127,7 @@ def _parameter(name: str, kind: type[Part], key: str, value: Any, scene: Scene) 
 
 @cache
 def _declared(kind: type[Part], key: str) -> tuple[str, str, float | None, float | None, bool, tuple[str, ...]]:
-    """Unit, description, bounds and words that a type declares of a field."""
+    """Returns unit, description, bounds and words of a field, as its type declares them."""
     field, alias = next((one, name) for name, one in kind.model_fields.items() if key in (name, one.alias))
     expectation = next((one for one in field.metadata if isinstance(one, Expectation)), None)
     schema = kind.model_json_schema(by_alias=True)["properties"][field.alias or alias]

@@ -1,4 +1,4 @@
-"""How a run went, in numbers, and how it ended: the error of a run that did not end as asked."""
+"""The outcome of a run: its report, and the error of a run that failed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from hapsim.scene import Scene
 
 
 def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) -> Trace:
-    """Returns everything that was recorded of a loop that has ended."""
+    """Returns the trace of a loop that has ended."""
     return Trace(
         scene.rate,
         **columns_of(recorder.rows()),
@@ -43,7 +43,7 @@ def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) ->
 
 
 def statistics_of(loop: LoopMemory) -> Statistics:
-    """Returns the histograms of a loop as they are now, in s and in samples."""
+    """Returns the histograms of a loop now, in s and in samples."""
     counted = loop.record.histograms
     return Statistics(
         lateness=histogram_of(counted.lateness, 1e-9),
@@ -53,7 +53,7 @@ def statistics_of(loop: LoopMemory) -> Statistics:
 
 
 def progress_of(loop: LoopMemory) -> Progress:
-    """Returns the state of a loop now."""
+    """Returns the progress of a loop now."""
     state, io, used = loop.state, loop.record.io, slice(loop.wire.channels)
     elapsed = (int(state.newest_ns) - int(state.first_ns)) * 1e-9
     sensor, period_s = loop.record.frozen_sensor, 1e-9 * int(loop.control.period_ns)
@@ -71,13 +71,12 @@ def progress_of(loop: LoopMemory) -> Progress:
 
 
 def counters_of(loop: LoopMemory) -> dict[str, Any]:
-    """Returns what a loop counted and estimated, by the names of `Counts`, without what is said of a position that
-    stands still."""
+    """Returns the counts and estimates of a loop, by the names of `Counts`, without `frozen`."""
     decoder, record, wire = loop.inbox.decoder, loop.record, loop.wire
     counts = {
         name: int(attrgetter(f"state.{name}" if at == "state" else at)(record)) for name, at in words_at("at").items()
     }
-    pending = int(decoder.seen)  # bytes since the last delimiter: garbage where there are more than a frame has
+    pending = int(decoder.seen)  # bytes since the last delimiter: garbage if longer than a frame
     is_frame = pending <= schema.frame_bytes(wire.channels, to_device=False, velocity=wire.velocity)
     counts |= {
         "parameter_changes": loop.changes,
@@ -91,7 +90,7 @@ def counters_of(loop: LoopMemory) -> dict[str, Any]:
 
 
 def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
-    """Returns the report of a loop, while it runs or afterwards."""
+    """Returns the report of a loop, during the run or afterwards."""
     state, statistics, sensor = loop.state, statistics_of(loop), loop.record.frozen_sensor
     virtual = scene.device.clock == "lockstep"
     samples = max(int(state.ticks) - 1, 0)
@@ -117,7 +116,7 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
 
 
 def _is_released(loop: LoopMemory) -> bool:
-    """Whether the device's last STATUS says that its force is zero: a device releases it before it says so."""
+    """Returns whether the device's last STATUS means zero force: a device releases its force before it reports that."""
     return int(loop.state.device_state) in (schema.IDLE, schema.LATCHED)
 
 
@@ -125,7 +124,7 @@ def _is_released(loop: LoopMemory) -> bool:
 
 
 def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: int) -> RunError | None:
-    """Returns the error, with the trace, of a run that did not end as asked or whose device did not release."""
+    """Returns the error, with the trace, of a run that failed or whose device did not release; None for any other."""
     report = trace.report
     guard, advice = guard_that_ended(ending), ""
     kind: type[RunError]
@@ -147,12 +146,12 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
 
 
 def with_sentence(failure: RunError, sentence: str) -> RunError:
-    """Returns the same error with a sentence added."""
+    """Returns the error with a sentence added."""
     return _with_trace(type(failure)(f"{failure}{sentence}"), failure.trace)
 
 
 def file_failure(failure: RunError | None, name: str, file: BackgroundFile | None, trace: Trace) -> RunError | None:
-    """Returns the error of a run, with the reason why a file of it is incomplete, if it is."""
+    """Returns the error of a run, extended by the reason if a file of it is incomplete."""
     if file is None or not file.problem:
         return failure
     if failure is not None:
@@ -193,12 +192,12 @@ _FAILURES: dict[int, tuple[type[RunError], str | Callable[[LoopMemory, Report], 
         "reports what is stable",
     ),
 }
-"""By ending where no guard ended the run: the kind of error, and its sentence without a full stop, or a function that
-returns it."""
+"""Error class and sentence, without a full stop, or a function that returns it, by ending, if no guard ended the
+run."""
 
 
 def _useless_input(loop: LoopMemory, report: Report) -> str:
-    """Returns what arrived and was of no use; "" if all was."""
+    """Returns a phrase for the useless input; "" if there was none."""
     counts = (
         (report.crc_errors, "refused frame"),
         (report.garbage_bytes, "byte of no frame", "bytes of no frame"),
@@ -208,7 +207,7 @@ def _useless_input(loop: LoopMemory, report: Report) -> str:
 
 
 def _stop_reason(loop: LoopMemory, report: Report) -> str:
-    """Returns why the device stopped, as it says; where its watchdog expired, also what this host saw before."""
+    """Returns the device's reason for its stop; if its watchdog expired, also the last events at this host."""
     state, fault = loop.state, int(loop.state.fault)
     if not _is_released(loop):
         return (
@@ -227,7 +226,7 @@ def _stop_reason(loop: LoopMemory, report: Report) -> str:
         f"the last force left {duration(force_s)} before",
         *([f"arrived: {useless}"] if useless else []),
     ]
-    # How long this program could have sent a force and did not; where the host paces: how late it woke up.
+    # Time for which this program could have sent a force and did not; if the host paces: how late it woke up.
     held_up_s = force_s if report.ticks and position_s < 0.5 * watchdog_s else 0.0
     if int(loop.control.clock) == HOST_CLOCK:
         held_up_s = report.lateness_s.max or 0.0
@@ -239,7 +238,7 @@ def _stop_reason(loop: LoopMemory, report: Report) -> str:
 
 
 def _force_state(scene: Scene, loop: LoopMemory, released: bool) -> str:
-    """Returns what is known of the force after the end of the loop, and what to do."""
+    """Returns a sentence about the force after the end of the loop, and the remedy."""
     if released:
         return "the force is zero: the device confirmed that it released it"
     silence = host_silence(scene.rate, loop.watchdog_samples)

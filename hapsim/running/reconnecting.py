@@ -1,7 +1,7 @@
-"""A run that outlives its device: after an unplug, wait for the port; the scene then continues as it is by then.
+"""A run that outlives its device: after an unplug it waits for the port, and then continues the scene as changed.
 
-Each time the device is opened, described and armed as at the beginning. What a guard stopped stays stopped, and so does
-a run that finds another device in its place.
+Each time the device is opened, described and armed as at the beginning. A run that a guard stopped stays stopped, and
+so does one that finds another device at the port.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from hapsim.scene import Scene
 from hapsim.stopping import stopping_on_signals
 
 LOST = tuple(endings.IN_WORDS[one] for one in (endings.SILENT, endings.HUNG_UP, endings.FAILED, endings.DEVICE_STOPPED))
-"""The endings in a report after which a device may come back."""
+"""Endings of a report after which a device may come back."""
 
-_POLL_S = 0.05  # how soon a signal or the end of the duration is noticed while nothing runs
-_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)  # before each try; the last one again and again
-_LONG_S = 10.0  # after a session of this length the pauses start from the first one
+_POLL_S = 0.05  # between two checks for a signal or the end of the duration
+_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)  # before each try; the last one repeats
+_LONG_S = 10.0  # a session of this length restarts the pauses
 
 
 @dataclass
@@ -40,17 +40,17 @@ class RunObserver:
     """Functions that are called in the thread of the run."""
 
     arming: Callable[[], None] = lambda: None
-    """The device has described itself, and is armed next."""
+    """Called when the device has described itself, before arming."""
     started: Callable[[Session], None] = lambda _: None
-    """The device is armed."""
+    """Called when the device is armed."""
     running: Callable[[Progress], None] = lambda _: None
-    """Now and then during compilation and while the scene runs."""
+    """Called repeatedly during compilation and while the scene runs."""
     over: Callable[[], None] = lambda: None
-    """A session has ended, in whatever way: nothing is armed."""
+    """Called when a session has ended in any way: nothing is armed."""
     waiting: Callable[[], None] = lambda: None
-    """Now and then while the run waits for the port."""
+    """Called repeatedly while the run waits for the port."""
     report: Callable[[OfDevice, str], None] = lambda _event, _sentence: None
-    """(event, sentence): `lost`, `waiting` (a try failed), `reconnected`."""
+    """Called with (event, sentence) for the events `lost`, `waiting` (a try failed), `reconnected`."""
 
 
 def observe_all(*observers: RunObserver) -> RunObserver:
@@ -67,7 +67,7 @@ def observe_all(*observers: RunObserver) -> RunObserver:
 
 
 class SessionResult(NamedTuple):
-    """What is kept of one session."""
+    """Report and statistics of one session."""
 
     report: Report
     statistics: Statistics
@@ -78,9 +78,9 @@ class Interruption:
     """A loss of the device, and the wait for it."""
 
     why: str
-    """What happened, in a sentence."""
+    """Cause, a sentence."""
     at: str
-    """When it was noticed: UTC, ISO 8601."""
+    """Time of detection: UTC, ISO 8601."""
     waited_s: float
     came_back: bool = True
 
@@ -90,18 +90,18 @@ class Lifetime:
     """A run from the first arming to the end."""
 
     report: Report
-    """Of all sessions: counts and durations added, quantiles over every tick; the ending is the last one's."""
+    """Report of all sessions: sums of counts and durations, quantiles over every tick, the ending of the last one."""
     failure: HapsimError | None
-    """Why it did not end as asked."""
+    """Error of the last session; None if it ended normally."""
     interruptions: tuple[Interruption, ...]
     records: tuple[Path, ...] = ()
-    """The files of its sessions, where they were recorded."""
+    """Record files of its sessions."""
     sound_files: tuple[Path, ...] = ()
-    """Those of their sound."""
+    """Sound files of its sessions."""
 
     @property
     def reconnections(self) -> int:
-        """How many times the device came back."""
+        """Number of times that the device came back."""
         return sum(one.came_back for one in self.interruptions)
 
 
@@ -117,9 +117,9 @@ def keep_running(
 ) -> Lifetime:
     """Runs `scene` until it ends, a signal stops it, or it fails for good (main thread only).
 
-    `reconnect`: wait for a device that is lost; the first time it has to be there. `duration`: seconds, waits included.
-    `record`, `sound_file`: where to record and where to write the sound, a file per session (`record_of`). `options`:
-    as of `start`. Raises what `start` raises before the first arming; later failures are in the Lifetime.
+    `reconnect`: wait for a lost device; it must be present at first. `duration`: seconds, waits included. `record`,
+    `sound_file`: paths for records and sound, a file per session (`record_of`). `options`: as of `start`. Raises the
+    errors of `start` before the first arming; later failures are in the Lifetime.
     """
     if reconnect and place_of_device(scene, options.get("transport", "auto"), portable=True) != "port":
         raise UsageError("--reconnect waits for a device's port: found the mock, which does not go away; leave it out")
@@ -129,21 +129,21 @@ def keep_running(
 
 
 def record_of(path: Path, session: int) -> Path:
-    """Returns the file of session 0, 1, … where all of them are free: `touch.npz`, `touch.1.npz`, …"""
+    """Returns the file of session 0, 1, … if none of the names is taken: `touch.npz`, `touch.1.npz`, …"""
     return path if session == 0 else path.with_name(f"{path.stem}.{session}{path.suffix}")
 
 
 @dataclass
 class _Files:
-    """The files of one kind, one for each session. `path`: of the first; None for no files."""
+    """Files of one kind, one for each session. `path`: of the first; None for no files."""
 
     path: Path | None
     names: list[Path] = field(default_factory=list)
     next: int = 0
 
     def of_session(self, session: int) -> Path | None:
-        """Returns the file of a session, the same for all its tries: the first is called as asked, a later one by the
-        next number that no file has, nor the unfinished file of a run that was killed."""
+        """Returns the file of a session, the same for all its tries. The first is `path`; a later one has the next
+        number that no file has, nor the unfinished file of a killed run."""
         if self.path is None:
             return None
         if len(self.names) == session:
@@ -173,12 +173,12 @@ class _Reconnector:
     runs: list[SessionResult] = field(default_factory=list)
     interruptions: list[Interruption] = field(default_factory=list)
     lost_at: float | None = None
-    """Since when the device is waited for, on the monotonic clock, s."""
+    """Monotonic time of the loss, s; None while the device is present."""
     short: int = 0
-    """Sessions and tries in a row that were short."""
+    """Number of short sessions and tries in a row."""
 
     def stop(self) -> None:
-        """Called from a signal's handler: takes no lock."""
+        """Stops the run. Called from a signal handler, so it takes no lock."""
         self.stopped = True
         if self.starting:
             raise KeyboardInterrupt  # nothing is armed yet
@@ -207,8 +207,8 @@ class _Reconnector:
         return self.reconnect and lost and not wrong and self._should_continue()
 
     def _reconnect(self, why: str) -> HapsimError | None:
-        """Tries until the device is armed again, and returns how that session ended. If it is never armed: None after a
-        stop, a DeviceError after the duration. `why`: what had happened."""
+        """Tries until the device is armed again, and returns that session's error. If it is never armed: None after a
+        stop, a DeviceError after the duration. `why`: cause of the loss."""
         last_error = ""
         while self._wait_for_port():
             try:
@@ -234,14 +234,14 @@ class _Reconnector:
         return None
 
     def _end_wait(self, came_back: bool) -> float:
-        """Notes how the wait ended; returns its duration in s."""
+        """Records the end of the wait. Returns its duration in s."""
         assert self.lost_at is not None
         waited_s, self.lost_at = time.monotonic() - self.lost_at, None
         self.interruptions[-1] = replace(self.interruptions[-1], waited_s=waited_s, came_back=came_back)
         return waited_s
 
     def _wait_for_port(self) -> bool:
-        """Waits for a pause, and until a file of the port's name exists; False where the run is to end before."""
+        """Waits for a pause, and until the port's file exists. Returns False if the run must end before."""
         pause_over = time.monotonic() + _PAUSES_S[min(self.short, len(_PAUSES_S) - 1)]
         while self._should_continue():
             is_there = not os.path.isabs(self._port) or os.path.exists(self._port)
@@ -256,7 +256,7 @@ class _Reconnector:
         return not self.stopped and (left is None or left > 0)
 
     def _left_s(self) -> float | None:
-        """Returns what is left of the duration (s), None for no limit."""
+        """Returns the remaining duration, s; None without a limit."""
         if self.duration is None:
             return None
         waiting = 0.0 if self.lost_at is None else time.monotonic() - self.lost_at
@@ -264,7 +264,7 @@ class _Reconnector:
         return self.duration - spent - waiting
 
     def _run_once(self) -> HapsimError | None:
-        """Runs one session; returns the error of one that ended otherwise than asked. Raises if it did not arm."""
+        """Runs one session. Returns the error of a failed one, else None. Raises if it did not arm."""
         self.starting = True
         failure: RunError | None = None
         try:
@@ -272,7 +272,7 @@ class _Reconnector:
                 raise KeyboardInterrupt
             left = self._left_s()
             if left is not None and self.runs:
-                left = max(left, self.scene.period)  # what was left a moment ago may be over by now
+                left = max(left, self.scene.period)  # it may have ended a moment ago
             options = {
                 "duration": left,
                 "record": self.records.of_session(len(self.runs)),

@@ -1,4 +1,4 @@
-"""What a record says of the run beside its rows, so that the run can be replayed."""
+"""The document of a run in its record, beside the rows, so that the run can be replayed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OPTIONS = ("unstable", "judges_energy", "judges_sign")
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """A document of `run_of`, read."""
+    """A document of `run_of`, parsed."""
 
     scene: dict[str, Any]
     first_tick: int
@@ -33,7 +33,7 @@ class RecordedRun:
 
 
 def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
-    """Returns the run of a record with this number of channels. ValueError where it is damaged."""
+    """Returns the run of a record with this number of channels. Raises ValueError if it is damaged."""
     found: RecordedRun = validated(RecordedRun, run)
     of = found.description
     if {channels} != {len(of.position_scale), len(of.force_scale), len(of.force_limit)}:
@@ -46,8 +46,8 @@ def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
 def run_of(
     scene: Scene, loop: LoopMemory, description: Description, behind_port: bool, in_python: bool, options: RunOptions
 ) -> dict[str, Any]:
-    """Returns the document of a run. `behind_port`: as of a Connection; `in_python`: whether the loop is not compiled.
-    `read_run`, `options_of` and `hapsim.scene.parse_scene` read it."""
+    """Returns the document of a run. `behind_port`: as of a Connection. `in_python`: the loop is not compiled. Readers:
+    `read_run`, `options_of` and `hapsim.scene.parse_scene`."""
     excitation, pushes = options.excitation, None
     if isinstance(excitation, PeriodicExcitation):
         pushes = {"channel": excitation.channel, "forces": excitation.forces.tolist()}
@@ -66,20 +66,20 @@ def run_of(
 
 
 def prediction_of(scene: Scene) -> dict[str, Any]:
-    """Returns what is predicted of a scene, for a record: `stable`, `spectral_radius`, `poles` and `device_points` as
-    `hapsim check --json` prints them; `error` where it cannot be predicted."""
+    """Returns the prediction of a scene for a record: `stable`, `spectral_radius`, `poles` and `device_points` as
+    `hapsim check --json` prints them; `error` if there is no prediction."""
     try:
         found = predict(scene, with_margins=False)
         hands = {felt.name: felt for felt in found.felt}
         whole = pick(found, "stable spectral_radius poles") | {"device_points": hands}
-    except Exception as error:  # a record does not depend on it
+    except Exception as error:  # the record is complete without it
         return {"error": str(error) or type(error).__name__}
     document: dict[str, Any] = plain(whole)
     return document
 
 
 def versions_of_now() -> dict[str, str]:
-    """Returns what the last bit of a force depends on, beside the scene: versions, and the kind of processor."""
+    """Returns the versions and the type of processor, on which the last bit of a force depends beside the scene."""
     from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
 
     packages = ("hapsim", "numba", "llvmlite", "numpy")
@@ -87,7 +87,7 @@ def versions_of_now() -> dict[str, str]:
 
 
 def options_of(run: RecordedRun) -> RunOptions:
-    """Returns the options of a recorded run that its forces depend on. TypeError or ValueError where it is damaged."""
+    """Returns the options of a recorded run that affect its forces. Raises TypeError or ValueError if it is damaged."""
     pushes = PeriodicExcitation(**run.excitation) if isinstance(run.excitation, dict) else run.excitation
     options: dict[str, Any] = {str(name): value for name, value in run.options.items()}
     return RunOptions(**options, excitation=pushes)

@@ -1,7 +1,7 @@
-"""What has to hold before a scene runs: the options, the device that answers, the predicted stability.
+"""Requirements before a scene runs: valid options, a matching device, predicted stability.
 
-A scene that is predicted unstable shakes the hand with all the force there is, so it runs only on request. A stability
-that was not worked out, or is marginal, is no reason to refuse (`hapsim.prediction.surely_shaken_by`).
+A scene that is predicted unstable oscillates at the force limit, so it runs only on request. An unknown or marginal
+stability does not prevent a run (`hapsim.prediction.surely_shaken_by`).
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ PACING = {
     "host": schema.PACED_BY_HOST,
     "lockstep": schema.LOCKSTEP,
 }
-"""The code of a scene's clock on the wire."""
+"""Code of a scene's clock on the wire."""
 
 
 def require_runnable(scene: Scene, options: RunOptions) -> None:
-    """Raises UsageError where the scene cannot run with these options, before anything is opened."""
+    """Raises UsageError if the scene cannot run with these options, before anything is opened."""
     if not 1e-3 <= scene.rate <= 1e9:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
     if options.duration is not None and not 0 < options.duration * scene.rate < _MOST_TICKS:
@@ -65,14 +65,14 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
     _require_sound(scene, options)
     shaken = surely_shaken_by(scene) if options.unstable is False else None
     if shaken is not None and math.isinf(shaken.growth):
-        shaken = None  # numbers out of range: the guard of the force says which, in the first sample
+        shaken = None  # out of range: a guard reports the number in the first sample
     if shaken is not None:
         late = f" at its wire's delay ({wire_delay(scene)})" if wire_delay(scene) else ""
         raise UsageError(f"not armed: the scene is predicted unstable{late}: {shaken.sentence(scene.units)}")
 
 
 def _require_sound(scene: Scene, options: RunOptions) -> None:
-    """Raises UsageError where the scene cannot be played or written as asked for."""
+    """Raises UsageError if the scene's sound cannot be played or written with these options."""
     if not options.sound and options.sound_file is None:
         return
     if not scene.sound:
@@ -93,7 +93,7 @@ def _require_sound(scene: Scene, options: RunOptions) -> None:
 
 
 def require_not_less_stable(before: Scene, scene: Scene) -> None:
-    """Raises UsageError where `scene` is certainly unstable, and more so than `before`, which runs."""
+    """Raises UsageError if `scene` is certainly unstable, and more so than `before`, the running scene."""
     shaken = surely_shaken_by(scene)
     if shaken is None:
         return
@@ -118,7 +118,7 @@ def refusal_to_arm(path: str, scene: Scene, prediction: Prediction) -> str:
 
 
 def _stable_alternatives(scene: Scene, prediction: Prediction) -> str:
-    """Returns a sentence: the stiffness or the damping at which each hand by itself would be stable."""
+    """Returns a sentence with the stiffness or damping at which each hand by itself would be stable."""
     ways = []
     for one in prediction.felt:
         least, most = one.stable_damping
@@ -131,7 +131,7 @@ def _stable_alternatives(scene: Scene, prediction: Prediction) -> str:
 
 
 def require_compatible(scene: Scene, name: str, description: Description) -> None:
-    """Raises UsageError or DescriptionError where scene and device do not fit. `name`: the port, as the user says."""
+    """Raises UsageError or DescriptionError if scene and device do not match. `name`: the port, as the user gave it."""
     if description.channels < scene.channels:
         raise UsageError(f"{name}: the device has {description.channels} channel(s), the scene uses {scene.channels}")
     _require_numbers(scene, name, description)
@@ -166,7 +166,7 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
 
 
 def require_in_time(scene: Scene) -> None:
-    """Raises UsageError where the steps of a sample take longer than its period on this machine, by measurement."""
+    """Raises UsageError if the steps of a sample, measured on this machine, take longer than its period."""
     if scene.substeps == 1 or scene.device.clock == "lockstep":
         return
     seconds = tick_seconds(compile_scene(scene), scene.channels)
@@ -180,7 +180,7 @@ def require_in_time(scene: Scene) -> None:
 
 
 def require_known_zero(scene: Scene, name: str) -> None:
-    """Raises DescriptionError where the scene's travel counts from a zero that a restarted device has lost."""
+    """Raises DescriptionError if the scene's travel counts from a zero that a restarted device has lost."""
     named = scene.device.origin is not None and not all(one is None for one in scene.device.origins(scene.channels))
     if named and scene.device.travel is not None:
         raise DescriptionError(
@@ -191,7 +191,7 @@ def require_known_zero(scene: Scene, name: str) -> None:
 
 
 def _require_numbers(scene: Scene, name: str, description: Description) -> None:
-    """Raises DescriptionError where the rate, a scale or a limit is not a number above 0."""
+    """Raises DescriptionError if the rate, a scale or a limit is not a number above 0."""
     declared = [("rate", description.rate_hz, "Hz", schema.REG_RATE)]
     for field, unit, register in _SCALES:
         for c, value in enumerate(getattr(description, field)):
@@ -206,7 +206,7 @@ def _require_numbers(scene: Scene, name: str, description: Description) -> None:
 
 
 def _require_motion(scene: Scene, name: str, description: Description) -> None:
-    """Raises UsageError where a device declares another motion than the scene; one that declares none may be of any."""
+    """Raises UsageError if the device declares another motion than the scene. A device may declare none."""
     declared, said = description.motions[: scene.channels], scene.device.motions(scene.channels)
     if not description.rotary or declared == said:
         return

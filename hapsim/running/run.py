@@ -1,4 +1,4 @@
-"""Running a scene from beginning to end: in a session, or on the mock in memory without one."""
+"""Running a scene to its end: in a session, or without one on the mock in memory."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def run(
 ) -> Trace:
     """Runs `scene`, a Scene or the path of a scene file, until it ends, and returns its trace.
 
-    Ctrl-C (a notebook's "interrupt") while the scene runs disarms the device and returns the trace so far; the
-    `ending` of its report is then "interrupted". A program that runs several scenes in turn looks at that to end
-    itself. Before the device is armed, KeyboardInterrupt is raised.
+    Ctrl-C (a notebook's "interrupt") while the scene runs disarms the device and returns the trace so far. The `ending`
+    of its report is then "interrupted", which a program that runs several scenes in turn should check. Before the
+    device is armed, KeyboardInterrupt is raised.
 
     * `on_start`: called with the session once the scene runs.
     * `stop_on_signals`: SIGINT, SIGTERM and SIGHUP end the run cleanly (main thread only), with the ending "stopped".
@@ -93,10 +93,10 @@ def run_to_end(
 
 
 def run_in_memory(scene: Scene, *, duration: float, excitation: Excitation | PeriodicExcitation | None = None) -> Trace:
-    """Runs `scene` for `duration` seconds and returns its trace: the one of `run`, in a fifth of its time, since no
-    session is opened and nothing is asked over the wire that is known here. Nothing stops it early.
+    """Runs `scene` for `duration` seconds and returns the same trace as `run` in a fifth of its time: it opens no
+    session and requests no description over the wire. Nothing stops it early.
 
-    Raises what `run` raises, and UsageError where the scene does not run in virtual time."""
+    Raises the errors of `run`, and UsageError if the scene does not run in virtual time."""
     from hapsim.device.mock.assemble_mock import assemble_mock
     from hapsim.device.mock.wire import loopback_transport
 

@@ -1,9 +1,9 @@
-"""A scene as a service of systemd: its unit, and what a run notifies the service manager of.
+"""A scene as a service of systemd: its unit, and a run's notifications to the service manager.
 
-The unit runs `hapsim run` with the rights that it needs and no others; `hapsim.service` beside this file is the
+The unit runs `hapsim run` with the rights that it needs and no others; `hapsim.service` in this directory is the
 template. The notifier sends datagrams to $NOTIFY_SOCKET, as sd_notify(3): ready, running, stopping. It sends WATCHDOG=1
-only if the loop has ticked since the last one, or while it waits for a device. systemd kills and restarts a loop that
-hangs; the device has released its force by then.
+only if the loop has ticked since the last one, or while the run waits for a device. systemd kills and restarts a loop
+that hangs; the device has released its force by then.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ def unit_for(
     live: Sequence[str] = (),
     record_dir: Path | None = None,
 ) -> str:
-    """Returns the text of a unit that runs this scene file on `port`, with this interpreter. `of_user`: for a user's
-    own service manager, which grants less; `sound`: with its sound; `live`: options that serve it over a network;
-    `record_dir`: where it may write. Raises UsageError for a path that no unit can hold."""
+    """Returns the text of a unit that runs this scene file on `port` with this interpreter. `of_user`: for a user's own
+    service manager, which grants less. `sound`: with its sound. `live`: options that serve it over a network.
+    `record_dir`: a writable directory. Raises UsageError for a path that no unit can hold."""
     import grp
 
     file = os.path.abspath(scene)
@@ -77,7 +77,7 @@ def unit_for(
 
 
 def service_access_problem(scene: str) -> str:
-    """Returns why the system's service could not read the scene, the interpreter or hapsim; "" where it can."""
+    """Returns why the system's service cannot read the scene, the interpreter or hapsim; "" if it can."""
     user, number, group = _account()
     groups = [0] if number == 0 else os.getgrouplist(user, group)
     for what, file in (("the scene", scene), ("the interpreter", sys.executable), ("hapsim", __file__)):
@@ -92,7 +92,8 @@ def service_access_problem(scene: str) -> str:
 
 
 def _closed_folder(file: str, user: int, groups: list[int]) -> Path | None:
-    """Returns the first directory above `file`, or above what it links to, that this user may not enter."""
+    """Returns the first directory above `file`, or above its link's target, that this user may not enter; None if
+    there is none."""
     ways = [Path(os.path.abspath(file)), Path(os.path.realpath(file))]
     for folder in (folder for way in ways for folder in reversed(way.parents)):
         try:
@@ -106,13 +107,13 @@ def _closed_folder(file: str, user: int, groups: list[int]) -> Path | None:
 
 
 def _account() -> tuple[str, int, int]:
-    """Returns the user whom the service runs as, who asks through sudo or not: name, number and group's number."""
+    """Returns the user of the service, behind sudo or not: name, user number, group number."""
     import pwd
 
     number = os.geteuid()
     try:
         entry = pwd.getpwnam(os.environ.get("SUDO_USER", "root")) if number == 0 else pwd.getpwuid(number)
-    except KeyError:  # a container's user need not be in the list
+    except KeyError:  # a container need not list its user
         return "root" if number == 0 else str(number), number, os.getegid()
     return entry.pw_name, entry.pw_uid, entry.pw_gid
 
@@ -145,7 +146,7 @@ def _plain(port: str) -> str:
 
 
 def _quoted(word: str, command: bool = True) -> str:
-    """Quotes a word as systemd.syntax(7) and, for a `command`, systemd.service(5) say."""
+    """Returns a word quoted for systemd.syntax(7) and, in a `command`, systemd.service(5)."""
     escaped = _escaped(word).replace("\\", "\\\\").replace('"', '\\"')
     escaped = escaped.replace("$", "$$") if command else escaped
     return escaped if re.fullmatch(r"[\w./=:,%@+-]+", escaped) else f'"{escaped}"'
@@ -158,7 +159,7 @@ def _escaped(word: str) -> str:
 
 
 class Notifier:
-    """Notifies the service manager, if there is one. Nothing that fails here ends a run."""
+    """Notifies the service manager, if there is one. No failure here ends a run."""
 
     def __init__(
         self,
@@ -166,7 +167,7 @@ class Notifier:
         environ: Mapping[str, str] = os.environ,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`reconnects`: the run goes on after the end of a session. `clock`: s."""
+        """`reconnects`: the run continues after the end of a session. `clock`: returns s."""
         address = environ.get("NOTIFY_SOCKET", "")
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
         self._watchdog_s = _watchdog_s(environ)
@@ -176,7 +177,7 @@ class Notifier:
 
     @property
     def observer(self) -> RunObserver:
-        """Has a run notify the service manager."""
+        """Observer that notifies the service manager of a run's events."""
         if not self._address:
             return RunObserver()
         return RunObserver(
@@ -184,12 +185,12 @@ class Notifier:
         )
 
     def stopping(self, why: object = "") -> None:
-        """Notifies that the run is over. `why`: it did not end as asked, a sentence."""
+        """Notifies that the run is over. `why`: a sentence about a failure."""
         self._send("STOPPING=1", *([f"STATUS={_one_line(why)}"] if why else []))
 
     @contextlib.contextmanager
     def notify_failures(self) -> Iterator[None]:
-        """While open, notifies of every failure, also before arming."""
+        """Notifies of every failure while open, also before arming."""
         try:
             yield
         except Exception as failure:
@@ -245,7 +246,7 @@ def _one_line(sentence: object) -> str:
 
 
 def _watchdog_s(environ: Mapping[str, str]) -> float | None:
-    """Returns the time within which systemd expects a notification of this process; None where it expects none."""
+    """Returns the time in s within which systemd expects a notification of this process; None if it expects none."""
     try:
         process, time_us = int(environ.get("WATCHDOG_PID") or os.getpid()), float(environ.get("WATCHDOG_USEC") or 0)
     except ValueError:

@@ -1,11 +1,11 @@
 """A session: one scene on one device, from opening its port to closing it. Read `Session` from top to bottom.
 
 `__init__` opens the device and assembles the loop; `begin` arms the device; two threads run the loop and collect its
-rows; `_finish` disarms the device, closes the record and returns how the run ended.
+rows; `_finish` disarms the device, closes the record and returns the error of the run.
 
-Both threads are daemons: the interpreter waits for all others before it calls the handlers of `atexit`, which would be
-forever for a loop that still runs. Compiled code must not run while its memory is freed, so a handler of `atexit`,
-which runs before numba's own, stops and joins them.
+Both threads are daemons: the interpreter waits for other threads before it calls the handlers of `atexit`, for ever if
+a loop still runs. Compiled code must not run while its memory is freed, so a handler of `atexit`, which runs before
+numba's own, stops and joins them.
 """
 
 from __future__ import annotations
@@ -58,17 +58,17 @@ from hapsim.sound.play import Playback, SoundOutput
 from hapsim.sound.wav import WavFile
 from hapsim.stopping import note_arming, undisturbed
 
-_COLLECT_S = 0.05  # how often the recorder empties the ring, which holds 65536 rows
-_REPORT_S = 0.05  # how often the live line looks at the loop
-_LAST_ROWS = 1 << 16  # of the last second, at most
+_COLLECT_S = 0.05  # period in which the recorder empties the ring of 65536 rows
+_REPORT_S = 0.05  # period of the live line
+_LAST_ROWS = 1 << 16  # most rows of the last second
 _MOST_HISTORY = 1 << 21  # rows
 _Keywords = ParamSpec("_Keywords")
 _open: list[Session] = []
-"""The sessions that run, and those whose failure was not raised yet."""
+"""Running sessions, and those whose failure was not raised yet."""
 
 
 def sessions() -> list[Session]:
-    """Returns the sessions of this program that run."""
+    """Returns the running sessions of this program."""
     return [session for session in _open.copy() if not session._done.is_set()]
 
 
@@ -98,7 +98,7 @@ class Session(SessionView):
                     )
         self._in_python = options.portable or options.between is not None or bool(missing_calls())
         self.idle_priority = scene.device.clock != "lockstep" and not self._in_python
-        """Whether work beside the loop gives way to it (hapsim.loop.background)."""
+        """True if background work of the loop gets idle priority (hapsim.loop.background)."""
         self._over, self._done = threading.Event(), threading.Event()  # the loop has ended; everything has
         self._ending: int | None = None
         self._failure: BaseException | None = None
@@ -106,7 +106,7 @@ class Session(SessionView):
         self._sent_before = b""  # to the device, until it was armed
         self.markers, self._noted_markers = [], 0
         self.grants: list[PrivilegeResult] = []
-        """What the real-time set-up requested of the system, each granted or denied."""
+        """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
             self._connection = self._open_device(scene, stack)
             self._loop = assemble_loop(scene, self._connection, self._description, options)
@@ -115,7 +115,7 @@ class Session(SessionView):
             self._body: Callable[[Any], int] = run_loop
             if self._in_python:
                 self._body = PortableLoop(self._loop.record, self._loop.inbox, self._connection.transport).run
-            else:  # before the device is armed: from then on the loop answers at once
+            else:  # before arming: from then on the loop must answer at once
                 compile_for(run_loop, self._loop.record)
             kept = max(options.history_s * scene.rate, min(scene.rate, _LAST_ROWS))
             kept = min(math.ceil(kept), _MOST_HISTORY)
@@ -147,9 +147,9 @@ class Session(SessionView):
         return self._done.wait(timeout)
 
     def close(self) -> None:
-        """Ends the run cleanly. Returns when the device is disarmed, the record is whole and the port is free.
+        """Ends the run cleanly. Returns when the device is disarmed, the record is complete and the port is free.
 
-        Raises what ended the run before, as `start` describes, the first time that it is called.
+        The first call raises the error that had ended the run, as `start` describes.
         """
         failure = self._end()
         if failure is not None:
@@ -157,7 +157,7 @@ class Session(SessionView):
 
     @property
     def trace(self) -> Trace:
-        """What happened, once the session has ended."""
+        """Trace of the session once it has ended. Raises UsageError before."""
         if self._trace is None:
             raise UsageError(
                 "the trace is there once the run is over: leave the with-block of `start` first, or call `close`"
@@ -167,8 +167,8 @@ class Session(SessionView):
     # Opening
 
     def _open_device(self, scene: Scene, stack: contextlib.ExitStack) -> Connection:
-        """Opens the device and asks for its description. Compiles what loop and mock need; the mock before it has to
-        answer, the loop on a port only once the port is open."""
+        """Opens the device and reads its description. Compiles loop and mock: the mock before it must answer, the loop
+        for a port only after that is open."""
         options = self._options
         report = options.on_progress or _ignore
         counted = Counted(lambda name, share: report(Progress("compiling", name, share=share)))
@@ -187,7 +187,7 @@ class Session(SessionView):
         self._description = describe(connection)
         require_compatible(scene, connection.name, self._description)
         self.restarted = options.resumes and has_restarted(connection)
-        """Whether the device, which ran before, has powered up since: its position 0 is another."""
+        """True if the device has powered up since the last session, so that its position 0 has changed."""
         if self.restarted:
             require_known_zero(scene, connection.name)
         return connection
@@ -257,7 +257,7 @@ class Session(SessionView):
             self._loop.sound_output.collect()
 
     def _collect_and_finish(self) -> None:
-        """Empties the ring while the loop runs, then finishes: in this thread, where no Ctrl-C interrupts it."""
+        """Empties the ring while the loop runs, then finishes in this thread, where no Ctrl-C interrupts it."""
         try:
             try:
                 while not self._over.wait(_COLLECT_S):
@@ -266,7 +266,7 @@ class Session(SessionView):
                     self._collect_sound()
             finally:
                 self._failure = self._finish()
-        except BaseException as error:  # `_end` returns it to the thread that waits
+        except BaseException as error:  # `_end` returns it to the waiting thread
             self._failure = error
         if self._failure is None:
             _open.remove(self)
@@ -275,7 +275,7 @@ class Session(SessionView):
     # Ending
 
     def _end(self) -> BaseException | None:
-        """Ends the run, waits until everything is released, and returns what was not yet raised of how it ended."""
+        """Ends the run and waits until everything is released. Returns its error, if that was not raised yet."""
         self.stop()
         if self._thread.ident is None:
             self._over.set()
@@ -288,7 +288,7 @@ class Session(SessionView):
         return failure
 
     def _finish(self) -> RunError | None:
-        """Disarms the device, releases everything, and returns the error of a run that did not end as asked."""
+        """Disarms the device and releases everything. Returns the error of a failed run, else None."""
         with self._resources:
             ending = self._end_and_disarm()
         if not self._sent_before:
@@ -301,7 +301,7 @@ class Session(SessionView):
         return outcome.file_failure(failure, self.name, self._recorder.file, self.trace)
 
     def _end_and_disarm(self) -> int:
-        """Ends the loop, disarms the device and makes the trace; returns how the loop ended."""
+        """Ends the loop, disarms the device and makes the trace. Returns the code that ended the loop."""
         has_begun = self._thread.ident is not None
         self.stop()
         try:
@@ -313,7 +313,7 @@ class Session(SessionView):
             ending = endings.STOPPED if self._ending is None else self._ending
             trace = outcome.trace_of(self.scene, self._loop, self._recorder, ending)
         finally:
-            # The loop has disarmed already. This covers every way out that did not get so far, and asks for the result.
+            # The loop has usually disarmed already. This covers other ways out, and reads the device's confirmation.
             released = disarm(self._connection, self._loop.wire)
         rejected = frames_rejected_by(self._connection) if released else None
         said = released or bool(trace.report.released)
@@ -334,7 +334,7 @@ class Session(SessionView):
             self._trace = replace(self._trace, report=replace(self._trace.report, **output.counts()))
 
     def _with_report(self, failure: RunError) -> RunError:
-        """Writes the report file of a failed run. Returns the failure with its path, or with why there is none."""
+        """Writes the report file of a failed run. Returns the failure with its path, or with the reason for none."""
         directory = self._options.reports
         if directory is None and self._place != "port":
             return failure
@@ -361,7 +361,7 @@ class Session(SessionView):
 def _with_keywords_of(
     options: Callable[_Keywords, RunOptions],
 ) -> Callable[[Callable[..., Session]], Callable[Concatenate[SceneSource, _Keywords], Session]]:
-    """Declares a function's keywords for type checkers and for `help`: they are those of `options`."""
+    """Decorates a function with the keywords of `options`, for type checkers and for `help`."""
 
     def declared(function: Callable[..., Session]) -> Callable[Concatenate[SceneSource, _Keywords], Session]:
         signature = inspect.signature(function)
@@ -390,7 +390,7 @@ def start(scene: SceneSource, **options: Any) -> Session:
     * `realtime`: requests real-time privileges (hapsim.loop.realtime); `Session.grants` lists what was granted.
     * `portable`: runs the loop in plain Python over pyserial. Off Linux, this loop also runs the mock in memory.
     * `between`: wraps the transport to the device. The loop then runs in Python.
-    * `unstable`: whether a scene that is certainly predicted unstable may run. False rejects it at the start and as a
+    * `unstable`: permission for a scene that is certainly predicted unstable. False rejects it at the start and as a
       change (`Session.set`, `Session.adopt`). True accepts it, and the energy guard applies stricter rules
       (hapsim/STABILITY.md). None accepts it at the start and in `set`; `adopt` rejects what is less stable than the
       running scene.
@@ -409,10 +409,10 @@ def start(scene: SceneSource, **options: Any) -> Session:
       the system's), `volume_db` (dB) louder than full scale, `latency_s` after a position has arrived, or as soon as
       the card can. `sound_file`: a .wav to write, also in virtual time.
 
-    Raises SceneError and UsageError for what cannot run, and DeviceError if the port or the device fails. What ends
-    the run later is raised when the with-block is left, or by `Session.close`: DeviceError, GuardError where a guard
-    stopped the force, RecordError where the run went as asked but its record did not. Their attribute `trace` holds
-    what was recorded. If a session is never closed, the message is printed when the program ends.
+    Raises SceneError and UsageError for a scene or options that cannot run, and DeviceError if the port or the device
+    fails. Later errors are raised when the with-block is left, or by `Session.close`: DeviceError, GuardError if a
+    guard stopped the force, RecordError if only the record failed. Their attribute `trace` holds the trace so far. If a
+    session is never closed, the message is printed when the program ends.
     """
     record = RunOptions(**options)  # first: an unknown keyword is a TypeError, whatever the scene
     scene = as_scene(scene)
@@ -424,7 +424,7 @@ def start(scene: SceneSource, **options: Any) -> Session:
 
 
 def wait_and_report(session: Session, report: Callable[[Progress], None]) -> None:
-    """Waits until the session has ended, and reports its progress meanwhile."""
+    """Waits until the session has ended; meanwhile calls `report` with its progress."""
     while not session.wait(_REPORT_S):
         report(session.progress())
     report(session.progress())
@@ -435,7 +435,7 @@ _NAME = "mock in memory"
 
 @atexit.register
 def _end_with_the_program() -> None:
-    """Ends the sessions that run, and prints why a session that was not closed had ended."""
+    """Ends running sessions, and prints the error of each session that was not closed."""
     if not _open:
         return
     with undisturbed():

@@ -1,4 +1,4 @@
-"""How a session runs: its options, and the forces that may be added to the scene's."""
+"""The options of a session, and the forces that can be added to the scene's."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:  # measuring has an Excitation without a device or a loop
 
 @dataclass(frozen=True)
 class Guide:
-    """Where a hand is led before it is pushed, and how: `hapsim.loop.guide` describes it."""
+    """A target to which a hand is led before its excitation, and the guide's parameters (`hapsim.loop.guide`)."""
 
     target: float
-    """m, from the scene's position 0."""
+    """Target from the scene's position 0, m."""
     stiffness: float
-    """N/m, of the spring that leads it."""
+    """Stiffness of the guide's spring, N/m."""
     beyond: float = 0.0
-    """m, how far it goes beyond the target before."""
+    """Overshoot of the path beyond the target, m."""
     seconds: tuple[float, float, float, float] = (2.0, 1.0, 0.25, 0.25)
-    """Of the way there, of settling, of the mean and of the crossfade."""
+    """Durations of the path, of settling, of the mean and of the crossfade, s."""
 
     def ticks(self, rate_hz: float) -> tuple[int, ...]:
-        """Of each of these at this rate."""
+        """Returns these durations in ticks."""
         return tuple(max(1, round(one * rate_hz)) for one in self.seconds)
 
 
@@ -39,8 +39,8 @@ class Excitation:
     """Pushes on one channel, each of `ticks` samples, every `every` samples from sample `start` on.
 
     Their sign alternates, and their sizes range from `force` (N) down to half of it, each different. They pass the
-    guards like any force. `first`: one push at the very beginning, too. `guide`: what leads the hand to a place before
-    all this; samples count from the tick on at which it has."""
+    guards like any force. `first`: also one push at the very beginning. `guide`: leads the hand to a target first;
+    samples count from its end."""
 
     channel: int
     force: float
@@ -51,7 +51,7 @@ class Excitation:
     guide: Guide | None = None
 
     def ticks_before(self, rate_hz: float) -> int:
-        """How many ticks the guide takes."""
+        """Returns the number of ticks of the guide."""
         return 0 if self.guide is None else sum(self.guide.ticks(rate_hz))
 
 
@@ -59,8 +59,8 @@ class Excitation:
 class PeriodicExcitation:
     """A periodic force on one channel: (N,) forces in N, one per sample.
 
-    Sample n, by the device's count, has `forces[n % N]`, whether or not positions were lost. The forces pass the
-    guards like any force."""
+    Sample n, by the device's count, has `forces[n % N]`: lost positions do not shift it. The forces pass the guards
+    like any force."""
 
     channel: int
     forces: NDArray[np.float64]

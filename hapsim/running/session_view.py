@@ -1,4 +1,4 @@
-"""What a program sees of a running session, and what it may change, note and record meanwhile."""
+"""A program's view of a running session: its state, and the methods that change, mark and record it."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
 
-_STREAM_S = 60.0  # that a stream keeps for who reads it late
-_TRIES = 8  # to read values of one sample
+_STREAM_S = 60.0  # length that a stream keeps for a late reader
+_TRIES = 8  # to read all values of one sample
 
 
 OfDevice = Literal["lost", "waiting", "reconnected"]
@@ -42,16 +42,16 @@ EventKind = Literal["armed", "changed", "rejected", "marker", "recording", "reco
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened to a run."""
+    """An event of a run."""
 
     kind: EventKind
     sentence: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Of `changed`: the parameters, by name."""
+    """Parameters of `changed`, by name."""
     sample: int = 0
-    """The device's sample at which it was noticed, counted from arming."""
+    """Device's sample at that time, counted from arming."""
     at: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
-    """UTC, ISO 8601."""
+    """Time, UTC, ISO 8601."""
 
 
 @dataclass(frozen=True)
@@ -59,24 +59,24 @@ class State:
     """The latest values of a running scene of C channels."""
 
     sample: int
-    """The device's number of the newest position, counted from arming."""
+    """Device's number of the newest position, counted from arming."""
     age_s: float
-    """Since that position arrived."""
+    """Time since that position arrived, s."""
     position: tuple[float, ...]
-    """(C,) m."""
+    """Position of each channel, (C,) m."""
     velocity: tuple[float, ...]
-    """(C,) m/s: the difference of the last two positions over the time between them."""
+    """Velocity of each channel, (C,) m/s: the difference of the last two positions over the time between them."""
     force: tuple[float, ...]
-    """(C,) N, that was sent last: 0 once the run is over."""
+    """Last sent force of each channel, (C,) N: 0 once the run is over."""
     modules: Mapping[str, float | NDArray[np.float64]]
-    """m: where each point is; of a string or a membrane (masses,) where each of its masses is. Taken while the loop
-    runs: masses of one structure may differ by a sample."""
+    """Position of each point, m; of all masses of a string or a membrane, (masses,). They are read while the loop runs:
+    masses of one structure may differ by a sample."""
     progress: Progress
     """Phase, rate and counters."""
 
 
 def _places_in(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]:
-    """Where each module stands in a program's rows: one number, or those of a structure's masses."""
+    """Returns the index of each module in a program's rows, or the indices of a structure's masses."""
     places: dict[str, Any] = {}
     for name, number in numbers.items():
         module, dot, _ = name.partition(".")
@@ -88,7 +88,7 @@ def _places_in(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]
 
 
 def as_html(scene: Scene, name: str, state: State, parameters: Mapping[str, Any]) -> str:
-    """Returns a session for a notebook: what runs where, each channel, each parameter."""
+    """Returns a session as a table for a notebook: scene, device, channels and parameters."""
     progress = state.progress
     title = f"{scene.path or 'a scene'} on {name}: {progress.phase}, {progress.elapsed_s:.1f} s"
     rate = "" if progress.seen_rate_hz is None else f", {progress.seen_rate_hz:.1f} Hz"
@@ -112,28 +112,28 @@ def _short(value: Any) -> str:
 
 
 class SessionView:
-    """The part of a `Session` that reads and changes the loop beside it; `Session` sets the attributes."""
+    """The part of a `Session` that reads and changes the running loop; `Session` sets the attributes."""
 
     markers: list[Event]
-    """Of `mark`."""
+    """Events of `mark`."""
     _noted_markers: int
-    """How many of them a record has."""
+    """Number of them in a record."""
     _description: Description
     _in_python: bool
     _options: RunOptions
     _over: threading.Event
-    """The loop has ended."""
+    """Set when the loop has ended."""
     _done: threading.Event
-    """Everything has."""
+    """Set when everything has ended."""
     _connection: Connection
     _loop: LoopMemory
     _live: LiveScene
     _recorder: Recorder
     _recorded_scene: Scene
-    """As it was when the record began."""
+    """Scene at the beginning of the record."""
     _program: Program | None = None
     _places: Mapping[str, int | NDArray[np.int64]] = {}
-    """Where the modules of that program are in its rows."""
+    """Indices of that program's modules in its rows."""
     _to_file: threading.Lock
 
     def __repr__(self) -> str:
@@ -149,27 +149,27 @@ class SessionView:
 
     @property
     def name(self) -> str:
-        """The port of its device."""
+        """Port of the device."""
         return self._connection.name
 
     @property
     def scene(self) -> Scene:
-        """The scene as it is now, with every change that was made."""
+        """Current scene, with every change so far."""
         return self._live.scene
 
     @property
     def sound_peaks(self) -> dict[str, float]:
-        """The largest size that each pick-up has had, before the soft clip; 1.0 is full scale."""
+        """Largest absolute value of each pick-up before the soft clip; 1.0 is full scale."""
         return dict(zip(self.scene.sound, self._loop.record.sound.peak.tolist(), strict=False))
 
     @property
     def has_mock(self) -> bool:
-        """Whether its device is a mock of this process."""
+        """True if the device is a mock of this process."""
         return self._connection.mock is not None
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """What may change while the scene runs, by name ("touch.stiffness"), with its value, unit and bounds."""
+        """Parameters that may change while the scene runs, by name ("touch.stiffness"), with value, unit and bounds."""
         return parameters_of(self.scene, self.has_mock)
 
     def progress(self) -> Progress:
@@ -178,8 +178,8 @@ class SessionView:
         return replace(progress, phase="ended") if self._over.is_set() else progress
 
     def state(self) -> State:
-        """Returns the latest position, velocity and force of each channel, the position of each module, and how old
-        they are. It takes some tens of microseconds, and the loop does not notice."""
+        """Returns the latest position, velocity and force of each channel, the position of each module, and their age.
+        It takes some tens of microseconds and does not disturb the loop."""
         io, state, used = self._loop.record.io, self._loop.state, slice(self._loop.wire.channels)
         for _ in range(_TRIES):  # until no sample came meanwhile
             sample, newest = int(state.sample), int(state.newest_ns)
@@ -198,8 +198,8 @@ class SessionView:
         )
 
     def positions(self, names: Sequence[str]) -> tuple[int, NDArray[np.float64]]:
-        """Returns the newest sample's number, and where points and masses of structures ("gut.7", "skin.3.4") are:
-        (names,) m. Raises UsageError where there is no such one."""
+        """Returns the newest sample's number, and the positions of points and masses of structures ("gut.7",
+        "skin.3.4"), (names,) m. Raises UsageError for an unknown name."""
         program, hands = self._loop.program, self._hands()
         row, numbers = positions_of(program)[0], program.numbers
         for name in names:
@@ -213,7 +213,7 @@ class SessionView:
         return int(self._loop.state.sample), np.array(places, np.float64)
 
     def _modules(self) -> dict[str, float | NDArray[np.float64]]:
-        """Returns where each point is."""
+        """Returns the position of each point, m."""
         program = self._loop.program
         if program is not self._program:
             self._program, self._places = program, _places_in(program.numbers)
@@ -224,14 +224,14 @@ class SessionView:
         } | self._hands()
 
     def _hands(self) -> dict[str, float]:
-        """Where the hands were measured, in m: their places in the program are the tick's own."""
+        """Returns the measured positions of the hands, m: those in the program are valid only within a tick."""
         measured = self._loop.record.io.measured
         return {name: float(measured[one.channel]) for name, one in self._loop.rendered_scene.device_points.items()}
 
     def stream(self, history_s: float = 0.0) -> Stream:
-        """Returns an iterator over all `Samples` from now on, without gaps, in pieces as they come. It ends with the
-        run. In real time one that is not read for a minute raises UsageError for the samples that are lost.
-        `history_s`: seconds of `history` that come first."""
+        """Returns an iterator over all `Samples` from now on, in pieces without gaps. It ends with the run. In real
+        time a stream that is not read for a minute raises UsageError for the lost samples. `history_s`: seconds of
+        `history` that come first."""
         rate = self.scene.rate
         longest = None if self._loop.record.ring.waits else math.ceil(_STREAM_S * rate)
         stream = Stream(self._scales(), longest, self._done.is_set, self._recorder.collect)
@@ -239,7 +239,7 @@ class SessionView:
         return stream
 
     def history(self) -> Samples:
-        """Returns the last samples: those of a second, or of `start(history_s=...)`."""
+        """Returns the samples of the last second, or of the last `start(history_s=...)`."""
         self._recorder.collect()
         return self._scales().samples(self._recorder.last_rows())
 
@@ -248,8 +248,8 @@ class SessionView:
         return Scales(self.scene.rate, io.position_scale[used].copy(), io.force_scale[used].copy())
 
     def subscribe(self, rate: float) -> Iterator[State]:
-        """Yields the `State` `rate` times per second until the run has ended. Who is late gets the next one, not a
-        backlog."""
+        """Yields the `State` `rate` times per second until the run has ended. A late reader gets the next state, not a
+        backlog. Raises UsageError for an invalid rate."""
         if not (math.isfinite(rate) and rate > 0):
             raise UsageError(f"rate: found {rate}, expected how often a second, above 0 (Hz)")
         due = time.monotonic()
@@ -263,13 +263,13 @@ class SessionView:
         "wall": {"position": 0.01}}`, in the scene's names and units.
 
         The values ramp to their targets within `over` seconds (0: at once); no value moves by more than 1.5/N of its
-        way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. Where the
-        energy guard is on, a change that would give the hand too much energy is slowed, with all its values in step.
+        way in one of the N samples. A `set` during another's ramp retargets it: all values arrive together. If the
+        energy guard is enabled, it slows a change that would give the hand too much energy, with all values in step.
         Tables of `nonlinear` (lists of points) and the shape of a `detent` crossfade the scene, as `adopt` does.
         "mock.hand" is the hand that holds the mock: it ramps along a straight line, for 4 ms at least.
 
-        Raises UsageError, and changes nothing, where a name, a key or a value is wrong, where the parameter cannot
-        change while the scene runs, or, with `start(unstable=False)`, where the scene is then predicted unstable.
+        Raises UsageError, and changes nothing, if a name, a key or a value is wrong, if the parameter cannot change
+        while the scene runs, or, with `start(unstable=False)`, if the changed scene is predicted unstable.
         """
         self._require_running()
         self._live.set(changes, over)
@@ -278,28 +278,28 @@ class SessionView:
         )
 
     def adopt(self, scene: Scene, over: float = 0.02) -> None:
-        """Changes to `scene`. Where only live parameters differ, this is `set`. Otherwise its modules are compiled
-        beside the running loop, which then moves both scenes for `over` seconds and crossfades the force, by no more
-        than 1.5/N of the difference in one of the N samples.
+        """Changes to `scene`. If only live parameters differ, this is `set`. Otherwise its modules are compiled in the
+        background. The loop then moves both scenes for `over` seconds and crossfades the force, by no more than 1.5/N
+        of the difference in one of the N samples.
 
-        What both have under one name and of one type goes on from where it is: points with their velocities, live
-        parameters, the memory of links. Raises UsageError, and changes nothing, where the rate, the device or the mock
-        differ, where the device has too few channels or was not asked for the velocities that are needed, where the
-        scene is predicted unstable (except with `start(unstable=True)`), or has too much for its scheme.
+        Modules of the same name and type continue from their state: points with their velocities, live parameters, the
+        memory of links. Raises UsageError, and changes nothing, if the rate, the device or the mock differ, if the
+        device has too few channels or does not send the velocities that are needed, if the scene is predicted unstable
+        (except with `start(unstable=True)`), or if it is too large for its scheme.
         """
         self._require_running()
         self._live.adopt(scene, over)
         self._publish("changed")
 
     def mark(self, text: str = "") -> Event:
-        """Notes that something happened at this sample; returns the event. `markers` lists them."""
+        """Marks this sample. Returns the event; `markers` lists all of them."""
         event = self._publish("marker", text)
         self.markers.append(event)
         return event
 
     def record(self, path: str | Path) -> None:
-        """Begins to write every sample from now on to `path`, a new .trace, .npz or .csv. UsageError where it cannot,
-        or where a record is being written."""
+        """Begins to write every sample from now on to `path`, a new .trace, .npz or .csv. Raises UsageError if it
+        cannot, or if a record is being written."""
         self._require_running()
         with self._to_file:
             if self._recorder.file is not None:
@@ -312,12 +312,12 @@ class SessionView:
 
     @property
     def recording(self) -> Path | None:
-        """The file that is being written; None where there is none."""
+        """File that is being written; None if no record is."""
         file = self._recorder.file
         return None if file is None else file.path
 
     def stop_recording(self) -> Path | None:
-        """Ends the record that is being written, and returns its file; None where there is none."""
+        """Ends the record that is being written. Returns its file; None if there was none."""
         with self._to_file:
             file = self._recorder.use_file(None)
         if file is None:
@@ -337,7 +337,7 @@ class SessionView:
         return outcome.statistics_of(self._loop)
 
     def _take_notes(self) -> list[dict[str, Any]]:
-        """What is noted in a record: changes of the scene, and markers."""
+        """Returns the new notes of a record: changes of the scene, and markers."""
         new = self.markers[self._noted_markers :]
         self._noted_markers += len(new)
         return self._live.take_notes() + [{"marker": one.sentence, "sample": one.sample, "at": one.at} for one in new]

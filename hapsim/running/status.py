@@ -1,7 +1,7 @@
-"""The status of a run, and the unix socket of `hapsim run --status`, which sends it to each client, then hangs up.
+"""The status of a run, and the unix socket of `hapsim run --status`, which sends it to each client and hangs up.
 
-The socket reads nothing from a client and waits for none: what the kernel does not take at once is dropped. Only its
-owner may connect, by its mode and that of its directory.
+The socket reads nothing from a client and waits for none: bytes that the kernel does not take at once are dropped. By
+its mode and that of its directory, only its owner may connect.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hapsim.running.session import Session
 from hapsim.units import Motion
 
 AUTO = "auto"
-"""In place of a path: where `hapsim status` looks."""
+"""Option value in place of a path: a path that `hapsim status` finds."""
 
 _ENDING = ".sock"
 _PAUSE_S = 0.01  # after each answer, so that many clients take little processor time
@@ -38,8 +38,8 @@ _LONGEST = 1 << 20
 
 @contextlib.contextmanager
 def serve_status(path: Path, document: Callable[[], str], idle_priority: bool = True) -> Iterator[None]:
-    """While open, sends what `document` returns to each client of `path`. Replaces the socket of a process that was
-    killed. Raises UsageError where no socket can be made. `idle_priority`: the answering thread has idle priority."""
+    """Sends the result of `document` to each client of `path` while open. Replaces a killed process's socket. Raises
+    UsageError if no socket can be made. `idle_priority`: of the answering thread."""
     listening = _listen(path)
     asked_to_stop, stop = socket.socketpair()
     try:
@@ -58,7 +58,7 @@ def serve_status(path: Path, document: Callable[[], str], idle_priority: bool = 
 
 def path_for(port: str | None) -> Path:
     """Returns the default path for a run on this port, and makes its directory, which only its owner may enter. Raises
-    UsageError where the directory belongs to another user."""
+    UsageError if that fails or the directory belongs to another user."""
     folder = _folders()[0]
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -74,7 +74,7 @@ def path_for(port: str | None) -> Path:
 
 
 def sockets(port: str | None = None) -> list[Path]:
-    """Returns every default socket, of any port or of this one, but not those of other users."""
+    """Returns every default socket, of any port or of this one, without those of other users."""
     name = ("*" if port is None else _name(port)) + _ENDING
     found: dict[Path, None] = {}
     for folder in _folders():
@@ -86,13 +86,13 @@ def sockets(port: str | None = None) -> list[Path]:
 
 
 def is_served(path: Path) -> bool:
-    """Whether a run listens there: one that was killed leaves a socket behind."""
+    """Returns whether a run listens at `path`: a killed run leaves its socket behind."""
     with _unix_socket() as connection:
         return connection.connect_ex(str(path)) in (0, errno.EAGAIN)  # EAGAIN: its queue of clients is full
 
 
 def request_status(path: Path) -> str:
-    """Returns what the run at `path` sends. Raises UsageError where none answers."""
+    """Returns the status that the run at `path` sends. Raises UsageError if none answers."""
     with _unix_socket() as connection:
         try:
             connection.connect(str(path))
@@ -105,7 +105,7 @@ def request_status(path: Path) -> str:
 
 
 def _folders() -> list[Path]:
-    """Returns the directories of a service, of a login and of the system; the first is where a socket is made."""
+    """Returns the directories of a service, of a login and of the system; a new socket goes into the first."""
     given = [Path(folder) for folder in os.environ.get("RUNTIME_DIRECTORY", "").split(":") if folder]
     login = os.environ.get("XDG_RUNTIME_DIR")
     own = Path(login) / "hapsim" if login else Path(tempfile.gettempdir()) / f"hapsim-{os.geteuid()}"
@@ -132,10 +132,10 @@ def _listen(path: Path) -> socket.socket:
 
 
 def _make_room(path: Path) -> None:
-    """Removes the socket of a run that was killed, and nothing else."""
+    """Removes the socket of a killed run, and nothing else."""
     try:
         status = path.lstat()
-    except OSError:  # nothing to remove; `bind` says what is wrong with a path
+    except OSError:  # nothing to remove; `bind` reports an invalid path
         return
     if not stat.S_ISSOCK(status.st_mode):
         raise UsageError(f"--status {path}: there is a file that is no socket; it was not touched")
@@ -165,15 +165,15 @@ def _serve(listening: socket.socket, asked_to_stop: socket.socket, document: Cal
 def _made(document: Callable[[], str]) -> bytes:
     try:
         return document().encode("utf-8", "replace")
-    except Exception as error:  # the next one may succeed
+    except Exception as error:  # the next request may succeed
         return f'{{"error": "the status cannot be reported: {type(error).__name__}"}}'.encode()
 
 
 class RunState:
-    """The state of a run, kept up by its `observer`."""
+    """The state of a run, updated by its `observer`."""
 
     def __init__(self, scene: str, port: str | None, nominal_rate_hz: float, motion: tuple[Motion, ...] = ()) -> None:
-        """`scene`: its file. `port`: None for the mock. `motion`: of each channel."""
+        """`scene`: path of its file. `port`: None for the mock. `motion`: of each channel."""
         about = {"pid": os.getpid(), "scene": scene, "port": port, "nominal_rate_hz": nominal_rate_hz}
         self._about = about | {"motion": motion}
         self._phase: Literal["starting", "running", "waiting", "ended"] = "starting"
@@ -186,12 +186,12 @@ class RunState:
 
     @property
     def observer(self) -> RunObserver:
-        """Keeps the state up."""
+        """Observer that updates the state."""
         return RunObserver(started=self._started, over=self._over, waiting=self._waiting, report=self._report)
 
     def document(self) -> dict[str, Any]:
-        """Returns the state under the names of `--json`, for the session that runs, or else the last one. Force,
-        position and age are None while nothing runs: the hand does not have the last ones now."""
+        """Returns the state by the names of `--json`, for the running or the last session. Force, position and age are
+        None while nothing runs: the hand does not feel the last ones now."""
         runs = self._phase == "running"
         progress = Progress("waiting") if self._session is None else self._session.progress()
         return self._about | {
@@ -220,7 +220,7 @@ class RunState:
             with contextlib.suppress(UsageError):  # a session whose end failed has no report
                 self._released = self._session.trace.report.released
         elif self._released:
-            self._released = None  # a try since then may have armed the device, and there is no report of it
+            self._released = None  # a try since then may have armed the device without a report
         self._armed_since, self._phase = None, "ended"
 
     def _waiting(self) -> None:

@@ -1,4 +1,4 @@
-"""Following a scene's file while the scene runs: an edit is felt as soon as it is saved."""
+"""Watching a scene's file while the scene runs: an edit acts as soon as it is saved."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hapsim.scene import Scene, load_scene
 
 _OVER_S = 0.05  # the ramp of a change
 _NEXT_START = " (how it begins: felt at the next start)"
-_MOST_MISSES = 10  # looks at a missing file: an editor may replace it
+_MOST_MISSES = 10  # checks of a missing file: an editor may be replacing it
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,9 @@ class EditResult:
     """The result of an edit."""
 
     changed: tuple[str, ...] = ()
-    """Such as "touch.stiffness 2000 → 500"."""
+    """Phrases such as "touch.stiffness 2000 → 500"."""
     refused: str = ""
-    """Why nothing was changed."""
+    """Reason why nothing was changed."""
 
 
 class WatchedFile:
@@ -38,9 +38,10 @@ class WatchedFile:
         self._refused = False
 
     def check(self, session: Session) -> EditResult | None:
-        """Changes the running scene to what the file says, if it was written since the last look; else returns None.
+        """Changes the running scene to that of the file, if it was written since the last check; else returns None.
 
-        A file that is wrong, missing for ten looks, or asks for what cannot change while a scene runs, changes nothing.
+        A file that is invalid, missing in ten checks, or needs a change that a running scene cannot make, changes
+        nothing.
         """
         stamp = _stamp(self._path)
         self._missed = 0 if stamp else self._missed + 1
@@ -53,7 +54,7 @@ class WatchedFile:
         before = session.scene
         try:
             wanted = load_scene(self._path)
-            # The port may have been given with the command, which counts more than the file.
+            # The command's --port overrides the file.
             device = wanted.device.model_copy(update={"port": before.device.port})
             session.adopt(wanted.model_copy(update={"device": device}), _OVER_S)
         except SceneError as error:
@@ -77,7 +78,7 @@ class WatchedFile:
 
 
 def _stamp(path: str) -> tuple[int, ...] | None:
-    """Returns what identifies a state of the file; None where it is missing, empty or not a regular file."""
+    """Returns values that identify a version of the file; None if it is missing, empty or not a regular file."""
     try:
         status = os.stat(path)
     except OSError:
@@ -102,7 +103,7 @@ def _differences(before: Scene, after: Scene) -> Iterator[str]:
             yield f"{name}: {old.type} → {new.type}"
         else:
             yield from _different_keys(f"{name}.", old, new, type(old).model_fields, old.initial)
-    for name, pick_up in before.sound.items():  # whose names are the same: others are refused
+    for name, pick_up in before.sound.items():  # the names are the same: others are rejected
         yield from _different_keys(f"sound.{name}.", pick_up, after.sound[name], type(pick_up).model_fields)
 
 

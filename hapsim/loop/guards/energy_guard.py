@@ -57,6 +57,7 @@ within PEAK_TOLERANCE: a loop repeats itself so, a hand does not.
 STRICT_SHARE of the limit on, to find a contact that bounces below it. Friction may exceed the work by STRICT_TOLERANCE
 of it. Every turn from limit to limit within GAP_S is shaking, and SWINGS of them suffice.
 """
+
 from __future__ import annotations
 
 import math
