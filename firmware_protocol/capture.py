@@ -26,12 +26,12 @@ class Decoded(NamedTuple):
     """A frame."""
 
     offset: int
-    """Of its first byte, from the capture's beginning."""
+    """Offset of the first byte from the capture's beginning."""
     from_host: bool
     wire: Format
     frame: Frame
     data: bytes
-    """As it stood on the wire, without its delimiter."""
+    """Bytes as on the wire, without the delimiter."""
 
 
 class Refused(NamedTuple):
@@ -52,11 +52,11 @@ REASONS = {
     "garbage": "no frame has this length: noise, or frames that ran together",
     "unfinished": "the capture ends within it",
 }
-"""Why bytes are refused, in words."""
+"""Reason for rejecting bytes, in words."""
 
 
 class Registers(dict[int, int]):
-    """What a device said of itself: unsigned words, by number."""
+    """Registers that a device described: unsigned words, by number."""
 
     def note(self, frame: Frame) -> None:
         """Takes in a DESCRIPTION; any other frame says nothing here."""

@@ -15,16 +15,16 @@ from firmware_protocol.description import Description
 from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_device
 
 ANSWER_S = 0.25
-"""How long one answer is waited for (PROTOCOL.md, section 8)."""
+"""Timeout of one answer (PROTOCOL.md, section 8)."""
 
 TRIES = 4
-"""How often a device that has answered before is asked."""
+"""Attempts to ask a device that has answered before."""
 
 FIRST_TRIES = 12
-"""How often it is asked at first, three seconds: a board that the opening of its port resets needs them."""
+"""Attempts to ask at first, three seconds: a board that resets when its port opens needs them."""
 
 RELEASE_S = 0.1
-"""How long the answer to a DISARM is waited for."""
+"""Timeout of the answer to a DISARM."""
 
 
 class Received(NamedTuple):
@@ -43,12 +43,12 @@ class Received(NamedTuple):
 
     @property
     def state(self) -> int:
-        """Of a STATUS."""
+        """State in a STATUS."""
         return self.word & 0xFF
 
     @property
     def fault(self) -> int:
-        """Of a STATUS."""
+        """Fault in a STATUS."""
         return self.word >> 8 & 0xFF
 
 

@@ -90,7 +90,7 @@ def numba_cache_in(directory: Path | None) -> Iterator[None]:
 
 
 class Locator(UserProvidedCacheLocator):
-    """How numba finds the directory. Its own locator rejects one that cannot be written; code can be read from it."""
+    """Locator of numba's cache directory. Unlike numba's own, it also accepts one that can only be read."""
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Self:
@@ -153,7 +153,7 @@ def _digest_of(source: Path) -> bytes:
 
 
 def _is_private(directory: Path) -> bool:
-    """Whether only this user can put code there: numba's index files are pickles and run as ours."""
+    """Returns whether only this user can put code there: numba's index files are pickles and run as ours."""
     status = directory.lstat()
     ours = stat.S_ISDIR(status.st_mode) and status.st_uid == _user() and not _is_open_to_others(status)
     return ours and os.access(directory, os.W_OK)
@@ -169,7 +169,7 @@ def _user() -> int:
 
 
 def _is_read_only(directory: Path) -> bool:
-    """Whether there is code that this user cannot write: root's or the user's own, which no other can write either."""
+    """Returns whether code is there that only root or this user can write, and not this process."""
     with contextlib.suppress(OSError):
         places = [directory.parent.resolve(), directory.resolve(strict=True)]
         owned = all(place.stat().st_uid in (0, _user()) and not _is_open_to_others(place.stat()) for place in places)
@@ -178,8 +178,9 @@ def _is_read_only(directory: Path) -> bool:
 
 
 def _roots() -> Iterator[tuple[Path, int]]:
-    """Where code may be kept, best first, each with the mode of what is made there. The directory that is named may be
-    for others to read, as in an image. Never the installed package: it may be read-only (numba issue 5566)."""
+    """Yields the directories where code may be kept, best first, each with the mode to create it with. The chosen
+    directory may be readable by others, as in an image. The installed package is never used: it may be read-only (numba
+    issue 5566)."""
     if chosen := os.environ.get(CHOSEN):
         yield Path(chosen).absolute(), 0o755
     with contextlib.suppress(RuntimeError):

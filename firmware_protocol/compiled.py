@@ -87,11 +87,11 @@ def _files_of(objects: tuple[Any, ...]) -> frozenset[Path]:
 
 
 entry = Compiler(Path(__file__).resolve().parent).entry
-"""For functions of this package."""
+"""Decorator of this package's entry functions."""
 
 ONE = np.uint64(1)
-"""For the indices of hot loops: a signed index may count from the end, and compiled code checks that at every access.
-Signed and unsigned must not be mixed: numba makes a floating-point number of the two."""
+"""Unsigned one for the indices of hot loops: a signed index may count from the end, and compiled code checks that at
+every access. Signed and unsigned must not be mixed: numba makes a floating-point number of the two."""
 
 
 def new_record(dtype: np.dtype[np.void]) -> Any:

@@ -119,7 +119,7 @@ def next_frame(decoder, data, start, stop):
 
 @inlined
 def _accept(decoder, body):
-    """Whether the bytes in `frame`, `body` of them encoded, are a frame; its content is then in the decoder.
+    """Returns whether the bytes in `frame`, `body` of them encoded, are a frame; its content is then in the decoder.
 
     Every bit of the check's bytes is compared, the constant ones too.
     """

@@ -43,7 +43,7 @@ class Description:
 
     @property
     def senses_velocity(self) -> bool:
-        """Whether every channel has a velocity scale above 0."""
+        """True if every channel has a velocity scale above 0."""
         return bool(self.velocity_scale) and all(scale > 0 for scale in self.velocity_scale)
 
     @property

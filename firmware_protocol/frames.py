@@ -103,9 +103,9 @@ class Format(NamedTuple):
 
     channels: int
     velocity: bool
-    """Whether frames to the host carry a velocity beside each position."""
+    """True if frames to the host carry a velocity with each position."""
     long_check: bool
-    """Whether the check has 32 bits."""
+    """True if the check has 32 bits."""
     seed: int
     """The check's start value."""
 

@@ -158,7 +158,7 @@ def frame_bytes(channels: int, to_device: bool, velocity: bool = False) -> int:
 
 BITS_PER_BYTE = 10  # start, eight, stop
 HOST_WORK_S = 5e-5
-"""From a position's last byte to a force's first, on a host that is not held up."""
+"""Time from a position's last byte to a force's first, on a host that is not held up, s."""
 
 _ROUNDING = 1.0 + 1e-12  # an exchange that lasts as long as a sample ends too late
 
@@ -170,7 +170,7 @@ class WireTime:
     bytes_to_host: int
     bytes_to_device: int
     seconds: float
-    """Of both frames on the wire."""
+    """Duration of both frames on the wire."""
     period: float
     """s, the sample period."""
     baud: int | None
@@ -181,23 +181,23 @@ class WireTime:
 
     @property
     def exchange_s(self) -> float:
-        """From a sample until the force that answers it counts for the device's next tick."""
+        """Time from a sample until the force that answers it counts for the device's next tick."""
         return self.turnaround_s + self.seconds + self.host_work_s
 
     @property
     def is_saturated(self) -> bool:
-        """Whether the frames of one direction take longer than a sample and so queue up without end."""
+        """True if the frames of one direction take longer than a sample and so queue up without end."""
         longest = max(self.bytes_to_host, self.bytes_to_device) / (self.bytes_to_host + self.bytes_to_device)
         return longest * self.seconds > self.period * _ROUNDING
 
     @property
     def delay_samples(self) -> int | None:
-        """From a position's sample to the tick at which its force begins to act, at least 1; None if saturated."""
+        """Samples from a position to the tick at which its force begins to act, at least 1; None if saturated."""
         return None if self.is_saturated else 1 + math.floor(self.exchange_s / self.period * _ROUNDING)
 
     @property
     def fits(self) -> bool:
-        """Whether every force is in time for the tick after its position."""
+        """True if every force is in time for the tick after its position."""
         return self.delay_samples == 1
 
     @property

@@ -294,7 +294,7 @@ def _session(section: int, says: str, steps: list[Entry], device: str = "plain")
 
 
 class _Session:
-    """What a session has come to: the format of the frames, and what is measured, put out and expected."""
+    """State of a session: the format of the frames, and the positions, forces and states it has come to."""
 
     def __init__(self, channels: int) -> None:
         self.channels, self.wire = channels, "setup"

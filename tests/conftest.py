@@ -52,7 +52,7 @@ def _signals_are_heard() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _reports_stay_here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Those of runs that end badly on purpose: nothing of a test goes to the user's own directories."""
+    """Redirects the reports of failed runs, so that no test writes to the user's own directories."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
@@ -204,13 +204,13 @@ def once(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Callable[[s
 
 @pytest.fixture(scope="session")
 def built(once: Any) -> Path:
-    """Where the boards were built."""
+    """Directory of the built boards."""
     return once("firmware", [str(FIRMWARE / "build")], {})
 
 
 @pytest.fixture(scope="session")
 def built_broken(once: Any) -> Path:
-    """Where the Linux boards that are broken on purpose were built."""
+    """Directory of the Linux boards that are built broken on purpose."""
     return once("broken", [str(FIRMWARE / "linux" / "broken")], {})
 
 
@@ -237,7 +237,7 @@ class Board:
         return [(int(us, 16), int.from_bytes(bytes.fromhex(counts), signed=True)) for us, counts in words]
 
     def forces(self) -> list[tuple[int, int]]:
-        """Of these, each that changed the force."""
+        """Returns the forces put out that differ from the one before."""
         put_out = self.put_out()
         return [one for before, one in zip([(0, None), *put_out], put_out, strict=False) if one[1] != before[1]]
 
@@ -256,7 +256,7 @@ class Board:
 
 @pytest.fixture
 def boards() -> Iterator[list[Board]]:
-    """Those that run; stopped when the test ends."""
+    """Running boards, stopped at the end of the test."""
     running: list[Board] = []
     yield running
     for board in running:
@@ -291,12 +291,13 @@ def start_broken_board(built_broken: Path, boards: list[Board], tmp_path: Path) 
 
 @dataclass(frozen=True)
 class Figures:
-    """What a test saw, for the pages that quote it. Told once, after the last test, whichever process saw it."""
+    """Measured values of tests, for the pages that quote them. They are printed once, after the last test of all
+    processes."""
 
     _record: Callable[[str, object], None]
 
     def most(self, what: str, value: float) -> None:
-        """Of all that the run saw of it the largest; NaN where one was."""
+        """Records the largest value of the run; NaN if one was."""
         self._record("most", [what, float(value)])
 
     def count(self, what: str, number: int) -> None:

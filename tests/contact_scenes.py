@@ -136,7 +136,7 @@ class Motion:
         return np.asarray(0.5 * sum(moved) + 0.5 * self._scene.device.masses(1)[0] * self.speed**2)
 
     def most_energy(self, samples: int) -> Floats:
-        """Of that many samples the most, J."""
+        """Returns the largest energy over that many samples, J."""
         most = self.energy()
         for _ in range(samples):
             self.step()
@@ -165,7 +165,7 @@ def _at_zero(scene: Scene) -> Scene:
 
 
 def growths_within(scene: Scene, states: Sequence[State], samples: int, runs: int = 5) -> list[float]:
-    """By how much a motion within each of these states grows in a sample, from the energies of some runs."""
+    """Returns the growth per sample of a motion within each of these states, from the energies of some runs."""
     linear = {name: [state[name].linear for state in states] for name in states[0]} if states else {}
     fixed = {
         name: (np.repeat([one.stiffness for one in every], runs), np.repeat([one.damping for one in every], runs))
@@ -182,7 +182,7 @@ def growths_within(scene: Scene, states: Sequence[State], samples: int, runs: in
 
 
 def judged_unstable(prediction: Prediction, state: State) -> bool:
-    """Whether the prediction says that something grows in this state."""
+    """Returns whether the prediction reports growth in this state."""
     how = {f"{name} is {option.state}" for name, option in state.items()}
     return any({*one.state.split(", ")} <= how for one in prediction.states.growing)
 

@@ -1,4 +1,4 @@
-"""What a device reads after a force, and what a scene renders, as transfer functions: referees of the loop's rows."""
+"""Transfer functions of a device's readings after a force, and of a scene's force: references for the loop's rows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hapsim.theory.sample import channel_steps
 
 
 def channel_answer(step: DeviceStep, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What the device reads after a force T²/m F z^n: its position, and its velocity times T."""
+    """Returns the device's readings after a force T²/m F z^n: its position, and its velocity times T."""
     force = [sum((f * z**-age for age, f in enumerate(row) if f), 0.0 * z) for row in step.forces]
     (aa, ab), (ba, bb) = step.motion[:2]
     determinant = (w - aa) * (w - bb) - ab * ba

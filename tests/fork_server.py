@@ -23,7 +23,7 @@ LOCKSTEP = shipped_scene("first_touch.yaml").replace("clock: device", "clock: lo
 
 
 def load_all() -> None:
-    """What runs and measurements import, and the machine code of the loop and of the mock."""
+    """Loads the imports of runs and measurements, and the machine code of the loop and of the mock."""
     hapsim.run(parse_scene(LOCKSTEP), duration=0.01, transport="terminal")
     sys.argv = ["hapsim", "measure", "first_touch", "--duration", "0.3", "--json"]
     nowhere = io.StringIO()

@@ -1,5 +1,5 @@
-"""What each link does, once more: its tension, from d and by how much that grew in a sample, both in m, numbers or, but
-of friction, arrays. A referee of the kernel and the theory, which read the knots that each link's class makes."""
+"""Second implementation of each link's tension, from d and its growth in a sample, both in m, numbers or (except
+friction) arrays. It is a reference for the kernel and the theory, which read the knots that each link's class makes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Tension = Callable[[Any, Any], Any]
 
 
 def tension_of(link: Any, rate: float, sensed: Callable[[], float] = lambda: 0.0) -> Tension:
-    """Of a link of a scene at `rate` Hz; `sensed`: by how much more the sensor says that it grows in a sample, m."""
+    """Returns a link's tension at `rate` Hz; `sensed`: the growth measured by the sensor beyond that of d, m."""
     if link.type == "viscoelastic":
         return viscoelastic(link, rate, sensed)
     if link.type == "spring":

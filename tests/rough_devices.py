@@ -31,19 +31,19 @@ class RoughDevice(NamedTuple):
 
     @property
     def dry(self) -> bool:
-        """Whether it has dry friction."""
+        """True if the device has dry friction."""
         return self.scene.mock_device.coulomb > 0.0
 
 
 class Said(NamedTuple):
-    """What `measure` said of a rough device."""
+    """Report of `measure` on a rough device."""
 
     apart: float
     """Distance of k to what it is, in stated uncertainties; NaN where no spring and damper was found."""
     off: float
     """The same, relative."""
     words: tuple[str, ...]
-    """What was said besides: "mass", "device", "mode", "dry", "limits", "nothing"."""
+    """Reported remarks: "mass", "device", "mode", "dry", "limits", "nothing"."""
     wrong: str
     """The cause among them that is not there; "" where there is none."""
 

@@ -1,4 +1,4 @@
-"""What a scheme makes of M x'' + B x' + K x = 0, by its formula: tests compare the theory and the kernel with it."""
+"""Formulas of each scheme for M x'' + B x' + K x = 0, against which tests compare the theory and the kernel."""
 
 from __future__ import annotations
 

@@ -97,8 +97,8 @@ def felt(scene: Scene, poles: np.ndarray) -> tuple[float, float]:
 
 
 def errors(scene: Scene) -> tuple[float, float]:
-    """How far the measured k and b are from the predicted ones, relative; b at least to a tenth of the critical
-    damping's half."""
+    """Returns the relative errors of the measured k and b from the predicted ones; b relative to at least a tenth of
+    half the critical damping."""
     prediction = hapsim.predict(scene, with_margins=False)
     poles = np.array(prediction.poles)
     mass, (k, b) = scene.device.masses(scene.channels)[0], felt(scene, poles[:2])
@@ -129,7 +129,7 @@ def _rung_poles(position: np.ndarray, order: int) -> np.ndarray:
 
 
 def growth(scene: Scene) -> tuple[float, float]:
-    """By how much the motion that grows most, or dies away slowest, grows in a sample: measured, and predicted."""
+    """Returns the growth per sample of the least stable motion, measured and predicted."""
     poles = np.array(hapsim.predict(scene, with_margins=False).poles)
     predicted = float(np.log(np.abs(poles[0])))
     try:

@@ -1,1 +1,1 @@
-"""For firmware developers: judge a device, disturb its wire, decode its frames."""
+"""Tools for firmware developers: test a device, disturb its wire, decode its frames."""

@@ -1,7 +1,7 @@
-"""Who may reach a running scene over a network, for every view: addresses, the headers Host and Origin, the token.
+"""Access control of every network view: addresses, the headers Host and Origin, the token.
 
-A web page of anybody's may open http://127.0.0.1:7470 in a visitor's browser. What it cannot do is choose the headers:
-`Origin` says where the page is from, and `Host` keeps the page's name even where its owner has that name point here.
+Any web page may open http://127.0.0.1:7470 in a visitor's browser, but it cannot choose the headers. `Origin` names the
+page's own site, and `Host` keeps the page's name even if its owner points that name here.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ _SHORTEST_TOKEN = 16
 
 
 class Address(NamedTuple):
-    """Where a view listens."""
+    """Listening address of a view."""
 
     host: str
-    """As it was asked for."""
+    """Host name or address as requested."""
     ip: str
-    """What that means."""
+    """IP address that the host resolves to."""
     port: int
 
     @property
     def is_loopback(self) -> bool:
-        """Whether only this machine reaches it."""
+        """True if only this machine can reach the address."""
         return ipaddress.ip_address(self.ip).is_loopback
 
     def __str__(self) -> str:
@@ -94,7 +94,7 @@ def why_refused(address: Address, hosts: Sequence[str], origins: Sequence[str], 
 
 
 def has_token(token: str, name: str, query: str, cookies: Sequence[str]) -> bool:
-    """Whether a request has the token: in its query, or in the cookie of this name."""
+    """Returns whether a request carries the token in its query or in the cookie of this name."""
     given = parse_qs(query, max_num_fields=10).get("token", []) if query.count("&") < 10 else []
     for text in cookies:
         try:
@@ -115,7 +115,7 @@ def _hostname(host: str) -> str | None:
 
 
 def _is_address(address: Address, name: str) -> bool:
-    """Whether a name is an address by itself, which nobody can have point elsewhere."""
+    """Returns whether a name is an IP address. Unlike a domain name, nobody can point it elsewhere."""
     try:
         found = ipaddress.ip_address(name)
     except ValueError:

@@ -31,7 +31,7 @@ from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration
 
 HISTORY_S = 60.0
-"""What a view that comes late still gets to see."""
+"""History sent to a view that connects late, s."""
 NO_SESSION = "nothing runs at the moment: the device is not armed"
 
 _MOST_EVENTS = 500
@@ -78,7 +78,7 @@ class Hub:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """What may change, by name."""
+        """Live parameters, by name."""
         session = self.session
         return parameters_of(self._scene, has_mock=False) if session is None else session.parameters
 
@@ -98,7 +98,7 @@ class Hub:
         self.on_event(Event(kind, sentence, values or {}))
 
     def on_event(self, event: Event) -> None:
-        """What a session calls with its events."""
+        """Passes an event of the session to every listener."""
         if event.kind not in ("changed", "rejected"):  # of which there may be a thousand a second
             self.events.append(event)
         for receive in self._listeners.copy():
@@ -106,7 +106,7 @@ class Hub:
 
     @property
     def phase(self) -> Literal["running", "waiting", "ended"]:
-        """Whether a session runs, is waited for, or none will come."""
+        """Phase of the run; "waiting" for a session, "ended" if none will come."""
         return "ended" if self._is_over else "waiting" if self.session is None else "running"
 
     # What views do
@@ -160,12 +160,12 @@ class Hub:
 
     @property
     def observer(self) -> RunObserver:
-        """What keeps the hub up to date."""
+        """Observer that keeps the hub up to date."""
         return RunObserver(started=self._started, over=self._over, report=self.publish)
 
     @property
     def options(self) -> dict[str, Any]:
-        """What `start` has to be called with."""
+        """Arguments that the hub needs `start` to be called with."""
         return {"on_event": self.on_event, "history_s": HISTORY_S}
 
     def ended(self, failure: HapsimError | None) -> None:

@@ -123,7 +123,7 @@ class Done(_Answer):
     type: Literal["done"] = "done"
     id: Id = None
     file: str | None = None
-    """Of `record`."""
+    """File of a `record` event."""
 
 
 class Rejected(_Answer):
@@ -141,7 +141,7 @@ class EventMessage(_Answer):
     kind: EventKind
     sentence: str
     values: Mapping[str, Any]
-    """Of `changed`; without any, the whole scene may be another: `get` it."""
+    """New values, for `changed`. If empty, the whole scene may have changed: send `get`."""
     sample: int
     at: str
 
@@ -152,7 +152,7 @@ class Drag(_Answer):
     stiffness: float
     damping: float
     reach: float
-    """To either side, at first."""
+    """Initial range of the view to either side."""
 
 
 class Channel(_Answer):
@@ -160,13 +160,13 @@ class Channel(_Answer):
 
     channel: int
     name: str
-    """Of its point."""
+    """Name of the hand's point."""
     motion: Literal["linear", "rotary"]
     unit_position: str
-    """Of the values in messages, SI."""
+    """SI unit of the values in messages."""
     unit_force: str
     in_degrees: bool
-    """Whether people read its angles in degrees, as the scene writes them."""
+    """True if the scene writes angles in degrees; reports then do too."""
     force_limit: float
     travel: tuple[float | None, float | None]
     """None where the scene names no bound."""
@@ -189,13 +189,13 @@ class ParameterMessage(_Answer):
 
 
 class ModuleMessage(_Answer):
-    """What may be watched: a point, or a structure by one of its masses ("gut.7")."""
+    """Module that can be watched: a point, or a structure by one of its masses ("gut.7")."""
 
     name: str
     masses: int | None
     """None for a point."""
     columns: int | None
-    """Of a membrane ("skin.3.4"): how many of its masses are in a row."""
+    """Masses per row of a membrane ("skin.3.4")."""
 
 
 class Model(_Answer):
@@ -222,12 +222,12 @@ class Bins(_Answer):
     """A histogram: the bins in which something was counted."""
 
     edges_s: list[float]
-    """Where each begins, s; of `age` in samples."""
+    """Lower edge of each bin, s; for `age` in samples."""
     counts: list[int]
 
 
 class Counters(_Answer):
-    """How the run is doing, once a second."""
+    """Counters of the run, sent once a second."""
 
     type: Literal["counters"] = "counters"
     progress: dict[str, Any]
@@ -241,7 +241,7 @@ class Counters(_Answer):
 
 
 class Predicted(BaseModel):
-    """What the hand would feel: the answer to `predict`."""
+    """Predicted feel at the hand: the answer to `predict`."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 

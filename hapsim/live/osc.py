@@ -37,7 +37,7 @@ class OscView(asyncio.DatagramProtocol):
     def __init__(self, hub: Hub, address: Address, senders: tuple[str, ...], report: Callable[[str], None]) -> None:
         self.hub, self.address, self.report = hub, address, report
         self.refused = 0
-        """How many packets and messages were refused."""
+        """Number of rejected packets and messages."""
         self._senders = {ipaddress.ip_address(one) for one in senders}
         self.loop: asyncio.AbstractEventLoop
         self._transport: Any  # an asyncio.DatagramTransport, which is typed without its buffer
@@ -50,7 +50,7 @@ class OscView(asyncio.DatagramProtocol):
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """URL of the OSC server."""
         return f"osc.udp://{self.address}"
 
     async def start(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -91,7 +91,7 @@ class OscView(asyncio.DatagramProtocol):
             self._make_at(due, [*group], addr)
 
     def takes_from(self, address: str) -> bool:
-        """Whether this sender's packets are taken."""
+        """Returns whether packets from this sender are accepted."""
         ip = ip_of(address)
         return ip in self._senders if self._senders else bool(ip.is_loopback)
 

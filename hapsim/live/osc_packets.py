@@ -126,12 +126,12 @@ def shown(text: str) -> str:
 
 
 def is_pattern(address: str) -> bool:
-    """Whether an address may name several."""
+    """Returns whether an address has wildcards and so may match several."""
     return not _WILD.isdisjoint(address)
 
 
 def matches(pattern: str, address: str) -> bool:
-    """Whether an address pattern of OSC 1.0 (? * [a-z] [!a-z] {one,other}) names this address. Raises UsageError."""
+    """Returns whether an OSC 1.0 pattern (? * [a-z] [!a-z] {one,other}) matches an address. Raises UsageError."""
     parts, names = _parts(pattern), address.split("/")
     return len(parts) == len(names) and all(map(_matches_part, parts, names))
 

@@ -49,7 +49,7 @@ class OscQueryView:
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """URL of the OSCQuery server."""
         return f"http://{self._osc.address}/"
 
     async def start(self, _loop: asyncio.AbstractEventLoop) -> None:

@@ -36,11 +36,11 @@ _COLLECT_S = 10.0
 
 
 class View(Protocol):
-    """What shows a running scene to somebody, over a network."""
+    """View of a running scene over a network."""
 
     @property
     def url(self) -> str:
-        """Where it is, once started; "" where no URL says that."""
+        """URL of the view once it has started; "" if it has none."""
 
     async def start(self, loop: asyncio.AbstractEventLoop) -> None:
         """Opens its sockets. Raises UsageError where it cannot."""

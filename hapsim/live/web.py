@@ -61,9 +61,9 @@ _FOLDER = Path(__file__).with_name("page")
 SCHEMA = Path(__file__).with_name("messages.json")
 _TOGETHER_S = 1 / 60  # changes within it are one event
 PATIENCE_S = 5.0
-"""How long a client may take nothing of what waits for it."""
+"""Timeout for a client that takes none of its backlog, s."""
 MESSAGES_PER_S = 2000.0
-"""Of one client; more are read later."""
+"""Messages per second read from one client; more are read later."""
 GOING_AWAY, TRY_LATER = 1001, 1013
 
 _MOST_EVENTS = 1000  # that wait
@@ -93,7 +93,7 @@ class WebView:
 
     @property
     def url(self) -> str:
-        """Where a browser finds the page."""
+        """URL of the page."""
         return f"http://{self.address}/" + (f"?token={self._token}" if self._token else "")
 
     # As a View
@@ -121,7 +121,7 @@ class WebView:
             one.shutdown(wait=False, cancel_futures=True)
 
     def _call(self, function: Callable[..., None], *arguments: Any) -> None:
-        """From any thread."""
+        """Calls a function in the server's event loop, from any thread."""
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(function, *arguments)
 

@@ -42,7 +42,7 @@ __all__ = [
     "parse_scene",
     "scene_schema",
 ]
-"""Beside `__all__` of `modules`, and every class of its MODULE_TYPES."""
+"""Public names, in addition to `__all__` of `modules` and every class of its MODULE_TYPES."""
 
 
 def __getattr__(name: str) -> object:

@@ -1,9 +1,9 @@
-"""What a scene can choose by name: holds, samplings, dampers, schemes, corrections. Help texts and errors take
-them from here.
+"""Names that a scene can choose from: holds, samplings, dampers, schemes, corrections. Help texts and errors take them
+from here.
 
-What each of them is stands under the same name in `hapsim.theory`, and in what runs it: `hapsim/device/mock`,
-`hapsim/cordis`; holds and dampers are declared in `hapsim/holds.py` and `hapsim/dampers.py`. Nothing heavy is imported
-here, so that a help text that lists names costs nothing.
+Each name is defined under the same name in `hapsim.theory` and where it runs (`hapsim/device/mock`, `hapsim/cordis`).
+Holds and dampers are declared in `hapsim/holds.py` and `hapsim/dampers.py`. Nothing heavy is imported here, so that a
+help text that lists names costs nothing.
 """
 
 from collections.abc import Mapping

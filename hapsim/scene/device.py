@@ -1,5 +1,4 @@
-"""What stands on the other side of the wire: the device that the hand holds, and the mock device, only where it differs
-from that or adds to it."""
+"""Device of a scene, as the hand holds it, and the mock device with its differences from and additions to it."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -131,7 +130,7 @@ class Device(Part):
         return self.motion if isinstance(self.motion, tuple) else (self.motion,) * channels
 
     def scales(self, channels: int) -> tuple[Scale, ...]:
-        """What holds of each of ``channels`` channels where nothing is declared."""
+        """Returns the default scale of each of ``channels`` channels."""
         each = zip(
             self.motions(channels), self.mass_spans(channels), self.travels(channels), strict=False
         )  # lists stay
@@ -168,7 +167,7 @@ class Device(Part):
         return tuple(_MARGIN_SHARE * (most - least) if own is None else own for least, most in self.travels(channels))
 
     def origins(self, channels: int) -> tuple[float | None, ...]:
-        """Which position of the device is the scene's 0, on each of ``channels`` channels, in m; None: that at
+        """Returns each channel's origin: the device position in m that is the scene's 0, or None for the position at
         arming."""
         origin = self.origin if isinstance(self.origin, tuple) else (self.origin or 0.0,) * channels
         return tuple(None if isinstance(one, str) else one for one in origin)
@@ -191,7 +190,7 @@ FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: t
 
 
 class Initial(Part):
-    """Where the mock's moving parts are when the run starts. SI units."""
+    """Initial positions and velocities of the mock's moving parts. SI units."""
 
     position: Annotated[PerChannel, quantity("Position at the start", "m", per_channel=True)] = 0.0
     velocity: Annotated[PerChannel, quantity("Velocity at the start", "m/s", per_channel=True)] = 0.0
@@ -215,7 +214,7 @@ class Hand(Part):
 
 
 class Mock(Part):
-    """Where the mock differs from the described device, and what a real device has of itself. SI units."""
+    """Differences of the mock from the described device, and imperfections of a real device. SI units."""
 
     mass: Annotated[PerChannel | None, replace(MASS, left_out=AS_DEVICE)] = None
     friction: Annotated[PerChannel | None, replace(FRICTION, left_out=AS_DEVICE)] = None

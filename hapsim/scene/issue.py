@@ -1,4 +1,4 @@
-"""What a fault is: by where it is in the scene (`Issue`), and by where that is in the file (`LocatedIssue`)."""
+"""Errors of a scene, located by their keys (`Issue`) or by line and column of the file (`LocatedIssue`)."""
 
 import difflib
 from collections.abc import Iterable

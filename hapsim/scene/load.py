@@ -131,7 +131,7 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
 
 
 def _sound_modules(modules: object, units: Units) -> ModuleContext:
-    """What is known of the modules while some of them are faulty."""
+    """Returns the context of the modules that are valid while others are faulty."""
     if not isinstance(modules, dict):
         return ModuleContext({}, {"": None})
     types = {name: module.get("type") if isinstance(module, dict) else None for name, module in modules.items()}

@@ -1,5 +1,4 @@
-"""What the parts of a scene are made of: models and tables that cannot be changed; and what every module is, and may
-ask of those around it."""
+"""Base classes of a scene: immutable models and tables, modules, and a module's view of the modules around it."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace

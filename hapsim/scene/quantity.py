@@ -1,7 +1,7 @@
-"""What a value of the scene file may be, declared once: the check, the words of an error and the JSON schema.
+"""Expected values of the scene file, each declared once for the check, the error message and the JSON schema.
 
-Instances of `Expectation` stand in a field's ``Annotated[...]``. pydantic checks and describes the value; the words of
-an error are ours, so that people can act on them without knowing pydantic.
+Instances of `Expectation` stand in a field's ``Annotated[...]``. pydantic checks and describes the value. The error
+messages are written here, so that they make sense without knowing pydantic.
 """
 
 import math
@@ -37,7 +37,7 @@ KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS = ("<number>", "<word>", "<
 
 
 class _Mapping(BaseModel):
-    """What a mapping says of a number."""
+    """Number that the file gives as a mapping."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -94,13 +94,13 @@ def unexpected(expected: str, at: tuple[int | str, ...] = (), found: str = "") -
 
 @dataclass(frozen=True, eq=False)
 class Expectation:
-    """What one field expects.
+    """Expected value of one field.
 
     Attributes:
-        description: what the value is, for the schema.
-        expected: the words that follow "expected" in an error; a unit stands in them as that of a line, such as ‹N/m›.
+        description: describes the value in the schema.
+        expected: the words that follow "expected" in an error, with units as for linear motion, such as ‹N/m›.
         schema: pydantic's schema of the value.
-        unit: its unit, as that of a line: ``N·s/m``; of points ``points [m, N]``.
+        unit: its unit, as for linear motion: ``N·s/m``; of points ``points [m, N]``.
         left_out: the default in words; where this is given, None is accepted in Python too.
     """
 

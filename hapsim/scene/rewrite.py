@@ -69,7 +69,7 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
 
 
 def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[Any]:
-    """What the scene's device is to have under `key`: one value, or those of all channels where they may differ."""
+    """Returns the device's new entries for `key`: one value, or one per channel where channels may differ."""
     if key not in _PER_CHANNEL or scene.channels == 1:
         return [value]
     each: list[Any] = list(per_channel(getattr(scene.device, key), scene.channels))
@@ -109,8 +109,7 @@ def _entry(mapping: yaml.Node | None, key: str) -> yaml.Node | None:
 
 
 def _end(node: yaml.Node) -> int:
-    """Where the text of a value ends: that of a mapping in lines of its own with its last entry, and not where the next
-    key begins."""
+    """Returns the index after a value's text. A block mapping ends with its last entry, not at the next key."""
     last: yaml.Node = node.value[-1][1] if isinstance(node, yaml.MappingNode) and not node.flow_style else node
     return int(last.end_mark.index)
 

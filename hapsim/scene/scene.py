@@ -35,7 +35,7 @@ M = TypeVar("M", bound=Module)
 
 
 def _written(modules: Mapping[str, Module], info: SerializationInfo) -> dict[str, Any]:
-    """Without None where that is asked for: a file takes none."""
+    """Serializes the modules, without None if `exclude_none` is set: a file accepts none."""
     return {name: module.model_dump(exclude_none=info.exclude_none) for name, module in modules.items()}
 
 
@@ -97,7 +97,7 @@ class Scene(Part):
     @model_validator(mode="wrap")
     @classmethod
     def _with_its_angles(cls, data: Any, validated: ModelWrapValidatorHandler["Scene"]) -> "Scene":
-        """Who writes an angle in degrees is answered in degrees."""
+        """Remembers whether the file writes angles in degrees, so that reports do too."""
         scene = validated(data)
         if scene.device.motion != "linear" and isinstance(data, Mapping) and has_angles(data):
             scene._in_degrees = True
@@ -119,7 +119,7 @@ class Scene(Part):
 
     @property
     def in_degrees(self) -> bool:
-        """Whether its file writes angles in degrees: people read them so."""
+        """True if the file writes angles in degrees; reports then do too."""
         return self._in_degrees
 
     @property
@@ -129,7 +129,7 @@ class Scene(Part):
 
     @property
     def step_rate(self) -> float:
-        """How often the modules move, in Hz."""
+        """Steps of the modules per second, Hz."""
         return self.rate * self.substeps
 
     @property

@@ -89,7 +89,7 @@ def short_tag(tag: str) -> str:
 
 
 def describe(node: yaml.Node) -> str:
-    """What a node holds, in the words of an error: as the file spells it, and of which kind."""
+    """Describes a node in an error: its text in the file and its type."""
     if isinstance(node, yaml.MappingNode):
         return "a mapping" if node.value else "an empty mapping"
     if isinstance(node, yaml.SequenceNode):
@@ -105,7 +105,7 @@ def describe(node: yaml.Node) -> str:
 
 
 def number_hint(node: yaml.Node) -> str:
-    """What to do about a text that stands where a number is meant; the end of a sentence, or nothing."""
+    """Returns the advice for a text in place of a number: the end of a sentence, or ""."""
     if not isinstance(node, yaml.ScalarNode) or node.tag != STRING:
         return ""
     text = node.value.strip()
@@ -183,13 +183,13 @@ def _require_spaces(text: str) -> None:
 
 
 def space_hint(text: object) -> str:
-    """What to do about a text where a mapping is meant, or about a key, with no space behind its colon; or nothing."""
+    """Returns the advice for a key, or a text in place of a mapping, without a space after its colon; else ""."""
     key, colon, value = text.partition(":") if isinstance(text, str) else ("", "", "")
     return f"; a space belongs behind the colon: {quote(f'{key}: {value}')}" if colon and value[:1].strip() else ""
 
 
 def place_of(node: yaml.Node) -> Place:
-    """Where a node starts."""
+    """Returns the position of a node's first character."""
     return _place_of_mark(node.start_mark)
 
 
@@ -279,7 +279,7 @@ class Document:
         return key, node
 
     def _once(self, node: yaml.Node, depth: int, read: Callable[[Any, int], Any], entries: bool = False) -> Any:
-        """What `read` makes of a node, read once however many anchors lead to it; None in a circle or too deep."""
+        """Returns `read` of a node, computed once for all its anchors; None if it is circular or too deep."""
         key = (id(node), entries)
         if key not in self._read:
             self._read[key] = _UNFINISHED
@@ -340,7 +340,7 @@ class Document:
             number, end = None, key.end_mark.index  # the second comma of 1,000,000 is no further fault
 
     def _merged(self, node: yaml.Node, depth: int) -> Entries:
-        """What ``<<`` brings in: one mapping, or a list of them, of which the first counts most."""
+        """Returns the entries merged by ``<<``: of one mapping, or of a list of them, where earlier ones win."""
         merged: Entries = {}
         for source in node.value if isinstance(node, yaml.SequenceNode) else [node]:
             if isinstance(source, yaml.MappingNode):

@@ -29,13 +29,13 @@ MOST_BYTES = 4_000_000  # some 100 000 modules, which take half a minute to read
 
 @dataclass(frozen=True)
 class YamlFile:
-    """How files of one kind are read.
+    """Reader of one kind of file.
 
     Attributes:
-        error: what is raised where a file is wrong.
-        wanted: what is expected in the file, in words.
-        nothing: what to say of an empty one.
-        shipped: returns the names of those that ship, which serve as names of files.
+        error: the exception raised for a faulty file.
+        wanted: the expected content of the file, in words.
+        nothing: the message for an empty file.
+        shipped: returns the names of the shipped files, which are accepted in place of paths.
     """
 
     error: type[UsageError]
@@ -82,7 +82,7 @@ class YamlFile:
         raise self.failure(name, [LocatedIssue(Place(1, 1), self.nothing)])
 
     def located(self, issues: Iterable[Issue], document: Document) -> list[LocatedIssue]:
-        """Where in the file the issues are, and the faults of the document itself."""
+        """Returns the issues with their lines and columns, and the faults of the document itself."""
         known, found = {fault.place for fault in document.faults}, []
         for issue in issues:
             if issue.at_key or document.place(issue.path) not in known:  # else it could not even be read
@@ -129,7 +129,7 @@ def _nearest_file(wanted: str, there: Iterable[str]) -> str:
 
 
 def _label(path: Path) -> str:
-    """How an error names a value: its key, with the index if it is in a list; nothing for the whole file."""
+    """Returns a value's name for an error: its key, with the index if it is in a list; "" for the whole file."""
     last = max((at for at, step in enumerate(path) if isinstance(step, str)), default=None)
     if last is None:
         return ""
@@ -140,15 +140,15 @@ def _label(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which parts a kind of file has, for the words about what is wrong in them.
+    """Parts of a kind of file, for its error messages.
 
     Attributes:
         root: the class of the whole file.
-        collection: the key of the table or list whose entries say by themselves which part they are,
-        tag: by this key,
-        tagged: and the class of each of its values.
-        entry: what is expected where an entry should be,
-        mappings: and where another mapping should be, by its place.
+        collection: the key of the table or list whose entries name their own type,
+        tag: the key that names it,
+        tagged: and the class of each type.
+        entry: the expected value of an entry,
+        mappings: and of the other mappings, by place.
     """
 
     root: type[BaseModel]
@@ -262,14 +262,14 @@ class _Finding:
         return Issue(path, f"found {self._document.found(path)}, expected {one_of(words)}{hint}")
 
     def _in_units(self, expected: str) -> str:
-        """What is expected, in the units of the device, with the other way in which an angle may be written."""
+        """Returns the expected value in the device's units, with both notations of an angle."""
         angles = {"(‹m›)": "(rad; or such as 15 deg)", "(‹m/s›)": "(rad/s; or such as 10 deg/s)"}
         for of_a_line, of_an_angle in angles.items() if self._units.name("m") == "rad" else ():
             expected = expected.replace(of_a_line, of_an_angle)
         return self._units.filled(expected)
 
     def _wanted(self) -> str:
-        """What a missing key is to hold."""
+        """Returns the expected value of a missing key."""
         field = self._layout.fields(self.place)[self.key]
         expectations = [self._in_units(item.expected) for item in field.metadata if isinstance(item, Expectation)]
         words = _words_of(field)

@@ -27,7 +27,7 @@ def chart(hapsim: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path:
 
 @pytest.fixture
 def coarse_felt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is felt is worked out at a tenth of the points."""
+    """Computes the felt chart at a tenth of its points."""
     monkeypatch.setattr("hapsim.chart.felt_chart._POINTS", (45, 23))
     monkeypatch.setattr("hapsim.chart.felt_chart._POINTS_OF_A_SHARE", (20, 10))
 

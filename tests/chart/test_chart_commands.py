@@ -159,7 +159,7 @@ def test_the_summary_of_a_plane_tells_what_is_felt_and_what_is_stable(chart: Cha
 
 
 def test_a_family_tells_what_each_mass_feels(chart: Chart, scene_file: SceneFile) -> None:
-    """Of several masses, and of the span that a scene gives; --mass is in place of the span."""
+    """The chart has one family per mass, for a list or for the span of a scene; --mass replaces the span."""
     given = chart("plane", scene_file("spring"), "--mass", "0.4", "--mass", "0.1,0.2", "--json")
     span = scene_file("spring", mass={"from": 0.1, "to": 0.4})
     for hands in (given.document["hands"], chart("plane", span, "--data", "n.csv", "--json").document["hands"]):
@@ -205,7 +205,7 @@ def test_hands_that_are_alike_share_a_plane_and_others_are_named(chart: Chart, s
 def test_table1_is_corrected_as_asked_for(
     chart: Chart, scene_file: SceneFile, words: list[str], correction: str, of_two: float
 ) -> None:
-    """Without the option, the scene decides, if the table uses it unchanged."""
+    """The scene's correction applies if the option is absent and the table uses the scene unchanged."""
     answer = chart("table1", scene_file("spring", correction="poles"), *words, "--json")
     assert answer.document["correction"] == correction
     couplings = {row["coupling"]: row for row in answer.document["couplings"]}

@@ -135,7 +135,7 @@ def test_the_numbers_are_those_of_the_summary(chart: Chart, rows_of: Callable[[s
 
 @pytest.mark.usefixtures("coarse_felt")
 def test_a_scene_is_taken_as_it_is_written(chart: Chart, scene_file: SceneFile) -> None:
-    """Its own correction is not applied twice; and people read a table and the limit."""
+    """The scene's own correction is not applied twice. The text shows a table and the limit."""
     share = chart("felt", scene_file("spring"), "--json").document["share"]
     assert share["none"]["0.05"] < share["poles"]["0.05"] < share["predictor"]["0.05"] == 1.0
     answer = chart("felt", scene_file("spring", correction="predictor"))

@@ -114,11 +114,11 @@ class SerialException(OSError):  # noqa: N818
 
 
 class SerialTimeoutException(SerialException):
-    """Of a write."""
+    """Timeout of a write."""
 
 
 def pyserial() -> dict[str, types.ModuleType]:
-    """Its modules, by their names."""
+    """Returns the modules of a pyserial without ports, by name."""
     serial, tools, ports = (types.ModuleType(name) for name in ("serial", "serial.tools", "serial.tools.list_ports"))
     found = types.SimpleNamespace(device=Serial.port_of, description="a port", hwid=None)
     vars(serial).update(Serial=Serial, SerialException=SerialException, tools=tools)
@@ -142,7 +142,7 @@ def become_another_system() -> None:
 
 
 def answer_to(words: list[str]) -> tuple[int, str, str]:
-    """What `hapsim` with these words returns, prints and complains of."""
+    """Returns the exit status, output and errors of `hapsim` with these words."""
     from hapsim.cli import main
 
     Serial.scene = next((word for word in words if word.endswith(".yaml")), "")

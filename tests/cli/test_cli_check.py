@@ -115,7 +115,8 @@ def test_an_unstable_scene_is_reported_as_such_and_is_no_failure(
 def test_what_makes_an_unstable_scene_stable_does(
     scene_file: SceneFile, checked: Checked, explained: Explained
 ) -> None:
-    """In the sentence, in the table and in JSON: the damping between two factors, just outside them not."""
+    """The sentence, the table and JSON give the same damping range. The scene is stable in it and unstable just
+    outside."""
 
     def scene(damping: float) -> Path:
         return scene_file("spring", touch={"stiffness": 4000.0, "damping": damping})
@@ -283,7 +284,7 @@ def test_assumptions_that_differ_in_a_name_alone_are_one(hapsim: Hapsim, tmp_pat
 
 
 def test_a_wire_that_is_too_slow_is_reported(hapsim: Hapsim, scene_file: SceneFile, checked: Checked) -> None:
-    """That of a mock without a baud rate is none, and says so."""
+    """A mock without a baud rate has no wire, and `check` says so."""
     verdict = "does not fit: use a higher baud rate or a lower rate."
     told = hapsim("check", scene_file("spring", baud=115200)).out
     assert "Wire: none (the mock). A UART at 115200 baud would not fit: 2.047 ms of 1 ms.\n" in told

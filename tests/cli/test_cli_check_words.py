@@ -1,4 +1,4 @@
-"""What `hapsim check` says is true of the scene that it says it of."""
+"""Sentences of `hapsim check` are true of their scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What fails is a sentence on standard error and a status, never a traceback."""
+"""An error prints a sentence on standard error and sets the exit status; there is never a traceback."""
 
 from __future__ import annotations
 
@@ -364,7 +364,7 @@ def test_after_a_second_signal_the_force_is_released_without_waiting_for_the_ans
 
 
 def test_what_the_parent_has_ignored_stays_ignored() -> None:
-    """As SIGHUP under nohup."""
+    """A SIGHUP that nohup ignores stays ignored."""
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     with stopping_on_signals(pytest.fail):
         signal.raise_signal(signal.SIGHUP)

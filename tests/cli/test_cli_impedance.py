@@ -15,7 +15,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 
 @pytest.fixture
 def first_touch(tmp_path: Path) -> Path:
-    """In virtual time."""
+    """File of first_touch, in virtual time."""
     text = (CONFIGS / "first_touch.yaml").read_text().replace("clock: device", "clock: lockstep")
     path = tmp_path / "first_touch.yaml"
     path.write_text(text)

@@ -156,7 +156,7 @@ def test_the_schema_is_one_that_accepts_our_scenes(hapsim: Hapsim, scene_file: S
 
 
 def test_the_ports_are_listed_under_headings(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a port does not say of itself stays blank."""
+    """Missing properties of a port stay blank."""
     board, bare = ListPortInfo("/dev/ttyACM0"), ListPortInfo("/dev/ttyS0")
     board.description, board.hwid = "Haptic [board]", "USB VID:PID=2341:0043"
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [board, bare])
@@ -186,7 +186,7 @@ assert not heavy, heavy
 
 
 def quick(option: str) -> str:
-    """What is printed without loading anything heavy."""
+    """Returns the output of an option that loads nothing heavy."""
     done = subprocess.run([sys.executable, "-c", QUICK, option], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout

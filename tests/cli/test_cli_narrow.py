@@ -1,4 +1,4 @@
-"""What people read on a narrow terminal breaks at words, and file:line:column stays whole."""
+"""Text on a narrow terminal wraps at words, and file:line:column stays whole."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_a_sentence_that_fits_stays_as_it_is() -> None:
 
 @pytest.mark.parametrize("words", [["sweep"], ["run"], ["measure"], ["check"], ["replay"], ["chart", "plane"]])
 def test_no_example_of_help_becomes_a_picture(hapsim: Hapsim, words: list[str]) -> None:
-    """As rich makes one of a word between colons, 100 among them."""
+    """Help keeps its colons: rich would replace words such as :100: by emoji."""
     assert not [letter for letter in hapsim(*words, "--help").out if ord(letter) >= 0x1F000]
 
 

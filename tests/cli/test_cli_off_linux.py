@@ -34,7 +34,7 @@ print(len([name for name in sys.modules if name.startswith(("hapsim.", "firmware
 
 
 def python(*words: object, given: str = "") -> str:
-    """What a Python of its own prints."""
+    """Returns the output of a new Python process."""
     answer = subprocess.run(
         [sys.executable, *map(str, words)], input=given, capture_output=True, text=True, check=False, timeout=300
     )
@@ -49,7 +49,7 @@ def elsewhere(*commands: Sequence[object]) -> list[tuple[int, str, str]]:
 
 
 def done(*commands: Sequence[object]) -> list[str]:
-    """What commands printed that did as asked."""
+    """Returns the outputs of commands, all of which must succeed."""
     answers = elsewhere(*commands)
     for words, (status, _, errors) in zip(commands, answers, strict=True):
         assert status == 0, (words, errors[-2000:])
@@ -62,7 +62,7 @@ def test_everything_can_be_imported() -> None:
 
 
 def test_what_needs_no_real_time_works(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path) -> None:
-    """In memory the loop in Python sends the forces of the compiled one, and on a port it runs to its end."""
+    """The portable loop sends the forces of the compiled one in memory, and runs to its end on a port."""
     scene, picture, first = scene_file("spring"), tmp_path / "plane.svg", tmp_path / "first.yaml"
     on_port = ("--portable", "--port", "COM3", "--duration", 0.2, "--unstable", "--json")
     runs = {}

@@ -201,7 +201,7 @@ def test_random_devices_as_people_build_them_have_no_hint(bench: ModuleType) -> 
 
 
 def test_most_wrong_units_are_named_and_with_the_value_that_was_meant(bench: ModuleType) -> None:
-    """What is not seen is harmless or within the range of what people build: tools/bench/README.md."""
+    """Unnoticed slips are harmless or stay within the usual range: tools/bench/README.md."""
     counted: Counter[str] = Counter()
     for spoiled in bench.spoiled_scenes(100, 3):
         verdict = bench.judge(spoiled)

@@ -52,12 +52,12 @@ def test_a_run_is_reported_as_a_table(hapsim: Hapsim, scene_file: SceneFile) -> 
 
 @pytest.fixture(scope="module")
 def report() -> Any:
-    """Of a run without a fault."""
+    """Report of a run without a fault."""
     return run(parse_scene(FIRST_TOUCH), duration=0.05).report
 
 
 def shown(report: Any, **changes: Any) -> str:
-    """What is printed of a report that says something else."""
+    """Returns the printed text of a report with some changed fields."""
     console = Console(record=True, width=200)
     show_report(console, replace(report, **changes))
     return console.export_text()

@@ -61,7 +61,7 @@ def random_documents(number: int) -> Iterator[dict[str, Any]]:
 
 
 def test_the_predicted_figures_are_those_that_were_kept() -> None:
-    """Of the small shipped scenes with their margins, of the large and of random ones without: to 1e-9."""
+    """Predicted figures match to 1e-9: of small shipped scenes with margins, of the large and random ones without."""
     now = {
         path.stem: figures_of(predict(load_scene(path), with_margins=path.stem not in LARGE))
         for path in sorted(CONFIGS.glob("*.yaml"))
@@ -89,7 +89,7 @@ def keys_of(value: Any, path: str = "") -> Iterator[str]:
 
 
 def test_the_keys_of_json_documents_are_those_that_were_kept(hapsim: Callable[..., Any], tmp_path: Path) -> None:
-    """Of scenes with one hand, several, regions, masses and a correction; in virtual time."""
+    """JSON documents keep their keys, for scenes with one hand, several, regions, masses and a correction."""
     files = {}
     for name in ("first_touch", "two_hands", "knob_24", "plucked_string"):
         document = yaml.safe_load((CONFIGS / f"{name}.yaml").read_text("utf-8"))

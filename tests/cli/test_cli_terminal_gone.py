@@ -97,7 +97,7 @@ def own_terminal() -> None:
 
 
 def test_a_terminal_that_is_closed_ends_the_run_in_good_order(scene_file: SceneFile, tmp_path: Path) -> None:
-    """Its SIGHUP comes, and every write fails from then on."""
+    """A closed terminal sends SIGHUP, and every later write fails. The run still ends in order."""
     path, record = scene_file("spring"), tmp_path / "trace.npz"
     mock = assemble_mock(load_scene(path))
     near, far = os.openpty()

@@ -230,7 +230,7 @@ def test_an_interrupt_before_arming_or_in_a_measurement_is_raised(
 
 @pytest.fixture
 def completed(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[str]]:
-    """What bash is offered for the last word of a line."""
+    """Returns bash's completions of the last word of a line."""
 
     def complete(line: str) -> list[str]:
         monkeypatch.setenv("_HAPSIM_COMPLETE", "complete_bash")

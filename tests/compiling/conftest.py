@@ -34,7 +34,7 @@ class Compiled:
     file: Path
     line: int
     reached: frozenset[Path]
-    """Of an entry and a native function: the files that its machine code is made of."""
+    """Source files of the machine code, for an entry and a native function."""
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line} {self.name}"

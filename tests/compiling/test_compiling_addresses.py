@@ -51,7 +51,7 @@ def call_compiled(function, value, out):
 
 
 def through(function: Callable[..., None], value: Any, out: np.ndarray) -> np.ndarray:
-    """What a function of compiled code leaves in `out`, called by compiled code, with all behind addresses."""
+    """Returns `out` after a call of a compiled function from compiled code, with all arguments behind addresses."""
     # Who has the objects keeps what is behind the addresses.
     behind, target = Behind(value), Behind(out)
     address, *arguments = NativeFunction(function).call_on(behind, target, target)

@@ -148,7 +148,7 @@ def test_no_process_is_started_where_none_would_help(
 def test_an_interrupt_of_the_first_process_ends_the_second(
     started: list[subprocess.Popen[str]], python_is: Callable[[str], None], monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
-    """While it compiles itself, and while it waits for the second."""
+    """An interrupt ends the second process, whether the first is compiling or waiting for it."""
     python_is("echo begun; exec sleep 1000")
     waits = threading.Event()
 
@@ -174,7 +174,7 @@ def test_an_interrupt_of_the_first_process_ends_the_second(
 
 @pytest.fixture(scope="module")
 def everything() -> None:
-    """In this process alone: what is kept is loaded here in any case."""
+    """Compiles everything in this process alone, where the cache is loaded anyway."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "cpu_count", lambda: 1)
         prepare()

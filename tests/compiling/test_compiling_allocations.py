@@ -105,8 +105,8 @@ METHODS = {"type", "view"}  # of an array's dtype, and of one number
 
 
 def allocations_in(function: ast.FunctionDef, theirs: set[str]) -> Iterator[str]:
-    """What of a function allocates, or might: all that is not known to do no such thing. `theirs`: names that its
-    source has from other packages."""
+    """Yields the expressions of a function that allocate, or are not known not to. `theirs`: names imported from other
+    packages."""
     for node in (node for statement in function.body for node in ast.walk(statement)):
         if isinstance(node, (*DISPLAYS, *OTHERS)):
             yield ast.unparse(node)

@@ -44,7 +44,7 @@ def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def directories(root: Path, *files: str) -> dict[str, Path]:
-    """Where a process that begins now would keep what is compiled from each of these files."""
+    """Returns the cache directory that a new process would use for code compiled from each of these files."""
     specification = importlib.util.spec_from_file_location(
         "code_cache_of_copy", root / "firmware_protocol/code_cache.py"
     )
@@ -64,7 +64,7 @@ def append(file: Path) -> None:
 
 
 def changed_by(root: Path, edit: Callable[[], None]) -> set[str]:
-    """What has another directory after an edit."""
+    """Returns the files whose cache directory changes with an edit."""
     before = directories(root)
     edit()
     after = directories(root)
@@ -186,7 +186,7 @@ def is_in(file: Path, rooms: tuple[Path, ...]) -> bool:
 
 
 def sources_of(file: Path) -> set[Path]:
-    """What the machine code of a file's functions is kept under: firmware_protocol compiles from itself alone."""
+    """Returns the sources in the cache key of a file's functions; firmware_protocol is compiled from itself alone."""
     return set(code_cache.sources_of([file], (PROTOCOL,) if is_in(file, (PROTOCOL,)) else COMPILED_ROOMS))
 
 
@@ -306,7 +306,8 @@ MODULES = {
 
 
 def test_all_that_numba_compiles_for_a_function_is_looked_at(tmp_path: Path) -> None:
-    """What is chosen by type, as the steps of a stencil are, is only known once it is compiled: with nothing kept."""
+    """Functions that numba chooses by type, such as the steps of a stencil, are included: they are found with an empty
+    cache."""
     scene = {"version": 1, "rate": 1000, "device": {"mass": 0.2}, "modules": MODULES}
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
     command = [sys.executable, "-P", "-c", COMPILE, json.dumps(scene)]

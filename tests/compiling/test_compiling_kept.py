@@ -44,7 +44,7 @@ def empty(file: Path) -> None:
 
 
 def overwrite(file: Path) -> None:
-    """In the middle, where the machine code is."""
+    """Zeroes some bytes in the middle, which is machine code."""
     content = bytearray(file.read_bytes())
     middle = len(content) // 2
     content[middle : middle + 64] = bytes(64)

@@ -1,4 +1,4 @@
-"""What is reported of compilations; interrupts and the garbage collector meanwhile."""
+"""Progress of compilations, and interrupts and garbage collection during them."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def test_who_listens_may_fail_and_the_collector_is_on_again() -> None:
 
 
 def test_another_thread_compiles_without_a_hand_on_interrupts() -> None:
-    """Only the main thread may set what a signal does."""
+    """Only the main thread may set signal handlers, so compilation in another thread leaves them alone."""
     told: list[str] = []
     with on_compilation(told.append):
         thread = threading.Thread(target=compile_native)

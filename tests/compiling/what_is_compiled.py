@@ -31,12 +31,13 @@ FOLDERS = [Path(argument).resolve() for argument in sys.argv[1:]]
 
 
 def place_of(folder: Path) -> Path:
-    """Where Python looks for what stands in a folder."""
+    """Returns the import path of a folder."""
     return folder.parent if (folder / "__init__.py").exists() else folder
 
 
 def modules_in(folder: Path) -> Iterator[str]:
-    """Those that may have compiled functions: all that name what compiles one. The others load plots and filters."""
+    """Yields the modules that may have compiled functions: those that name a compiler. The others load plots and
+    filters."""
     for file in sorted(folder.rglob("*.py")):
         if not re.search("numba|compil|native|inlined|helper", file.read_text(encoding="utf-8")):
             continue
@@ -46,7 +47,8 @@ def modules_in(folder: Path) -> Iterator[str]:
 
 
 def choosers() -> Iterator[tuple[Any, FunctionType]]:
-    """What numba's `overload` was called for, and what chooses the code in its place; of an inlined function itself."""
+    """Yields each target of numba's `overload` with the function that chooses its code; for an inlined function
+    itself."""
     for template in templates.builtin_registry.functions:
         chooser = getattr(template, "_overload_func", None)
         if chooser is not None:
@@ -69,7 +71,7 @@ def compiled() -> Iterator[tuple[str, Any]]:
 
 
 def file_of(one: Any) -> str | None:
-    """Where one of ours stands; None of others."""
+    """Returns the source file of one of hapsim's objects; None for others."""
     try:
         return our_file(inspect.getsourcefile(one) or "")
     except TypeError:

@@ -26,7 +26,7 @@ SAMPLES = 10_000
 
 
 class Numbers(NamedTuple):
-    """What the modules of a precision's scene are made of; SI units."""
+    """Parameters of the modules in a precision's scene; SI units."""
 
     rate: float
     mass: float
@@ -181,7 +181,7 @@ def rests_of(rng: np.random.Generator, where: float) -> Array:
 
 
 class Run(NamedTuple):
-    """What went in and what came out: each (SAMPLES,) by the name of a hand."""
+    """Inputs and outputs of a run: each (SAMPLES,) by the name of a hand."""
 
     position: dict[str, Array]
     velocity: dict[str, Array]
@@ -191,7 +191,7 @@ class Run(NamedTuple):
 
 @cache
 def place_of(precision: str, hands: Hands, name: str, field: str) -> int:
-    """Where a live value stands among the parameters."""
+    """Returns the index of a live value among the parameters."""
     scene = scene_of(precision, hands)
     other = scene.modules[name].model_copy(update={field: getattr(scene.modules[name], field) + 1.0})
     changed = scene.model_copy(update={"modules": dict(scene.modules) | {name: other}})

@@ -83,7 +83,7 @@ def network(seed: int, share: float | None = None) -> dict[str, Any]:
 
 
 def numbers_in(scene: Scene) -> set[type]:
-    """What the parts of a scene's program work on."""
+    """Returns the number types of a scene's program."""
     return {type(part.numbers) for part in compile_scene(scene).parts}
 
 

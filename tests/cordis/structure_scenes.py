@@ -40,7 +40,7 @@ class Numbers(NamedTuple):
         return values | ({"bending": self.g * mass * RATE**2} if self.g else {})
 
     def pole_pair(self, spread: float) -> np.ndarray:
-        """Of a mode for which the links, each of stiffness 1, are a stiffness `spread` together."""
+        """Returns the pole pair of a mode; `spread`: the stiffness of its links if each link has stiffness 1."""
         old = 1.0 - self.b * spread - self.e
         now = 1.0 + old - self.a * spread - self.g * spread**2
         return np.roots([1.0, -now, old])

@@ -99,7 +99,7 @@ def test_every_type_of_module_is_in_the_scene() -> None:
 
 
 def strokes(seed: int) -> tuple[Array, Array]:
-    """Where the hands are, at places that either precision has, and the velocities that they sense: m, m/s."""
+    """Returns positions of the hands, exact in both precisions, and their sensed velocities: m, m/s."""
     rng = np.random.default_rng(seed)
     steps = 0.03 * rng.normal(size=(SAMPLES, len(OUTSIDE)))
     measured = 0.02 * np.sin(np.cumsum(steps, axis=0) + np.arange(len(OUTSIDE)))
@@ -155,7 +155,8 @@ class Dense:
         return self.kept
 
     def tensions(self, x: Array, v: Array, late: float, which: Any) -> Array:
-        """Of these links, `late` s after the sample; of the others as they were kept. Hands go on as they went."""
+        """Returns these links' tensions `late` s after the sample, with the hands extrapolated; the others keep
+        theirs."""
         tensions = self.kept.copy()
         for i in which:
             d = self.hand[i] + late * self.hand_v[i] - x[self.held[i]]

@@ -1,4 +1,4 @@
-"""What a scene was compiled to, told."""
+"""Description of a compiled scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where structures stand in memory, and single numbers in lanes."""
+"""Memory layout of structures, and single numbers in SIMD lanes."""
 
 from __future__ import annotations
 

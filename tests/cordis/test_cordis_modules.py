@@ -259,7 +259,7 @@ def test_a_small_swing_meets_the_link_that_the_theory_takes_it_for(name: str, at
 
 @pytest.mark.parametrize("name", ["spring", "buffer", "nonlinear", "sine", "snap", "notch", "click", "dome"])
 def test_at_rest_a_link_has_the_tension_of_its_law(name: str) -> None:
-    """Which the theory writes down by itself. Detents go on for kilometres, right to what a place is rounded by."""
+    """The tension at rest equals the theory's law. Detents extend for kilometres, up to the rounding of a position."""
     hands = scene_with(name)
     bench, n, hand = Bench("double", hands), NUMBERS["double"], hands.index(name)
     link = bench.scene.links[name]

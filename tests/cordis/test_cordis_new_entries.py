@@ -1,5 +1,5 @@
-"""What a new link, a new damper and a new scheme take: one entry for each room, and nothing else. Those here are not
-shipped; each is run by the kernel and predicted by the theory, and both agree with its formula."""
+"""A new link, damper or scheme needs one entry per package and nothing else. Those here are not shipped. The kernel
+runs and the theory predicts each, and both agree with its formula."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def copy_pairs(calls, pairs):
 
 
 def calls_in(program: Program) -> dict[str, NDArray[np.uint64]]:
-    """What a tick finds in each list: (calls, 2), addresses of actions and of their numbers."""
+    """Returns a tick's calls by list: (calls, 2), addresses of actions and of their numbers."""
     found = {}
     for name in LISTS:
         calls = program.record[name]

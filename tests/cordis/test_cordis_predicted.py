@@ -1,4 +1,4 @@
-"""What the theory makes of a scene by each scheme, against the tick itself: the whole transition, number by number."""
+"""Theory of a scene under each scheme against the tick itself: the whole transition, number by number."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def link(between: tuple[str, str], stiffness: float, damping: float, **more: Any
 
 
 Steps = tuple[int, str]
-"""In a sample period, and which force is asked for."""
+"""Steps per sample period, and the requested force."""
 
 
 def scene_of(scheme: str, seed: int, state: np.ndarray | None = None, steps: Steps = (1, "last")) -> Scene:

@@ -1,4 +1,4 @@
-"""What may change while a scene runs, under each scheme."""
+"""Changes to a running scene under each scheme."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_without_a_matrix_everything_may_change(scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", ["midpoint", "exact"])
 def test_a_ground_that_moves_pulls_what_is_tied_to_it(scheme: str) -> None:
-    """By where it is, and by how it got there: its position is one of the values that may change."""
+    """A ground pulls by its position and its velocity: its position is a live value."""
     state = np.zeros(2)
     scene = chain(scheme, state, 1000.0, 2.0)
     program = compile_scene(scene)

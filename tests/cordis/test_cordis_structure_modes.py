@@ -155,7 +155,7 @@ def test_a_damped_mode_dies_away_as_the_closed_form_says(swinging: list[Swinging
     ids=["string", "stiff string", "membrane"],
 )
 def test_single_precision_keeps_the_frequency_of_a_slow_mode(swinging: list[Swinging], figures: Any) -> None:
-    """Where the recurrence is worked out from differences: coefficients of 32 bits would be wrong by 1e-3."""
+    """The recurrence in differences keeps the frequency; coefficients of 32 bits would be wrong by 1e-3."""
     swinging = [one for one in swinging if len(one.shape) <= 204]
     for one, z in zip(swinging, poles_of(swinging, "single", 4000), strict=True):
         expected = np.angle(expected_pole(one))

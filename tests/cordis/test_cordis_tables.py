@@ -74,7 +74,7 @@ LINKS: dict[str, tuple[dict[str, Any], Values, Values]] = {
         {"travel": 0.016, "peak": 0.5, "drop": 1.1, "bottom": 3000.0, "damping": 0.2},
     ),
 }
-"""By name: what does not change, and what it is before and after."""
+"""Links by name: constant values, values before, values after."""
 
 
 def link_with(name: str, values: Values) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def test_while_it_ramps_a_link_is_the_one_with_the_parameters_between(name: str)
 
 @pytest.mark.parametrize("shape", ["snap", "notch"])
 def test_while_its_sharpness_ramps_a_detent_is_a_detent(shape: str) -> None:
-    """Its knots move in straight lines, not its sharpness: in between it has its depth and its rests all the same."""
+    """The knots of a detent move in straight lines during a ramp, so it keeps its depth and its rest positions."""
     values = LINKS[shape][1] | {"damping": 0.0}
     before, after = (link_with(shape, values | {"sharpness": sharpness}) for sharpness in (1.0, 4.0))
     pitch, depth = values["pitch"], values["depth"]

@@ -39,7 +39,7 @@ def gripped(stiffness: float, damping: float, *, mass: float = LEAST, friction: 
 
 @pytest.mark.parametrize("mass", [0.1, 0.15, 0.4])
 def test_once_settled_the_hand_feels_what_the_scene_says(mass: float) -> None:
-    """Its own pushes, every tenth of a second, tell the mass; what is identified is the second half."""
+    """Pushes every tenth of a second reveal the mass; the second half of the run is identified."""
     scene = gripped(5000.0, 20.0, mass=mass)
     pushes = Excitation(0, 5.0, 4, 100, start=0, first=True)
     trace = run(scene, duration=4.0, excitation=pushes)
@@ -84,8 +84,8 @@ def test_a_hand_that_grips_and_releases_never_swings_more_and_more(n: int) -> No
 
 
 def largest_growth(x: NDArray[np.float64], grips: Any) -> float:
-    """From one extreme of the motion to the next, while the mass is the same. A mass that is added to a moving one
-    keeps the speed, and so brings energy of its own."""
+    """Returns the largest growth from one extreme to the next while the mass is constant. A mass added in motion keeps
+    the speed and so adds energy."""
     events = [0, *(round(second * RATE) for second, _ in grips), len(x)]
     worst = 0.0
     floor = 1e-3 * np.abs(x).max()
@@ -140,7 +140,8 @@ def test_the_force_follows_the_estimate_no_faster_than_it_says(n: int) -> None:
 
 
 def test_nothing_is_simulated_that_some_mass_of_the_span_makes_unstable() -> None:
-    """By the mathematics, for points of the whole plane: and so wherever the estimate is, right or wrong."""
+    """Every (K, B) over the whole plane is stable for every mass of the span, whether the estimate is right or
+    wrong."""
     random = np.random.default_rng(3)
     kind = CORRECTIONS["adaptive"]
     limited = 0

@@ -54,7 +54,8 @@ def test_a_damper_alone_keeps_its_damping_over_a_span(correction: str) -> None:
 
 
 def test_a_contact_alone_has_the_predictor_that_it_was_searched_for() -> None:
-    """Of the least mass; predicted is the hand that touches, and stable without a touch, too."""
+    """The predictor is made for the least mass. The prediction is that of the touching hand, and the scene is stable
+    without touch."""
     contact = {"touch": {"type": "buffer", "between": ["hand", "wall"], "stiffness": 9000.0, "damping": 30.0}}
     scene = scene_of(contact, "predictor", mass=SPAN, friction=0.0)
     (port,) = rendered(scene).ports
@@ -67,7 +68,7 @@ def test_a_contact_alone_has_the_predictor_that_it_was_searched_for() -> None:
 
 @pytest.mark.parametrize("correction", ["poles", "predictor"])
 def test_a_long_delay_is_searched_for_more_coarsely(correction: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the work that it takes: the cube of the number of poles, in all."""
+    """The search's work, the cube of the number of poles in all, stays bounded."""
     work = 0
     eigenvalues = np.linalg.eigvals
 

@@ -1,5 +1,5 @@
-"""What is asked for is what is felt: measured on the mock, in virtual time. The identification knows neither K and B
-nor what is desired."""
+"""The mock in virtual time shows the desired k and b. The identification knows neither K and B nor the desired
+values."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_without_it_the_hand_feels_something_else() -> None:
     ids=str,
 )
 def test_a_predictor_takes_any_delay_away(device: dict[str, Any]) -> None:
-    """Where (K, B) alone could not."""
+    """The predictor compensates a delay that (K, B) alone could not."""
     scene = hand_on(touch(20000.0, 40.0), correction="predictor", **device)
     felt = measure(scene)
     assert felt.k == pytest.approx(20000.0 + device.get("stiffness", 0.0), rel=3e-6)

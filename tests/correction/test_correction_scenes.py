@@ -54,7 +54,7 @@ def test_the_slowest_mode_of_a_hand_on_a_mass_is_the_continuous_scenes(correctio
 
 
 def test_two_hands_on_one_mass_come_nearest_and_stay_stable() -> None:
-    """Without a correction this scene is unstable."""
+    """The correction stabilizes a scene that is unstable without one."""
     modules = ON_A_MASS | {
         "other": {"type": "device", "channel": 1},
         "back": link(("m", "other"), 1000.0, 1.0),

@@ -1,4 +1,4 @@
-"""How well a device has to be known for a correction: figures worked out elsewhere, and what they mean."""
+"""Tolerance of a correction to errors in the device's parameters: independently computed figures and their meaning."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def test_a_hand_that_pushes_slowly_is_not_taken_for_mass(bench: Any) -> None:
 
 @pytest.mark.parametrize(("every", "what"), [(130, 20), (100, -1)], ids=["stalls of 20 ms", "lost positions"])
 def test_lost_time_is_not_compared(bench: Any, every: int, what: int) -> None:
-    """Which force acted meanwhile is not known, and a motion of two samples is not taken for one of one."""
+    """Lost time is skipped: the applied force is unknown, and a motion of two samples is not taken for one."""
     disturbed = np.zeros(6000, np.int64)
     disturbed[::every] = what
     report = run_disturbed(bench, np.zeros(6000), disturbed)
@@ -139,7 +139,7 @@ def test_lost_time_is_not_compared(bench: Any, every: int, what: int) -> None:
 
 
 def test_forces_that_were_late_in_a_row_are_not_compared() -> None:
-    """Of two in a row it is unknown which one the device applied."""
+    """Two late forces in a row are skipped: the applied one is unknown."""
     trace = run(scene_of(misses=0.05, seed=3), duration=2.0, excitation=pushes(2000, 2000))
     assert trace.report.deadline_misses > 60
     is_exact(trace.report)

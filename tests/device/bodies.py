@@ -36,7 +36,7 @@ def body_of(
 
 @cache
 def natives() -> dict[int, Callable[[int, float, float], None]]:
-    """By address. Compiled when first asked for."""
+    """Returns the native functions by address. They are compiled at first use."""
     return {native.address(): native for native in NATIVES}
 
 

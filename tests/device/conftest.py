@@ -146,7 +146,7 @@ class Host:
 
     @property
     def bodies(self) -> np.ndarray:
-        """What the forces move, one for each channel."""
+        """Bodies that the forces move, one for each channel."""
         bodies: np.ndarray = self.mock.bodies[: self.channels]
         return bodies
 

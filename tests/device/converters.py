@@ -120,8 +120,8 @@ WINDOWS = {"ideal": 0.0, "average": 1.0, "the last half": 0.5, "the last third":
 def event_by_event(
     hold: str, sampling: str, delay: float, m: float, b: float, x: float, v: float, commands: Sequence[float]
 ) -> tuple[list[float], list[float]]:
-    """What is measured at the end of samples 0, 1, …, positions (m) and velocities (m/s): command n changes the force
-    `delay` samples after n began."""
+    """Returns the positions (m) and velocities (m/s) measured at the end of samples 0, 1, …; command n changes the
+    force `delay` samples after n began."""
     with mp.workdps(30):
         T_, samples, acts, window = mp.mpf(T), len(commands), EVENTS[hold], mp.mpf(WINDOWS[sampling])
         events = [(mp.mpf(n + 1), 0, n) for n in range(samples)]

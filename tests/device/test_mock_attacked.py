@@ -25,7 +25,7 @@ New = Callable[..., Any]
 
 
 def assert_safe(host: Any) -> None:
-    """What holds after every event."""
+    """Asserts the invariants that hold after every event."""
     mock = host.mock
     assert np.isfinite(mock.commands).all()
     assert (np.abs(mock.commands) <= mock.force_limit).all()
@@ -36,7 +36,7 @@ def assert_safe(host: Any) -> None:
 
 
 def assert_like_new(new: New, host: Any, **fields: Any) -> None:
-    """After a disarm the attacked mock runs as one that was never attacked."""
+    """Asserts that after a disarm the attacked mock runs like a new one."""
     fresh = new(**fields)
     for wire in (*host.armed_formats, SETUP):
         host.send(b"\0" + frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels))
@@ -170,7 +170,8 @@ def test_a_flood_of_random_frames_is_survived(new_host: New, channels: int, beyo
 
 @dataclass
 class Model:
-    """What a device says and commands. `said`: (type, number, state, fault), the last two for a status only."""
+    """Model of a device's messages and commands. `said`: (type, number, state, fault), the last two for a status
+    only."""
 
     scale: float
     impulse: bool

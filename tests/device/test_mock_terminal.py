@@ -183,7 +183,7 @@ def test_a_flood_whose_answers_are_not_read_is_survived(
 
 
 def ends(action: Callable[[], object]) -> bool:
-    """Whether `action`, on a thread of its own, ends at all."""
+    """Returns whether `action` ends, on a thread of its own."""
     thread = threading.Thread(target=action, daemon=True)
     thread.start()
     thread.join(PATIENCE_S)

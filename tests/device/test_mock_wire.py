@@ -32,7 +32,7 @@ New = Callable[..., Any]
 def test_in_lockstep_a_force_acts_as_many_samples_later_as_the_wire_takes(
     new_host: New, exchange: New, rate: float, late: int, delay: float
 ) -> None:
-    """As if it had been sent that number of samples later to a mock without a wire."""
+    """A slow wire acts like a delay of that many samples on a mock without a wire."""
     counts = [int(n) for n in np.random.default_rng(3).integers(-(2**31), 2**31, 30)]
     slow = new_host(rate=rate, device={"delay": delay}, mock=SLOW)
     quick = new_host(rate=rate, device={"delay": delay})
@@ -150,7 +150,7 @@ FRAMES = [bytes([1 + n % 255]) * (7 + n % 13) + b"\0" for n in range(20000)]
 
 @pytest.fixture
 def pipe() -> Iterator[tuple[int, int]]:
-    """Where the host reads, where the mock writes: 64 kB of room."""
+    """Descriptors of the host's reading end and the mock's writing end: 64 kB of room."""
     far, near = os.pipe()
     os.set_blocking(near, False)
     os.set_blocking(far, False)

@@ -165,7 +165,7 @@ def test_who_waits_for_a_lock_or_has_died_holds_no_port(
 
 
 def test_a_port_of_the_mock_is_open_to_the_next_who_is_not_root(port: str) -> None:
-    """Its other side keeps it open: what makes a terminal exclusive would stay for ever, and stop all but root."""
+    """The mock's own side keeps the terminal open: exclusive mode would last and stop all users but root."""
     open_serial_port(port, 2_000_000).close()
     os.chmod(port, 0o666)
     user = {"user": 65534, "group": 65534, "extra_groups": []} if os.geteuid() == 0 else {}

@@ -33,7 +33,7 @@ def histogram() -> Callable[[dict[float, int]], Histogram]:
 
 @dataclass(frozen=True)
 class Report:
-    """What a doctor reads of a report."""
+    """Fields of a report that the doctor reads."""
 
     ticks: int = 1000
     deadline_misses: int = 0

@@ -1,4 +1,4 @@
-"""What is shown: histograms as bars, an examination as text and as a document."""
+"""Output of the doctor: histograms as bars, an examination as text and as a document."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_an_examination_is_reported_in_full(examination: Examination) -> None:
 
 
 def alone(examination: Examination, run: Exchanges) -> str:
-    """What is shown where only this run was made."""
+    """Returns the text of an examination with this run alone."""
     return shown(replace(examination, exchanges=(run,), verdicts=(verdict_on(run),), advice=()), 200)
 
 

@@ -1,4 +1,4 @@
-"""What an examination runs, and that a device's hand is never pushed by it."""
+"""Runs of an examination; none of them pushes the hand of a device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is read of a machine; and that every file may be missing, or nonsense."""
+"""Properties read from a machine; any file may be missing or contain nonsense."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a share of forces in time comes to, in words."""
+"""Verdicts on the share of forces in time, in words."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def hangs_up(descriptor: int) -> bool:
 
 
 def test_how_long_passing_on_took_is_counted_without_what_a_fault_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a clock that goes on by a millisecond whenever it is looked at."""
+    """A fake clock advances by a millisecond per reading. The delay of a fault does not count as passing time."""
     looks = itertools.count()
     monkeypatch.setattr(relay_module.time, "monotonic", lambda: 1e-3 * next(looks))
     injector, told = injector_of("kind: delay, seconds: 0.02"), list[str]()

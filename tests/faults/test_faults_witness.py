@@ -1,4 +1,4 @@
-"""What reached the device: forces, the steps between them, and how the last of them ended."""
+"""Forces that reached the device, the steps between them, and the end of the last one."""
 
 from __future__ import annotations
 

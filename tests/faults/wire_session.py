@@ -26,7 +26,7 @@ def touched_scene(**keys: float) -> Scene:
 
 
 def position(number: int, counts: int | None = None) -> bytes:
-    """Of a device that moves by a thousand counts a sample."""
+    """Returns a position frame of a device that moves by a thousand counts per sample."""
     return frame_to_host(
         ARMED, schema.POSITION, number % schema.SAMPLE_MODULUS, [1000 * number if counts is None else counts]
     )
@@ -44,13 +44,13 @@ def described() -> bytes:
 
 
 def injector_of(*faults: str, seed: int = 0) -> Injector:
-    """Of a script with these faults, as they stand in a file."""
+    """Returns the injector of a script with these faults, each in a file's notation."""
     lines = [f"  - {{{fault}}}" for fault in faults]
     return Injector(parse_script("\n".join(["version: 1", f"seed: {seed}", "faults:", *lines])))
 
 
 def positions_through(injector: Injector, count: int, first: int = 0) -> list[Passed]:
-    """What the injector passes on of `count` positions, one a period."""
+    """Returns the frames that the injector passes on from `count` positions, one per period."""
     passed: list[Passed] = []
     for number in range(first, first + count):
         passed += injector.take(position(number), False, number * PERIOD_S)
@@ -62,7 +62,7 @@ def bytes_of(passed: Iterable[Passed], to_device: bool = False) -> bytes:
 
 
 def frames_of(data: bytes, to_device: bool = False, wire: Format = ARMED) -> list[Frame]:
-    """What a receiver accepts of it."""
+    """Returns the frames that a receiver accepts."""
     return frames_in(new_decoder(wire, to_device), data)
 
 

@@ -52,7 +52,7 @@ class Bridged:
             time.sleep(0.005)
 
     def is_released(self) -> bool:
-        """Whether the last torques of the log are zero."""
+        """True if the last torques of the log are zero."""
         torques = self.torques()
         return bool(torques) and abs(torques[-1][1]) < 1e-30 and abs(torques[-1][2]) < 1e-30
 

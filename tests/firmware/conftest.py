@@ -149,7 +149,7 @@ class MockPlayer:
         self.positions, self.velocities = positions, velocities
 
     def _place(self, before_a_sample: bool) -> None:
-        """Where the bodies have to be so that the next event measures what was set."""
+        """Places the bodies so that the next event measures the set positions."""
         for c in range(self.channels):
             start = self.positions[c] - before_a_sample * self.velocities[c] * _PERIOD_NS * 1e-9
             for bodies, position in ((self.mock.bodies, start), (self.mock.initial, self.positions[c])):
@@ -197,7 +197,7 @@ class MockPlayer:
 
     @property
     def force(self) -> list[int]:
-        """What acts now, in counts: of a sample of delay the command of the sample before.
+        """Returns the present force in counts; with a sample of delay, the command of the sample before.
 
         Paced by the host the mock works out what a time to live left of a force once the sample is over.
         """
@@ -231,7 +231,7 @@ def built_to_die(once: Any) -> Path:
 
 @pytest.fixture(scope="session")
 def built_haply_mock(once: Any) -> Path:
-    """Where the mock of a Haply board, a patient bridge, and the bridge's kinematics as a library were built."""
+    """Directory of the built Haply mock, a patient bridge, and the bridge's kinematics as a library."""
     return once("haply_mock", [str(Path(__file__).parent / "haply_mock" / "build_mock")], {})
 
 

@@ -152,7 +152,7 @@ def test_a_positive_force_accelerates_towards_larger_positions(start_bridged: Ca
 
 
 def test_probe_passes_through_the_bridge(start_bridged: Callable[..., Bridged]) -> None:
-    """In real time: what depends on it is judged again where this machine held something up."""
+    """Probe passes in real time. Checks that a busy machine disturbed are repeated."""
     not_seen = {"bridge", "velocities", "limit_cut"}  # the last one: the motors give less than the limit of a channel
     port, again, bad, checks = start_bridged("period=0").port, STEPS, [], {}
     for _ in range(6):

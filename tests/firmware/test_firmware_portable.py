@@ -1,4 +1,4 @@
-"""What a maker meets when he builds: constants of boards, what the compiler says to a double, broken devices."""
+"""Portability of the firmware: constants of boards, compiler warnings about doubles, broken devices."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def asks_for_velocities(entry: dict[str, Any]) -> bool:
 
 @pytest.mark.parametrize("entry", TOLD, ids=NAMES)
 def test_a_knob_of_simplefoc_does_as_the_session_says(entry: dict[str, Any], knob: Callable[..., Any]) -> None:
-    """From its port to its motor, with the order of loop() and timer that a sketch has."""
+    """A knob follows the session from its port to its motor, with a sketch's order of loop() and timer."""
     if entry["device"] != "plain" or asks_for_velocities(entry):
         pytest.skip("a knob has one channel, senses no velocity, and holds its torque")
     played(entry, knob())

@@ -1,7 +1,7 @@
-"""What is left when host or device is killed or stopped in the middle of a run: no force, no process, no lock on the
-port; and a record and a report that can be read.
+"""After host or device is killed or stopped during a run, no force, no process and no lock on the port remain. The
+record and the report can be read.
 
-Nothing is measured by this machine's clock: the board tells what it put out, and when, by its own.
+This machine's clock measures nothing here: the board reports its output, with times of its own clock.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def test_of_a_host_that_is_killed_the_record_is_read_up_to_the_last_second(
 def test_a_device_that_is_killed_ends_the_run_with_a_report_and_a_whole_record(
     start_hapsim: Start, scene: Path, tmp_path: Path
 ) -> None:
-    """In lockstep over its port, where a busy machine delays nothing."""
+    """The device is killed in lockstep over its port, where a busy machine delays nothing."""
     scene.write_text(scene.read_text("utf-8").replace("clock: device", "clock: lockstep"), "utf-8")
     record, reports = tmp_path / "t.trace", tmp_path / "reports"
     mock = start_hapsim("mock", scene)
@@ -138,7 +138,7 @@ def test_a_device_that_is_killed_ends_the_run_with_a_report_and_a_whole_record(
 
 
 def load_whole(record: Path) -> int:
-    """How many rows of a stream can be read while it is written."""
+    """Returns the number of readable rows of a stream while it is written."""
     with contextlib.suppress(Exception):
         return int(load_trace(record).sample.size)
     return 0
@@ -147,7 +147,7 @@ def load_whole(record: Path) -> int:
 def test_a_device_that_is_stopped_and_goes_on_puts_out_nothing_but_what_it_had(
     start_board: Start, start_host: Start, tmp_path: Path
 ) -> None:
-    """Its tick stands still meanwhile, and so does its force; then that lives no longer than any other."""
+    """A stopped device keeps its force while its tick stands still. The force then lives no longer than any other."""
     board = start_board("linux")
     for _ in range(5):
         host, record = start_host(board)

@@ -136,7 +136,7 @@ class Served:
             yield Client(socket)
 
     def pause(self) -> None:
-        """As a run that waits for its device."""
+        """Pauses like a run that waits for its device."""
         self.is_paused = True
         self.session.stop()
         self.session.wait()

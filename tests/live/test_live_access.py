@@ -1,4 +1,4 @@
-"""Who may reach a running scene, and how much of it: Host, Origin, token, limits, clients that misbehave."""
+"""Access to a running scene: Host, Origin, token, limits, clients that misbehave."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LOOPBACK, ANYWHERE = (address_of("--serve-at", text, 7470) for text in (None, "0
 
 
 class Said(NamedTuple):
-    """What a server answered to a GET."""
+    """Answer of a server to a GET."""
 
     status: int
     headers: http.client.HTTPMessage
@@ -181,7 +181,7 @@ def strangers(stack: contextlib.ExitStack, port: int, source: str) -> list[socke
 
 
 def gone(connections: list[socket.socket]) -> int:
-    """How many of them were hung up on."""
+    """Returns the number of connections that the server has closed."""
     count = 0
     for one in connections:
         one.settimeout(0.001)

@@ -13,7 +13,7 @@ from websockets.sync.client import connect
 
 
 def printed(program: Any, pattern: str) -> str:
-    """What the pattern finds in standard error, as soon as it is there. The minute is for a machine that hangs."""
+    """Waits until standard error matches the pattern, and returns the match. The minute is for a machine that hangs."""
     give_up = time.monotonic() + 60.0
     while (found := re.search(pattern, program.err)) is None:
         assert time.monotonic() < give_up, program.err

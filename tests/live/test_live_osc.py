@@ -296,7 +296,7 @@ def mutated(chance: random.Random, packet: bytes) -> bytes:
 
 
 def may_set(packet: bytes) -> bool:
-    """Whether python-osc reads a message of one or two numbers, which may be a good change."""
+    """Returns whether python-osc reads a message of one or two numbers, which may be a valid change."""
     try:
         found = [] if packet.startswith(b"#bundle\0") else list(OscMessage(packet))
     except Exception:

@@ -249,7 +249,7 @@ def type_into(page: Page, name: str, typed: str) -> None:
 
 
 def said(page: Page, xpath: str) -> str:
-    """What the page says was refused, in the part to which the path leads; "" where it says nothing."""
+    """Returns the page's error message in the part at the path; "" if there is none."""
     return "".join(one.text for one in page.browser.find_elements("xpath", f"{xpath}/p[@class='refusal']"))
 
 

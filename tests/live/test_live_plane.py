@@ -1,4 +1,4 @@
-"""What the page shows of a hand: as `hapsim check` does, of the region in which the hand is. Nothing runs here."""
+"""The page shows the same as `hapsim check`, for the region of the hand. Nothing runs here."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_without_a_position_it_is_where_check_takes_it_to_be() -> None:
 @pytest.mark.parametrize("correction", ["none", "poles", "predictor"])
 @pytest.mark.parametrize("stiffness", [0.0, 40.0])
 def test_what_is_asked_for_has_what_is_the_devices_own(correction: str, stiffness: float) -> None:
-    """As `check` has it, with a correction too: that simulates another K and B than the scene's."""
+    """The desired values include the device's own stiffness and friction. A correction simulates another K and B."""
     text = f"""
 version: 1
 rate: 1000

@@ -99,7 +99,8 @@ def require_that_it_sets_and_reads(running: Program, served: Served, tell: Calla
     session.set({"mock.hand": {"stiffness": 300.0, "damping": 3.0, "position": 0.004}})
 
     def is_read_at_rest() -> bool:
-        """With the place as it is now: the velocity passes zero at each turn of the swing before."""
+        """Returns whether the hand is at rest and its position is current: the velocity is also zero at each turn of a
+        swing."""
         now = session.state()
         held = abs(now.velocity[0]) < 1e-6 and now.position[0] > 1e-4
         return held and running.latest("position") == pytest.approx(float(now.position[0]), rel=1e-4)

@@ -1,4 +1,4 @@
-"""What the loop's tests need before they begin; what they use is in loop_rig.py."""
+"""Fixtures of the loop's tests; their helpers are in loop_rig.py."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ def _serving_is_compiled() -> None:
 
 @pytest.fixture
 def leaps_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For scripts whose positions are where no hand gets: the guard of the position judges no channel."""
+    """Disables the leap guard, for scripts with positions that no hand reaches."""
     monkeypatch.setattr(guards, "GUARDS", tuple(one for one in guards.GUARDS if one is not leap.GUARD))

@@ -38,7 +38,7 @@ class FrozenDevice:
         """The sample in which the sensor died."""
 
     def __call__(self, device: PythonTransport) -> FrozenDevice:
-        """For `between` of `start` and `run`."""
+        """Wraps a device; for `between` of `start` and `run`."""
         self._device = device
         return self
 

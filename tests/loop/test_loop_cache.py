@@ -1,4 +1,4 @@
-"""Where compiled code is kept: apart for every state of the sources, and only where no other user can write."""
+"""Location of the code cache: separate for every state of the sources, and only where no other user can write."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def forget() -> None:
-    """What this process has read of the sources, as if it began now."""
+    """Clears this process's memory of the sources, as in a new process."""
     names = ("directory_for", "read_only_directories_for", "_key_of", "_imports_of", "_files_of", "_digest_of")
     for name in names:
         getattr(code_cache, name).cache_clear()
 
 
 def directory_for(package: Path, *sources: str) -> Path | None:
-    """As a process that begins now would choose it for what is compiled from these sources."""
+    """Returns the cache directory that a new process would choose for code from these sources."""
     forget()
     try:
         return code_cache.directory_for(
@@ -59,7 +59,7 @@ def directory_for(package: Path, *sources: str) -> Path | None:
 
 @pytest.mark.usefixtures("cache")
 def test_another_source_beside_it_gives_another_directory(package: Path) -> None:
-    """Such as that of a class, the order of whose fields is compiled in."""
+    """A second source, such as a class whose field order is compiled in, changes the directory."""
     assert directory_for(package, "tick.py", "outside.py") not in (
         directory_for(package),
         directory_for(package, "outside.py"),

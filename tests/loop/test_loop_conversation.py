@@ -1,4 +1,4 @@
-"""Before the loop: what a device may answer, and what the message asks the user to do about it."""
+"""Answers of a device before the loop starts, and the advice in the error messages."""
 
 from __future__ import annotations
 

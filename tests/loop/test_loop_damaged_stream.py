@@ -101,7 +101,7 @@ class DamagedStream:
 
 
 def run_on(loop: LoopMemory, stream: DamagedStream) -> tuple[int, dict[int, tuple[int, ...]]]:
-    """How it ended, and the counts of every position that was taken, by its sample."""
+    """Returns the ending, and the counts of every accepted position by its sample."""
     portable, rows = PortableLoop(loop.record, loop.inbox, stream), []
     ending = endings.RING_FULL
     while ending == endings.RING_FULL:

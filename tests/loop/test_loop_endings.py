@@ -220,7 +220,7 @@ def test_the_last_command_of_a_run_is_zero_and_no_force_follows_it() -> None:
 
 
 def test_a_host_that_died_in_virtual_time_does_not_lock_the_next_one_out(start_hapsim: Any) -> None:
-    """In virtual time there is no watchdog: the mock is still armed, and hears nothing but its armed format."""
+    """Virtual time has no watchdog: the mock stays armed, and reads only its armed format."""
     dies = (
         "hapsim.run(parse_scene(sys.argv[1]), on_progress=lambda p: os.kill(os.getpid(), 9) "
         "if p.phase == 'running' else None)"

@@ -77,8 +77,8 @@ def test_no_passive_object_is_blamed_for_a_stalling_host_and_knocks(passive: lis
 
 @pytest.mark.parametrize("stalls", [False, True])
 def test_a_spring_just_within_passivity_is_not_blamed_for_knocks_and_stalls(stalls: bool) -> None:
-    """With all the friction that it needs and none to spare: what is gained from crossing to crossing has to be read at
-    one place."""
+    """The spring has exactly the friction that it needs: the energy gained between crossings must be read at one
+    place."""
     scene = wall(666.0, delay=1.0)
     between = {"between": lambda device: Stalling(device, seed=1)} if stalls else {}
     pushes = knocks(scene, 20.0, seed=1)
@@ -287,7 +287,7 @@ def test_nor_where_forces_are_late_or_positions_lost(gap: int, late: bool) -> No
 
 @pytest.mark.parametrize("delay", [0.0, 1.37])
 def test_over_lost_positions_it_counts_what_there_is_along_the_line(delay: float) -> None:
-    """As much as if every position of the line had come, but for a peak that is missed."""
+    """The energy matches that of a line with every position, except for a missed peak."""
     known = 3 * np.rint(1e6 * np.sin(2.0 * np.pi * np.arange(1000) / 30))
     line = np.interp(np.arange(2998) / 3.0, np.arange(1000), known)
     told: dict[str, Any] = {"stiffness": 1000.0, "friction": 0.1, "delay": delay, "limit": 1e12, "energy": 1e20}
@@ -297,7 +297,8 @@ def test_over_lost_positions_it_counts_what_there_is_along_the_line(delay: float
 
 @pytest.mark.parametrize(("delay", "period"), [(0.0, 2), (1.0, 6), (2.0, 10)])
 def test_with_less_a_hand_that_shakes_is_given_energy(delay: float, period: int) -> None:
-    """Without delay at half the rate, and with it where the force is most behind: of too little friction by a tenth."""
+    """A tenth too little friction gives the hand energy: without delay at half the rate, with it where the force lags
+    most."""
     stiffness = 1000.0
     whole = stiffness * T * (0.5 + delay)
     positions = np.rint(1e6 * np.sin(2.0 * np.pi * (np.arange(4000) + 0.5) / period))
@@ -325,7 +326,7 @@ def test_a_swing_that_dies_away_is_none() -> None:
 
 
 def test_on_a_scene_that_is_predicted_unstable_a_swing_below_the_limit_counts() -> None:
-    """Of a size that stays, with as much friction as that needs, and a little more; but none that dies away."""
+    """A constant swing counts with just enough friction and with a little more; a decaying one does not."""
     time = np.arange(40_000) * T
     positions = np.rint(1e6 * np.sin(2.0 * np.pi * 15.0 * time))
     w = 2.0 * np.pi * 15.0

@@ -1,4 +1,4 @@
-"""What a scene holds at arming: no more than what a hand can get from it, and nothing of what no hand touches."""
+"""Stored energy at arming: at most the energy that a hand can gain, and none from modules that no hand touches."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def judged(scene: Scene, duration: float) -> tuple[str, int, float]:
 
 @pytest.mark.parametrize("many", [1, 5])
 def test_what_no_hand_touches_lends_nothing(many: int) -> None:
-    """Of any kind, and any number of each."""
+    """Modules that no hand touches add no energy, whatever their kind and number."""
     lone: Modules = {}
     for n in range(many):
         for name, module in LONE.items():

@@ -186,7 +186,7 @@ def test_the_live_line_tells_of_changes_that_are_slowed() -> None:
 
 
 def accounted(scene: Scene, hand: float) -> tuple[Program, Any]:
-    """Its program with the hand at rest at 0 and then, when a change comes, elsewhere, and its TANK."""
+    """Returns the program, started with the hand at 0 and then moved to `hand`, and its TANK."""
     program, tank = compile_scene(scene), new_record(TANK)
     kept = Tank(tank, capacity_j=CAPACITY, refill_j=0.0)
     program.stored = StoredEnergy(program, scene, kept, scene.device.force_limit)
@@ -301,7 +301,7 @@ def detent_force(d: Array, pitch: float, depth: float, shape: str, sharpness: fl
 
 
 def click_force(d: Array, travel: float, peak: float, drop: float, bottom: float, most: float) -> Array:
-    """With which the ends are pulled together: pressed where d < 0."""
+    """Returns the force that pulls the ends together: pressed where d < 0."""
     last = 1.5 * peak - drop
     points = [0.0, peak, peak - drop, last, last + 100.0 * bottom]
     push = np.interp(-d, [0.0, travel / 2.0, 0.75 * travel, travel, travel + 100.0], points)

@@ -1,4 +1,4 @@
-"""What the loop makes of positions that are lost, torn, doubled, out of order, stale or late: a device by a script."""
+"""Positions that are lost, torn, doubled, out of order, stale or late, sent by a scripted device."""
 
 from __future__ import annotations
 

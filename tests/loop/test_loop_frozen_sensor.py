@@ -77,7 +77,7 @@ def test_a_dead_sensor_takes_the_force_away(mass: float, limit: float, count: fl
 
 
 def test_before_the_guard_a_dead_sensor_lets_the_handle_fly() -> None:
-    """What the guard is for: with first_touch's spring, a flick and a sensor that dies 12 ms later."""
+    """Without the guard, a sensor that dies 12 ms after a flick on first_touch's spring lets the handle fly."""
     scene = scene_of(stiffness=2000.0, damping=5.0, mock={"quantum": 1e-8})
     free, held = FrozenDevice(after(12)), FrozenDevice(after(12))
     assert run(scene, duration=5.0, between=free).report.ending == "done"
@@ -89,7 +89,8 @@ def test_before_the_guard_a_dead_sensor_lets_the_handle_fly() -> None:
 
 @pytest.mark.parametrize("count", [1e-6, 1e-5, 1e-4, 5e-4])
 def test_a_hand_that_holds_a_live_encoder_still_keeps_its_force(count: float) -> None:
-    """Without a tremor it stands still for seconds: it is asked, gives way by some counts, and gets its force back."""
+    """A hand without tremor stands still for seconds. The guard tests it, sees it yield by some counts, and restores
+    its force."""
     hand = {"force": -5.0, "stiffness": 300.0, "damping": 5.0}
     mock = {"quantum": count, "hand": hand, "initial": {"velocity": 0.0}, "coulomb": 1000.0 * count}
     trace = guarded(scene_of(damping=1.0, mock=mock))
@@ -181,7 +182,7 @@ def test_at_a_declared_end_and_below_declared_dry_friction_standing_still_says_n
 
 
 def test_lost_positions_are_bridged() -> None:
-    """Of a still position that is read every sample and every fourth one, the question begins at the same sample."""
+    """A still position is tested at the same sample whether it is read every sample or every fourth one."""
     begun = {}
     for step in (1, 4):
         loop = assembled(scene_of(damping=0.0), options=RunOptions(judges_energy=True))

@@ -123,7 +123,7 @@ NO_NUMBER: dict[str, tuple[dict[str, float], int, int]] = {
     "too small": ({"stiffness": 1.7e308}, FAR, 3),
     "nan": ({"damping": 1e308}, 0, 0),  # at rest: no velocity times an infinite B/T
 }
-"""What a link is like, where its hand is at sample 3 in counts, and at which sample its force is no number."""
+"""A link's parameters, its hand's counts at sample 3, and the sample at which its force is not finite."""
 
 
 @pytest.mark.parametrize("clock", CLOCKS)

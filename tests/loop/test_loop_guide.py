@@ -61,7 +61,7 @@ def test_the_loop_in_python_leads_as_the_compiled_one_does() -> None:
 
 
 def test_no_guard_ends_a_slow_way_through_a_snap() -> None:
-    """What the snap gives back, the guide has spent: over the peak and down to the other rest."""
+    """The guide spends the energy that the snap returns, over the peak and down to the other rest."""
     scene = parse_scene(
         """
 version: 1

@@ -1,4 +1,4 @@
-"""How late a position is where the device is the clock, one exchange at a time: the times are the test's own."""
+"""Lateness of a position whose device is the clock, one exchange at a time. The tests set the times themselves."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def heard(*positions: tuple[int, float], clock: str = "device") -> LoopMemory:
 
 
 def due(loop: LoopMemory) -> float:
-    """When the next position is expected, in periods after the first one."""
+    """Returns the time of the next expected position, in periods after the first one."""
     return (int(loop.state.due_ns) - BEGIN) / PERIOD
 
 

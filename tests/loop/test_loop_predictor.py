@@ -27,7 +27,8 @@ def read(loop):  # type: ignore[no-untyped-def]
 
 
 class Observer:
-    """Of a free mass behind one sample of delay and a zero-order hold; every sample a force that acted."""
+    """Observer of a free mass with one sample of delay and a zero-order hold; it takes the applied force in every
+    sample."""
 
     def __init__(self) -> None:
         self.x, self.v, self.push, self.samples = 0.0, 0.0, 0.0, 0

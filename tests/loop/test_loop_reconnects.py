@@ -226,7 +226,7 @@ def test_a_signal_ends_the_next_handshake(scene: Scene, bench: Bench, monkeypatc
 
 
 def test_its_time_goes_on_during_the_wait(scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a clock that a look at it moves on by a second."""
+    """A fake clock advances by a second per reading, and the duration counts the wait."""
     bench.plug(scene)
     seconds = itertools.count(0.0)
     clock = SimpleNamespace(monotonic=lambda: next(seconds), sleep=lambda _: None)

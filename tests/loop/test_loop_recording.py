@@ -22,7 +22,7 @@ from hapsim.running import run
 
 
 def require_same(found: Trace, expected: Trace, ticks: int | None = None) -> None:
-    """Its first so many rows (None: all), and what is beside them."""
+    """Asserts that the first `ticks` rows (None: all) and the other fields are equal."""
     for name in ROWS:
         column = getattr(found, name)
         assert column.dtype == getattr(expected, name).dtype

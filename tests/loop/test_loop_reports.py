@@ -58,7 +58,7 @@ def frames_of(data: bytes, from_host: bool) -> list[Frame]:
 @pytest.mark.parametrize("portable", [False, True])
 @pytest.mark.parametrize(("ticks", "channels"), [(40, 2), (3000, 1)])
 def test_the_last_frames_are_those_of_the_last_ticks(tmp_path: Path, ticks: int, channels: int, portable: bool) -> None:
-    """Of few ticks the arming too; of many the buffers have begun anew some times."""
+    """A report of few ticks includes the arming; in one of many, the buffers have wrapped around."""
     failure = stopped(leaving(ticks, channels), tmp_path, transport="terminal", portable=portable)
     trace = failure.trace
     assert (trace.report.ending, trace.report.released) == ("device stopped", True)

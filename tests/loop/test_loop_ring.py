@@ -19,7 +19,7 @@ CHANNELS, CAPACITY = 2, 4
 
 @entry
 def push_row(ring, state, flags, io):
-    """As the loop does."""
+    """Pushes a row like the loop."""
     push(ring, state, 1000 * state.sample, flags, io)
 
 

@@ -50,7 +50,7 @@ def touch(**device: Any) -> Scene:
 
 
 def inverted(scene: Scene, **mock: Any) -> GuardError:
-    """What ends a run whose forces have the wrong sign."""
+    """Returns the error that ends a run whose forces have the wrong sign."""
     scene = scene.model_copy(update={"mock": scene.mock.model_copy(update=mock) if scene.mock else None})
     between = in_memory(Injector(parse_script(_INVERTED)), scene.period)
     with pytest.raises(GuardError) as caught:

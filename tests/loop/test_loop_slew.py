@@ -1,4 +1,4 @@
-"""How fast the force changes, and how it begins."""
+"""Slew limit of the force, and its soft start."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_a_missing_position_may_have_said_that_a_force_came_late() -> None:
 
 
 class Device:
-    """What PROTOCOL.md, section 6, makes of forces that reach it late, or not at all; in order, as a port is."""
+    """Device of PROTOCOL.md, section 6, that receives forces late or not at all; in order, as from a port."""
 
     def __init__(self, lives: int) -> None:
         self._lives, self._on_their_way, self._free = lives, list[tuple[int, int, int]](), 0
@@ -140,7 +140,7 @@ class Device:
 
 
 def kinds_of_trouble(chance: np.random.Generator, kind: str) -> list[tuple[bool, int | None]]:
-    """For each of some samples: whether the position comes, and how late its answer, None: never."""
+    """Returns, for each of some samples, whether the position arrives, and the delay of its answer (None: never)."""
     if kind == "lost":
         return [(True, None)] * int(chance.integers(1, 19))
     if kind == "held up":
@@ -180,7 +180,7 @@ def test_where_the_device_may_be_at_zero_and_may_not_zero_leaves() -> None:
 
 
 def test_where_every_force_is_late_a_slow_force_is_followed() -> None:
-    """By a step in four samples, once that has lasted for as long as a force lives."""
+    """A slow force is followed by a step in four samples, after a time to live in which every force is late."""
     loop = Host(**limited_to(100))
     asked = [round(5000 * math.sin(number / 500)) for number in range(3000)]
     sent = [loop.hears(number, um, late=number > 0) for number, um in enumerate(asked)]

@@ -55,7 +55,7 @@ def heard(scene: Scene, hands: list[int], change: Any = None) -> tuple[LoopMemor
 
 
 def worked_out(scene: Scene, hands: list[int]) -> NDArray[np.float64]:
-    """What each pick-up of SOUND hears in each step, without gain and filter."""
+    """Returns the signal of each pick-up of SOUND in each step, without gain and filter."""
     program, rows = compile_scene(scene), []
     measured, velocity, force = np.zeros((3, 1))
     before = measured[0] = hands[0] * POSITION_SCALE

@@ -54,7 +54,7 @@ def last_flags(loop: LoopMemory) -> int:
 
 
 def test_a_host_that_was_held_up_sends_zero_in_place_of_an_old_force() -> None:
-    """With its time to live of 20 samples and one more: a force may answer 21 ms after the position, not 22."""
+    """A time to live of 20 samples and one more allows an answer 21 ms after the position, but not 22 ms."""
     for late_ms, counts, withheld in ((1, 5000, 0), (21, 5000, 0), (22, 0, 1), (500, 0, 1)):
         loop = on("host")
         loop.state.tick_ns = START
@@ -92,7 +92,7 @@ def test_after_that_the_force_rises_from_zero() -> None:
 
 
 def test_what_may_find_a_device_at_zero_is_zero() -> None:
-    """Its clock counts from the force before, not from the position that came late."""
+    """The device's clock counts from the force before, not from the position that came late."""
     for late_us, counts in ((20_000, 5000), (21_000, 0)):
         loop = on("host")
         for n in range(2):
@@ -115,7 +115,7 @@ def test_a_position_that_was_on_its_way_for_too_long_is_answered_with_zero() -> 
 
 @pytest.mark.parametrize("number", [1, 7])
 def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(number: int) -> None:
-    """Its number says when it was measured, whether or not the positions before it came."""
+    """A position's number gives its time of measurement, even if earlier positions are lost."""
     for late_ms, counts in ((0, 5000), (21, 5000), (22, 0), (90, 0)):
         loop = on("device")
         hear(loop, 0, at=START)

@@ -66,7 +66,7 @@ def eased(s: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def answered(scene: Scene, change: Any = None) -> list[float]:
-    """What the scene asks for after each arrival."""
+    """Returns the requested force after each arrival."""
     loop = assembled(scene)
     if change is not None:
         change(LiveScene(scene, loop))

@@ -1,5 +1,5 @@
-"""In virtual time nothing depends on the transport, on the machine, or on what ran before; and what each transport
-says of a line that is quiet, gone or full."""
+"""Virtual time does not depend on the transport, the machine, or earlier runs. Each transport reports a port that is
+quiet, gone or full."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def flung(speed: float, position: float = 0.0, **mock: Any) -> dict[str, Any]:
 
 
 def ended(scene: Scene, match: str = "channel 0 is out of its travel", **options: Any) -> Trace:
-    """What was recorded of a run that leaves its travel."""
+    """Returns the trace of a run that leaves its travel."""
     with pytest.raises(GuardError, match=match) as caught:
         run(scene, duration=2.0, **options)
     assert caught.value.exit_status == 4
@@ -40,7 +40,7 @@ def ended(scene: Scene, match: str = "channel 0 is out of its travel", **options
 
 
 def left(position: NDArray[np.float64], limit: float = LIMIT) -> NDArray[np.float64]:
-    """Of a force, by the device's position."""
+    """Returns the share of the force that remains at each position of the device."""
     return np.clip(1.0 - (np.abs(position) - limit) / MARGIN, 0.0, 1.0)
 
 

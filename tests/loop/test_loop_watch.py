@@ -38,7 +38,7 @@ def session(path: Path) -> Iterator[Session]:
 
 
 def edit(path: Path, old: str, new: str) -> None:
-    """As an editor does: a new file under the old name, and a time of its own however fast the test is."""
+    """Saves like an editor: a new file under the old name, with a new time however fast the test is."""
     text = path.read_text(encoding="utf-8")
     assert old in text
     before = path.stat().st_mtime_ns

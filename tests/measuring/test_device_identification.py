@@ -1,4 +1,4 @@
-"""What `hapsim identify` finds of a device: mocks whose mass, friction, spring and delay are known."""
+"""`hapsim identify` finds the mass, friction, spring and delay of known mocks."""
 
 from __future__ import annotations
 

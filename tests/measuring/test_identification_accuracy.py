@@ -145,9 +145,8 @@ def test_with_every_damper_and_a_spring_in_the_device_what_is_measured_is_what_i
     ],
 )
 def test_half_a_second_of_an_overdamped_hand_is_enough(name: str, stiffness: float, damping: float) -> None:
-    """Where friction slows the hand, a model that does not know it needs poles that are not there, as slow as those of
-    the hand: order and friction have to be found together. The last one's motion is over in a few samples: the long
-    quiet after it shows no pole."""
+    """Friction slows the hand, and a model without it needs false poles as slow as the hand's: order and friction have
+    to be found together. The last motion ends within a few samples; the long quiet after it shows no pole."""
     document = hapsim.load_scene(name).model_dump(exclude_none=True)
     document["modules"]["touch"] |= {"stiffness": stiffness, "damping": damping}
     scene = hapsim.Scene.model_validate(document)
@@ -167,8 +166,7 @@ def test_half_a_second_of_an_overdamped_hand_is_enough(name: str, stiffness: flo
 def test_of_two_poles_that_are_alike_one_is_seen(
     stiffness: float, damping: float, misses: float, seconds: float
 ) -> None:
-    """In a record in pieces a fit may have a pole beside one of the hand's: neither is needed as long as the other is
-    there."""
+    """A fit to a record in pieces may have a pole next to one of the hand's. Either suffices."""
     document = hapsim.load_scene("paper_6_3_real_damping").model_dump(exclude_none=True)
     document["modules"]["touch"] |= {"stiffness": stiffness, "damping": damping}
     document["mock"]["misses"] = misses

@@ -1,4 +1,4 @@
-"""What identification makes of records: known motions, gaps, offsets, growth, silence."""
+"""Identification of records: known motions, gaps, offsets, growth, silence."""
 
 from __future__ import annotations
 

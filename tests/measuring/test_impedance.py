@@ -35,7 +35,7 @@ KINDS = ("device", "rendered", "closed_loop")
 
 
 def shipped(name: str) -> Scene:
-    """In virtual time."""
+    """Loads a shipped scene, in virtual time."""
     scene = load_scene(CONFIGS / f"{name}.yaml")
     return scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})})
 
@@ -73,7 +73,7 @@ def test_of_shipped_scenes_measured_and_predicted_agree_within_the_uncertainty_a
 
 
 def test_the_impedance_of_a_predictor_ends_at_its_steady_stiffness_for_whichever_mass_it_was_made() -> None:
-    """Of a mass that is not known it is made for one of the span, which is not the middle."""
+    """A predictor for an uncertain mass is made for one mass of the span, which is not the middle."""
     scene = one_spring(2000.0, 15.0, friction=1.0)
     spanned = {"mass": Span(least=0.15, most=0.3), "correction": "predictor"}
     scene = scene.model_copy(update={"device": scene.device.model_copy(update=spanned)})
@@ -158,8 +158,8 @@ def test_noise_of_the_position_is_within_the_uncertainty_and_no_small_part_of_it
 
 @pytest.mark.parametrize(("damper", "kind"), [("backward", "device"), ("sensed", "rendered")])
 def test_counts_are_within_the_uncertainty_even_where_every_period_is_rounded_alike(damper: str, kind: str) -> None:
-    """Without noise the periods repeat to the last count: their scatter is none, and the rounding is in them all. That
-    of a sensed velocity is on no trace: it shows in the scene's force at frequencies that nothing excites."""
+    """Noise-free periods repeat to the last count: their scatter is zero, and all contain the rounding. The rounding of
+    a sensed velocity is in no trace. It shows in the scene's force at frequencies that nothing excites."""
     scene = one_spring(2000.0, 15.0, friction=5.0, quantum=1e-7, velocity=0.0, damper=damper)
     found = measure_impedance(scene)
     off = off_by(found, scene, kind)
@@ -216,7 +216,7 @@ def test_impulses_averages_and_fractions_of_a_delay_agree_too() -> None:
 
 
 class TestRecords:
-    """What becomes of rows that are missing, late or unsent: a sound record, and then spoilt."""
+    """A sound record is spoilt with missing, late or unsent rows."""
 
     lines = lines_for(1000.0)
 
@@ -388,7 +388,7 @@ modules:
 
 
 def test_a_hand_that_moves_by_few_counts_while_another_is_excited_is_within_the_uncertainty() -> None:
-    """Its rounding is not like noise then: it follows the motion, and is the same in every period."""
+    """The rounding is not like noise here: it follows the motion and is the same in every period."""
     outside, certain = 0, []
     for quantum, noise, coupling, mass in ((9e-7, 0.0, 30.0, 0.5), (2e-7, 0.0, 1.0, 0.3), (8e-7, 1e-6, 3.0, 0.9)):
         scene = parse_scene(THREE_HANDS.format(quantum=quantum, noise=noise, mass=mass, coupling=coupling))

@@ -203,7 +203,7 @@ def test_a_hand_that_does_not_arrive_is_not_measured() -> None:
 
 @pytest.mark.parametrize("share", [0.01, 0.045, 0.1])
 def test_a_sine_detent_is_softer_the_wider_it_swings(share: float) -> None:
-    """As 2 J1(a)/a, the first harmonic's stiffness, by the period of a free swing."""
+    """The period of a free swing gives the first harmonic's stiffness, 2 J1(a)/a."""
     text = (
         "version: 1\nrate: 8000\n"
         "device: {clock: lockstep, mass: 0.05, friction: 0, delay: 0, hold: impulse, force_limit: 100}\n"
@@ -234,7 +234,7 @@ def test_coarse_counts_are_noise_of_which_the_uncertainty_tells(scene: Scene, qu
 
 
 def test_a_correction_that_predicts_is_measured_in_its_region() -> None:
-    """Its force follows from the pushes too, which is no sign that a link gave way."""
+    """A predictor's force also follows from the pushes; that does not show that a link opened."""
     scene = shipped("wall", correction="predictor")
     agrees(scene, package.measure(scene))
     assert "stop went from" in package.measure(scene, push=4.0).left_region

@@ -1,4 +1,5 @@
-"""What several hands feel of the scene and of each other, and how heavy: measured beside predicted, on the mock."""
+"""Several hands' stiffness, damping and mass, from the scene and from each other: measured on the mock and
+predicted."""
 
 from __future__ import annotations
 

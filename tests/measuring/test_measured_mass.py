@@ -1,4 +1,4 @@
-"""What k and b rest on: the mass, how well it is known, whether it is another one, and whether it is one at all."""
+"""The mass behind k and b: its uncertainty, a wrong value, and a device without a constant mass."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ def test_what_was_felt_at_the_seen_rate_is_what_is_predicted_for_it(
 
 
 def test_of_a_port_a_rate_is_seen() -> None:
-    """In real time: which rate is seen is this machine's affair too, and not asserted."""
+    """The run is in real time; the measured rate also depends on this machine and is not asserted."""
     document = json.loads(json.dumps(SCENE)) | {"rate": 200.0}
     document["modules"]["touch"] |= {"stiffness": 200.0, "damping": 2.0}
     document["device"]["clock"] = "device"

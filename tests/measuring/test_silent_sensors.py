@@ -33,7 +33,7 @@ def frozen(traces: list[hapsim.Trace]) -> Run:
 
 
 def farthest(traces: list[hapsim.Trace], mass: float) -> float:
-    """How far these forces, one run after the other, move a free mass from where it was, m."""
+    """Returns the largest displacement of a free mass by these forces, run after run, m."""
     force = np.concatenate([trace.force[:, 0] for trace in traces])
     speed = np.cumsum(force) / (mass * traces[0].rate)
     return float(np.abs(np.cumsum(speed) / traces[0].rate).max())

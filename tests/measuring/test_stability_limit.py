@@ -64,7 +64,7 @@ def _limit(configuration: Configuration, rng: np.random.Generator) -> tuple[floa
 
 
 def growth(configuration: Configuration, K: float, B: float) -> float:
-    """How much larger the last third of a ring-down is than its first: the logarithm."""
+    """Returns the logarithm of the growth of a ring-down from its first third to its last."""
     scene = with_configuration(configuration, K, B, velocity=0.01, quantum=QUANTUM, force_limit=1e6)
     try:
         trace = run(scene, duration=TICKS / RATE)
@@ -79,7 +79,7 @@ def growth(configuration: Configuration, K: float, B: float) -> float:
 
 
 def _told(position: np.ndarray) -> np.ndarray:
-    """As much of it as neither the rounding nor a sensor at the end of its scale has a part in."""
+    """Returns the part of a record above the rounding and below the end of the sensor's scale."""
     blocks = np.abs(position[: position.size // BLOCK * BLOCK]).reshape(-1, BLOCK).max(axis=1)
     out = np.flatnonzero((blocks < 3e3 * QUANTUM) | (blocks > 1e-2 * 2.0**31 * QUANTUM))
     return position[: BLOCK * max(int(out[0]) if out.size else blocks.size, 3)]

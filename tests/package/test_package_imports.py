@@ -1,4 +1,4 @@
-"""Which room stands on which: imports run one way, and nothing goes round in a circle."""
+"""Imports between packages run one way, without circles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pages name exists: files, and the functions, classes and tables in them."""
+"""Pages name files, functions, classes and tables that exist."""
 
 from __future__ import annotations
 

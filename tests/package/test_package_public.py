@@ -1,4 +1,4 @@
-"""What is public serves: our own benches and examples need nothing else, and hapsim/USING.md tells all of it."""
+"""The public API suffices for the benches and examples, and hapsim/USING.md describes all of it."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def is_public(room: str, name: str) -> bool:
 
 
 def public_names(room: str) -> set[str]:
-    """What the room names in `__all__`; of scenes also what the room of its modules does, and every type of module."""
+    """Returns the names in a package's `__all__`; for scenes also those of its modules, and every type of module."""
     module = importlib.import_module(room)
     names = set(module.__all__)
     if room != "hapsim.scene":

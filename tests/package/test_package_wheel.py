@@ -48,7 +48,7 @@ def call(*command: object, **options: object) -> subprocess.CompletedProcess[str
 
 
 def pip(*words: object) -> None:
-    """Without a network."""
+    """Runs pip without a network."""
     call(sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", *words)
 
 
@@ -209,7 +209,7 @@ for words in (["new", "--from", "wall", "scene.yaml"], ["faults", "--list"], ["s
     "layout", [("--target", "there"), ("--prefix", "there"), ("--user",)], ids=lambda words: words[0]
 )
 def test_every_layout_finds_its_scenes(wheel: Path, tmp_path: Path, layout: tuple[str, ...]) -> None:
-    """As `pip install` leaves a wheel in a directory, below a distribution's prefix, or in a user's home."""
+    """A wheel finds its scenes in a directory, below a distribution's prefix, and in a user's home."""
     variables = os.environ | {"PYTHONUSERBASE": str(tmp_path / "there"), "PIP_BREAK_SYSTEM_PACKAGES": "1"}
     words = ["install", "--no-deps", "--no-index", "--no-compile", "--no-warn-script-location", "--ignore-installed"]
     base = Path(sys.base_prefix) / "bin" / "python3"

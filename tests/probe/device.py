@@ -150,13 +150,13 @@ class Device:
             self.unsent = frame[self.put_out_bytes(frame) :]
 
     def flush(self):
-        """Whether nothing is left to be sent."""
+        """Sends as many bytes as there is room for. Returns whether none are left."""
         if self.unsent:
             self.unsent = self.unsent[self.put_out_bytes(self.unsent) :]
         return not self.unsent
 
     def waits(self):
-        """Whether everything stands still until there is room; an interrupt that is not served meanwhile is lost."""
+        """Returns whether everything waits for room to send; an interrupt in that time is lost."""
         if "waits_for_room" in self.faults and not self.flush():
             self.due = self.now() + self.period
             return True
@@ -254,7 +254,7 @@ class Device:
             self.tick(self.now())
 
     def put_out(self, forces):
-        """In between, the bodies have moved."""
+        """Puts out forces, after moving the bodies up to now."""
         self.move(self.now())
         self.output = list(forces)
 
@@ -296,7 +296,7 @@ class Device:
             self.wire, self.rest = SETUP, b""
 
     def look(self):
-        """What the device's own clock brings."""
+        """Handles the events of the device's own clock."""
         if self.waits():
             return
         now = self.now()

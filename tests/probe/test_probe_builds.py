@@ -60,7 +60,7 @@ UNSTEADY = ("too unsteady to tell", "the device had stopped before, or did not c
 
 @pytest.fixture(autouse=True)
 def _before_other_programs() -> Iterator[None]:
-    """As the boards are, where that is granted: a judge that is held up sees less."""
+    """Gives this process the boards' priority if permitted: a delayed judge sees less."""
     usual = os.getpriority(os.PRIO_PROCESS, 0)
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, -15)
@@ -97,7 +97,7 @@ def judged(start: Callable[[], str], expected: Callable[[Check], bool], leave: L
 
 
 def is_overloaded() -> bool:
-    """Whether more programs want this machine than it has processors for, by far."""
+    """Returns whether the machine's load is far above its number of processors."""
     return os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
 
 
@@ -135,7 +135,7 @@ BROKEN = {
 
 
 def printed(judgement: Judgement) -> list[str]:
-    """What is shown of each failure, by failure, without its line breaks."""
+    """Returns the printed text of each failure, without its line breaks."""
     shown = io.StringIO()
     show_judgement(Console(file=shown, width=100), judgement)
     blocks = re.split(r"\n(?=\S|$)", shown.getvalue())

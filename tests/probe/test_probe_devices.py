@@ -194,7 +194,7 @@ def test_pushing_stops_where_the_device_moves_too_far(new_bench: NewBench) -> No
 def test_friction_neither_hides_nor_feigns_a_force_that_ends_by_itself(
     new_bench: NewBench, friction: float, result: str
 ) -> None:
-    """Of the speed that a push left, the silence leaves a third (3 N·s/m), or nothing."""
+    """Friction reduces the speed after a push to a third (3 N·s/m) or to nothing before the silence ends."""
     bench, endless = new_bench(), new_bench("never_ends")
     for one in (bench, endless):
         one.device.bodies[0].friction = friction
@@ -281,7 +281,7 @@ def test_every_check_names_a_section_of_the_protocol_by_its_title() -> None:
 
 
 def test_a_device_that_goes_away_fails_the_check_that_it_went_away_in(new_bench: NewBench) -> None:
-    """As one whose hardware watchdog ends a tick that waits for room."""
+    """A hardware watchdog resets the device in a tick that waits for room."""
     bench = new_bench("resets_where_it_waits", channels=4)
     judgement = judge(bench.wire, steps=steps_of(("blocked",), None))
     assert (judgement.exit_status, judgement.released) == (3, False)

@@ -151,7 +151,7 @@ def plain_codec() -> Codec:
 
 @pytest.fixture(scope="session", params=[COMPILED, PLAIN], ids=["compiled", "plain"])
 def codec(request: pytest.FixtureRequest) -> Codec:
-    """For what has to hold both ways."""
+    """Codec of the parameter, for properties that both must have."""
     chosen: Codec = request.param
     return chosen
 

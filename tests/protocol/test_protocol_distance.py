@@ -25,7 +25,8 @@ def encoded_bytes(wire: Format, to_device: bool) -> int:
 
 
 def syndromes(codec: Any, wire: Format, encoded: int) -> NDArray[np.int64]:
-    """What each flipped bit, first of the encoded bytes and then of the check, does to the check's comparison."""
+    """Returns the effect of each flipped bit, of the encoded bytes and then of the check, on the comparison of
+    checks."""
     nothing = codec.crc_of(wire.long_check, np.zeros(encoded, np.uint8), 0, encoded, wire.seed)
     of_data = []
     for bit in range(8 * encoded):

@@ -36,7 +36,7 @@ def _is(decoder, fields):
 
 @entry
 def _reads_as(decoder, stream, fields, all_of_them):
-    """Whether these frames and no others come out, in order; all of them, or some."""
+    """Returns whether the decoder finds these frames and no others, in order; all of them, or some."""
     decoder.seen = 0
     at, k = 0, 0
     while True:

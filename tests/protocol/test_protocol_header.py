@@ -46,12 +46,12 @@ def harness(tmp_path_factory: pytest.TempPathFactory) -> Harness:
 
 
 def spoken(formats: Vectors, name: str) -> str:
-    """What the harness calls a format."""
+    """Returns the harness's name of a format."""
     return "0 0" if name == "setup" else f"{formats[name]['channels']} {formats[name]['velocity']:d}"
 
 
 def answer(fields: Vectors) -> str:
-    """How the harness prints a frame to the device."""
+    """Returns the harness's text of a frame to the device."""
     counts = " ".join(str(count) for count in fields["payload"])
     return f"frame {TYPES[fields['type']]} {fields['number']} {fields['argument']} {counts}"
 

@@ -19,7 +19,7 @@ Vectors = dict[str, Any]
 
 
 def plain_reading(plain_decoder: Any, formats: Vectors, entry: Vectors) -> tuple[list[Vectors], dict[str, int]]:
-    """What the plain decoder makes of a stream: its frames and its counters."""
+    """Returns the frames and counters of a stream in the plain decoder."""
     name = entry["steps"][0]["format"]
     decoder = plain_decoder(formats[name], entry["direction"])
     frames = []

@@ -44,6 +44,6 @@ def refuse(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, int], None]:
 
 @pytest.fixture(params=["root", "somebody"])
 def root(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
-    """Whether the tests seem to run as root."""
+    """True if the tests appear to run as root."""
     monkeypatch.setattr("os.geteuid", lambda: 0 if request.param == "root" else 1000)
     return bool(request.param == "root")

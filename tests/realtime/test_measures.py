@@ -101,7 +101,7 @@ STATUS = "Name:\tVmLck: 1 kB\nVmSize:\t  350000 kB\nVmLck:\t  125000 kB\n"
 
 @pytest.fixture
 def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
-    """What is called in a C library that grants everything, and in a process that spans 358.4 MB."""
+    """Calls to a C library that grants everything, from a process of 358.4 MB."""
     (tmp_path / "status").write_text(STATUS, encoding="utf-8")
     monkeypatch.setattr(realtime, "_STATUS", tmp_path / "status")
     made: list[tuple[object, ...]] = []
@@ -317,7 +317,7 @@ PR_GET_TIMERSLACK = 30
 
 
 def slack_ns() -> int:
-    """Of the thread that calls this, as the kernel has it."""
+    """Returns the calling thread's timer slack from the kernel."""
     return realtime.call_c("prctl", PR_GET_TIMERSLACK, 0, 0, 0, 0)
 
 

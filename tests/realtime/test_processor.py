@@ -76,7 +76,7 @@ CASES: dict[str, tuple[str | None, list[set[int]], list[set[int]], str]] = {
     "one allowed": ("\n", [{1}] * 3, [{1}] * 3, "CPU 1, the only one allowed: there was nothing to choose"),
     "others have places of their own": ("\n", [ALL, {3}, {0, 1}], [{3}, {3}, {0, 1}], "CPU 3"),
 }
-"""What is isolated; where loop, main and another thread may run before, and while it lasts; and what is said."""
+"""Isolated CPUs; CPUs of the loop, main and another thread before and during the run; the printed sentence."""
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -71,7 +71,7 @@ def _set_something(session: Any, chance: random.Random) -> None:
 
 
 def _other(scene: Scene, chance: random.Random) -> Scene:
-    """With one link more, or one less."""
+    """Returns the scene with one link more or less."""
     document = scene.model_dump(mode="json", exclude_none=True)
     if "more" in document["modules"]:
         del document["modules"]["more"]

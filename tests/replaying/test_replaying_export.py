@@ -40,7 +40,7 @@ modules:
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a rotary and a linear channel, with late forces, a marker and a change."""
+    """Record of a rotary and a linear channel, with late forces, a marker and a change."""
     path = tmp_path_factory.mktemp("record") / "two.trace"
 
     def change(session: Session) -> None:

@@ -25,7 +25,7 @@ def add_entry() -> None:
 
 
 def shown(file: str) -> dict[str, Any]:
-    """What is shown of the counter in a run of this scene file."""
+    """Returns every output that shows the counter, from a run of this scene file."""
     from websockets.datastructures import Headers
 
     from firmware_protocol.description import Description

@@ -1,4 +1,4 @@
-"""What it takes to add a counter: an entry of `Counts`, from which everything that shows a run has it."""
+"""A new counter needs one entry of `Counts`; every view of a run takes it from there."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import hapsim
 
 COUNTED = 4321
-"""By `another_counter.py`."""
+"""Count set by `another_counter.py`."""
 
 
 def test_a_counter_is_added_by_one_entry_and_is_then_wherever_a_run_is_shown() -> None:

@@ -1,4 +1,4 @@
-"""How a stream of changes is judged: quickly, and never in favour of a scene that poles refuse."""
+"""Quick judgement of a stream of changes: it never accepts a scene that its poles reject."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ KEYS = ("stiffness", "damping", "position", "force", "depth")
 
 
 def varied(scene: Scene, chance: random.Random) -> Scene:
-    """With some numbers of its modules multiplied, most by little, some by a lot."""
+    """Returns the scene with some module values multiplied, most by little, some by a lot."""
     modules = dict(scene.modules)
     for name, module in modules.items():
         new = {
@@ -41,14 +41,14 @@ def varied(scene: Scene, chance: random.Random) -> Scene:
 
 
 def by_poles(scene: Scene) -> Shaking | None:
-    """What shakes the scene by every pole, without squares of its transition."""
+    """Returns the unstable motion by every pole, without squares of the transition."""
     judge = Prediction(scene, wherever=True).judge
     judge.dies_out = False
     return judge.shaking
 
 
 def require_one_verdict(scene: Scene) -> tuple[bool, bool]:
-    """Whether the scene was found stable quickly, and whether it shakes."""
+    """Returns whether the scene was quickly found stable, and whether it is unstable."""
     soon, shaking = is_soon_stable(scene, LARGE), by_poles(scene)
     assert surely_shaken_by(scene) == shaking
     assert not (soon and shaking is not None)

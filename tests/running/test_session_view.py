@@ -1,4 +1,4 @@
-"""What a program sees of a running scene: parameters, state, every sample, markers, records that start and stop."""
+"""A program's view of a running scene: parameters, state, every sample, markers, records that start and stop."""
 
 from __future__ import annotations
 

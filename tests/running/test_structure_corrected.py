@@ -25,7 +25,7 @@ def scene_with(*links: str) -> Scene:
 
 
 def test_a_link_that_is_taken_away_leaves_no_force_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the estimate of the mass had added to its force goes with it."""
+    """The force that the mass estimate added to a link goes with the link."""
     with running(scene_with("touch"), monkeypatch) as runner:
         for _ in range(6):  # as long as the estimate takes
             runner.go()

@@ -1,4 +1,4 @@
-"""What goes on where another scene takes over: points, what links remember, live parameters. Without a loop."""
+"""State that continues in a new scene: points, links' memory, live parameters. Without a loop."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ HELD_BY: Modules = {
 @pytest.mark.parametrize("name", ONE_OF_EACH)
 @pytest.mark.parametrize("at", [1, 37, 66, 113])
 def test_a_change_elsewhere_is_not_felt_on_any_link(name: str, at: int) -> None:
-    """To the last bit: what links remember goes on too. At 66 the hand stands still; by 113 all slid or released."""
+    """Forces continue to the last bit, since links keep their memory. At 66 the hand stands still; by 113 all slid or
+    released."""
     link = {"type": name, "between": ["hand", "wall"]} | ONE_OF_EACH[name]
     before = scene_of(ON_ONE_LINK | {"link": link}, mock=None)
     after = scene_of(LONE | ON_ONE_LINK | {"link": link}, mock=None)
@@ -169,7 +170,7 @@ RUBS: dict[str, Any] = {"type": "friction", "force": 5.0, "stiffness": 300.0, "d
     ids=["new", "linked elsewhere", "to a string of another length"],
 )
 def test_a_link_that_is_new_remembers_nothing(before: Modules, after: Modules) -> None:
-    """Its bristle is not bent at a hand that moves: what it is felt by is its damper."""
+    """A new link's bristle is not bent under a moving hand, so that only its damper is felt."""
     around = ON_ONE_LINK | {"far": {"type": "ground", "position": 0.1}}
     position = swing(60)
     old, new = scene_of(around | before, mock=None), scene_of(around | after, mock=None)

@@ -210,7 +210,7 @@ def test_a_set_of_a_table_and_of_numbers_with_it_is_what_an_adoption_is(monkeypa
 def test_a_table_ramps_to_one_of_other_points_as_the_forces_do_and_by_the_same_program(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """What comes meanwhile retargets it, unless it brings points that are new: they take another program."""
+    """A new change retargets the ramp, unless it has new points: those need another program."""
     lines, bent = ((-0.1, -5.0), (0.1, 5.0)), ((-0.1, -20.0), (-0.004, 1.0), (0.0, 0.3), (0.003, 2.0), (0.1, 9.0))
     other, sunk = ((-0.01, 3.0), (0.001, -2.0), (0.02, 7.0)), ((-0.01, 1.0), (0.001, 2.0), (0.02, -7.0))
     tables = lines, bent, other, sunk, ((-0.02, 1.0), (0.03, 2.0))

@@ -89,7 +89,7 @@ def scene_with(part: str, key: str, value: Number) -> str:
 
 @pytest.fixture(scope="module")
 def takes() -> Callable[[str], bool]:
-    """Whether the schema takes a text."""
+    """Returns a function that checks a text against the schema."""
     validator = Draft202012Validator(scene_schema())
     return lambda text: validator.is_valid(yaml.safe_load(text))
 

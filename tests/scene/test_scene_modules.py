@@ -1,4 +1,4 @@
-"""What each type of module expects in the file, told where it is not so; and what the scene makes of it."""
+"""Expected values of each type of module, the errors for others, and the resulting scene."""
 
 from collections.abc import Callable
 from typing import Any

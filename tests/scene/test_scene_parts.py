@@ -1,4 +1,4 @@
-"""What a scene holds, what it derives, and that it stays as it was made."""
+"""Contents of a scene, its derived values, and its immutability."""
 
 import copy
 import pickle

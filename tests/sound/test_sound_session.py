@@ -148,7 +148,7 @@ def with_card(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Card]:
 
 
 def test_it_plays_beside_the_loop(with_card: Callable[..., Card], tmp_path: Path) -> None:
-    """How many gaps a busy machine makes is no matter here."""
+    """Sound plays next to the loop. The number of gaps on a busy machine does not matter here."""
     with_card("HDA Intel")
     report = run(scene_of("device"), duration=0.5, sound=True, sound_file=tmp_path / "a.wav", latency_s=0.03).report
     assert report.sound_frames >= 48 * report.ticks
@@ -247,7 +247,7 @@ def jack(tmp_path: Path) -> Iterator[dict[str, str]]:
 
 
 def test_two_seconds_on_a_sound_server(jack: dict[str, str], tmp_path: Path) -> None:
-    """By PortAudio itself, in a process of its own: it loads PortAudio once."""
+    """PortAudio itself plays, in a process of its own, since it can be loaded only once."""
     scene = tmp_path / "scene.yaml"
     scene.write_text(SCENE.format(clock="device") + EAR)
     command = [sys.executable, "-m", "hapsim"]

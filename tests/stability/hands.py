@@ -47,7 +47,7 @@ def contact(stiffness: float, damping: float = 0.0, **more: Any) -> dict[str, An
 
 
 def ran(scene: Scene, ticks: int) -> Trace:
-    """What was recorded, also of a run that ended because the hand swung out of the range of its counts."""
+    """Returns the trace, also of a run that ended because the hand left the range of its counts."""
     try:
         return run(scene, duration=ticks / scene.rate)
     except DeviceError as error:

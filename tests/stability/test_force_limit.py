@@ -36,7 +36,7 @@ CASES = [
 
 
 def gain_of_saturation(ratio: float) -> float:
-    """What passes of a sinusoid `ratio` >= 1 times as large as the limit."""
+    """Returns the describing function of saturation for a sinusoid `ratio` >= 1 times the limit."""
     return 2.0 / math.pi * (math.asin(1.0 / ratio) + math.sqrt(1.0 - 1.0 / ratio**2) / ratio)
 
 

@@ -149,7 +149,7 @@ def test_what_leaps_from_the_beginning_is_found_at_the_third_position(by_host: b
 
 
 def test_a_host_that_was_held_up_takes_no_hand_for_a_leap() -> None:
-    """By the host's clock a sample lasts as long as the host takes."""
+    """A sample by the host's clock lasts as long as the host was held up."""
     passed = np.cumsum([*[1] * 20, 60, *[1] * 20, 7, *[1] * 20])
     assert judged(2.5 * passed / 1000.0, arrived=passed, by_host=True) is None
     assert judged(2.5 * passed / 1000.0, arrived=passed, by_host=False) == 20
@@ -157,7 +157,7 @@ def test_a_host_that_was_held_up_takes_no_hand_for_a_leap() -> None:
 
 @pytest.mark.parametrize("speed", [60.0, SCALES["rotary"].hand_speed])
 def test_a_knob_that_fingers_flick_against_a_stop_leaps_no_more_than_a_handle(speed: float) -> None:
-    """As a handle at 10 m/s it would."""
+    """A handle with the same counts would leap at 10 m/s."""
     time = (np.arange(60) - 30.4) / 1000.0
     bounced = np.where(time < 0.0, speed * time, -speed * time)
     told: dict[str, Any] = {"mass": 0.1, "force": 5.0}

@@ -130,7 +130,7 @@ def run(program, io_buffer, hand, state, samples, rest):
 
 
 def grows(scene: Scene, hold: str, delay: float, rest: float, samples: int) -> bool:
-    """Whether a swing of some nm about `rest` becomes a hundred times as large, or larger at the end than in the
+    """Returns whether a swing of some nm about `rest` grows a hundredfold, or is larger at the end than in the
     middle."""
     program = compile_scene(scene)
     io_buffer, state = np.zeros((3, 1)), np.array([rest, 1e-6, HAND_STIFFNESS * rest])
@@ -177,7 +177,7 @@ HELD = [*((name, "zoh") for name in OBJECTS), ("string", "impulse"), ("net", "im
 @pytest.mark.parametrize(("name", "hold"), HELD)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_every_object_by_every_scheme_is_stable_up_to_what_is_predicted(name: str, scheme: str, hold: str) -> None:
-    """By `cordis` at every delay, by the others at each in turn."""
+    """`cordis` is tested at every delay, the other schemes at each in turn."""
     turn = (list(SCHEMES).index(scheme) + HELD.index((name, hold))) % len(DELAYS)
     delays = DELAYS if scheme == "cordis" else (DELAYS[turn],)
     assert straddled(scheme, name, "viscoelastic", hold, delays) == []

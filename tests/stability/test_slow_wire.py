@@ -56,7 +56,7 @@ def scene_of(*given: Any, **device: Any) -> Scene:
 
 
 def samples_of(rate: float, baud: int, turnaround: float) -> int:
-    """How often the device samples until the force for one of its positions acts, counted once more."""
+    """Returns the number of samples until the force for a position acts, plus one."""
     return 1 + int((turnaround + 230.0 / baud) * rate + 1e-9)
 
 

@@ -43,8 +43,8 @@ def upward_crossings(program: Program, point: int, centre: float, wanted: int, m
 
 
 def frequency_off(kappa: float, precision: str, at: float) -> float:
-    """How far a ball on a spring to a wall at `at` m rings from arccos(1 - kappa/2), relative; NaN where it does
-    not."""
+    """Returns the relative error of the frequency of a ball on a spring to a wall at `at` m, from arccos(1 - kappa/2);
+    NaN if it does not oscillate."""
     modules = {
         "hand": {"type": "device", "channel": 0},
         "wall": {"type": "ground", "position": at},

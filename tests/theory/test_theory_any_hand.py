@@ -1,5 +1,5 @@
-"""Whether a scene is stable in any hands: beside continuous chains of masses, springs and dampers that hold it, moved
-exactly, and beside the condition of a lone wall."""
+"""Stability of a scene in any hand, against continuous chains of masses, springs and dampers, moved exactly, and
+against the condition of a lone wall."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def random_network(rng: np.random.Generator, hands: int = 1, **more: Any) -> Net
 
 
 def whole(of: Network) -> AnyHand:
-    """Of a network whose points all belong together."""
+    """Returns a network as one part whose points all belong together."""
     hands, masses = of.channel_mass.size, of.point_mass.size
     names = tuple(f"hand_{i}" for i in range(hands))
     return AnyHand(names, tuple(range(hands)), "", of, (*names, *(f"mass_{i}.x" for i in range(masses))))
@@ -72,8 +72,8 @@ def with_friction(one: AnyHand, friction: Any) -> AnyHand:
 
 
 class Chain:
-    """What holds one device point: masses (n,) kg, the device's own and the hand's first, tied by springs and dampers
-    (n, n), each pair of points, and on the diagonal to a place that does not move."""
+    """Chain on one device point: masses (n,) kg, the device's own and the hand's first. Springs and dampers (n, n) join
+    each pair of points, and on the diagonal a point and a fixed place."""
 
     def __init__(self, mass: Floats, stiffness: Floats, damping: Floats, friction: float) -> None:
         n = mass.size
@@ -144,7 +144,7 @@ def chain_of(masses: float, friction: float, stiffness: float = 0.0) -> Chain:
 
 
 def grown(of: Network, mass: float = 0.0, stiffness: float = 0.0) -> float:
-    """With a hand of one mass and spring."""
+    """Returns the growth with a hand of one mass and spring."""
     chain = chain_of(of.channel_mass[0] + mass, of.channel_friction[0], stiffness)
     return growth(of, [chain])
 
@@ -249,7 +249,8 @@ class TestTheFriction:
         assert not whole(held).pushes_away
 
     def test_is_found_at_a_resonance_that_is_as_narrow_as_friction_is_little(self) -> None:
-        """Of a mass whose swing takes minutes to die out: beside the demand at 200 000 points about it."""
+        """A mass that swings for minutes has a narrow resonance; the reference is the demand at 200 000 points about
+        it."""
         of = network(point_mass=[0.5], ends=[[0, 1], [1, -1]], stiffness=[800.0, 300.0], damping=[1e-3, 1e-3])
         scene = HeldScene(of)
         pole = scene.poles[np.argmax(np.abs(scene.poles))]

@@ -84,7 +84,7 @@ class TestTheIdealInterface:
 
 
 class TestSmallStiffnessAndDamping:
-    """What is left of the identity near the origin of the K, B plane."""
+    """First-order deviation from the identity near the origin of the K, B plane."""
 
     @pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.0, 5.5])
     @pytest.mark.parametrize(

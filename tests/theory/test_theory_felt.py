@@ -1,4 +1,4 @@
-"""What a hand feels that moves masses or another hand: figures worked out elsewhere, limits, and the mock's motion."""
+"""Feel of a hand that moves masses or another hand, against independent figures, limits, and the mock's motion."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def mass(kg: float) -> dict[str, Any]:
 
 
 class TestFiguresWorkedOutElsewhere:
-    """By 50 digits, of a hand of 0.2 kg and 1 N·s/m at 1 kHz, a sample late."""
+    """Figures with 50 digits, for a hand of 0.2 kg and 1 N·s/m at 1 kHz with one sample of delay."""
 
     def test_through_a_light_mass(self) -> None:
         couple = link("hand", "proxy", 769.800358920, 0.281766487)
@@ -180,9 +180,9 @@ def poles_in(positions: NDArray[np.float64], most: int) -> NDArray[np.complex128
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_predicted_motion_is_the_mock_s(seed: int, figures: Any) -> None:
-    """In virtual time, after an impulse: that of M x'' + b x' + k x = 0 within what other motions may carry; of one
-    hand that swings for long enough to tell its pole, by pencils of some length, that within 1e-5. Where none is
-    stated, others carry at least a quarter, or a mass has more than a tenth of the energy."""
+    """The motion after an impulse in virtual time is that of M x'' + b x' + k x = 0, within the share of other motions.
+    If one hand swings long enough to identify its pole by matrix pencils, the pole agrees within 1e-5. If no k and b
+    are stated, others carry at least a quarter, or a mass has more than a tenth of the energy."""
     scene = random_scene(seed)
     prediction = predict(scene, with_margins=False)
     (one,) = prediction.together

@@ -35,7 +35,8 @@ POINTS_EACH = int(os.environ.get("HAPSIM_POINTS", "40"))
 
 
 def there_and_back(c: Configuration, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of (k, b) over thirteen decades, some nearly critical: how far off they come back, how far off a fold is."""
+    """Returns the error of (k, b) after inversion, over thirteen decades, some nearly critical, and the distance to a
+    fold."""
     nearly = count // 4
     kappa = 10.0 ** rng.uniform(-12.0, 0.8, count)
     ratio = np.concatenate([10.0 ** rng.uniform(-3.0, 0.5, count - nearly), 1.0 + rng.uniform(-1e-6, 1e-6, nearly)])
@@ -82,7 +83,7 @@ def test_it_does_in_every_configuration(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def fold_distance(c: Configuration, K: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """How far the nearest further pole is from one of the pair."""
+    """Returns the distance of the nearest non-dominant pole to one of the pair."""
     poles = c.poles(K, B)
     if poles.shape[1] == 2:
         return np.ones(K.shape)

@@ -1,4 +1,4 @@
-"""Where the loop is stable, where the map folds, and why there is no answer: against closed forms and the poles."""
+"""Stability limits, folds of the map, and reasons for no solution, against closed forms and the poles."""
 
 from __future__ import annotations
 

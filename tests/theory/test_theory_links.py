@@ -1,4 +1,4 @@
-"""What the linear theory takes each link for."""
+"""Each link in the linear theory."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def unstable_scenes() -> list[int]:
 
 @pytest.mark.parametrize("seed", unstable_scenes())
 def test_an_unstable_scene_becomes_stable_in_the_ranges_that_its_poles_say(seed: int) -> None:
-    """In all of each range, not just outside it, and nowhere between it and 1."""
+    """The scene is stable in all of each range, and unstable just outside it and up to 1."""
     scene = random_scene(seed)
     for link, of_link in enumerate(margins_of(scene).stabilizing):
         for name, ranges in zip(("stiffness", "damping"), of_link, strict=True):

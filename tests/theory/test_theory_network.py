@@ -33,7 +33,7 @@ def scene(**changed: object) -> Network:
 
 
 def unmatched(poles: np.ndarray, expected: np.ndarray, atol: float) -> np.ndarray:
-    """What is left of ``poles`` when each expected one has been found among them."""
+    """Returns the rest of ``poles`` after each expected one has been found among them."""
     left = list(poles)
     for pole in expected:
         nearest = int(np.argmin(np.abs(np.array(left) - pole)))

@@ -59,7 +59,7 @@ def string(scheme: str, masses: int, sampling: str = "ideal", damping: float = 0
 
 
 def apart(found: np.ndarray, expected: np.ndarray) -> float:
-    """How far the poles that move something are from the nearest of the others."""
+    """Returns the largest distance of a pole of a motion to the nearest pole of the other set."""
     found, expected = (poles[np.abs(poles) > 1e-3] for poles in (found, expected))
     assert found.size == expected.size
     return max(

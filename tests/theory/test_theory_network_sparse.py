@@ -54,7 +54,7 @@ def string_poles(masses: int, B: float) -> np.ndarray:
 
 
 def nearest(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """How far each found one is from the nearest expected one."""
+    """Returns the distance of each found value to the nearest expected one."""
     return np.abs(found[:, None] - expected[None, :]).min(axis=1)
 
 

@@ -75,7 +75,7 @@ def bar(name: str) -> Network:
 
 
 def exact_poles(name: str) -> np.ndarray:
-    """Of one of the bars, by x[n+1] = 2 x[n] - x[n-1] - T²/M (K x[n] + B (x[n] - x[n-1])/T) with 60 digits."""
+    """Returns the poles of a bar by x[n+1] = 2 x[n] - x[n-1] - T²/M (K x[n] + B (x[n] - x[n-1])/T) with 60 digits."""
     network = bar(name)
     n = network.point_mass.size
     with mp.workdps(60):
@@ -118,7 +118,7 @@ def test_a_bar_of_any_length_is_at_the_limit_and_no_more(masses: int, first: lis
 
 @pytest.mark.parametrize("beyond", [1.0 + 1e-6, 1.01, 2.0])
 def test_a_bar_beyond_its_limit_is_unstable_and_grows_as_predicted(beyond: float) -> None:
-    """Its fastest motion is at -1 where the largest eigenvalue of its K T²/m is 4."""
+    """The fastest motion of a bar is at -1 if the largest eigenvalue of K T²/m is 4."""
     curve = np.diff(np.eye(10), n=2, axis=0)
     bending = 4.0 * M * RATE**2 / np.linalg.eigvalsh(curve.T @ curve).max()
     assert solve(scene(10, bends(range(10), bending / beyond))).spectral_radius == pytest.approx(1.0, abs=1e-12)

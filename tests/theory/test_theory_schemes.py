@@ -74,7 +74,7 @@ def test_a_prediction_is_for_the_scheme_by_which_the_scene_runs(scheme: str, mov
 
 
 def radius_of(scheme: str, moved: str) -> float:
-    """Of the object alone, by the scheme's matrix."""
+    """Returns the spectral radius of the object alone, by the scheme's matrix."""
     rows = np.array([[2.0, -1.0], [-1.0, 2.0]]) if moved == STRING else np.eye(1)
     return spectral_radius(step_matrix(scheme, np.full(len(rows), 0.1), 1e6 * rows, rows, T))
 

@@ -217,7 +217,7 @@ def test_a_mass_that_a_spring_ties_to_the_hand_gets_wherever_the_hand_does() -> 
 
 
 def test_a_hand_with_dampers_of_two_kinds_is_judged_by_the_network_in_each_state() -> None:
-    """Its stop, with the backward damper that it has, is too stiff; with the sensed one of its spring it is not."""
+    """The hand's stop is too stiff with its backward damper, but not with the sensed one of the spring."""
     spring = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 300.0, "damping": 2.0}
     stop = {"type": "buffer", "between": ["wall", "hand"], "stiffness": 20000.0, "damping": 150.0, "distance": -0.005}
     prediction = predicted({"spring": spring | {"damper": "sensed"}, "stop": stop})
@@ -264,7 +264,7 @@ def test_a_snap_drives_a_mass_on_and_is_no_instability_but_what_grows_faster_is(
 class TestADamperThatIsSteeperWhileItMoves:
     @staticmethod
     def damper(slow: float, fast: float, at: str = "wall") -> dict[str, Any]:
-        """From 10 mm/s to 1 m/s with the second, N·s/m."""
+        """Returns a damper of `slow` N·s/m up to 10 mm/s, and of `fast` from there to 1 m/s."""
         way = 0.01 * slow + 0.99 * fast
         curve = [[-1.0, -way], [-0.01, -0.01 * slow], [0.01, 0.01 * slow], [1.0, way]]
         spring = {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 300.0, "damping": 1.0}
@@ -308,7 +308,7 @@ class TestADamperThatIsSteeperWhileItMoves:
             assert states == ([] if stable else ["damper is faster than its table"])
 
     def test_one_that_is_less_steep_is_one_state(self) -> None:
-        """As the friction of a bow is: less force where it is faster."""
+        """A bow's friction, whose force falls with speed, is one state."""
         bow = {
             "type": "nonlinear",
             "between": ["hand", "wall"],

@@ -55,7 +55,7 @@ def lag(substeps: int) -> float:
 
 
 def apart(found: np.ndarray, expected: np.ndarray) -> float:
-    """How far the poles that move something are from the nearest of the others, both ways."""
+    """Returns the largest distance of a pole of a motion to the nearest pole of the other set, both ways."""
     found, expected = (poles[np.abs(poles) > 1e-3] for poles in (found, expected))
     assert found.size == expected.size
     return max(

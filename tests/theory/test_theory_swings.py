@@ -1,4 +1,4 @@
-"""How far a hand swings where pieces of a table are too stiff for the loop, against the mock in virtual time."""
+"""Swing of a hand on a table with pieces too stiff for the loop, against the mock in virtual time."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def test_a_wall_that_is_too_stiff_swings_as_far_as_the_force_limit_lets_it() -> 
 
 
 def test_a_stop_far_beyond_the_force_limit_is_refused() -> None:
-    """In the middle of its region the scene asks for 100 N, where no kick moves the hand: that is no small swing."""
+    """The scene asks for 100 N in the middle of its region, where no kick moves the hand: that is no small swing."""
     stop = {"type": "buffer", "between": ["wall", "hand"], "stiffness": 20000.0, "damping": 2.0, "distance": -0.01}
     document = yaml.safe_load(text_of([(-1.0, -100.0), (1.0, 100.0)]))
     document["device"]["travel"] = [-0.02, 0.02]

@@ -22,7 +22,7 @@ Readings = Callable[[mp.mpf], tuple[mp.mpf, mp.mpf]]
 
 
 def readings_of(c: Configuration) -> Readings:
-    """What the loop reads of one computed force, (position, what the damper makes of it), at z.
+    """Returns the loop's readings after one computed force, (position, growth that the damper uses), at z.
 
     By matrix exponentials of velocity, position, the position's integral and the held force; no transform of it is
     written down.

@@ -23,7 +23,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
 
 def is_linear(scene: hapsim.Scene) -> bool:
-    """Whether a hand on its own spring and damper is what the scene is, with nothing assumed."""
+    """Returns whether every hand of a scene feels one spring and damper, without assumptions."""
     prediction = hapsim.predict(scene)
     return bool(prediction.felt) and not (prediction.coupled or prediction.assumptions or prediction.regions)
 
@@ -42,8 +42,8 @@ def spread(values: list[float], form: str) -> str:
 
 
 def impedances() -> Iterator[str]:
-    """Of each linear scene a row: how far prediction and measurement are apart over the uncertainty, at most, and how
-    wide that is, relative, in the median over the frequencies of what each hand itself meets."""
+    """Yields a row per linear scene: the largest ratio of error to uncertainty, and the median relative uncertainty,
+    over the frequencies of the impedances."""
     yield "| scene | hands | frequencies | device | its uncertainty | rendered | its uncertainty | closed loop |"
     yield "|---|---|---|---|---|---|---|---|"
     for path in sorted(CONFIGS.glob("*.yaml")):

@@ -70,7 +70,7 @@ def pairs(count: int) -> list[tuple[float, float]]:
 
 
 def row(name: str, port: str | None, scenes: list[tuple[float, float]]) -> str:
-    """How far k and b are from the prediction, in per cent, as a row of the table."""
+    """Returns a row of the table: the deviation of k and b from the prediction, in per cent."""
     off, unsure, failed = [], [], 0
     for pair in scenes:
         scene = scene_of(port, *pair)

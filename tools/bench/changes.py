@@ -1,10 +1,10 @@
-"""What changes of a running scene give a hand (hapsim/cordis/stored_energy.py), in virtual time.
+"""Energy that changes of a running scene give a hand (hapsim/cordis/stored_energy.py), in virtual time.
 
     tools/bench/changes [--drags 10000] [--seconds 25]
 
-A stiffness that is modulated at twice the eigenfrequency, K = 400 (1 + depth sin 2wt), before a device with twice the
-declared friction: the energy that its hand is given. A cell that nothing links. Sliders dragged at random on passive
-scenes, and scenes adopted again and again, while a hand knocks: none may be stopped.
+The first case is a stiffness modulated at twice the eigenfrequency, K = 400 (1 + depth sin 2wt), on a device with twice
+the declared friction: the energy given to its hand. The second is a cell without links. In the others a hand knocks
+while sliders of passive scenes are dragged at random, or a scene is adopted again and again: no run may be stopped.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ ADOPTED_EVERY = 100  # drags
 
 
 class Ticking:
-    """What a loop in virtual time speaks through, with something to do before each sample."""
+    """Transport of a loop in virtual time that acts before each sample."""
 
     def __init__(self, device: PythonTransport, act: Callable[[int], None]) -> None:
         self._device, self._act, self._sample = device, act, 0
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """As the device's."""
+        """Receives from the device; acts before each sample."""
         count = self._device.receive(buffer, timeout_ns)
         if count > 0:
             self._act(self._sample)
@@ -45,12 +45,12 @@ class Ticking:
         return count
 
     def send(self, frame: bytes) -> int:
-        """As the device's."""
+        """Sends to the device."""
         return self._device.send(frame)
 
 
 class Outcome(NamedTuple):
-    """Of a run."""
+    """Result of a run."""
 
     ending: str
     why: str

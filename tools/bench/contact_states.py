@@ -1,11 +1,11 @@
-"""What is said of every state of random scenes' contacts, beside simulation.
+"""Stability of every contact state of random scenes: the theory's answer against simulation.
 
     tools/bench/contact_states [--scenes 500] [--first 0]
 
 Each scene has a hand, one to three masses or cells, and one to four buffers, plectra, detents and tables. Within each
-state (six of a scene at most, none that a snap leaves) 20 small pushes are simulated for 20 seconds: does a motion
-grow? Then 20 pushes of up to 0.3 m/s from anywhere within 2 cm, which open and close contacts: has one of them four
-times the energy of its first second, in the last?
+state (at most six per scene, none that a snap leaves) 20 small pushes are simulated for 20 seconds, to see whether a
+motion grows. Then come 20 pushes of up to 0.3 m/s from anywhere within 2 cm, which open and close contacts. The bench
+counts those whose energy in the last second is four times that of the first.
 """
 
 from __future__ import annotations

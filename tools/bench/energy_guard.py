@@ -45,16 +45,16 @@ TOLERANCE = 1.02  # of energies that are read from positions
 
 
 class Outcome(NamedTuple):
-    """What came of it."""
+    """Result of a run."""
 
     drawn: Drawn
     ending: str
     why: str
     after_s: float
     account: int
-    """Of energy_guard.py, by whose limit it was ended."""
+    """Account of energy_guard.py that reached its limit."""
     at_limit_s: float
-    """From where the scene asked for the force limit to the end; 0: it never did."""
+    """Time from the first request of the force limit to the end; 0 if there was none."""
     most_energy: float
     """J, kinetic, of the hand at any time."""
     bound: float
@@ -62,17 +62,17 @@ class Outcome(NamedTuple):
 
     @property
     def is_ended(self) -> bool:
-        """Whether the guard ended it."""
+        """True if the guard ended the run."""
         return self.ending == "scene diverging"
 
     @property
     def is_late(self) -> bool:
-        """Whether late forces ended it."""
+        """True if late forces ended the run."""
         return self.is_ended and self.account == LATE
 
     @property
     def is_within(self) -> bool:
-        """Whether the hand never had more than it may."""
+        """True if the hand's energy stayed within its bound."""
         return self.most_energy <= TOLERANCE * self.bound
 
 
@@ -167,8 +167,8 @@ def _log_uniform(chance: random.Random, least: float, most: float) -> float:
 
 
 class Stalling:
-    """What a loop in virtual time speaks through, with a host that stalls: meanwhile the device holds the last force,
-    and its positions wait for the host all together."""
+    """Transport of a loop in virtual time whose host stalls. During a stall the device holds the last force, and its
+    positions queue up."""
 
     def __init__(self, device: PythonTransport, seed: int, every: float = EVERY) -> None:
         self._device, self._chance = device, random.Random(seed)
@@ -180,7 +180,7 @@ class Stalling:
         return 1 + int(self._chance.expovariate(1.0 / self._every))
 
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
-        """What there is for the host; after a stall, all of it."""
+        """Receives the waiting bytes; after a stall, all of them."""
         data = self._take(timeout_ns)
         self._left -= 1
         if data and self._left <= 0 and self._last:
@@ -196,13 +196,13 @@ class Stalling:
         return self._buffer[:count].tobytes()
 
     def send(self, frame: bytes) -> int:
-        """As the device's."""
+        """Sends to the device."""
         self._last = frame if len(frame) == FORCE_BYTES else b""
         return self._device.send(frame)
 
 
 def knocks(scene: Scene, duration: float, seed: int) -> PeriodicExcitation:
-    """Of a hand: 2 to 40 ms each, some every second."""
+    """Returns the knocks of a hand: 2 to 40 ms each, several per second."""
     chance, samples = np.random.default_rng(seed), round(duration * scene.rate)
     forces, at = np.zeros(samples), 0
     while at < samples:

@@ -112,7 +112,7 @@ class Disturbed:
 
 
 def estimated(seed: int, seconds: float = SECONDS) -> dict[str, Any]:
-    """What was found of this device, and what it is."""
+    """Returns the estimate for this device, and its true values."""
     tried = random_device(seed)
     disturbed = tried.kind in ("stalls", "slow hand", "knocks")
     trace = run(
@@ -145,7 +145,7 @@ def estimated(seed: int, seconds: float = SECONDS) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """What a page says of them."""
+    """Returns the table of a page."""
     lines = ["| | devices | known | off by, median and most | stated, median | within 1, 2, 3 | at an end, wrongly |"]
     lines.append("|---|" + "---|" * 6)
     for kind in (*KINDS, "all"):

@@ -118,7 +118,7 @@ def kind_of(case: str) -> str:
 
 
 def duration_of(case: str) -> float:
-    """Of its run, s."""
+    """Duration of a case's run, s."""
     return LONGER_S.get(kind_of(case), DURATION_S)
 
 
@@ -218,12 +218,12 @@ def on_terminal(case: str, clock: str, carrier: str) -> dict[str, Any]:
 
 
 def without_paths(text: str, folder: str) -> str:
-    """What a program printed, without where this machine has its files."""
+    """Returns a program's output without this machine's paths."""
     return re.sub(REPORT, "", text).replace(f"{folder}/", "")
 
 
 def put_out(log: Path) -> dict[str, float] | None:
-    """Of the firmware's log: what it put out at most, and by how much it changed at most."""
+    """Returns the largest force in the firmware's log, and its largest change."""
     if not log.exists():
         return None
     lines = [line.split() for line in log.read_text("ascii").splitlines(keepends=True) if line.endswith("\n")]
@@ -264,7 +264,7 @@ def tried(case: str, clock: str, carrier: str) -> dict[str, Any]:
 
 
 def defects_of(found: dict[str, Any]) -> list[str]:
-    """What must not be."""
+    """Returns the defects of a case."""
     run, wire = found["run"], found["wire"]
     release, forces = wire.get("release"), wire.get("forces") or {}
     largest, change = forces.get("largest_N") or 0.0, forces.get("largest_change_N") or 0.0

@@ -1,20 +1,21 @@
-"""Which share of what a scene may ask for the hand feels, with every correction: measured on the mock in virtual time.
+"""Share of the plane of stiffness and damping that the hand feels with each correction, measured on the mock in virtual
+time.
 
     tools/bench/felt [--grid 24x12] [--only CONDITION ...] [--corrections NAME ...] [--processes N] [--json FILE]
                      [--from FILE.json]
 
-A hand on one spring and damper, K T²/m from 1e-4 to 2 (logarithmic) and damping ratio from 0 to 1.5: the plane in
-cells, each measured at its middle. A cell is felt where the k and b that are identified from the run are off by 5 % or
-less (b: of itself, or of 0.1 sqrt(k m) where that is more); where nothing can be identified it is not. It is pressed
-where it is stable and the stiffness that a steady push meets is off by 5 % or less. Nothing is predicted here. One
-device serves, 50 g at 1 kHz, since only K T²/m, B T/m and the delay in samples count.
+The plane is that of a hand on one spring and damper, with K T²/m from 1e-4 to 2 (logarithmic) and a damping ratio from
+0 to 1.5. It is divided into cells, each measured at its middle. A cell is felt if the k and b identified from the run
+are off by at most 5 % (b: of itself, or of 0.1 sqrt(k m) if that is more). A cell without identification is not felt.
+It is pressed if it is stable and the stiffness against a steady push is off by at most 5 %. Nothing is predicted here.
+One device is enough, 50 g at 1 kHz, since only K T²/m, B T/m and the delay in samples count.
 
-The hand is released at rest from a deflection, and pushed every 32 samples: a motion that is over in three samples is
-seen sixty times. Where the identification states that it is not sure to 0.1 %, the cell is measured again, with pushes
-that follow each other otherwise; the measurement that states the least uncertainty counts. The steady push is that of
-`mock.hand`, on a hand that begins where it is to end: its mean position over whole periods, two seconds later, counts.
+The hand is released at rest from a deflection and pushed every 32 samples, so that a motion that ends within three
+samples is seen sixty times. If the identification is not certain to 0.1 %, the cell is measured again with other
+intervals between the pushes; the measurement with the smallest stated uncertainty counts. The steady push is that of
+`mock.hand`, on a hand that starts at its end position. Its mean position over whole periods counts, two seconds later.
 
-`--json` keeps every cell, `--from` prints the table of a kept file.
+`--json` saves every cell, `--from` prints the table of a saved file.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ ROOM, COUNTS = 16.0, 2.0**31  # range of the position counts over how far the ha
 
 
 class Contender(NamedTuple):
-    """What a device does about the deformation; ``settles``: s before what is measured."""
+    """Correction of a device; ``settles``: time before the measurement, s."""
 
     name: str
     device: dict[str, Any]
@@ -78,22 +79,22 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "1 % of the forces late": {"mock": {"misses": 0.01}},
     **{f"delay {delay:g}": {"device": {"delay": delay}} for delay in (0.0, 0.37, 2.0, 3.0)},
 }
-"""What is other than a delay of 1 sample, a zero-order hold and no friction, on a mock as fine as can be."""
+"""Differences from a delay of 1 sample, a zero-order hold and no friction, on a mock with the finest counts."""
 
 
 FIELDS = ("error", "uncertainty", "stable", "pressed")
 
 
 class Cell(NamedTuple):
-    """What was measured at one point of the plane."""
+    """Measurement at one point of the plane."""
 
     error: float
     """Infinite where nothing was identified."""
     uncertainty: float
-    """That the identification states for it."""
+    """Uncertainty stated by the identification."""
     stable: bool
     pressed: float = math.inf
-    """By how much the stiffness that a steady push meets is off; infinite where that is not known."""
+    """Deviation of the stiffness against a steady push; infinite if unknown."""
 
 
 def plane(columns: int, rows: int) -> Iterator[tuple[float, float]]:
@@ -149,7 +150,7 @@ def measured(kappa: float, ratio: float, contender: Contender, condition: dict[s
 
 
 def pressed(kappa: float, ratio: float, contender: Contender, condition: dict[str, Any]) -> float:
-    """By how much the stiffness that a steady push meets is off; infinite where the run fails."""
+    """Returns the deviation of the stiffness against a steady push; infinite if the run fails."""
     k, _ = desired(kappa, ratio)
     push = min(DEFLECTED, FURTHEST * k)
     try:
@@ -186,13 +187,14 @@ def measured_once(scene: Scene, wanted: tuple[float, float], settles: float, eve
 
 
 def stays(trace: hapsim.Trace) -> bool:
-    """Whether what is not identified dies out: between the last pushes the force falls far below its limit."""
+    """Returns whether a motion without identification dies out: between the last pushes the force falls far below its
+    limit."""
     last = np.abs(trace.asked_force[-2 * max(every for every, _ in PUSHES) :, 0])
     return bool(last.size and last.min() < 0.1 * FORCE_LIMIT and last.max() < FORCE_LIMIT)
 
 
 def cell_of(name: str, condition: str, scene: Scene) -> dict[str, float]:
-    """What is measured where a scene asks for this stiffness and damping."""
+    """Returns the measurement of the cell with this scene's stiffness and damping."""
     touch = scene.links["touch"]
     assert isinstance(touch, ViscoElastic)
     kappa, ratio = touch.stiffness / (MASS * RATE**2), 0.5 * touch.damping / math.sqrt(touch.stiffness * MASS)
@@ -271,7 +273,7 @@ def _cell(row: list[Any]) -> Cell:
 
 
 def share(cells: list[Cell], what: str, within: float) -> float:
-    """Of the plane, every cell alike. `what`: of its FIELDS."""
+    """Returns the share of the plane within a deviation. `what`: a field of the cells."""
     return sum(getattr(cell, what) <= within for cell in cells) / len(cells)
 
 

@@ -1,17 +1,17 @@
-"""Which share of the plane any controller could make felt that is stable for every mass of a span: by search, no proof.
+"""Share of the plane that any controller could render while stable for every mass of a span: by search, not by proof.
 
     tools/bench/felt_limit [--lags 2] [--grid 12x6] [--json FILE]
 
-`adaptive` knows the mass that the hand has now, but has to be stable for every mass of the span, since a hand lets go
-sooner than any estimate can tell. How much does that rule cost, whatever the method? Here a controller is any that
-answers the last two positions and so many past forces,
+`adaptive` knows the present mass of the hand, but has to be stable for every mass of the span: a hand releases the
+device sooner than an estimate can follow. The bench shows the cost of that rule for any method. A controller answers
+the last two positions and a number of past forces,
 
     f[n] = -(c0 y[n] + c1 y[n-1]) - (a1 f[n-1] + ... + aN f[n-N])
 
-for a device of one sample of delay, a zero-order hold and no friction. Its c0 and c1 put the slowest pair where the
-desired stiffness and damping have it, with the mass that the hand has; the a are searched for the least spectral
-radius over masses from half to twice the declared one. A cell of `tools/bench/felt`'s plane counts where that is 1 or
-less, and every other pole is at most SLOWEST of the pair's modulus, so that the pair is what is felt.
+for a device of one sample of delay, a zero-order hold and no friction. Its c0 and c1 give the slowest pair of poles the
+desired stiffness and damping at the hand's mass. The a are searched for the least spectral radius over masses from half
+to twice the declared one. A cell of `tools/bench/felt`'s plane counts if that radius is at most 1 and the modulus of
+every other pole is at most SLOWEST of the pair's, so that the hand feels the pair.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Loops:
 
 
 def characteristic(mass: float, numbers: Floats) -> Floats:
-    """Of the loop that the controller with c0, c1, a1, ... closes around a mass."""
+    """Returns the characteristic polynomial of a mass and the controller c0, c1, a1, ..."""
     c, a = numbers[:2], numbers[2:]
     answered = np.convolve(np.append(c, np.zeros(a.size - 1)), [0.5 / mass, 0.5 / mass])  # f made of y, and y of f
     own = np.convolve(np.append(1.0, a), [1.0, -2.0, 1.0, 0.0])
@@ -85,7 +85,7 @@ def cost(a: Floats, pair: NDArray[np.complex128], loops: Loops) -> float:
 
 
 def can_be_felt(kappa: float, ratio: float, mass: float, loops: Loops, lags: int) -> bool:
-    """Whether the search finds a controller for a cell: K T²/m and damping ratio, both by the declared mass."""
+    """Returns whether the search finds a controller for a cell: K T²/m and damping ratio, both by the declared mass."""
     pair = np.exp(np.roots([mass, 2.0 * ratio * math.sqrt(kappa), kappa]).astype(complex))
     random = np.random.default_rng(SEED)
     for start in [np.zeros(lags), *random.normal(size=(TRIES - 1, lags)) * 0.6 ** np.arange(lags)]:

@@ -1,4 +1,4 @@
-"""What a first touch feels like through each build of the reference firmware, beside what is predicted."""
+"""Feel of first_touch through each build of the reference firmware, measured and predicted."""
 
 from __future__ import annotations
 

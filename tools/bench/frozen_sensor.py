@@ -43,14 +43,14 @@ _DEVICE = ("mass", "friction", "dry", "stop", "limit", "count", "law", "stiffnes
 _HAND = ("hand", "grip", "grip_damping", "arm", "arm_damping", "goal", "reach", "hz", "push", "tremor", "tremor_hz")
 _WHEN = ("position", "velocity", "dies", "released", "lasts")
 RUN = np.dtype([(name, np.float64) for name in (*_DEVICE, *_HAND, *_WHEN)], align=True)
-"""What is drawn. SI units and s; hand 0 kg: nobody holds the handle."""
+"""Random parameters of a run. SI units and s; hand 0 kg: nobody holds the handle."""
 FOUND = np.dtype(
     [("faded", np.int64), ("ends", np.int64)]
     + [(name, np.float64) for name in ("lowered", "share", "moved", "way", "energy", "died_at", "zero_at", "last")],
     align=True,
 )
-"""What a run showed: the most that the force was lowered, N, and of itself; how far the handle moved in a question; how
-far it went with a dead sensor until its force was zero, and its energy then at most."""
+"""Results of a run: the largest reduction of the force, in N and relative; the handle's travel during a question; its
+travel with a dead sensor until zero force, and its largest energy until then."""
 
 
 @helper
@@ -165,7 +165,7 @@ def simulated(drawn: dict[str, float], *, declared: dict[str, Any] | None = None
 
 
 def drawn_hand(chance: random.Random) -> dict[str, float]:
-    """From a finger to an arm that leans; its tremor from a hand that rests on the table to one that trembles."""
+    """Draws a hand: from a finger to an arm that leans, from one that rests on the table to one that trembles."""
     return {
         "hand": 0.1 * 10.0 ** chance.random(),
         "grip": 300.0 * 10.0 ** chance.random(),
@@ -301,7 +301,7 @@ MOMENTS = {"in a flick": _flick, "moved": _moving, "pressed, released later": _l
 
 
 def dead(number: int, seed: int, moment: str, limit: float, mass: float, count: float) -> dict[str, Any]:
-    """How far the handle goes until its force is zero, in mm, and its energy until then, in J."""
+    """Returns the handle's travel until its force is zero, in mm, and its energy until then, in J."""
     runs = []
     for i in range(number):
         chance = random.Random(f"{seed} {moment} {i}")
@@ -321,7 +321,7 @@ def dead(number: int, seed: int, moment: str, limit: float, mass: float, count: 
 
 
 def hard(number: int, seed: int) -> dict[str, Any]:
-    """What looks like a dead sensor: of the runs how many are asked, and how many fade."""
+    """Returns the number of questions and of fades in runs that resemble a dead sensor."""
     table: dict[str, Any] = {}
     for count in (1e-6, 1e-4, 5e-4):
         for name, kind in (("a stop", _stop), ("dry friction", _dry), ("dry detent", _detent)):

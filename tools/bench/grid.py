@@ -33,7 +33,7 @@ CASES = {
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """How long it takes."""
+    """Returns the duration of a call, s."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start

@@ -51,7 +51,8 @@ modules:
 
 
 def weight(mass: float, x: float = 0.019, y: float = 0.1) -> np.ndarray:
-    """What the v3's end point weighs at a pose, kg (2, 2): the mass, and both links by their inverse Jacobian."""
+    """Returns the inertia of the v3's end point at a pose, kg (2, 2): its mass, and both links by their inverse
+    Jacobian."""
 
     def angle(arm: int, at: np.ndarray) -> float:
         dx, reach = at[0] - 0.038 * arm, math.hypot(at[0] - 0.038 * arm, at[1])
@@ -67,7 +68,8 @@ def weight(mass: float, x: float = 0.019, y: float = 0.1) -> np.ndarray:
 
 
 def off(seed: int, case: str, channel: int) -> tuple[float, float]:
-    """How far k is off the prediction, relative, and b, relative to itself or a twentieth of the critical damping."""
+    """Returns the deviation of k from the prediction, relative, and of b, relative to itself or to a twentieth of the
+    critical damping."""
     chance = random.Random(seed)
     mass, stiffness = 0.05 * 4.0 ** chance.random(), 50.0 * 8.0 ** chance.random()
     damping, friction = chance.uniform(0.2, 1.0), chance.uniform(0.1, 1.0)
@@ -89,7 +91,7 @@ def off(seed: int, case: str, channel: int) -> tuple[float, float]:
 
 
 def pushed_far(scene: hapsim.Scene, channel: int) -> hapsim.Measurement:
-    """Of eight pushes, each of which swings the spring to PUSHED_N."""
+    """Measures with eight pushes, each of which swings the spring to PUSHED_N."""
     mass, spring = scene.device.masses(2)[channel], hapsim.predict(scene).felt[channel].k
     ticks, length = round(SECONDS * scene.rate), max(1, round(math.sqrt(mass / spring) * scene.rate))
     excitation = Excitation(channel, PUSHED_N, length, ticks // 8, start=ticks // 2, first=True)

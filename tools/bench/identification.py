@@ -1,4 +1,4 @@
-"""What is identified of random devices, beside what they are: how far off, and whether the uncertainties hold.
+"""Accuracy of identification on random devices: its errors, and the coverage of its uncertainties.
 
     tools/bench/identification [--devices 50] [--first 0] [--wrong 3] [--rough] [--picture FILE]
 
@@ -28,7 +28,7 @@ FORCE, TRAVEL, SECONDS = 5.0, 0.02, 12.0
 
 @dataclass(frozen=True)
 class Device:
-    """What a mock is; SI units, delay in sample periods."""
+    """Parameters of a mock; SI units, delay in sample periods."""
 
     rate: float
     mass: float
@@ -41,7 +41,7 @@ class Device:
     quantum: float = 1e-6
     """m per count."""
     seed: int = 0
-    """Of the noise."""
+    """Seed of the noise."""
 
     def scene(self, wrong: float = 1.0, hold: str = "zoh", sampling: str = "ideal") -> hapsim.Scene:
         """It, with mass, friction and delay declared `wrong` times too large."""

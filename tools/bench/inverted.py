@@ -1,10 +1,10 @@
-"""How far, and how fast, a motor with the wrong sign takes a hand before a guard ends the run, in virtual time.
+"""Travel and speed of a hand on a motor with the wrong sign until a guard ends the run, in virtual time.
 
     tools/bench/inverted [--travel 0.05] [--masses 0.05,0.2,1] [--limits 2,10,40]
 
-first_touch before the mock, its forces turned round on the wire; the hand, which nothing else holds, begins at 0 with a
-flick of 0.1 m/s. With the energy guard alone, as in `hapsim run`, and with a travel of `--travel` metres to either
-side as well.
+The scene is first_touch on the mock, with its forces inverted on the wire. The hand is otherwise free and starts at 0
+with a flick of 0.1 m/s. The run has the energy guard alone, as in `hapsim run`, or a travel of `--travel` metres to
+either side as well.
 """
 
 from __future__ import annotations

@@ -143,8 +143,8 @@ def played(case: Case, scene: Path, clock: str, place: Path) -> list[str] | None
 
 
 def _to_zero(board: Board, clock: str, is_there: bool, before: int) -> list[str]:
-    """From the last answer to zero, of a device that is there; a force that stays the same is one answer where the
-    device is the clock: it puts out in each tick what it holds."""
+    """Returns the times from the last answer to zero force on a connected device. If the device is the clock, it
+    repeats the held force in each tick, and equal forces count as one answer."""
     if not is_there:
         return ["the device is gone", "–"]
     forces = board.put_out()
@@ -158,7 +158,7 @@ def _to_zero(board: Board, clock: str, is_there: bool, before: int) -> list[str]
 
 
 def _lacks(host: Host, board: Board) -> str:
-    """Of a host that was killed, samples of the device from the record's last force to the last that was put out."""
+    """Returns the samples from the last force in the record of a killed host to the last force of the device."""
     part = host.record.with_name(f"{host.record.name}.part")
     if host.record.exists():
         return f"nothing: {hapsim.load_trace(host.record).report.ending}"

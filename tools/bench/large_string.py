@@ -1,8 +1,8 @@
-"""What `hapsim check` takes on a string of many masses with a hand on one of them: time of each part, and memory.
+"""Time and memory of `hapsim check` on a string of many masses with a hand on one of them, part by part.
 
     tools/bench/string [--masses 10000] [--write FILE]
 
-`--write` keeps the scene.
+`--write` saves the scene.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What it costs a running loop that its scene gets another structure: deadline misses with and without.
+"""Deadline misses of a running loop while its scene's structure changes, and without changes.
 
     tools/bench/live [--rounds 4] [--changes 20]
 
-At 1 kHz over a pseudo-terminal, mock and loop in this process, taking turns: a run in which nothing changes, and one in
-which masses, a string, a cell, a buffer and friction come and go beside the wall that the hand is on.
+Mock and loop run in this process at 1 kHz over a pseudo-terminal. Runs without changes alternate with runs in which
+masses, a string, a cell, a buffer and friction come and go beside the wall that the hand touches.
 """
 
 from __future__ import annotations

@@ -51,12 +51,12 @@ _SCRAPS = [*":\n\t {}[]%\0\ufeffé\x85#'\"|", "- ", "&a ", "*a", "<<: *a", "!!"]
 
 
 class Outcome(NamedTuple):
-    """What came of a file."""
+    """Result of a file."""
 
     name: str
     """refused, loaded, or what was done with it and how that ended."""
     finding: str
-    """What should not have been, and of which file; empty where nothing is wrong."""
+    """Defect, and the file that shows it; empty if there is none."""
 
 
 def mutated(text: str, words: list[str], chance: random.Random) -> bytes:

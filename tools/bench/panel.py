@@ -134,7 +134,7 @@ def ask(client: Any, message: dict[str, Any]) -> str:
 
 
 def origin_of(url: str) -> Any:
-    """What a page of the same server sends as its origin."""
+    """Returns the origin that a page of the same server sends."""
     return url.replace("ws:", "http:").removesuffix("/live")
 
 

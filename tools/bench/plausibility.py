@@ -55,7 +55,7 @@ SLIPS: dict[str, tuple[tuple[str, float], ...]] = {
     "cutoff": (("kHz", 1e-3), _TIMES),
     "baud": (("kbit/s", 1e-3), _TIMES),
 }
-"""By key: what is written in its place, and what that multiplies the value by."""
+"""Wrong units and slips, by key: the text in place of the unit, and the factor on the value."""
 
 
 class Spoiled(NamedTuple):
@@ -203,17 +203,17 @@ def _add_modules(chance: random.Random, among: Any, scene: dict[str, Any]) -> No
 
 
 class Verdict(NamedTuple):
-    """What becomes of a scene with one wrong value."""
+    """Result of a scene with one wrong value."""
 
     kind: str
     """named: a hint names the wrong key; other: a hint names another; unstable, refused; silent."""
     is_right: bool
-    """Whether the hint says to write the value that was there before."""
+    """True if the hint gives the original value."""
     hint: str
 
 
 def judge(spoiled: Spoiled) -> Verdict:
-    """What hapsim says of this scene, at `check` or before it arms."""
+    """Returns hapsim's result for this scene, from `check` or before arming."""
     try:
         scene = parse_scene(spoiled.text, "s.yaml")
     except SceneError as error:

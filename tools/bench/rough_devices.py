@@ -1,9 +1,10 @@
-"""How often `measure` is wrong, or names a cause that is not there, of random devices that are not as declared.
+"""Errors and false causes in reports of `measure`, on random devices that differ from their declaration.
 
     tools/bench/rough_devices [--scenes 500] [--first 0] [--every]
 
-Each is a hand on one spring and damper in virtual time: every damper, hold and delay, counts of 1 nm to 24 µm, noise,
-dry friction to 0.5 N, masses and frictions other than the declared ones, soft starts and slew limits, late forces.
+Each device has a hand on one spring and damper in virtual time: every damper and hold, any delay, counts of 1 nm to
+24 µm, noise, dry friction to 0.5 N, masses and frictions that differ from the declared ones, soft starts and slew
+limits, late forces.
 """
 
 from __future__ import annotations

@@ -111,8 +111,8 @@ def move_in_hand(body, force, h):
 
 @native(types.void, types.uint64, types.int64)
 def take_force_unless_stalled(mock, now):
-    """In virtual time: a force acts, or, while the host stalls, comes too late. When is in the mock's first frame under
-    way, which a wire in memory has none of."""
+    """Applies a force in virtual time, or too late while the host stalls. The stall is in the mock's first frame under
+    way, which a wire in memory does not use."""
     address, mock = mock, mock_at(mock)
     n, stall = mock.board.n, mock.under_way[0]
     if stall.number <= n < stall.argument:
@@ -122,7 +122,7 @@ def take_force_unless_stalled(mock, now):
 
 
 class Outcome(NamedTuple):
-    """What came of a run."""
+    """Result of a run."""
 
     kind: str
     ending: str
@@ -134,7 +134,7 @@ class Outcome(NamedTuple):
 
     @property
     def is_found(self) -> bool:
-        """Whether the guard of the sign ended it."""
+        """True if the sign guard ended the run."""
         return self.ending == "sign wrong"
 
 
@@ -239,7 +239,7 @@ class Bench:
 
 
 def _drawn_hand(chance: random.Random, kind: str) -> dict[str, Any]:
-    """What a HAND has that is not 0."""
+    """Draws the non-zero parameters of a HAND."""
     drawn: dict[str, Any] = {"tremor": chance.uniform(0.0, 0.5), "tremor_hz": chance.uniform(8.0, 12.0)}
     if kind == "held" or chance.random() < 0.6:  # a second mode
         drawn |= {"mass": 0.2 * 5.0 ** chance.random(), "stiffness": 300.0 * 10.0 ** chance.random()}
@@ -276,8 +276,8 @@ def runs(
 
 
 def wrong(number: int, seed: int, *, scene: dict[str, Any], **how: Any) -> dict[str, Any]:
-    """Of a device with something wrong: how far and how fast its handle moves, and of the runs that go far without this
-    guard how each ends with it."""
+    """Returns the travel and speed of the handle of a faulty device. For runs that go far without this guard, counts
+    each ending with it."""
     before = list(runs(number, seed, scene=scene, judged=False, **how))
     after = list(runs(number, seed, scene=scene, **how))
     ended = [two for one, two in zip(before, after, strict=True) if one.most_m > FAR_M]
@@ -296,7 +296,7 @@ def wrong(number: int, seed: int, *, scene: dict[str, Any], **how: Any) -> dict[
 
 
 def right(number: int, seed: int, *, scene: dict[str, Any], kinds: tuple[str, ...] = KINDS) -> dict[str, Any]:
-    """Of a device that is as it says: how often it is stopped, and how often its force released for a test."""
+    """Returns the number of stops and of test releases on a correct device."""
     ended = list(runs(number, seed, scene=scene, kinds=kinds))
     return {
         "runs": number,

@@ -1,12 +1,12 @@
-"""What a scene's sound takes: underruns beside a C client's, latency, and the two clocks.
+"""Sound of a scene: underruns next to a C client's, latency, and the two clocks.
 
     tools/bench/sound [--seconds 60] [--rounds 1] [--realtime]    a C client and hapsim, alone and beside busy Python
     tools/bench/sound --minutes 10 [--realtime]                   one run over a pseudo-terminal
 
-On JACK's dummy driver, 128 frames at 44.1 kHz, with a string at 48 steps a sample of a device at 1 kHz. The busy Python
-thread is in hapsim's process, and beside the C client in one of its own. `--realtime`: JACK, which then makes its
-clients' threads real-time, and hapsim ask for real-time scheduling. It takes Debian's jackd2, libportaudio2 and, for
-the C client, gcc and portaudio19-dev.
+Sound goes to JACK's dummy driver, 128 frames at 44.1 kHz. The scene is a string with 48 steps per sample of a device at
+1 kHz. The busy Python thread runs in hapsim's process; for the C client it has a process of its own. With `--realtime`
+hapsim and JACK request real-time scheduling; JACK extends it to its clients' threads. The bench needs Debian's jackd2
+and libportaudio2 and, for the C client, gcc and portaudio19-dev.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def busy_thread() -> Iterator[None]:
 
 
 def told(report: Mapping[str, Any]) -> dict[str, object]:
-    """What is printed of a report."""
+    """Returns the printed values of a report."""
     p50, p99 = report["sound_latency_s"] or (0.0, 0.0)
     return {
         "underruns": report["underruns"],

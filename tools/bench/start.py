@@ -1,13 +1,13 @@
-"""How long a start takes, and what it costs the processors: the first, which compiles, and every later one.
+"""Duration and processor time of a start: of the first, which compiles, and of later ones.
 
     tools/bench/start [--rounds 5] [--random 40] [--only PART ...] [--json FILE]
 
-first   `hapsim run configs/first_touch.yaml` where nothing was ever compiled, to its first tick: loop and mock, and the
-        process that compiles one of them beside the other
-armed   the same where everything is kept, until the device is armed; a mock of this process tells when. Beside it,
-        in turn, `hapsim --help`, which is Python and the command line alone
+first   `hapsim run configs/first_touch.yaml` with an empty cache, to its first tick: loop and mock, and the process
+        that compiles one of them in parallel
+armed   the same with a full cache, until the device is armed, as a mock of this process reports; in turn with
+        `hapsim --help`, which is Python and the command line alone
 scenes  after a first start of first_touch: each shipped scene, then random scenes of every module, scheme,
-        precision, clock and number of channels, in one cache; how much longer than the second time each takes
+        precision, clock and number of channels, in one cache; the extra time of each one's first run over its second
 
 Processor seconds are those of all processes that a command started.
 """
@@ -95,7 +95,7 @@ class Listener:
             self._mock.board.out = 0
 
     def seconds_to_armed(self) -> float:
-        """From the start of a run to the device's being armed."""
+        """Returns the time from the start of a run until the device is armed."""
         self.armed_at = None
         begin = time.perf_counter()
         run("hapsim", "run", str(SCENE), "--port", self.path, "--duration", "0.001", "--json")

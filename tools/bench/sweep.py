@@ -1,4 +1,4 @@
-"""What a point of a sweep costs, and what more processes and workers bring.
+"""Cost of a point of a sweep, and the gain from more processes and workers.
 
     tools/bench/sweep [--points 2000] [--rounds 5] [--only point,jobs,cluster,memory]
 

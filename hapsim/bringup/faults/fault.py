@@ -1,4 +1,4 @@
-"""What every kind of fault shares: the pieces of the wire that it changes, when it happens, and its keys."""
+"""Base classes of faults: pieces of the byte stream, times, and the keys that all kinds share."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Moment(NamedTuple):
     seconds: float
     """Since the first byte, to the nanosecond (`tidy`)."""
     samples: float
-    """Of the device, since its first position; -1 before that."""
+    """Samples of the device since its first position; -1 before that."""
 
     def has_reached(self, due: Moment) -> bool:
         """Returns whether either clock is at `due` or later."""
@@ -54,15 +54,15 @@ class Moment(NamedTuple):
 
 
 class Window:
-    """When a fault begins, and for how long it lasts. It opens once."""
+    """Start and duration of a fault. A window opens once."""
 
     def __init__(
         self, at_s: float | None, at_sample: int | None, lasts_s: float | None = None, lasts_samples: int | None = None
     ) -> None:
-        """Without a beginning it opens with the first byte; without a length it never closes."""
+        """Opens with the first byte if no start is given, and never closes if no duration is given."""
         self.begins = Moment(0.0, 0).after(0.0 if at_s is None and at_sample is None else at_s, at_sample)
         self.opened: Moment | None = None
-        """When it opened."""
+        """Time of opening."""
         self._lasts_s, self._lasts_samples = lasts_s, lasts_samples
 
     def is_open(self, now: Moment) -> bool:
@@ -94,7 +94,7 @@ class Piece:
 
     @property
     def frame(self) -> Frame | None:
-        """What the frame says."""
+        """Decoded frame, if the piece is one."""
         return None if self.found is None else self.found.frame
 
     def goes(self, direction: Direction) -> bool:
@@ -155,12 +155,12 @@ class Fault(Part):
     """
 
     counted: ClassVar[str] = "frames"
-    """What is counted of it."""
+    """Unit of `count`."""
     plugs: ClassVar[bool | None] = None
-    """Whether the device is plugged in after it happened; None if it changes nothing in that."""
+    """State of the plug after the fault: True plugged in, False unplugged, None unchanged."""
 
     kind: str
-    """By default its name in a script; an abstract fault has no default."""
+    """Kind of fault; its default is the name in a script. An abstract fault has no default."""
 
     _window: Window
     _count: int = 0
@@ -183,7 +183,7 @@ class Fault(Part):
 
     @property
     def count(self) -> int:
-        """How often it happened."""
+        """Number of times that the fault acted."""
         return self._count
 
     def window(self) -> Window:

@@ -29,12 +29,12 @@ from hapsim.scene.yaml_file import Layout, YamlFile, findings_of
 
 
 class Script(Part):
-    """What happens on the wire. The faults of a script act one after the other on every frame, in its order.
+    """Faults on the wire. They act on every frame one after the other, in the order of the script.
 
     Attributes:
-        version: of the format, 1.
-        seed: of everything random: the same seed and the same bytes make the same faults.
-        faults: which, in the order of the file.
+        version: version of the format, 1.
+        seed: seed of everything random. The same seed and the same bytes make the same faults.
+        faults: the faults, in the order of the file.
     """
 
     version: Annotated[int, version(1, "script")]
@@ -82,14 +82,14 @@ class Passed(NamedTuple):
     """Bytes that leave."""
 
     due_s: float
-    """When, by the carrier's clock; never before what went the same way before."""
+    """Time to send it, by the carrier's clock; never before an earlier piece in the same direction."""
     to_device: bool
     data: bytes
 
 
 @dataclass
 class Traffic:
-    """What passed in one direction. A damaged frame does not count as a frame."""
+    """Traffic in one direction. A damaged frame does not count as a frame."""
 
     frames_in: int = 0
     bytes_in: int = 0
@@ -101,13 +101,13 @@ class Happened(NamedTuple):
     """A fault of the script, and how often it happened."""
 
     place: int
-    """In the script, from 1 on."""
+    """Position in the script, from 1."""
     kind: str
     when: str
-    """When it begins, in words."""
+    """Start of the fault, in words."""
     times: int
     counted: str
-    """What `times` counts, in words."""
+    """Unit of `times`, in words."""
 
 
 class Splitter:
@@ -142,15 +142,15 @@ class Injector:
         self._number = -1
         self._under_way: deque[tuple[Piece, float]] = deque()
         self.samples = -1
-        """Of the device, since its first position; -1 before that."""
+        """Samples of the device since its first position; -1 before that."""
         self.first_fault_s: float | None = None
-        """When the first fault happened, by the carrier's clock; None if none did."""
+        """Time of the first fault by the carrier's clock; None before it."""
         self.witness = Witness()
-        """What the device said and what reached it, on its own side of the faults."""
+        """Record of the frames on the device's side of the faults."""
         self.passed = {to_device: Traffic() for to_device in (False, True)}
-        """What came in and what left, each way."""
+        """Traffic in each direction, before and after the faults."""
         self.plugged = True
-        """Whether the device is plugged in, as the host sees it."""
+        """True if the host sees the device as plugged in."""
 
     @property
     def counts(self) -> list[tuple[str, int]]:

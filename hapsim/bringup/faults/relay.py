@@ -29,7 +29,7 @@ _MOST_WAITING = 1 << 20  # bytes kept for a device that does not take them
 
 
 class PassingTimes:
-    """How long pieces took to be passed on, counted in whole µs, so that hours take no more memory than seconds."""
+    """Histogram of the relay's delays in whole µs, so that hours take no more memory than seconds."""
 
     def __init__(self) -> None:
         self._times_us: Counter[int] = Counter()
@@ -70,10 +70,10 @@ class Relay:
         self._to_write = b""  # that the device has not taken yet
         self._stopped, self._stop = os.pipe()
         self.unread_bytes = 0
-        """Of the device, that no host fetched."""
+        """Bytes from the device that no host has read."""
         self.passing = PassingTimes()
-        """From when a piece was read, or was due if a fault held it up, until it was written; only of pieces that the
-        other side took at once."""
+        """Delays from reading a piece, or from its due time if a fault delayed it, until writing it. Only pieces that
+        the receiver took at once count."""
 
     def __enter__(self) -> Relay:
         self._plug_in()

@@ -1,8 +1,7 @@
-"""What a device got, on its own side of the faults: every force, how far each was from the one that the device held,
-and how the last one ended.
+"""Record of the forces on the device's side of the faults: each one, its change, and how the last one ended.
 
-It decodes what a receiver would decode, and judges nothing. A force that comes while the device is not armed, or after
-a DISARM, does not count; one that is older than its time to live counts as received, but does nothing.
+The witness decodes like a receiver and judges nothing. A force does not count while the device is not armed, or after a
+DISARM. A force older than its time to live counts as received, but has no effect.
 """
 
 from __future__ import annotations
@@ -24,18 +23,18 @@ _LOCKSTEP_S = 10.0  # PROTOCOL.md, section 7
 
 @dataclass
 class Forces:
-    """Of the forces that reached the device. N; NaN if the device did not describe its scales."""
+    """Forces that reached the device. N; NaN if the device did not describe its scales."""
 
     count: int = 0
     largest: float = 0.0
     largest_change: float = 0.0
-    """From what a device holds that keeps PROTOCOL.md, section 6: the force before, zero at arming and once its time to
-    live is over. The release does not count as a change."""
+    """Largest change from the force that a device holds by PROTOCOL.md, section 6: the force before, or zero at arming
+    and after its time to live. The release does not count as a change."""
 
 
 @dataclass(frozen=True)
 class Release:
-    """How the last force ended."""
+    """End of the last force."""
 
     by: str
     """disarm: a DISARM reached the device; device: it said by itself that it is not armed any more; time to live: what
@@ -43,10 +42,10 @@ class Release:
     host is quiet, after 10 s."""
     after_last_force_s: float
     after_last_force_samples: int | None
-    """Of the device's samples that were sent meanwhile; None if its time to live ended it."""
+    """Samples that the device sent between the last force and its release; None if its time to live ended it."""
     after_first_fault_s: float | None
     confirmed: bool
-    """Whether the device said, then or later, that it is not armed any more."""
+    """True if the device reported, then or later, that it is no longer armed."""
 
 
 class _Last(NamedTuple):
@@ -54,9 +53,9 @@ class _Last(NamedTuple):
 
     newtons: NDArray[np.float64]
     time_s: float
-    """When it came."""
+    """Time of arrival."""
     sample: int
-    """In which it came."""
+    """Sample of arrival."""
     answered: int
     """The sample that it answers."""
     lives: int
@@ -70,7 +69,7 @@ class Witness:
         self.all, self.since_fault = Forces(), Forces()
         self.samples = -1
         self.fault_s: float | None = None
-        """When the first fault happened: from then on forces count as `since_fault` too."""
+        """Time of the first fault. Forces from then on also count in `since_fault`."""
         self._described = Registers()
         self._is_first = True  # no force since arming
         self._held: NDArray[np.float64] = np.zeros(1)  # what the device puts out in this sample, N

@@ -35,10 +35,10 @@ _PROBES: tuple[tuple[str, Callable[[Probing], bool | None]], ...] = (
     ("push", probe_pushing),
     ("push", probe_lives),
 )
-"""What each step does. It returns False if nothing after it can be judged."""
+"""Function of each step. It returns False if no later step can be judged."""
 
 _ALWAYS = STEPS[:2]
-"""Without which nothing else can be judged."""
+"""Steps that always run: no other step can be judged without them."""
 
 OnStep = Callable[[str, int, int], None]
 """Called with the name of each step, its number, and of how many."""
@@ -52,9 +52,9 @@ class Judgement:
     device: Description | None
     checks: tuple[Check, ...]
     released: bool
-    """Whether the device said, at the end, that it is idle."""
+    """True if the device reported at the end that it is idle."""
     ended: str = ""
-    """Why it ended early, if it did."""
+    """Reason for an early end, if there was one."""
     interrupted: bool = False
 
     @property

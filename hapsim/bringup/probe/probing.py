@@ -51,7 +51,7 @@ class Wire(Client):
         self.stop = False
         """Set to end whatever waits."""
         self.damaged: list[bytes] = []
-        """What came between two delimiters and is a frame in no format."""
+        """Bytes between two delimiters that are a frame in no format."""
         self._connection, self._capture, self._releasing = connection, Capture((False,)), False
 
     @property
@@ -89,7 +89,7 @@ class Sample:
     """A position as it came."""
 
     n: int
-    """Its number, counted on beyond 4096."""
+    """Number of the sample, counted on beyond 4096."""
     fresh: bool
     counts: tuple[int, ...]
     at_s: float
@@ -109,12 +109,12 @@ class Session:
 
     wire: Wire
     status: Received | None
-    """What ARM was answered with."""
+    """Answer to ARM."""
     patience_s: float = 0.5
-    """How long a silence is no failure."""
+    """Timeout for the device's answer."""
     samples: list[Sample] = field(default_factory=list)
     sent_at_s: dict[int, float] = field(default_factory=dict)
-    """When each sample was answered, before the next position was read."""
+    """Time of each sample's answer, before the next position was read."""
     sent: int = 0
     """FORCE frames that answer a sample."""
     others: list[Received] = field(default_factory=list)
@@ -203,10 +203,10 @@ class Check:
     step: str
     section: str
     title: str
-    """Of the section."""
+    """Title of the section."""
     expected: str
     look_at: str = ""
-    """What to look at; empty in a result if nothing is wrong."""
+    """Advice on the cause; empty in a result that has no fault."""
     result: Result = "not seen"
     found: str = "not reached"
 
@@ -246,7 +246,7 @@ class Probing:
     def __init__(self, wire: Wire, leave: Leave | None = None) -> None:
         self.wire, self.leave = wire, leave
         self.results: dict[str, Check] = {}
-        """What was found so far, by the check's name."""
+        """Results so far, by the check's name."""
         self.description: Description | None = None
         self.response: float | None = None
         """m/s² per N, as the pushes found it."""
@@ -292,7 +292,7 @@ class Probing:
 
     @property
     def device(self) -> Description:
-        """What the device said of itself, once that is known to make sense."""
+        """Description of the device, available once its registers are plausible."""
         assert self.description is not None, "no step that arms comes before the registers"
         return self.description
 

@@ -97,7 +97,7 @@ class Pusher:
 
     @property
     def is_silent(self) -> bool:
-        """Whether no count of its position has changed since it was armed, although force acted."""
+        """True if the position has not changed by a count since arming although a force acted."""
         counts = {sample.counts[self.leave.channel] for sample in self.session.samples}
         return len(counts) == 1 and any(self.forces.values())
 
@@ -226,7 +226,7 @@ def _pushed(pusher: Pusher, force: float, length: int) -> tuple[Estimate | None,
     signs = list(_pattern(length))
 
     def answer(sample: Sample) -> None:
-        """By the sample's number: if the host misses one, the pattern goes on as it would have."""
+        """Pushes by the sample's number, so that the pattern continues after a missed sample."""
         pusher.push(sample, force * signs[min(max(sample.n - begun, 0), len(signs) - 1)])
 
     try:
@@ -290,7 +290,7 @@ class Estimate:
     values: NDArray[np.float64]
     deviations: NDArray[np.float64]
     sum_deviation: float
-    """Of the values' sum."""
+    """Standard deviation of the values' sum."""
     rows: int
 
     @property
@@ -300,12 +300,12 @@ class Estimate:
 
     @property
     def is_clear(self) -> bool:
-        """Whether nothing longer has to be tried: its lags can be distinguished."""
+        """True if the lags can be distinguished, so that no longer push is needed."""
         return self.significance > _SURE and float(max(self.deviations[:2])) < _CLEAR * abs(self.total)
 
     @property
     def significance(self) -> float:
-        """How many standard deviations the sum is from zero; 0 where no force moved the position by a count."""
+        """Sum over its standard deviation; 0 if no force moved the position by a count."""
         if self.sum_deviation > 0:
             return abs(self.total) / self.sum_deviation
         return np.inf if self.total else 0.0

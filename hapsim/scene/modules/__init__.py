@@ -23,7 +23,7 @@ __all__ = [
     "Structure",
     "TypedModule",
 ]
-"""Beside the classes in MODULE_TYPES."""
+"""Public names, in addition to the classes in MODULE_TYPES."""
 
 MODULE_TYPES: dict[str, type[Module]] = {
     kind.model_fields["type"].default: kind

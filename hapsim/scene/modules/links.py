@@ -58,7 +58,7 @@ class Link(Module):
 
 
 def wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
-    """What is wrong with the point that `name`, a link or a pick-up, holds by this end; in words."""
+    """Returns the error of this end of `name`, a link or a pick-up; None if it is right."""
     if end == name:
         return f"found {quote(end)}, the link itself; expected a point to hold"
     holder = around.holder(end)
@@ -285,12 +285,12 @@ class Detent(Link):
 
     @property
     def steepness(self) -> float:
-        """Its sharpness, with its default."""
+        """Sharpness, or its default."""
         return 2.0 if self.sharpness is None else self.sharpness
 
     @property
     def width(self) -> float:
-        """From one end of a detent's force to the other, m."""
+        """Width of a detent's force, m."""
         return self.pitch / self.steepness if self.shape == "notch" else self.pitch
 
     @check_of("shape", "sharpness")
@@ -345,7 +345,7 @@ MOST_PICK_UPS = 16
 
 Quantity = Literal["velocity", "position", "force"]
 QUANTITIES: tuple[Quantity, ...] = ("velocity", "position", "force")
-"""In the order in which compiled code numbers them."""
+"""Quantities, in the order of their numbers in compiled code."""
 
 POINT = text("The point that it listens to, by name", "the name of a point, such as hand or gut.7", ".+")
 GAIN = quantity("1.0, full scale, over the quantity in m/s, m or N; negative for the other sign", "1/(SI unit)")

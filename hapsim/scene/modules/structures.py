@@ -110,7 +110,7 @@ class String(Structure):
         return f"0 to {self.masses - 1}"
 
     def initial_positions(self) -> list[float]:
-        """In m: where it rests, or in the triangle in which the pluck holds it."""
+        """Returns the masses' initial positions in m: at rest, or on the triangle of the pluck."""
         if self.pluck is None:
             return super().initial_positions()
         at, by, masses = self.pluck.at, self.pluck.by, self.masses

@@ -1,17 +1,17 @@
-"""What a simulated second costs and how far it is off: hapsim's schemes beside C, Faust, MuJoCo and SciPy.
+"""Cost and error of a simulated second: hapsim's schemes next to C, Faust, MuJoCo and SciPy.
 
     tools/bench/schemes [--rounds 5] [--quick] [--only PART ...] [--object NAME ...]
                         [--json FILE] [--data FILE.csv] [--picture FILE] [--from FILE.json]
 
-chart      the objects of `hapsim chart speed-accuracy`, by hapsim's schemes and precisions and, strings without
+chart      the objects of `hapsim chart speed-accuracy`, by hapsim's schemes and precisions and, for strings without
            bending, by the peers
-ratios     what a sample costs, hapsim's over C's, Faust's and MuJoCo's: strings with and without a hand, a network, one
-           spring; before, the forces of all are compared
-first      from a scene to its first tick: a string of 1000 masses, with and without what was compiled before
+ratios     cost of a sample, hapsim's over C's, Faust's and MuJoCo's: strings with and without a hand, a network, one
+           spring; the forces of all are compared first
+first      from a scene to its first tick: a string of 1000 masses, with and without compiled code in the cache
 
-All that take part take turns, round by round. Faust's compiler may take two minutes for each long string before it
-gives up; what was built is kept. HAPSIM_PEERS_PYTHON names a Python that has MuJoCo (speed/peers/__init__.py). `--from`
-draws and tells anew what `--json` kept.
+The participants take turns, round by round. Faust's compiler may take two minutes for each long string before it gives
+up; its builds are kept. HAPSIM_PEERS_PYTHON names a Python with MuJoCo (speed/peers/__init__.py). `--from` draws and
+prints the results saved by `--json`.
 """
 
 from __future__ import annotations

@@ -1,19 +1,19 @@
-"""How many masses of a string, a membrane and an irregular network one core moves in real time, with a hand on them.
+"""Masses of a string, a membrane and an irregular network that one core moves in real time, with a hand on them.
 
     tools/bench/capacity [--seconds 2] [--only string ...] [--rates 1000 ...] [--json FILE] [--picture FILE]
                          [--alone] [--from FILE.json]
 
-The device at 1 and at 10 kHz; 44.1 and 48 kHz are 45 steps of a device at 980 Hz and 48 of one at 1 kHz. From the
-processor time of a step alone follows how many masses *fit*: their steps take 3/4 of the sample period, and leave the
-rest to the exchange and to a late wake-up. With `--alone` that is all.
+The device runs at 1 and at 10 kHz; 44.1 and 48 kHz are 45 steps of a device at 980 Hz and 48 of one at 1 kHz. The
+processor time of a step alone gives the number of masses that *fit*: their steps take 3/4 of the sample period. The
+rest is for the exchange and a late wake-up. With `--alone` the bench stops there.
 
-Otherwise those of all, 2/3, 1/3 and 1/10 of these are *carried* with which at most 0.1 % more of the device's samples
-go without a force in time than with a hand alone. The mock has a process and a processor of its own, on a
-pseudo-terminal; loop and mock go before other programs where the system lets them (nice -20). With and without masses
-takes turns, up to four times, and the quietest run of each counts. It needs a machine that does nothing else.
+Otherwise it runs all of them, 2/3, 1/3 and 1/10. A number is *carried* if at most 0.1 % more samples of the device miss
+their force than with a hand alone. The mock has its own process and processor, on a pseudo-terminal. Loop and mock run
+at nice -20 if the system permits it. Runs with and without masses alternate, up to four times; the quietest run of each
+counts. It needs an otherwise idle machine.
 
-Nothing beyond MOST masses is tried. Beside it, in the same run, what a step costs the plain C program of
-`reference/stencil.c`, and Faust's mi.lib where it is installed, for as long a string as it compiles.
+Nothing beyond MOST masses is tried. The same run measures a step of the plain C program of `reference/stencil.c`, and
+of Faust's mi.lib if it is installed, up to the longest string that it compiles.
 """
 
 from __future__ import annotations
@@ -163,13 +163,14 @@ def _is_decided(pairs: list[tuple[float, float]]) -> bool:
 
 
 def _rounded(masses: float) -> int:
-    """To two digits, downwards."""
+    """Rounds down to two digits."""
     unit = 10 ** max(0, math.floor(math.log10(max(masses, 1.0))) - 1)
     return int(masses // unit * unit)
 
 
 def peers(cells: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """What a step costs the plain C program, where hapsim carries a string in double precision; and Faust."""
+    """Yields the cost of a step of the plain C program, where hapsim carries a string in double precision, and of
+    Faust."""
     for cell in cells:
         if (cell["object"], cell["precision"]) == ("string", "double") and cell["fits"] <= _PIECE["string"]:
             yield _beside("plain C", cell["fits"], _plain_c)
@@ -207,8 +208,8 @@ def _beside(
 
 
 def _go_first() -> bool:
-    """Whether the system lets this process, and those that it starts, go before others. Real-time scheduling would keep
-    the kernel's own worker, which carries a pseudo-terminal's bytes, from a processor that is busy with masses."""
+    """Returns whether the system gives this process and its children priority. Real-time scheduling would keep the
+    kernel's own worker, which carries a pseudo-terminal's bytes, from a processor that is busy with masses."""
     try:
         os.setpriority(os.PRIO_PROCESS, 0, -20)
     except PermissionError:
@@ -218,7 +219,7 @@ def _go_first() -> bool:
 
 @contextlib.contextmanager
 def _mock(step_rate: int, cpus: set[int]) -> Iterator[str]:
-    """Its port."""
+    """Yields the port of a mock."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "device.yaml"
         empty = scene_of("", 0, step_rate, "double").model_dump(mode="json", exclude_defaults=True)

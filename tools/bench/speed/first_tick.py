@@ -1,6 +1,6 @@
-"""How long it takes from a scene to its first tick: a string of 1000 masses, with and without what was compiled before.
+"""Time from a scene to its first tick: a string of 1000 masses, with and without compiled code in the cache.
 
-`python -m speed.first_tick` does it once and prints it as JSON; imports are not counted.
+`python -m speed.first_tick` measures once and prints JSON; imports are not counted.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def first_tick() -> dict[str, float]:
 
 
 def cold_and_warm() -> tuple[dict[str, float], dict[str, float]]:
-    """In two processes, of which the first finds nothing that was compiled before."""
+    """Measures in two processes, of which the first finds an empty cache."""
     with tempfile.TemporaryDirectory(prefix="hapsim-cold-") as cache:
         first, second = (_in_a_process(cache) for _ in range(2))
     return first, second

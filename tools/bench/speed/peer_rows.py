@@ -42,12 +42,12 @@ class PeerRows:
                 costs.extend(peer.cost(one.string, row.rate_hz, 1))
 
     def rows(self) -> list[Row]:
-        """With the costs so far."""
+        """Returns the rows with the costs so far."""
         return [replace(row, costs=tuple(costs)) for (_, _, row), costs in zip(self._rows, self._costs, strict=True)]
 
 
 def _taking_part() -> list[Peer]:
-    """Those with a hand, where they can have one; of the C programs those as everybody would compile them."""
+    """Returns the participants, with a hand if they support one; the C programs with ordinary compiler options."""
     others = [peer for peer in every_peer() if not isinstance(peer, CStencil | CNetwork | FaustMi)]
     return [CStencil(hand=True, plain=True), CNetwork(plain=True), FaustMi(hand=True), *others]
 

@@ -1,4 +1,4 @@
-"""What was measured, as Markdown and as JSON."""
+"""Measurements as Markdown and as JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LISTS = ("rows", "first_tick", "conditions")
 
 
 def document_of(path: Path) -> dict[str, Any]:
-    """What `save_json` kept."""
+    """Loads a file written by `save_json`."""
     try:
         document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:

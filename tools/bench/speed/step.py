@@ -1,12 +1,13 @@
-"""What a step of a string costs, short and long, beside C programs, and beside another state of hapsim.
+"""Cost of a step of a string, short and long, next to C programs and to another version of hapsim.
 
     tools/bench/step [--rounds 15] [--masses 1000 10000 100000] [--beside CHECKOUT]
 
-A hand holds a third of the way. Each program has a process of its own, and they take turns; processor time. C in place
-updates two rows of positions with the widest vectors there are (`reference/rows_in_place.c`); the plain one has three
-(`stencil.c`, -O3 -march=native). Before anything is measured their forces are compared. *Dead*: a string so quiet that
-all its numbers are denormals, in a thread in which these count as zero, as in hapsim's loop, and in one in which not.
-Last, what 48 steps in each sample of a device at 1 kHz add to an exchange in memory, with a string of 1000.
+A hand holds the string at a third of its length. Each program has a process of its own, and they take turns. Processor
+time is measured. The C program in place updates two rows of positions with the widest vectors of the processor
+(`reference/rows_in_place.c`); the plain one has three rows (`stencil.c`, -O3 -march=native). Their forces are compared
+first. *Dead* is a string so quiet that all its numbers are denormals, once in a thread that treats these as zero, as
+hapsim's loop does, and once in a thread that does not. Last comes the cost of 48 steps per sample in an exchange in
+memory, with a device at 1 kHz and a string of 1000.
 """
 
 from __future__ import annotations
@@ -131,7 +132,7 @@ def _dead(string: StringOfMasses, precision: str, flushed: bool) -> Callable[[in
 
 
 def _flush_denormals(on: bool) -> None:
-    """In this thread."""
+    """Sets the treatment of denormals in this thread."""
     build_c("rows_in_place.c").load().flush_denormals(int(on))
 
 
@@ -156,7 +157,7 @@ _RATIOS = (
 
 
 def _work() -> None:
-    """In a process of its own: for each line, a program and a number of masses, the µs of a step."""
+    """Runs in a process of its own: reads a program and a number of masses per line, prints the µs of a step."""
     timed: dict[tuple[str, int], Timed] = {}
     _flush_denormals(True)
     for line in sys.stdin:

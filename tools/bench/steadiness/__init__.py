@@ -1,1 +1,1 @@
-"""How fast and how steady the loop is, beside its peers: a C loop, the same loop in Python, cyclictest."""
+"""Speed and jitter of the loop, next to its peers: a C loop, the same loop in Python, cyclictest."""

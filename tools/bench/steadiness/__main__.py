@@ -1,18 +1,18 @@
-"""How fast and how steady hapsim's loop is, beside a C loop, the same loop in Python, and cyclictest.
+"""Speed and jitter of hapsim's loop, next to a C loop, the same loop in Python, and cyclictest.
 
     tools/bench/loop [--rounds 5] [--seconds 5] [--quick] [--only PART ...]
                      [--json FILE] [--data FILE.csv] [--picture FILE] [--from FILE.json]
 
-compute    what an exchange costs, decode to encode, without a line: C loop, compiled loop
-exchanges  how many a second over a pseudo-terminal, the mock in a process of its own, in lockstep: C loop, compiled
+compute    cost of an exchange, decode to encode, without a wire: C loop, compiled loop
+exchanges  exchanges per second over a pseudo-terminal, the mock in a process of its own, in lockstep: C loop, compiled
            loop, portable loop; idle, beside a busy Python thread, beside one that collects garbage
-wakeups    the wake-up latency of a program that sleeps on a grid of 1 to 10 kHz: C loop, compiled loop, cyclictest;
+wakeups    wake-up latency of a program that sleeps on a grid of 1 to 10 kHz: C loop, compiled loop, cyclictest;
            ordinary scheduling, SCHED_FIFO
-late       forces that came too late for a device that keeps its own 1 kHz: C loop, compiled loop, portable loop
+late       forces too late for a device that keeps its own 1 kHz: C loop, compiled loop, portable loop
 
-The loads run in the loop's own process; beside the C loop, which has no Python, in another one. The peers take turns.
-Before anything is measured their forces are compared, byte for byte. `--seconds` is for each measurement, twice that
-for a late one; `--from` draws and tells anew what `--json` kept.
+The loads run in the loop's own process; for the C loop, which has no Python, in another one. The peers take turns.
+Their forces are compared first, byte for byte. `--seconds` is the duration of each measurement, twice that for a late
+one. `--from` draws and prints the results saved by `--json`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Before anything is measured: the C loop sends the same bytes as hapsim, or it does not do the same job."""
+"""Comparison before any measurement: the C loop has to send the same bytes as hapsim."""
 
 from __future__ import annotations
 

@@ -22,10 +22,10 @@ _READY_S = 60.0
 
 @dataclass
 class Bench:
-    """Where things are, and who takes part."""
+    """Directories and participants of a bench."""
 
     directory: Path
-    """Its own, for as long as it runs."""
+    """Temporary directory of the bench."""
     program: Path | None
     """The C loop."""
     without: dict[str, str] = field(default_factory=dict)
@@ -45,12 +45,12 @@ class Bench:
         print(what, file=sys.stderr, flush=True)
 
     def leave_out(self, peer: str, why: str) -> None:
-        """From now on this peer does not take part."""
+        """Excludes a peer from now on."""
         self.without[peer] = why
         self.tell(why)
 
     def peers(self, *wanted: str) -> list[str]:
-        """Those of them that take part."""
+        """Returns the peers that take part."""
         return [peer for peer in wanted if peer not in self.without]
 
     def compute(self, peer: str, exchanges: int, amplitude: float = 0.004) -> dict[str, Any]:
@@ -73,7 +73,7 @@ class Bench:
         return json_of(command, seconds + _COMPILING_S, cpus=self.loop_cpus)
 
     def lateness(self, peer: str, rate_hz: int, seconds: float, fifo: bool) -> Quantiles:
-        """Of wake-ups."""
+        """Returns the quantiles of wake-up latency."""
         if peer == C:
             assert self.program is not None
             return c_lateness(self.program, rate_hz, seconds, fifo, self.cpu)
@@ -97,7 +97,7 @@ class Bench:
 
 
 def numbers_of(document: dict[str, Any]) -> dict[str, float | None]:
-    """What a loop tells of a run against a device, as records have it."""
+    """Returns the numbers that a loop reports of a run against a device, by the records' names."""
     exchange, age = document["exchange_ns"] or {}, document["age_samples"] or {}
     names = ("exchanges_per_second", "ticks", "late", "lost", "stale", "load_turns", "load_turn_ms")
     numbers: dict[str, float | None] = {name: document.get(name) for name in names}

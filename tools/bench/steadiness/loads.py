@@ -1,4 +1,4 @@
-"""What else a program does while its loop runs: arithmetic in a Python thread, or the collection of garbage in one."""
+"""Loads on a loop's process: a Python thread that computes, or one that collects garbage."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class Load:
     go: threading.Event = field(default_factory=threading.Event)
 
     def summary(self) -> dict[str, float]:
-        """How often, and how long each took in ms."""
+        """Returns the number of turns, and the duration of each in ms."""
         return {"load_turns": self.turns, "load_turn_ms": 1e3 * self.seconds / max(self.turns, 1)}
 
 
 @contextlib.contextmanager
 def loaded(kind: str) -> Iterator[Load]:
-    """While open, a thread of this process is a load of that kind, at work from `go` to `stop`."""
+    """Runs a load of that kind in a thread of this process, at work from `go` to `stop`."""
     load = Load()
     thread = threading.Thread(target=_LOADS[kind], args=(load,), name=kind)
     thread.start()

@@ -1,4 +1,4 @@
-"""What it was measured on, and what the system permits here."""
+"""Machine of a measurement, and its permissions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def describe_machine(compiler: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def awake() -> Iterator[str]:
-    """While open, the processors do not sleep deeply, for any process. What came of it, in a sentence."""
+    """Keeps all processors from deep idle states while open. Yields the result in a sentence."""
     try:
         descriptor = os.open(_POWER, os.O_RDWR)
     except OSError as error:
@@ -51,7 +51,7 @@ def awake() -> Iterator[str]:
 
 
 def may_use_fifo() -> bool:
-    """Whether the system lets us; found out by trying."""
+    """Returns whether the system permits SCHED_FIFO, by trying it."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError:

@@ -32,7 +32,7 @@ Numbers = dict[str, float | None]
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured."""
+    """Size of a measurement."""
 
     rounds: int
     seconds: float

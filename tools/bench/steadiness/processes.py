@@ -65,7 +65,7 @@ def answer_of(
     environment: Mapping[str, str] | None = None,
     cpus: Iterable[int] = (),
 ) -> str:
-    """What a program that takes so many `seconds` prints. PeerError where it fails or does not end."""
+    """Returns the output of a program that takes so many `seconds`. Raises PeerError if it fails or does not end."""
     with running(command, environment, cpus) as process:
         try:
             out, err = process.communicate(timeout=seconds + _PATIENCE_S)
@@ -93,7 +93,7 @@ def python(job: Mapping[str, Any]) -> list[str]:
 
 
 def _in_child(cpus: Iterable[int]) -> Callable[[], None]:
-    """What a child does before it becomes the program."""
+    """Returns the function that a child runs before it becomes the program."""
 
     def prepare() -> None:
         _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)

@@ -1,4 +1,4 @@
-"""What was measured: one number a record, from which tables, pictures and files are made."""
+"""Measured numbers, one per record, from which tables, pictures and files are made."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ORDINARY, FIFO = "ordinary", "SCHED_FIFO"
 
 @dataclass(frozen=True)
 class Case:
-    """What is compared with what: one row of a part's table."""
+    """Conditions of a comparison: one row of a part's table."""
 
     part: str
     load: str = NO_LOAD
@@ -34,7 +34,7 @@ class Record:
 
 
 def as_row(record: Record) -> dict[str, object]:
-    """As it is written to a file."""
+    """Returns the row of a record in a file."""
     return {**asdict(record.case), "round": record.round, "peer": record.peer} | {
         "quantity": record.quantity,
         "value": record.value,

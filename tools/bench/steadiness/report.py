@@ -98,7 +98,7 @@ def _late(records: Records) -> Iterator[list[str]]:
 
 
 def _early_ends(records: Records, part: str) -> Iterator[str]:
-    """What a table of rates would not tell: that a loop did not last."""
+    """Yields the early ends of loops, which a table of rates does not show."""
     for case in records.cases(part):
         for peer in (C, COMPILED, PORTABLE):
             ended = records.values(case, peer, "ended_early")

@@ -17,21 +17,22 @@ Quantiles = dict[str, float | None]
 
 
 def compiled_lateness(rate_hz: int, seconds: float, fifo: bool, cpu: int) -> Quantiles:
-    """Of hapsim's own sleep, in a process of its own."""
+    """Returns the wake-up latency of hapsim's own sleep, in a process of its own."""
     job = {"do": "wakeups", "rate_hz": rate_hz, "seconds": seconds, "priority": PRIORITY if fifo else 0, "cpu": cpu}
     return _in_us(json_of(python(job), seconds))
 
 
 def c_lateness(program: Path, rate_hz: int, seconds: float, fifo: bool, cpu: int) -> Quantiles:
-    """Of the C loop's sleep."""
+    """Returns the wake-up latency of the C loop's sleep."""
     options = ["--fifo", str(PRIORITY)] if fifo else []
     return _in_us(json_of([str(program), *options, "sleep", str(rate_hz), str(seconds)], seconds, cpus={cpu}))
 
 
 def cyclictest_lateness(rate_hz: int, seconds: float, fifo: bool, cpu: int, directory: Path) -> Quantiles:
-    """As cyclictest tells it, in whole µs. A bin's upper end counts, as with the others.
+    """Returns the wake-up latency that cyclictest reports, in whole µs. A bin counts as its upper end, as for the
+    others.
 
-    Left to itself it runs as its peers are made to: it sleeps to an absolute time of the monotonic clock, holds
+    Its options give it the conditions of its peers: it sleeps to an absolute time of the monotonic clock, holds
     /dev/cpu_dma_latency at 0, keeps its thread on one processor and locks no memory.
     """
     told = directory / "cyclictest.json"
@@ -50,7 +51,7 @@ def cyclictest_lateness(rate_hz: int, seconds: float, fifo: bool, cpu: int, dire
 
 
 def has_cyclictest() -> bool:
-    """Whether it is installed."""
+    """Returns whether cyclictest is installed."""
     return shutil.which("cyclictest") is not None
 
 

@@ -1,4 +1,4 @@
-"""What else simulates a string of masses and visco-elastic links, one peer a file.
+"""Other simulators of a string of masses and visco-elastic links, one peer per file.
 
 C stencil, alone and with a hand    `c_stencil.py`. Written for this string and no other. Wants a C compiler, `cc`.
 C network                           `c_network.py`. Any network, links by their ends' numbers, a hand among its points.

@@ -1,10 +1,10 @@
-"""What each peer makes of a string: the processor time of a simulated second, and how far its modes ring off.
+"""Processor time of a simulated second of a string, and the error of its modes, for each peer.
 
     PYTHONPATH=. python -m speed.peers [--string 100] [--rate 10000] [--modes 1 3 10] [--rounds 3]
                                          [--only WORD ...] [--spring] [--json]
 
-The string weighs 5 g, rings at 20 Hz, with a damping ratio of 1e-4. `--only` keeps the peers whose names have one of
-the words. `--spring` measures a hand on one spring in C instead.
+The string weighs 5 g and its pitch is 20 Hz, with a damping ratio of 1e-4. `--only` selects the peers whose names have
+one of the words. `--spring` measures a hand on one spring in C instead.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class CSpring:
         return cost_of(self.advancing(), self._rate, rounds)
 
     def advancing(self) -> Callable[[int], None]:
-        """What simulates so many samples, the hand moving."""
+        """Returns a function that simulates a number of samples while the hand moves."""
         motion, forces = hand_motion(_BLOCK, self._rate), np.zeros(_BLOCK)
         there, back, state = pointer(motion), pointer(forces), byref(self._state)
 

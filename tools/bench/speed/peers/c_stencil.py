@@ -45,7 +45,7 @@ class CStencil:
         return cost_of(run.with_hand if self.hand else run.alone, rate, rounds)
 
     def frequencies(self, string: StringOfMasses, rate: float, modes: Sequence[int]) -> list[float]:
-        """With a hand, its link is there but without stiffness and damping."""
+        """Returns the frequencies of modes, Hz. A hand's link has no stiffness and damping here."""
         run = self.running(string, rate)
 
         def record(shape: NDArray[np.float64], samples: int) -> NDArray[np.float64]:

@@ -86,7 +86,7 @@ class RunningFaust:
         self._library.faust_delete(self._made)
 
     def advance(self, samples: int) -> None:
-        """What comes in repeats itself after a block."""
+        """Simulates a number of samples. The input repeats after a block."""
         compute, made, there, back = self._library.faust_compute, self._made, self._in, self._out
         for begin in range(0, samples, _BLOCK):
             compute(made, min(_BLOCK, samples - begin), there, back)
@@ -104,7 +104,7 @@ class RunningFaust:
         return np.concatenate(motion)
 
     def run(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What comes out while `signal` comes in, from rest; shape (samples,) both, one wire."""
+        """Returns the response to `signal` from rest; shape (samples,) both, one wire."""
         self._library.faust_clear(self._made)
         there, back = signal.reshape(1, -1).astype(np.float64), np.zeros((1, signal.size))
         self._library.faust_compute(self._made, signal.size, _wires(there), _wires(back))

@@ -12,7 +12,7 @@ from hapsim.speed_accuracy.strings import StringOfMasses, hand_link, held_mass
 
 
 class Drive(Enum):
-    """What goes into the program and what comes out."""
+    """Inputs and outputs of the program."""
 
     HAND = "a hand's position in, the force on it out"
     ONE = "a force on one mass in, the position of that mass out"
@@ -92,7 +92,7 @@ def _to_links(string: StringOfMasses, drive: Drive) -> str:
 
 
 def _kept(forces: int, hand: bool) -> str:
-    """Of the links' forces only the one on the hand comes out, the first end's of the last link."""
+    """Selects the output: with a hand only the force on it, at the first end of the last link."""
     return f"par(i, {forces - 2}, !), _, !" if hand else f"par(i, {forces}, !)"
 
 

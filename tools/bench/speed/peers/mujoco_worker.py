@@ -38,7 +38,8 @@ def model_text(string: StringOfMasses, rate: float, integrator: str) -> str:
 
 
 def _tendon(string: StringOfMasses, link: int) -> str:
-    """Its length is how far the mass after it is from the mass before it; the ends of the string have none."""
+    """Returns a tendon. Its length is the distance from the mass before it to the mass after it; a string's end counts
+    as 0."""
     ends = [(link - 1, -1), (link, 1)]
     joints = "".join(f'<joint joint="x{mass}" coef="{sign}"/>' for mass, sign in ends if 0 <= mass < string.masses)
     return f'<fixed stiffness="{string.stiffness!r}" damping="{string.damping!r}" springlength="0 0">{joints}</fixed>'

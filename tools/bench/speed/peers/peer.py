@@ -1,4 +1,4 @@
-"""What every peer can be asked."""
+"""Interface of every peer."""
 
 from __future__ import annotations
 

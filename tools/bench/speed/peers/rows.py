@@ -1,4 +1,4 @@
-"""What a peer makes of a string, as one row of a table."""
+"""Results of a peer for a string, as one row of a table."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class SciPy:
         return "" if find_spec("scipy") else "There is no module scipy."
 
     def cost(self, string: StringOfMasses, rate: float, rounds: int) -> list[float]:
-        """From a pluck, so that every mode is there."""
+        """Measures from a pluck, which excites every mode."""
         start = string.plucked()
         return cost_of(lambda samples: self._run(string, rate, start, samples), rate, rounds)
 
@@ -48,7 +48,7 @@ class SciPy:
         samples: int,
         see: Callable[[NDArray[np.float64]], NDArray[np.float64]] = lambda rows: rows[:, 0],
     ) -> NDArray[np.float64]:
-        """What `see` makes of the displacements (samples + 1, N) from rest in `start`."""
+        """Returns `see` of the displacements (samples + 1, N), from rest in `start`."""
         from scipy.integrate import solve_ivp
 
         solution = solve_ivp(
@@ -64,12 +64,12 @@ class SciPy:
         return see(solution.y[0::2].T)
 
     def _options(self, masses: int) -> dict[str, Any]:
-        """Where the Jacobian is banded, a solver that may need it gets it."""
+        """Returns the solver's options: the Jacobian's bands, for a solver that may need them."""
         return {"lband": min(3, 2 * masses - 1), "uband": min(2, 2 * masses - 1)} if self._method == "LSODA" else {}
 
 
 def _derivative(string: StringOfMasses) -> Callable[[float, NDArray[np.float64]], NDArray[np.float64]]:
-    """Of the state x_1, v_1, x_2, v_2 ..., by one second difference of K x + B v."""
+    """Returns the derivative of the state x_1, v_1, x_2, v_2 ..., by one second difference of K x + B v."""
     per_mass = (string.stiffness / string.mass, string.damping / string.mass)
     pull = np.zeros(string.masses + 2)
 

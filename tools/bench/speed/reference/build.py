@@ -44,7 +44,7 @@ def build_c(name: str, *defines: str, plain: bool = False) -> Built:
 
 
 def compiler_words(compiler: str = "cc") -> str:
-    """Which one it is, and its options."""
+    """Returns the compiler's version and options."""
     first = (_output_of(compiler, "--version").splitlines() or ["none"])[0]
     return f"{first}, {' '.join(PLAIN_FLAGS)}"
 

@@ -25,5 +25,5 @@ def rows(count: int, points: int, at: int = 0) -> list[NDArray[np.float64]]:
 
 
 def pointer(array: NDArray[np.float64]) -> POINTER(c_double):  # type: ignore[valid-type]
-    """To the first item. The array has to be kept for as long as it is used."""
+    """Returns a pointer to the first item. The array must be kept as long as the pointer is used."""
     return array.ctypes.data_as(POINTER(c_double))
