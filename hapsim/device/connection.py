@@ -37,31 +37,31 @@ def _new_inbox() -> Any:
 
 @dataclass
 class Connection(Client):
-    """An open connection, which reads one format at a time. `name` is the port's for the user."""
+    """An open connection, which reads one format at a time. `name`: the port, as the user gave it."""
 
     transport: PythonTransport
     name: str
     close: Callable[[], None]
     baud: int | None = None
-    """Bit/s, where the port has a speed of its own."""
+    """Speed of the port, bit/s; None if it has none."""
     note: str = ""
-    """For the user: what could not be set when it was opened."""
+    """Note for the user about a setting that failed when the port was opened."""
     round_trip_s: float = 0.0
-    """The shortest time from a question to its answer while the device described itself; 0 before."""
+    """Shortest time from request to answer during the description, s; 0 before."""
     behind_port: bool = False
-    """Whether the device may have a timer and a hand of its own. A mock in this process has no hand, and is only as
+    """True if the device may have a timer and a hand of its own. A mock in this process has no hand, and is only as
     punctual as this machine."""
     mock: Any = None
-    """MOCK, where the device is the one in this process."""
+    """MOCK of this process; None for any other device."""
     inbox: Any = field(default_factory=_new_inbox)
-    """INBOX"""
+    """INBOX of received bytes."""
     _format: Format = SETUP
     _written: deque[bytes] = field(default_factory=lambda: deque(maxlen=_KEPT_FRAMES))
     _buffer: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(AT_ONCE, np.uint8))
 
     @property
     def decoder(self) -> Any:
-        """The fields of the last frame, and the counts of rejected ones."""
+        """Decoder, with the fields of the last frame and the counts of rejected frames."""
         return self.inbox.decoder
 
     def use_format(self, wire: Format) -> None:
@@ -70,19 +70,20 @@ class Connection(Client):
         use_format(self.decoder, wire)
 
     def send(self, frame: bytes) -> None:
-        """Sends a frame, outside of the loop. Raises DeviceError where the port does not take it."""
+        """Sends a frame outside the loop. Raises DeviceError if the port does not take it."""
         self._written.append(frame)
         if self.transport.send(frame) != 0:
             raise DeviceError(f"{self.name}: the port does not take what is written to it: is the device still there?")
 
     def take_written(self) -> bytes:
-        """Returns what `send` sent since the last call, at most 128 frames."""
+        """Returns the bytes that `send` sent since the last call, at most 128 frames."""
         written = b"".join(self._written)
         self._written.clear()
         return written
 
     def receive(self, timeout_s: float) -> list[Received]:
-        """Returns the next frame of the expected format, and decodes nothing behind it: that may be the loop's."""
+        """Returns the next frame of the expected format within `timeout_s`, else an empty list. Bytes behind the frame
+        are not decoded, since they may be the loop's. Raises DeviceError if the port is gone."""
         inbox, decoder = self.inbox, self.decoder
         give_up = self.clock.monotonic() + timeout_s
         while True:
@@ -95,7 +96,8 @@ class Connection(Client):
                 return []
 
     def receive_bytes(self, timeout_s: float) -> bytes:
-        """Returns what comes next, raw, past the inbox; b"" after this time. Raises DeviceError if the port is gone."""
+        """Returns the next raw bytes, without the inbox; b"" after the timeout. Raises DeviceError if the port is
+        gone."""
         count = self._checked_count(self.transport.receive(self._buffer, round(timeout_s * 1e9)))
         return self._buffer[:count].tobytes()
 
@@ -109,7 +111,8 @@ class Connection(Client):
 
 
 def describe(connection: Connection) -> Description:
-    """Returns the device's description of itself. DeviceError where nothing answers, or not in version 1."""
+    """Returns the device's description. Raises DeviceError if nothing answers, or DescriptionError for an unknown
+    protocol version, schema or count of channels."""
     registers = np.zeros(schema.REGISTERS, np.int64)
     # A device that stays quiet may still be armed, by a host that died.
     registers[schema.REG_VERSION] = read_register(
@@ -128,8 +131,8 @@ def describe(connection: Connection) -> Description:
 
 
 def read_register(connection: Connection, number: int, tries: int = client.TRIES, after_quiet: bytes = b"") -> int:
-    """Returns a register of a device that is not armed, as an unsigned 32-bit value. Raises DeviceError where nothing
-    answers; `tries`, `after_quiet`: of `Client.ask`."""
+    """Returns a register of an unarmed device, as an unsigned 32-bit value. `tries`, `after_quiet`: of `Client.ask`.
+    Raises DeviceError if nothing answers."""
     word = connection.register(number, tries, after_quiet)
     if word is not None:
         return word
@@ -171,9 +174,9 @@ def _require_same_protocol(connection: Connection, registers: Any) -> None:
 def arm(
     connection: Connection, description: Description, pacing: int, watchdog_samples: int, velocity: bool = False
 ) -> Format:
-    """Arms the device. Returns the format in which it then sends positions, with `velocity` also velocities.
+    """Arms the device. Returns the format of its positions, with `velocity` also of velocities.
 
-    DeviceError where it refuses, or answers everything but this. The counts of rejected frames begin anew.
+    Resets the counts of rejected frames. Raises DeviceError if the device refuses or does not answer.
     """
     answer, received = connection.arm(description, pacing, watchdog_samples, velocity=velocity, fits=_is_arming_answer)
     if answer is None:
@@ -187,7 +190,7 @@ def arm(
 
 
 def _is_arming_answer(status: Received) -> bool:
-    """Whether a STATUS says armed or why not; else it is a late answer to something before, perhaps an old fault."""
+    """Returns whether a STATUS answers ARM: armed, or the reason against it. Others are late answers or old faults."""
     old = (schema.NO_FAULT, schema.HOST_QUIET, schema.POSITION_OUT_OF_RANGE)
     return status.number == 0 and (status.state == schema.ARMED or status.fault not in old)
 
@@ -203,7 +206,7 @@ def _arming_problem(received: list[Received]) -> str:
 
 
 def _rejected_frames(connection: Connection) -> str:
-    """The rejected frames, in words that follow a sentence; "" where there were none."""
+    """Returns a phrase about rejected frames, to follow a sentence; "" if there were none."""
     decoder = connection.decoder
     frames = int(decoder.crc_errors + decoder.length_errors + decoder.form_errors)
     rejected = f"{frames} frames were rejected, and {int(decoder.garbage_bytes)} bytes belonged to none"
@@ -213,8 +216,8 @@ def _rejected_frames(connection: Connection) -> str:
 def disarm(connection: Connection, wire: Format) -> bool:
     """Makes the device release: zero force, at once. Returns whether a STATUS idle or latched confirmed it.
 
-    A dead port is no error here. It listens first: the loop has already sent DISARM. A device that has released (a
-    fault, its watchdog) listens to the set-up format, else to its own. After a second stop signal nothing is awaited.
+    A dead port is no error here. It first waits for the answer to the loop's DISARM. A device that has released by a
+    fault or its watchdog reads the set-up format, else its own. After a second stop signal it waits for nothing.
     """
     connection.use_format(SETUP)
     connection.armed = wire
@@ -240,10 +243,10 @@ def frames_rejected_by(connection: Connection) -> int | None:
 
 
 def has_restarted(connection: Connection) -> bool:
-    """Returns whether an unarmed device that took forces before has powered up since: then it counts none."""
+    """Returns whether an unarmed device that took forces has powered up since: its count of forces is 0."""
     return read_register(connection, schema.REG_ACCEPTED) == 0
 
 
 def fault_text(fault: int) -> str:
-    """Returns a device's fault in words."""
+    """Returns a phrase for a device's fault."""
     return schema.FAULTS.get(fault, f"fault {fault}, which version {schema.VERSION} of the protocol does not name")

@@ -14,18 +14,18 @@ from hapsim.loop.transport import PythonTransport
 from hapsim.scene import Scene
 
 TransportKind = Literal["auto", "mock", "loopback", "terminal"]
-"""auto: the scene's port, or the mock where it names none. mock: the mock whatever the scene says, in memory where the
-time is virtual and on a pseudo-terminal where it is real. loopback, terminal: the mock, there."""
+"""Choice of the device. auto: the scene's port, or the mock if the scene names none. mock: always the mock, in memory
+in virtual time and on a pseudo-terminal in real time. loopback, terminal: the mock in memory, on a pseudo-terminal."""
 
 Between = Callable[[PythonTransport], PythonTransport]
-"""Wraps the transport to a device, for the host."""
+"""Function that wraps the host's transport to a device."""
 
 Place = Literal["port", "terminal", "loopback"]
-"""Behind a port; or the mock: on a pseudo-terminal, or in memory."""
+"""Place of a device: behind a port; or the mock on a pseudo-terminal, or in memory."""
 
 
 def place_of_device(scene: Scene, kind: TransportKind = "auto", *, portable: bool = False) -> Place:
-    """Returns where the scene's device is. UsageError where it cannot be there."""
+    """Returns the place of the scene's device. Raises UsageError for an impossible place."""
     if kind == "auto" and scene.device.port is not None:
         return "port"
     virtual = scene.device.clock == "lockstep"
@@ -39,7 +39,7 @@ def place_of_device(scene: Scene, kind: TransportKind = "auto", *, portable: boo
 
 
 def require_possible_here(place: Place, *, portable: bool = False) -> None:
-    """Raises UsageError where a loop with its device there needs Linux, and this is another system."""
+    """Raises UsageError if a loop with its device at `place` needs Linux, and this is another system."""
     if place == "terminal":
         from hapsim.device.mock.terminal import require_pseudo_terminal
 
@@ -60,10 +60,10 @@ def open_connection(
     """Yields the connection to the scene's device, open inside the with-block.
 
     Args:
-        scene: it names the port, or the mock.
-        kind: where the device is.
+        scene: names the port, or the mock.
+        kind: choice of the device.
         portable: for the loop in Python.
-        realtime: a mock in real time runs before other programs, where the system grants that.
+        realtime: runs a mock in real time before other programs, if the system grants that.
         between: wraps the transport.
     """
     open_port = open_portable_port if portable else open_serial_port

@@ -1,10 +1,10 @@
-"""Ports: opening a device's serial port, links that the user chose for a pseudo-terminal, and devices met before.
+"""Ports: opening a device's serial port, links to pseudo-terminals under a user's name, and known devices.
 
-pyserial finds, configures and locks a port, which is then raw for the loop. It takes two locks: pyserial's is advisory,
-and the terminal's own does not stop root. The kernel ends both with the process, however it ends.
+pyserial finds, configures and locks a port, which is then raw for the loop. There are two locks, because pyserial's is
+advisory and the terminal's own does not stop root. The kernel releases both when the process ends.
 
-A program that is killed leaves its link behind. Call `free_name` before opening a pseudo-terminal: the system reuses
-the number of a closed one, and an old link would then seem to lead to a port in use.
+A killed program leaves its link behind. Call `free_name` before opening a pseudo-terminal: the system reuses the number
+of a closed one, and an old link would then seem to lead to a port in use.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _PSEUDO_TERMINAL = re.compile(r"/dev/pts/\d+")
 
 
 def free_name(name: Path | None) -> None:
-    """Removes a link to a closed pseudo-terminal. UsageError where the name is taken by anything else."""
+    """Removes a link to a closed pseudo-terminal. Raises UsageError if anything else has that name."""
     if name is None or not os.path.lexists(name):
         return
     link = link_target(name)
@@ -39,8 +39,8 @@ def free_name(name: Path | None) -> None:
 
 @contextlib.contextmanager
 def link_to(name: Path | None, port: str) -> Iterator[str]:
-    """Makes `name` a link to `port` while open, and yields the port's name: the link, or without one its own. A link
-    that leads elsewhere by then is not removed. UsageError where no link can be made."""
+    """Makes `name` a link to `port` while open. Yields the link, or `port` without a name. A link that has changed
+    since is not removed. Raises UsageError if no link can be made."""
     if name is None:
         yield port
         return
@@ -55,10 +55,10 @@ def link_to(name: Path | None, port: str) -> Iterator[str]:
 
 
 def open_pseudo_terminal(of: str, instead: str) -> tuple[int, int]:
-    """Opens a pseudo-terminal: its near and its far end, raw before any program can open it, non-blocking.
+    """Opens a pseudo-terminal. Returns its near and far end, raw before any program can open it, non-blocking.
 
-    The far end has to stay open too: otherwise every close of a host would read as a hang-up. DeviceError where the
-    system has none left; `of`: whose it is, `instead`: what needs none, for its sentence.
+    The far end must stay open: otherwise every close of a host would read as a hang-up. Raises DeviceError if the
+    system has none left. `of`, `instead`: words of that error for the owner and for the alternative.
     """
     import tty
 
@@ -75,7 +75,7 @@ def open_pseudo_terminal(of: str, instead: str) -> tuple[int, int]:
 
 
 def link_target(name: str | Path) -> str | None:
-    """Returns the target of a symbolic link; None where there is no link."""
+    """Returns the target of a symbolic link; None if `name` is no link."""
     try:
         return os.readlink(name)
     except (OSError, ValueError):
@@ -93,7 +93,7 @@ def _link_errors(name: Path) -> Iterator[None]:
 
 
 def state_directory() -> Path:
-    """Returns $XDG_STATE_HOME/hapsim, by default under ~/.local/state. OSError where the user has no home."""
+    """Returns $XDG_STATE_HOME/hapsim, by default under ~/.local/state. Raises OSError if the user has no home."""
     state = os.environ.get("XDG_STATE_HOME", "")
     try:
         return (Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state") / "hapsim"
@@ -103,10 +103,10 @@ def state_directory() -> Path:
 
 
 def is_first_use(port: str) -> bool:
-    """Returns whether this user meets the device at `port` for the first time, and remembers it.
+    """Returns whether this user uses the device at `port` for the first time, and records it.
 
-    A device is known by its serial number, or else by the port's name. Where there is none, or nothing can be written,
-    no device is new.
+    A device is known by its serial number, or else by the port's name. False without a device, or if nothing can be
+    written.
     """
     from serial.tools import list_ports
 
@@ -133,14 +133,14 @@ _WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose interpreter may be held up
 
 
 def open_serial_port(path: str, baud: int) -> Connection:
-    """Opens a port at `baud` bit/s for the compiled loop. DeviceError, with the remedy, where that fails."""
+    """Opens a port at `baud` bit/s for the compiled loop. Raises DeviceError, with the remedy, if that fails."""
     port = _open(path, baud)
     _make_raw(port.fileno())
     return _connection(port, descriptor_transport(port.fileno()))
 
 
 def open_portable_port(path: str, baud: int) -> Connection:
-    """Opens a port at `baud` bit/s for the portable loop. DeviceError, with the remedy, where that fails."""
+    """Opens a port at `baud` bit/s for the portable loop. Raises DeviceError, with the remedy, if that fails."""
     from hapsim.loop.portable import PortableTransport
 
     port = _open(path, baud)
@@ -154,7 +154,7 @@ def _connection(port: Any, transport: PythonTransport) -> Connection:
 
 @contextlib.contextmanager
 def raw_port(path: str, baud: int) -> Iterator[int]:
-    """Yields the descriptor of an open port: raw, locked, non-blocking. DeviceError, with the remedy, where that
+    """Yields the descriptor of an open port: raw, locked, non-blocking. Raises DeviceError, with the remedy, if that
     fails."""
     with contextlib.closing(_open(path, baud)) as port:
         _make_raw(port.fileno())
@@ -182,7 +182,7 @@ def serial_ports() -> list[dict[str, str]]:
 
 
 def _make_raw(descriptor: int) -> None:
-    """Sets VMIN = 1, so that an empty port reads as EAGAIN and only a hang-up as empty."""
+    """Sets VMIN = 1: an empty port then reads as EAGAIN, and only a hang-up as empty."""
     import fcntl
     import termios
 
@@ -191,13 +191,13 @@ def _make_raw(descriptor: int) -> None:
     attributes[6][termios.VTIME] = 0
     termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
     if os.major(os.fstat(descriptor).st_rdev) in _PSEUDO_TERMINALS:
-        return  # its other side keeps it open, and exclusive: only root could open it again
+        return  # the other side keeps it open: after TIOCEXCL only root could open it again
     with contextlib.suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
 
 
 def _set_low_latency(port: Any) -> bool:
-    """Asks the driver not to gather bytes (FTDI: 16 ms by default); whether it can."""
+    """Requests that the driver does not gather bytes (FTDI: 16 ms by default). Returns whether it can."""
     try:
         port.set_low_latency_mode(True)
     except (ValueError, OSError, AttributeError):
@@ -205,7 +205,7 @@ def _set_low_latency(port: Any) -> bool:
     return True
 
 
-_BUSY = ("exclusively lock", "busy", "PermissionError(13, 'Access is denied.'")  # the last is how Windows says it
+_BUSY = ("exclusively lock", "busy", "PermissionError(13, 'Access is denied.'")  # the last is Windows' message
 
 
 def _opening_error(path: str, baud: int, error: Exception) -> str:
@@ -233,7 +233,7 @@ def _opening_error(path: str, baud: int, error: Exception) -> str:
 
 
 def port_holders(path: str) -> str:
-    """Returns the processes that hold `path`, in words that follow a colon; "" where none was found.
+    """Returns the processes that hold `path`, as words after a colon; "" if none is found.
 
     Linux shows every lock to everyone, but open files only to their user and root.
     """
@@ -248,7 +248,8 @@ def port_holders(path: str) -> str:
 
 
 def _lock_holders(port: os.stat_result) -> list[str]:
-    """The processes with a lock on this file, of lines like `1: FLOCK  ADVISORY  WRITE 2461 00:1a:3 0 EOF`."""
+    """Returns the processes with a lock on this file, from lines like `1: FLOCK  ADVISORY  WRITE 2461 00:1a:3 0
+    EOF`."""
     where = f"{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}"
     with contextlib.suppress(OSError):
         lines = map(str.split, (_PROC / "locks").read_text("ascii", "replace").splitlines())
@@ -257,7 +258,7 @@ def _lock_holders(port: os.stat_result) -> list[str]:
 
 
 def _open_holders(port: str) -> list[str]:
-    """The readable processes that have this file open."""
+    """Returns the readable processes that have this file open."""
     found = []
     for process in _PROC.glob("[0-9]*"):
         with contextlib.suppress(OSError):  # another user's, or it has ended

@@ -1,8 +1,8 @@
-"""The mock's firmware, compiled: what a microcontroller does with the bytes of the protocol.
+"""The mock's firmware, compiled: it handles the protocol's bytes as a microcontroller does.
 
-A state machine of three events: bytes arrived (`take_bytes`), a sample is due (`take_sample`), the watchdog is checked
-(`check_watchdog`). Its answers go to its outbox. Each event is called by its address, so that the mock in memory and
-the one on a pseudo-terminal share compiled code.
+It is a state machine of three events: bytes arrived (`take_bytes`), a sample is due (`take_sample`), the watchdog is
+checked (`check_watchdog`). Its answers go to its outbox. Each event is called by its address, so that the mock in
+memory and the one on a pseudo-terminal share compiled code.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ BOARD = np.dtype(
         ("n", np.int64),  # the current sample
         ("answered", np.int64),  # the sample that the newest accepted force answers
         ("expires", np.int64),  # the last sample in which that force may act
-        ("accepted", np.int64),  # the sample in which a force was last accepted
+        ("accepted", np.int64),  # the sample in which the last force was accepted
         ("accepted_ns", np.int64),
         ("sampled_ns", np.int64),
         ("lives", np.float64),  # s of the current sample for which a force may act, paced by the host
@@ -72,7 +72,7 @@ CALLED = np.dtype(
     ],
     align=True,
 )
-"""Addresses of the functions that the mock calls."""
+"""Addresses of functions that the mock calls."""
 
 _EACH = (schema.MAX_CHANNELS,)
 FORCE_UNDER_WAY = np.dtype([("number", np.int64), ("argument", np.int64), ("counts", np.int64, _EACH)], align=True)
@@ -100,24 +100,24 @@ MOCK = np.dtype(
         ("late_samples", np.int64),  # that a force spends on the wire in virtual time
         ("under_way", FORCE_UNDER_WAY, (MOST_LATE + 1,)),  # by the sample in which it was sent
         ("chance", CHANCE),  # the share of forces that never arrive; seed and state of the generator
-        ("grips", GRIP, (MOST_GRIPS + 1,)),  # from which sample the bodies have which mass (kg); the last never comes
-        ("gripped", np.int64),  # how many of them are over
+        ("grips", GRIP, (MOST_GRIPS + 1,)),  # mass of the bodies (kg) from a sample on; the last never comes
+        ("gripped", np.int64),  # count of past grips
         ("byte_ns", np.float64),  # of a byte on the wire, in real time
         ("turnaround_ns", np.float64),  # before the first byte of an answer
         ("hand", np.uint64),  # address of a LIVE_HAND; 0: the hand has not changed yet
-        ("recorded", np.uint64),  # address of a RECORDED, whose positions it sends in place of its own; 0: none
+        ("recorded", np.uint64),  # address of a RECORDED, whose positions are sent in place of its own; 0: none
         ("address", np.uint64),  # of this record
         ("called", CALLED),
     ],
     align=True,
 )
-"""The whole mock: its bodies (one per channel), converters, history of commands, registers and bytes."""
+"""The mock: its bodies (one per channel), converters, history of commands, registers and bytes."""
 
 mock_at, _framing_at, _bytes_at = record_at(MOCK), record_at(FRAMING), array_at(np.uint8)
 
 call_take_bytes = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
 call_event = function_at(types.void(types.uint64, types.int64))
-"""Call the events from compiled code, with the mock's address and the time in ns."""
+"""Calls an event from compiled code, with the mock's address and the time in ns."""
 
 _call_read = function_at(types.int64(types.uint64, types.uint64, types.int64, types.int64))
 call_put_frame = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
@@ -125,14 +125,14 @@ call_put_frame = function_at(types.void(types.uint64, types.uint64, types.int64,
 
 @native(types.int64, types.uint64, types.uint64, types.int64, types.int64)
 def _read(mock, data, start, stop):
-    """Returns where the next frame in data[start:stop] ends, which is then in the decoder; -1 where there is none."""
+    """Decodes the next frame in data[start:stop]. Returns its end; -1 if there is none."""
     at, found = next_frame(mock_at(mock).decoder, _bytes_at(data, stop), start, stop)
     return at if found else -1
 
 
 @native(types.void, types.uint64, types.uint64, types.int64, types.int64)
 def _put_frame(mock, framing, kind, number):
-    """Puts a frame with the counts into the outbox. A full outbox loses it, as a wire does."""
+    """Puts a frame with the counts into the outbox. A full outbox drops it, as a wire does."""
     mock = mock_at(mock)
     if mock.board.out + _LONGEST_ANSWER <= mock.outbox.size:
         framing = _framing_at(framing)
@@ -184,7 +184,7 @@ def _take_sample(mock, now):
             move(mock.called.move, body, 0.0, h - acts)
         position = sample(body, converter, h)
         _put_channel(mock, c, position, sample_velocity(body, converter, h) if board.velocity else 0.0)
-    if acts < h:  # with the time to live, the commands still on their way are over
+    if acts < h:  # the time to live also ends the commands that have not acted yet
         for row in range(mock.depth):
             if row != board.n % mock.depth:
                 mock.commands[row, :] = 0.0
@@ -194,7 +194,8 @@ def _take_sample(mock, now):
 
 @native(types.void, types.uint64, types.int64)
 def _check_watchdog(mock, now):
-    """Latches where the host is quiet for too long, in samples. Lockstep has none then: there it waits in real time."""
+    """Latches if the host is quiet for too many samples. A silent host makes no samples in lockstep: that waits in real
+    time."""
     mock = mock_at(mock)
     board = mock.board
     quiet, most = board.n - board.accepted, board.watchdog
@@ -233,8 +234,8 @@ def _take_force(mock, now):
 
 @native(types.void, types.uint64, types.int64)
 def take_late_force(mock, now):
-    """In virtual time, over a wire longer than a sample: sends this force, and acts on the one sent `late_samples`
-    before. Where none arrives, the sample ends without."""
+    """Puts a force on a wire longer than a sample, in virtual time, and acts on the one sent `late_samples` before. If
+    none arrives, the sample ends without a force."""
     address, mock = mock, mock_at(mock)
     board, decoder, n = mock.board, mock.decoder, mock.board.n
     if board.pacing != schema.LOCKSTEP:
@@ -259,9 +260,9 @@ def _copy_force(source, target):
 
 @helper
 def _decide_command(mock):
-    """Settles the command of the current sample. Returns whether the force that answers it arrived in time.
+    """Sets the command of the current sample. Returns whether the force that answers it arrived in time.
 
-    Without one, a force that is held goes on until its time to live is over; an impulse is given once.
+    Without one, a held force continues until its time to live ends; an impulse is given once.
     """
     board = mock.board
     row, before = board.n % mock.depth, (board.n - 1) % mock.depth
@@ -278,7 +279,7 @@ def _decide_command(mock):
 
 @helper
 def _put_channel(mock, channel, position, velocity):
-    """Puts a channel into the next frame. A velocity that does not fit its scale stops at the end: no fault."""
+    """Puts a channel into the next frame. A velocity beyond its scale saturates, without a fault."""
     converter = mock.converters[channel]
     counts, fits = to_counts(position, converter.quantum)
     mock.counts[channel] = counts
@@ -316,7 +317,7 @@ def _put_status(mock, framing):
 
 @helper
 def _describe(mock):
-    """Answers with one register; one that does not exist reads 0."""
+    """Answers with one register; an unknown register reads 0."""
     number, decoder = mock.decoder.number, mock.decoder
     mock.registers[schema.REG_FAULT] = mock.board.fault
     mock.registers[schema.REG_REJECTED] = decoder.crc_errors + decoder.length_errors + decoder.form_errors
@@ -327,7 +328,7 @@ def _describe(mock):
 
 @helper
 def _refusal(mock, pacing, velocity):
-    """The fault that keeps the device from arming, or NO_FAULT."""
+    """Returns the fault that prevents arming, or NO_FAULT."""
     if mock.decoder.counts[0] & 0xFFFFFFFF != schema.SCHEMA_HASH:
         return schema.WRONG_SCHEMA
     if pacing > schema.LOCKSTEP or not mock.registers[schema.REG_PACINGS] >> pacing & 1:
@@ -341,7 +342,7 @@ def _refusal(mock, pacing, velocity):
 
 @helper
 def _arm(mock, now):
-    """Begins at sample 0, from the initial state; sends STATUS, and then speaks the armed format."""
+    """Arms: begins at sample 0 from the initial state, sends STATUS, and then uses the armed format."""
     board, decoder = mock.board, mock.decoder
     pacing, velocity = decoder.argument & (schema.WITH_VELOCITY - 1), decoder.argument & schema.WITH_VELOCITY
     board.fault = _refusal(mock, pacing, velocity)
@@ -374,7 +375,7 @@ def _arm(mock, now):
 
 @helper
 def disarm(mock, state):
-    """Sets every force to zero, at once, and listens for the setup format."""
+    """Sets every force to zero at once, and expects the setup format."""
     mock.board.state = state
     mock.commands[: mock.depth] = 0.0
     use_framing(mock.decoder, mock.host_formats.setup)
@@ -382,7 +383,7 @@ def disarm(mock, state):
 
 @helper
 def _fail(mock, fault):
-    """Latches: the force is zero until the host arms again. The STATUS goes out in the format of before."""
+    """Latches: the force is zero until the host arms again. Sends the STATUS in the armed format."""
     mock.board.fault = fault
     mock.board.state = schema.LATCHED
     _put_status(mock, _armed(mock, mock.mock_formats))
@@ -390,17 +391,17 @@ def _fail(mock, fault):
 
 
 def take_bytes(mock: Any, data: NDArray[np.uint8], stop: int, now: int) -> None:
-    """Handles bytes data[:stop] of the host at time `now` (ns); at most INPUT_BYTES of them."""
+    """Handles the host's bytes data[:stop], at most INPUT_BYTES, at time `now` (ns)."""
     _take_bytes(address_of(mock), data.ctypes.data, stop, now)
 
 
 def take_sample(mock: Any, now: int) -> None:
-    """Ends the current sample at time `now`: moves the bodies through it and sends their positions."""
+    """Ends the current sample at time `now` (ns): moves the bodies through it and sends their positions."""
     _take_sample(address_of(mock), now)
 
 
 def check_watchdog(mock: Any, now: int) -> None:
-    """Latches the force at zero where the host has been quiet for longer than its watchdog allows."""
+    """Latches the force at zero if the host has been quiet for longer than its watchdog allows. `now`: ns."""
     _check_watchdog(address_of(mock), now)
 
 
@@ -412,13 +413,13 @@ FUNCTIONS = {
     "read": _read,
     "put_frame": _put_frame,
 }
-"""By their names in CALLED."""
+"""Functions by their names in CALLED."""
 
 
 def prepare(mock: Any) -> None:
-    """Sets the addresses in a mock that stays where it is, before its first event."""
+    """Sets the addresses in a mock before its first event. The mock must then stay at its place in memory."""
     mock.address = address_of(mock)
     for name, function in (FUNCTIONS | {"take_force": FUNCTIONS["act_on_force"]}).items():
-        if not mock.called[name]:  # else another stands before it
+        if not mock.called[name]:  # else another function wraps it
             mock.called[name] = function.address()
     mock.called.move = move_of(mock.initial[: mock.channels])

@@ -5,12 +5,12 @@
 F and its slope s are commanded; P, the hand's push, is constant. b0 and k0 are those of device and hand together. The
 spring's rest position is x = 0.
 
-Whatever the interval, position, velocity and the integral of the position are exact to rounding. The instant at which
-Coulomb friction brings the mass to rest has a closed form too; it then sticks, or sets off again. Only a ramp under
-Coulomb friction is replaced by `_SLICES` level forces.
+Position, velocity and the integral of the position are exact to rounding over any interval. The instant at which
+Coulomb friction brings the mass to rest also has a closed form; the mass then sticks, or sets off again. Only a ramp
+under Coulomb friction is replaced by `_SLICES` level forces.
 
 Bodies move by a function behind an address (`move_of`), so that a device without spring and dry friction does not
-compile them.
+compile their code.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def _spring_phi(u, w):
 
 @helper
 def _phi_by_series(u, w):
-    """For u, w up to 4 and any discriminant: downwards from a negligible phi[n], scaled by n! to terms of order 1."""
+    """Returns phi1 to phi4 for u, w up to 4 and any discriminant: downwards from a negligible phi[n], scaled by n!."""
     nearer, farther = 0.0, 0.0
     for n in range(22 if u + w <= 1.0 else 42, 2, -1):
         nearer, farther = 1.0 - (u * nearer + w * farther / (n + 2)) / (n + 1), nearer
@@ -110,8 +110,8 @@ def _phi_by_series(u, w):
 
 @helper
 def _phi_of_two_rates(u, w, root):
-    """Two real decays, the faster at least twice the slower: their divided difference. The slower one, u/2 - root, is
-    written without that difference: it goes to zero with the spring."""
+    """Returns phi1 to phi4 for two real decays, the faster at least twice the slower, as their divided difference. The
+    slower one, u/2 - root, is computed without that difference: it goes to zero with the spring."""
     fast = 0.5 * u + root
     slow = w / fast
     fast1, fast2, fast3, _ = _phi(fast)
@@ -123,7 +123,7 @@ def _phi_of_two_rates(u, w, root):
 
 @helper
 def _phi_of_a_swing(u, w, discriminant):
-    """A decaying oscillation, or two close or equal decays with w > 3: by the recursion upwards."""
+    """Returns phi1 to phi4 for a decaying oscillation, or two close or equal decays with w > 3, by upward recursion."""
     if discriminant < 0.0:
         root = math.sqrt(-discriminant)
         decay = math.exp(-0.5 * u)
@@ -146,7 +146,8 @@ def _swing(body, force, h):
 
 @helper
 def _time_to_rest(body, force):
-    """When the velocity crosses zero under a constant total force, without a spring; infinity where it never does."""
+    """Returns the time (s) at which the velocity crosses zero under a constant total force, without a spring; infinity
+    if it never does."""
     if not body.velocity * force < 0.0:
         return math.inf
     u = -body.friction * body.velocity / force
@@ -158,7 +159,8 @@ def _time_to_rest(body, force):
 
 @helper
 def _swing_to_rest(body, force, direction):
-    """When a mass on the spring, moving in `direction` or about to, next comes to rest; infinity where it never does.
+    """Returns the time (s) at which a mass on the spring, moving in `direction` or about to, next comes to rest;
+    infinity if it never does.
 
     v = exp(-d t) (|v(0)| C - (d |v(0)| + braking) S) in that direction, with d = b0/2m and either C, S = cos w t,
     sin(w t)/w, zero at tan w t = w |v(0)| / (d |v(0)| + braking), or the same with cosh, sinh and tanh.
@@ -183,8 +185,8 @@ def _swing_to_rest(body, force, direction):
 def _move_with_stops(body, force, h):
     """Moves a body under a level force and Coulomb friction.
 
-    On a spring half a period passes between two stops. A mass that has not stuck after `_MAX_STOPS` hardly feels the
-    friction: the rest of the interval is without it.
+    On a spring half a period passes between two stops. On a mass that has not stuck after `_MAX_STOPS` friction has
+    little effect: the rest of the interval is computed without it.
     """
     for _ in range(_MAX_STOPS):
         pull = force - body.stiffness * body.position
@@ -222,14 +224,14 @@ def move(how, body, force, h):
 
 @native(_MOVE.return_type, *_MOVE.args)
 def move_gliding(body, force, h):
-    """Without a spring and Coulomb friction."""
+    """Moves a body without spring and Coulomb friction."""
     body = _body_at(body)
     _advance(body, force + body.push, h, _phi(body.friction / body.mass * h))
 
 
 @native(_MOVE.return_type, *_MOVE.args)
 def move_with_spring_or_friction(body, force, h):
-    """With either, both or none."""
+    """Moves a body with or without a spring and Coulomb friction."""
     body = _body_at(body)
     force += body.push
     if body.coulomb == 0.0:
@@ -243,6 +245,6 @@ def move_with_spring_or_friction(body, force, h):
 
 
 def move_of(bodies: NDArray[np.void]) -> int:
-    """Returns the address of what moves these bodies, BODY."""
+    """Returns the address of the function that moves these bodies, an array of BODY."""
     gliding = not (bodies["stiffness"].any() or bodies["coulomb"].any())
     return (move_gliding if gliding else move_with_spring_or_friction).address()

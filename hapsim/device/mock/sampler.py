@@ -1,7 +1,7 @@
-"""The mock's converters: when a commanded force acts on the body, and what is measured of its position and velocity.
+"""The mock's converters: the hold and delay of a commanded force, and the measurement of position and velocity.
 
-Command c[n], decided during sample n, acts from (n + delay) T on, as its hold says. With delay = D + phi, sample n sees
-for its first phi T the pieces of c[n-D-1] and earlier ones, and for the rest those of c[n-D] with them.
+Command c[n], decided during sample n, acts from (n + delay) T on, shaped by its hold. With delay = D + phi, the first
+phi T of sample n has the pieces of c[n-D-1] and earlier commands; the rest also has those of c[n-D].
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from hapsim.holds import HOLDS, Piece
 MOST_PIECES, MOST_AGES = 6, 4
 
 SAMPLINGS = {"ideal": 0.0, "average": 1.0}
-"""By a scene's names for it, the window over which the position is averaged: in sample periods, ending with the sample;
-0: the position at the instant."""
+"""Window over which the position is averaged, in sample periods, ending with the sample, by the scene's names; 0: the
+position at the instant."""
 
 PIECE = np.dtype(
     [
@@ -28,7 +28,7 @@ PIECE = np.dtype(
         ("impulse", np.float64, (MOST_AGES,)),
         ("level", np.float64, (MOST_AGES,)),
         ("slope", np.float64, (MOST_AGES,)),
-        ("opens", np.int64),  # whether the window opens with it
+        ("opens", np.int64),  # 1: the window opens with it
     ],
     align=True,
 )
@@ -39,7 +39,7 @@ CONVERTER = np.dtype(
         ("whole_delay", np.int64),  # D
         ("pieces", PIECE, (MOST_PIECES,)),
         ("pieces_in_use", np.int64),
-        ("ages", np.int64),  # the number of commands that they weigh
+        ("ages", np.int64),  # the number of weighted commands
         ("keeps_last_force", np.int64),
         ("window", np.float64),  # of SAMPLINGS
         ("quantum", np.float64),  # m per count
@@ -53,7 +53,7 @@ CONVERTER = np.dtype(
 
 
 def set_timing(converter: Any, hold: str, sampling: str, delay: float) -> int:
-    """Sets hold, delay (sample periods) and sampling of a CONVERTER. Returns the samples of commands that it needs."""
+    """Sets hold, delay (sample periods) and sampling of a CONVERTER. Returns the number of commands to keep."""
     whole, window = math.floor(delay), SAMPLINGS[sampling]
     before, after = _split(HOLDS[hold].pieces(delay - whole), 1.0 - window)
     pieces = before + after
@@ -69,7 +69,7 @@ def set_timing(converter: Any, hold: str, sampling: str, delay: float) -> int:
 
 
 def _split(pieces: list[Piece], at: float) -> tuple[list[Piece], list[Piece]]:
-    """The pieces of some duration before and after the time `at` in the sample (sample periods)."""
+    """Returns the pieces before and after the time `at` in the sample (sample periods), without empty ones."""
     before: list[Piece] = []
     after: list[Piece] = []
     begin = 0.0
@@ -119,7 +119,7 @@ def sample(body, converter, h):
 
 @helper
 def first_sample(body, converter):
-    """Returns the measured position at the start, a mean along the free motion before. Restarts the noise."""
+    """Returns the measured position at the start, in m, a mean along the free motion before. Restarts the noise."""
     converter.state = converter.seed
     position = body.position
     if converter.window > 0.0:
@@ -131,7 +131,7 @@ def first_sample(body, converter):
 def sample_velocity(body, converter, h):
     """Returns the measured velocity, in m/s, at the end of a sample that lasted `h` seconds.
 
-    It is that of the motion so far, without a force that changes now or an impulse.
+    It belongs to the motion so far, before a change of the force or an impulse at this instant.
     """
     velocity = body.velocity
     if converter.window > 0.0:
@@ -141,13 +141,13 @@ def sample_velocity(body, converter, h):
 
 @helper
 def first_velocity(body, converter):
-    """Returns the measured velocity at the start, after the position."""
+    """Returns the measured velocity at the start, in m/s. Call it after `first_sample`."""
     return body.velocity + _noise(converter) / converter.period
 
 
 @helper
 def to_counts(value, quantum):
-    """Returns (counts, whether they fit 32 bits); a value that does not fit stops at the end of the scale."""
+    """Returns (counts, whether they fit 32 bits); other values saturate at the end of the scale."""
     counts = np.rint(value / quantum)
     if not abs(counts) < 2147483648.0:
         return np.int64(math.copysign(2147483647.0, counts)), False
@@ -156,7 +156,7 @@ def to_counts(value, quantum):
 
 @helper
 def _noise(converter):
-    """A normal value of two uniform ones (Box and Muller)."""
+    """Returns a normally distributed noise value in m from two uniform ones (Box and Muller)."""
     if not converter.noise > 0.0:
         return 0.0
     first, second = uniform(converter), uniform(converter)

@@ -1,12 +1,12 @@
-"""What stands before a function of the mock's firmware, whose address it takes in CALLED: a hand that moves while the
-mock runs, or recorded positions in place of those of its bodies. A mock without them neither compiles nor calls them.
+"""Stand-ins that wrap a function of the mock's firmware, in its place in CALLED: a hand that moves while the mock runs,
+or recorded positions in place of those of the bodies. A mock without them neither compiles nor calls them.
 
-**The hand** is moved by another thread: its push, stiffness and damping ramp from sample to sample along a straight
-line, because a dragged hand comes as a stream of changes, each of which retargets the ramp: one that began and ended
-without speed would stop the hand at each. It takes the address of `take_sample` when a hand is first posted.
+**The hand** is moved by another thread. Its push, stiffness and damping ramp from sample to sample along a straight
+line: a dragged hand comes as a stream of changes, each of which retargets the ramp, and a ramp that began and ended
+without speed would stop the hand at each. It replaces `take_sample` when a hand is first posted.
 
-**A record**: forces are taken and counted, and move nothing. A position that was lost is not sent. Behind the last one
-the device releases and says that it is idle; when it is armed again, it begins anew.
+**A record**: forces are accepted and counted, and move nothing. A lost position is not sent. After the last one the
+device releases and reports idle; when it is armed again, it begins anew.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _hand_at, _doubles_at = record_at(LIVE_HAND), array_at(np.float64)
 
 
 class LiveHand:
-    """The hand of a mock that may be moved while it runs. It has to live as long as the mock."""
+    """The hand of a mock, which can be moved while the mock runs. It must live as long as the mock."""
 
     def __init__(self, mock: Any, scene: Scene) -> None:
         """`mock`: MOCK, as assembled for `scene`."""
@@ -45,8 +45,8 @@ class LiveHand:
         self._record.values.straight = 1
 
     def retarget(self, scene: Scene, samples: int) -> None:
-        """Moves the hand to where `scene` has it, within this number of samples, or 4 ms if that is longer. One thread
-        at a time."""
+        """Moves the hand to its place in `scene`, within this number of samples, or 4 ms if that is longer. For one
+        thread at a time."""
         mock, values = self._mock, hand_values(scene)
         if values[1].any():
             mock.called.move = move_with_spring_or_friction.address()
@@ -59,7 +59,7 @@ class LiveHand:
 
 @native(types.void, types.uint64, types.int64)
 def move_hand(mock, now):
-    """Stands before `take_sample`: moves the hand by a sample."""
+    """Moves the hand by a sample, then calls `take_sample`."""
     address, mock = mock, mock_at(mock)
     hand, channels = _hand_at(mock.hand), mock.channels
     call_move(hand.values.move, (hand.values.address, np.uint64(0), np.uint64(0)))
@@ -71,7 +71,7 @@ def move_hand(mock, now):
     call_event(hand.take_sample, (address, now))
 
 
-_STILL_KG = 1e12  # of the bodies behind the record: what no force moves
+_STILL_KG = 1e12  # mass of the bodies behind the record, which no force moves
 
 RECORDED = np.dtype(
     [
@@ -88,13 +88,13 @@ _recorded_at, _samples_at, _words_at = record_at(RECORDED), array_at(np.int64), 
 
 
 class RecordedDevice:
-    """A device that sends recorded positions. It has to live as long as its mock."""
+    """A device that sends recorded positions. It must live as long as its mock."""
 
     def __init__(
         self, description: Description, samples: NDArray[np.int64], counts: NDArray[np.int32], period_s: float
     ) -> None:
-        """`description`: what it says of itself; `samples`: (N,) numbers, counted from arming; `counts`: (N, C)
-        positions as on the wire, or (N, 2 C) with velocities; `period_s`: from sample to sample, where it paces."""
+        """`description`: of the device. `samples`: (N,) numbers, counted from arming. `counts`: (N, C) positions as on
+        the wire, or (N, 2 C) with velocities. `period_s`: sample period, if the device paces."""
         self.description, self.period_s = description, period_s
         self._samples, self._counts = samples, counts
         self._record = new_record(RECORDED)
@@ -103,11 +103,11 @@ class RecordedDevice:
 
     @property
     def forces(self) -> int:
-        """Forces that it has taken since it was last armed."""
+        """Number of forces accepted since the last arming."""
         return 0 if self.mock is None else int(self.mock.registers[schema.REG_ACCEPTED])
 
     def assemble(self) -> Any:
-        """Returns its MOCK."""
+        """Returns its MOCK, newly assembled."""
         record, channels = self._record, self.description.channels
         record.samples, record.words = self._samples.ctypes.data, self._counts.ctypes.data
         record.rows, record.width = self._counts.shape
@@ -126,7 +126,7 @@ class RecordedDevice:
 
 @native(types.void, types.uint64, types.uint64, types.int64, types.int64)
 def put_recorded_frame(mock, framing, kind, number):
-    """Stands before the function that puts a frame into the outbox."""
+    """Puts the recorded position into a frame, then calls the function that puts it into the outbox."""
     address, mock = mock, mock_at(mock)
     recorded, n = _recorded_at(mock.recorded), mock.board.n
     if kind in (schema.POSITION, schema.POSITION_HELD):

@@ -1,6 +1,6 @@
 """The mock on a pseudo-terminal, served in real time: a port that any program opens like a serial device's.
 
-What serves it is compiled and holds no GIL.
+The serving function is compiled and holds no GIL.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SERVICE = np.dtype(
         ("transport", TRANSPORT),
         ("stop", np.int64),
         ("late_samples", np.int64),  # samples that this machine took a whole period too late
-        ("lost_answers", np.int64),  # bytes that the host did not fetch were thrown away this often
+        ("lost_answers", np.int64),  # times that bytes which the host did not read were dropped
         ("input", np.uint8, (INPUT_BYTES,)),
         SCRATCH,
     ],
@@ -47,7 +47,7 @@ SERVICE = np.dtype(
 
 
 def new_service(transport: Any) -> Any:
-    """SERVICE, a record, over a transport."""
+    """Returns a SERVICE over a transport."""
     service = new_record(SERVICE)
     service.transport = transport.record
     return service
@@ -55,7 +55,7 @@ def new_service(transport: Any) -> Any:
 
 @entry
 def serve(mock, service):
-    """Plays the device until `service.stop`. `mock`: MOCK, prepared; `service`: SERVICE."""
+    """Runs the device until `service.stop`. `mock`: MOCK, prepared; `service`: SERVICE."""
     period = np.int64(mock.converters[0].period * 1e9)
     due = np.int64(0)
     ticking = False
@@ -84,14 +84,14 @@ def serve(mock, service):
 
 @inlined
 def _send_outbox(mock, service):
-    """Whatever happens it is empty then. With nothing in it, what the transport had begun is ended."""
+    """Sends and empties the outbox, even on failure. An empty outbox lets the transport end a frame that it began."""
     if send(service.transport, mock.outbox, 0, mock.board.out) != 0 and mock.board.out > 0:
         service.lost_answers += 1
     mock.board.out = 0
 
 
 def require_pseudo_terminal() -> None:
-    """Raises UsageError where the system is not Linux."""
+    """Raises UsageError if the system is not Linux."""
     require_linux(
         "the mock on a pseudo-terminal", "with clock: lockstep it runs in memory; a device runs with --portable"
     )
@@ -99,10 +99,10 @@ def require_pseudo_terminal() -> None:
 
 @contextlib.contextmanager
 def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
-    """Serves `mock`, a MOCK, from a thread of its own while open; yields the port's path. DeviceError where the system
-    has no pseudo-terminal left, UsageError where it is not Linux.
+    """Serves `mock`, a MOCK, from a thread of its own while open; yields the port's path. Raises DeviceError if the
+    system has no pseudo-terminal left, UsageError if it is not Linux.
 
-    `as_hardware`: ahead of every other program, where the system grants that, as a device's timer is.
+    `as_hardware`: the thread runs before all other programs, as a device's timer does, if the system grants that.
     """
     require_pseudo_terminal()
     near, far = open_pseudo_terminal(
@@ -110,7 +110,7 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
         "With `clock: lockstep` in the scene's `device`, the mock of `run` and `measure` runs in memory and needs none",
     )
     try:
-        # Compiled before a host can connect: it does not wait for as long as a first compilation takes.
+        # Compiled before a host can connect: no host waits for as long as a first compilation takes.
         prepare(mock)
         transport = uart_transport(near, mock) if mock.byte_ns or mock.turnaround_ns else transmitter_transport(near)
         service = new_service(transport)
@@ -120,7 +120,7 @@ def serving(mock: Any, as_hardware: bool = False) -> Iterator[str]:
             remove_timer_slack()
             serve(mock, service)
 
-        # A daemon: else the program's end would wait for it before it ends the session that it serves.
+        # A daemon: otherwise the program's end would wait for this thread before it ends the session.
         thread = threading.Thread(target=serve_without_slack, name="mock device", daemon=True)
         thread.start()
         try:
@@ -143,9 +143,8 @@ def serve_until_stopped(
 ) -> None:
     """Serves the MOCK that `assemble` returns until SIGINT, SIGTERM or SIGHUP; calls `announce(path)` once it answers.
 
-    `link`: another name for the port, a symbolic link removed at the end. UsageError where that name is taken.
-    `as_hardware`: see `serving`.
-    """
+    `link`: another name for the port, a symbolic link removed at the end. `as_hardware`: of `serving`. Raises
+    UsageError if the link's name is taken."""
     require_pseudo_terminal()  # before anything is changed
     free_name(link)
     # A queue, and not an event: a handler that sets an event may wait for the event's own lock.
@@ -155,7 +154,7 @@ def serve_until_stopped(
     counted = Counted(lambda name, share: report(Progress("compiling", name, share=share)))
     with on_compilation(counted.add), serving(assemble(), as_hardware) as path, link_to(link, path) as name:
         if not stops.empty():
-            raise KeyboardInterrupt  # before it announced a port that answers
+            raise KeyboardInterrupt  # before the port is announced
         announce(name)
         report(Progress("serving", name))
         stops.get()

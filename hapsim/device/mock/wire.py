@@ -1,12 +1,12 @@
 """The mock's end of the wire: on its pseudo-terminal a transmitter whose bytes take no time, or a UART; or in memory.
 
-Neither of the first two waits for room, as no device's tick may. The transmitter ends a frame that was begun as soon as
-there is room, before anything else, and drops frames without room whole (PROTOCOL.md, section 8).
+The first two never wait for room, as no device's tick may. The transmitter ends a frame that it began as soon as there
+is room, before anything else, and drops frames without room completely (PROTOCOL.md, section 8).
 
-On the UART, in real time, a byte is there when its last bit would be. A frame of the mock is written at the time of its
-last byte; the host's bytes count from their own times on, and `receive_in_time` delivers none that is due after its
-deadline, the mock's tick. The system's wake-up latency, some 0.1 ms, comes on top. In virtual time (lockstep) bytes
-take no time here: the firmware counts it, in samples.
+On the UART, in real time, a byte arrives with its last bit. The mock's frame is written at the time of its last byte.
+The host's bytes count from their own arrival, and `receive_in_time` delivers none that is due after its deadline, the
+mock's tick. The system's wake-up latency, some 0.1 ms, comes on top. In virtual time (lockstep) bytes take no time
+here: the firmware counts it in samples.
 
 In memory the mock answers within `send`, in virtual time and in the host's thread.
 """
@@ -49,7 +49,7 @@ def receive_at_once(context, buffer, room, timeout_ns):
 
 @sender
 def send_at_once(context, buffer, stop):
-    """Returns FAILED where something was dropped. Without bytes it only ends a frame that was begun."""
+    """Sends a frame, and first the end of one that was begun. Returns FAILED if a frame was dropped."""
     port = _transmitter_at(context)
     if port.first < port.stop:
         port.first += max(write_some(port.number, port.unsent, port.first, port.stop), 0)
@@ -76,11 +76,11 @@ def transmitter_transport(number: int) -> Transport:
     return Transport(receive_at_once, send_at_once, context)
 
 
-_ROOM = 2 * INPUT_BYTES  # bytes on their way in one direction
+_ROOM = 2 * INPUT_BYTES  # most bytes on the wire in one direction
 
 _WAY = np.dtype(
     [
-        ("free_ns", np.float64),  # when the last byte will be there
+        ("free_ns", np.float64),  # arrival of the last byte
         ("waiting", np.int64),
         ("due_ns", np.float64, (_ROOM,)),
         ("bytes", np.uint8, (_ROOM,)),
@@ -115,8 +115,8 @@ def _byte_ns(uart):
 
 @helper
 def put_on_wire(way, data, count, earliest_ns, byte_ns, whole_frames):
-    """Sends data[:count] one way, from `earliest_ns` on. Returns the number that fit. `whole_frames`: each byte is due
-    with the last one of its frame."""
+    """Puts data[:count] on the wire from `earliest_ns` on. Returns the number of bytes that fit. `whole_frames`: each
+    byte is due with the last one of its frame."""
     fitting = min(count, _ROOM - way.waiting)
     at = way.free_ns if way.free_ns > earliest_ns else earliest_ns
     for i in range(fitting):
@@ -134,7 +134,7 @@ def put_on_wire(way, data, count, earliest_ns, byte_ns, whole_frames):
 
 @helper
 def arrived(way, until_ns):
-    """Returns the number of bytes up to the last delimiter that has arrived; all of them where the way is full."""
+    """Returns the number of bytes up to the last delimiter that has arrived; of all arrived bytes on a full wire."""
     whole, at = 0, 0
     while at < way.waiting and way.due_ns[at] <= until_ns:
         at += 1
@@ -145,7 +145,7 @@ def arrived(way, until_ns):
 
 @helper
 def next_due_ns(way, otherwise_ns):
-    """Returns when the next delimiter arrives, at most `otherwise_ns`."""
+    """Returns the arrival of the next delimiter in ns, at most `otherwise_ns`."""
     for i in range(way.waiting):
         if way.bytes[i] == 0:
             return min(way.due_ns[i], otherwise_ns)
@@ -181,7 +181,7 @@ def receive_in_time(context, buffer, room, timeout_ns):
             return count
         if now >= deadline:
             return TIMED_OUT
-        # Where the host does not read, the rest waits for the next call: a device's tick never waits.
+        # If the host does not read, the rest waits for the next call: a device's tick never waits.
         wake = np.float64(deadline) if written < due else next_due_ns(uart.outgoing, np.float64(deadline))
         wake = next_due_ns(uart.incoming, wake)
         count = read_some(uart.number, uart.read, np.int64(wake) + 1 - now, uart.scratch)
@@ -193,7 +193,7 @@ def receive_in_time(context, buffer, room, timeout_ns):
 
 @sender
 def send_in_time(context, buffer, stop):
-    """Returns FAILED where there is no room and all is dropped."""
+    """Sends a frame. Returns FAILED, and drops it, if there is no room."""
     uart = _uart_at(context)
     if stop > _ROOM - uart.outgoing.waiting:
         return FAILED
