@@ -1,4 +1,4 @@
-"""How the modules of one type become a part of a program, and how a scheme chooses the parts."""
+"""Building a program: the part of each module type, and the scheme that chooses the parts."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from hapsim.scene.modules import Module
 
 
 class BuildContext(NamedTuple):
-    """What all parts of a program are built in.
+    """The input for building all parts of a program.
 
     Attributes:
-        number: of each point, by the name that links call it.
+        number: of each point, by its name in links.
         rate: Hz, of the ticks.
-        real: the type of positions, forces and everything computed with them.
+        real: type of positions, forces and all numbers computed with them.
         loaded: numbers of the points that a link holds.
         state: all points at the first sample. Its rows of positions take turns from then on.
-        heard: (C,) what pick-ups leave.
+        pick_up_values: (C,) of the last step.
     """
 
     number: Mapping[str, int]
@@ -33,52 +33,53 @@ class BuildContext(NamedTuple):
     pick_up_values: NDArray[np.float64]
 
     def column(self, values: Any) -> Column:
-        """Values in the scene's precision."""
+        """Returns values in the scene's precision."""
         return np.asarray(values, np.float64).astype(self.real)
 
     def mobility(self, mass: Any) -> Column:
-        """T²/m in m/N of masses in kg."""
+        """Returns T²/m in m/N for masses in kg."""
         return self.column(1.0 / (np.asarray(mass, np.float64) * self.rate * self.rate))
 
 
 Layout = Callable[[Any], tuple[Sequence[int], int]]
-"""Where a structure's points stand in the piece of memory that it needs, and how many numbers that holds."""
+"""Function that returns the indices of a structure's points in its piece of memory, and the size of that."""
 
 
 LiveColumn = dict[tuple[str, str], float]
-"""Values that may change while a scene runs, one behind the other, each by its module and what it is of that."""
+"""Live values in the order of memory, each by its module and its field."""
 
 
 def live_values(module: Module, rate: float) -> list[float]:
-    """A module's values that may change while the scene runs, in the order of its `live`, as a tick at `rate` Hz works
-    with them: dampings and frictions, in N·s/m, over the sample period."""
+    """Returns a module's live values in the order of its `live`, as a tick at `rate` Hz uses them: dampings and
+    frictions, in N·s/m, over the sample period."""
     per_sample = {"damping": rate, "friction": rate}
     read_from = module.with_default
     return [float(getattr(module, read_from.get(field, field))) * per_sample.get(field, 1.0) for field in module.live]
 
 
 def live_columns(modules: Mapping[str, Any], rate: float) -> list[LiveColumn]:
-    """Those of modules of one type, a column for each field."""
+    """Returns the live values of modules of one type, a column for each field."""
     rows = {name: live_values(one, rate) for name, one in modules.items()}
     fields = next(iter(modules.values())).live
     return [{(name, field): row[i] for name, row in rows.items()} for i, field in enumerate(fields)]
 
 
 def knot_field(what: str, name: str, knot: int, of: int) -> tuple[str, str]:
-    """Name of a knot's number in a LiveColumn: "edge 2 of 5". `name`: of the link; `of`: how many knots it has."""
+    """Returns the key of a knot's number in a LiveColumn: "edge 2 of 5". `name`: of the link; `of`: count of its
+    knots."""
     return name, f"{what} {knot} of {of}"
 
 
 class PartType(NamedTuple):
-    """One type of module, or one variant of a type: all that a program has to know of it.
+    """One type of module, or one variant of a type, as a program uses it.
 
     Attributes:
-        select: its modules in a scene.
-        build: their part of the program; the columns are those of `live`, kept, not copied.
+        select: returns its modules in a scene.
+        build: returns their part of the program; it keeps the columns of `live` without a copy.
         layout: of a structure.
         name: of its modules, in the plural, for people.
-        compiled_as: what they become, in words.
-        live: the modules' live values, in columns, as a tick at a rate in Hz works with them; None: another type's.
+        compiled_as: description of the compiled form.
+        live: returns the modules' live values in columns, as a tick at a rate in Hz uses them; None: another type's.
         moves_points: its `integrate` moves points; a scheme that moves all points itself does not use it.
     """
 
@@ -92,13 +93,13 @@ class PartType(NamedTuple):
 
 
 def all_of(module: type[Module], where: Callable[[Any], bool] = lambda _: True) -> Callable[[Scene], Mapping[str, Any]]:
-    """Selects every module of a type for which `where` holds."""
+    """Returns a function that selects every module of a type for which `where` holds."""
     return lambda scene: {name: one for name, one in scene.modules.items() if type(one) is module and where(one)}
 
 
 def live_shares(structure: Any, rate: float) -> Iterator[tuple[str | None, Any, float]]:
-    """A structure taken apart by what its live values do: for each its field, the structure with that field at 1 and
-    all else at 0, and what a tick at `rate` Hz works with then. Last, for None, what cannot change, by itself."""
+    """Yields a structure split by its live values: for each, its field, the structure with that field at 1 and all
+    others at 0, and the number that a tick at `rate` Hz then uses. Last, for None, the part that cannot change."""
     fixed = {"bending": 0.0} if "bending" in type(structure).model_fields else {}
     for i, live in enumerate(structure.live):
         unit = structure.model_copy(update=fixed | {field: float(field == live) for field in structure.live})
@@ -108,7 +109,7 @@ def live_shares(structure: Any, rate: float) -> Iterator[tuple[str | None, Any, 
 
 
 def masses_of(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Every point that the scene moves, with its mass in kg."""
+    """Yields every point that the scene moves, with its mass in kg."""
     for name, point in scene.material_points.items():
         yield name, point.mass
     for name, structure in scene.structures.items():
@@ -124,7 +125,7 @@ class PresentType(NamedTuple):
     columns: Sequence[Column]
 
     def build(self, context: BuildContext) -> Part:
-        """Returns their part of the program, as CORDIS's own scheme has it."""
+        """Returns their part of the program in CORDIS's own scheme."""
         return self.kind.build(self.modules, self.columns, context)
 
 
@@ -133,8 +134,8 @@ class Scheme(NamedTuple):
 
     Attributes:
         parts: the program's parts, in the order in which they act.
-        inside: the modules, by name, that are worked into matrices when the scene is compiled. They have no part of
-            their own, and nothing of them can change while the scene runs. None: a scheme without matrices.
+        inside: returns the names of the modules that become matrices when the scene is compiled. They have no part of
+            their own, and cannot change while the scene runs. None: a scheme without matrices.
     """
 
     parts: Callable[[Scene, BuildContext, Sequence[PresentType]], tuple[Part, ...]]

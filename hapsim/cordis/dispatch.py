@@ -1,7 +1,7 @@
-"""What the modules of one type do in a tick: actions, each compiled by itself and called by its address.
+"""The actions of a module type in a tick, each compiled by itself and called by its address.
 
-A tick knows no module. It goes through lists of calls and makes them. A type of module that a scene lacks costs
-nothing; one that it has is compiled once, whatever other modules the scene has.
+A tick knows no module: it makes the calls of lists. A type of module that a scene lacks costs nothing. Any other is
+compiled once, whatever other modules the scene has.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class TickState(NamedTuple):
 
     Attributes:
         position: x[n].
-        previous: x[n-1], and what `integrate` has moved is at x[n+1] there.
-        force: added up during a tick. Whatever uses a force sets it to zero; nothing uses a ground's.
+        previous: x[n-1]; after `integrate`, x[n+1].
+        force: added up during a tick. Code that uses a force sets it to zero; none uses a ground's.
         velocity: (H,) m/s, sensed by the H device points, which come first; 0 where the device senses none.
     """
 
@@ -41,34 +41,34 @@ class TickState(NamedTuple):
 
 
 def action(function: Callable[[Any, Any], None]) -> NativeFunction:
-    """An action (numbers, state): `numbers` is the part's own named tuple, `state` a TickState, both behind addresses,
-    so that it begins with `numbers, state = value_of(numbers), value_of(state)`."""
+    """Decorates an action (numbers, state): the part's own named tuple and a TickState, both behind addresses, so that
+    it begins with `numbers, state = value_of(numbers), value_of(state)`."""
     return NativeFunction(function)
 
 
 def fma_action(function: Callable[[Any, Any], None]) -> NativeFunction:
-    """The same; a product and the sum that it goes into may be rounded once instead of twice."""
+    """Decorates an action in which a product and its sum may be rounded once instead of twice."""
     return NativeFunction(function, fastmath={"contract"})
 
 
 class Memory(NamedTuple):
-    """What modules, by name, remember beside the positions of their points: columns with one value per module each."""
+    """The memory of modules, by name, beside the positions of their points: columns with one value per module."""
 
     modules: tuple[str, ...]
     columns: tuple[Column, ...]
 
 
 class Part(NamedTuple):
-    """The modules of one type, as a tick sees them: their numbers, a named tuple, and what it does with them.
+    """The modules of one type in a tick: their numbers, a named tuple, and their actions.
 
     Attributes:
-        initialize: before the first tick.
-        retarget: when live parameters have moved, and once more with the next sample.
-        add_forces: when all points are where they are at this sample.
-        integrate: when all forces are added up: puts its points in `previous` where they are at the next sample.
-        place: before another program takes over: puts all its points where they are, where a tick does not.
-        resume: after `initialize`, in a program that took over from another: reads where its points are.
-        kept: stays in memory as long as the part does, because its numbers hold addresses of it.
+        initialize: called before the first tick.
+        retarget: called when live parameters have moved, and once more with the next sample.
+        add_forces: called when all points have their positions of this sample.
+        integrate: called when all forces are added up; writes the next positions of its points into `previous`.
+        place: called before another program takes over; writes positions that a tick does not write.
+        resume: called after `initialize` in a program that took over from another; reads the positions of its points.
+        kept: objects that stay in memory with the part, because its numbers hold addresses of them.
     """
 
     numbers: Any
@@ -83,11 +83,11 @@ class Part(NamedTuple):
 
 
 CALLS = np.dtype([("pairs", np.uint64), ("count", np.int64)], align=True)
-"""A list of calls: the address of pairs of addresses (an action, its numbers), and how many there are."""
+"""A list of calls: the address of pairs of addresses (an action, its numbers), and their count."""
 
 
 def calls_of(actions: Sequence[tuple[NativeFunction, Behind]], state: Behind) -> NDArray[np.uint64]:
-    """The pairs of these actions and their numbers, shape (calls, 2), compiled for states like `state`."""
+    """Returns the addresses of these actions, compiled for states like `state`, and of their numbers, (calls, 2)."""
     pairs = [act.call_on(numbers, state)[:2] for act, numbers in actions]
     return np.array(pairs, np.uint64).reshape(-1, 2)
 
@@ -97,7 +97,7 @@ _call = function_at(types.void(types.uint64, types.uint64))
 
 ADD_FRAME = types.void(types.uint64, types.uint64, types.uint64, types.float64)
 call_add_frame = function_at(ADD_FRAME)
-"""Calls `add_frame` of loop/sound.py, with its arguments: what takes a frame of what pick-ups heard in a step."""
+"""Calls `add_frame` of loop/sound.py, with its arguments: it adds a frame of a step's pick-up values."""
 
 
 @inlined

@@ -1,8 +1,8 @@
-"""A program without a device: its ticks one by one, or in a compiled loop, to time and test them; and what a scene was
-compiled to, with what each part of it costs per tick: measured, on this machine, now.
+"""A program without a device: single ticks or a compiled loop of them, for timing and tests; and the measured cost of
+each part of a compiled scene per tick on this machine.
 
-Between two ticks of a loop with a device, other code runs: what stands in memory is written by then, and read anew. The
-loops here keep to that (`_other_code`), lest the compiler work on several ticks at once.
+Between two ticks of a loop with a device, other code runs: memory is written and read anew. The loops here do the same
+(`_other_code`); otherwise the compiler would merge several ticks.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _SHARE = 0.8
 
 @intrinsic
 def _other_code(_typing: Any) -> Any:
-    """To the compiler, code that may read and write all memory."""
+    """Stands for code that may read and write all memory, for the compiler."""
 
     def _generate(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         nothing = cgutils.ir.FunctionType(cgutils.ir.VoidType(), [])
@@ -50,34 +50,34 @@ def _other_code(_typing: Any) -> Any:
 
 
 def start(program: Program, measured: Reals) -> None:
-    """Puts the device points at `measured` (m, one per channel), at rest: before the first tick."""
+    """Puts the device points at `measured` (m, one per channel), at rest. Call it before the first tick."""
     _start(program.record, measured)
 
 
 def take_over(older: Program, program: Program, measured: Reals) -> None:
-    """Instead of `start`, for a program that `take_over_from` prepared to follow `older`."""
+    """Starts a program that `take_over_from` prepared to follow `older`. Call it instead of `start`."""
     _take_over(older.record, program.record, measured)
 
 
 def update_parameters(program: Program) -> None:
-    """Before a tick: live parameters that were posted move by a sample."""
+    """Moves posted live parameters by a sample. Call it before a tick."""
     _update_parameters(program.record)
 
 
 def tick(program: Program, measured: Reals, velocity: Reals, force: Reals) -> None:
-    """One sample; all arrays with one value per channel: m, m/s, and what it writes, N."""
+    """Runs a tick. Arrays have one value per channel: `measured` m, `velocity` m/s, and the result `force`, N."""
     _tick(program.record, measured, velocity, force)
 
 
 def ticks(program: Program, measured: Reals, velocity: Reals, force: Reals, samples: int) -> None:
-    """Runs `samples` ticks, each with the next of the hands' positions and velocities, shape (rows, channels), over and
-    over; forces in N, beside them."""
+    """Runs `samples` ticks, each with the next row of the hands' positions and velocities, (rows, channels), repeated.
+    Writes the forces in N to the same row of `force`."""
     _ticks(program.record, measured, velocity, force, samples)
 
 
 def ticks_watched(program: Program, rows: list[NDArray[Any]], weights: Reals, watched: Reals) -> None:
-    """As many samples as `watched` has room for, all hands at 0; behind each, the sum of `weights` times the numbers in
-    the row whose turn it is: two rows, contiguous, of the program's own type of number."""
+    """Runs as many ticks as `watched` has room for, all hands at 0. Writes after each the sum of `weights` times the
+    current one of two `rows`, contiguous, of the program's type of number. Raises ValueError for other rows."""
     addresses = np.array([row.ctypes.data for row in rows], np.uint64)
     if any(row.dtype != program.rows.dtype or row.size < weights.size for row in rows):
         raise ValueError("rows of another type of number, or too short")
@@ -115,7 +115,7 @@ def _call_many(program, calls, samples):
 
 
 class ExplainedPart(NamedTuple):
-    """One part of a program: `seconds` is what it takes alone, NaN where it does nothing in a tick."""
+    """One part of a program. `seconds`: its time alone in a tick; NaN if it does nothing in a tick."""
 
     name: str
     modules: int
@@ -125,9 +125,8 @@ class ExplainedPart(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """A whole program. `seconds`: of a tick, of which a sample has `substeps`; its parts take less together than one by
-    one, or more, as they overlap. `absent`: types of module of which nothing was compiled. `points`: hands, grounds and
-    masses."""
+    """A whole program. `seconds`: of a tick; a sample has `substeps` of them. The parts may take less or more together
+    than one by one. `absent`: types of module without compiled code. `points`: hands, grounds and masses."""
 
     parts: tuple[ExplainedPart, ...]
     absent: tuple[str, ...]
@@ -140,17 +139,18 @@ class Explanation(NamedTuple):
 
     @property
     def share(self) -> float:
-        """What a sample's ticks take of the sample period."""
+        """Share of the sample period that its ticks take."""
         return self.seconds * self.substeps / self.period
 
     @property
     def most_substeps(self) -> int:
-        """How many ticks fit into the sample period beside an exchange."""
+        """Number of ticks that fit into the sample period beside an exchange."""
         return most_substeps(self.seconds, self.period)
 
 
 def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Explanation:
-    """Compiles `scene`, runs it on a hand that rests, and reports its parts; `on_part` hears each part's name."""
+    """Compiles `scene` and runs it with resting hands. Returns its parts and times. `on_part` receives each part's
+    name."""
     program = compile_scene(scene)
     on_part("the whole tick")
     whole = tick_seconds(program, scene.channels)
@@ -166,20 +166,20 @@ def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Ex
 
 
 def tick_seconds(program: Program, channels: int) -> float:
-    """What a tick of this program takes at best, with all hands at rest at 0: measured, on this machine, now."""
+    """Returns the shortest measured time of a tick on this machine, s, with all hands at rest at 0."""
     rest, force = np.zeros((2, 1, channels))
     start(program, rest[0])
     return _seconds(lambda samples: ticks(program, rest, rest, force, samples))
 
 
 def most_substeps(seconds: float, period: float) -> int:
-    """Number of ticks of this length that fit into a sample period, of which a fifth is left for the exchange."""
+    """Returns the number of ticks of `seconds` that fit into a sample period, less a fifth for the exchange."""
     return int(_SHARE * period / seconds)
 
 
 def _named_parts(scene: Scene, program: Program) -> Iterator[tuple[str, int, str, Part]]:
-    """The program's parts, with their names, how many modules each has, and in words what they are."""
-    if scene.scheme != "cordis":  # whose parts are not one for each type of module
+    """Yields the program's parts: name, number of modules, description, part."""
+    if scene.scheme != "cordis":  # there a part is not one type of module
         words = f"a part of the scheme {scene.scheme}, or what pulls from outside it"
         yield from ((type(part.numbers).__name__, 0, words, part) for part in program.parts)
         return
@@ -189,7 +189,8 @@ def _named_parts(scene: Scene, program: Program) -> Iterator[tuple[str, int, str
 
 
 def _part_seconds(program: Program, part: Part) -> float:
-    """What a part takes of a tick, called by itself at the program's own state; NaN where a tick does not call it."""
+    """Returns a part's time in a tick, s, called by itself at the program's own state; NaN if a tick does not call
+    it."""
     seconds = []
     for name in ("add_forces", "integrate"):
         having = [one for one in program.parts if getattr(one, name) is not None]
@@ -201,7 +202,7 @@ def _part_seconds(program: Program, part: Part) -> float:
 
 
 def _seconds(run: Callable[[int], None]) -> float:
-    """What one sample takes, at best."""
+    """Returns the shortest time of one sample, s."""
     run(1)
     samples = 64
     while _timed(run, samples) < _ROUND_S:
@@ -216,7 +217,7 @@ def _timed(run: Callable[[int], None], samples: int) -> float:
 
 
 def _bytes_of(numbers: Any) -> int:
-    """What its arrays take, those counted once that it has from the array of the parameters."""
+    """Returns the bytes of a part's arrays, with its columns of the parameters."""
     if isinstance(numbers, tuple):
         return sum(map(_bytes_of, numbers))
     return numbers.nbytes if isinstance(numbers, np.ndarray) else 0

@@ -1,17 +1,17 @@
 """Live parameters: stiffness, damping and rest positions, changed while the loop runs.
 
-Another thread posts a whole set of values; the loop takes it between two samples, all or nothing, and leads every value
-along a ramp from where it is to its target,
+Another thread posts a whole set of values. The loop takes it between two samples, all or nothing, and moves every value
+along a ramp to its target,
 
     v(s) = v0 + (v1 - v0) (3 s² - 2 s³),     s = 1/N, 2/N, ... 1
 
-over N samples: it begins and ends without a kink, and no value moves by more than 1.5/N of its way in one sample. A set
-that comes meanwhile retargets the ramp at once, from wherever the values are.
+over N samples: it begins and ends without a kink, and no value moves by more than 1.5/N of its way in one sample. A
+later set retargets the ramp at once, from the current values.
 
-Where the energy of changes is accounted for, a step that adds more than the tank has is shortened, for all values
-alike, and the ramp takes longer (stored_energy.py).
+If the energy of changes is accounted for, a step that adds more than the tank holds is shortened, for all values alike,
+and the ramp takes longer (stored_energy.py).
 
-The loop never waits: while a set is being written it goes on with what it has, and looks again at the next sample.
+The loop never waits: while a set is being written it uses the old one, and checks again at the next sample.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from hapsim.cordis.stored_energy import (
 PARAMETERS = np.dtype(
     [
         ("address", np.uint64),  # of all this,
-        ("move", np.uint64),  # and of what moves the values; 0 until something is posted
+        ("move", np.uint64),  # and of the function that moves the values; 0 before the first set is posted
         ("count", np.int64),  # P
         ("single", np.int64),  # 1: `now` has numbers of single precision
         ("now", np.uint64),  # addresses of P numbers each: what the tick works with, in the program's units,
@@ -60,11 +60,11 @@ PARAMETERS = np.dtype(
 
 
 class LiveValues:
-    """P values that can be changed, shape (P,), and the memory of their ramps; `record`: what compiled code sees."""
+    """P live values, shape (P,), and the memory of their ramps. `record`: PARAMETERS, for compiled code."""
 
     def __init__(self, values: Column, record: Any) -> None:
         self.values = values
-        """The tick's own numbers, not a copy."""
+        """Values of the tick, not a copy."""
         self._following = values.copy()
         self._ramps = np.tile(values.astype(np.float64), (5, 1))
         self._ramps[4] = np.nan
@@ -76,13 +76,14 @@ class LiveValues:
         record.ramps = self._ramps.ctypes.data
 
     def post(self, values: Column, samples: int) -> None:
-        """Posts a whole set, to be reached `samples` (>= 1) samples after it is taken. One thread at a time."""
+        """Posts a whole set of targets, reached `samples` (>= 1) samples after the loop takes it. For one thread at a
+        time."""
         self.record.move = move.address()
         post(self.record, values.astype(np.float64), samples)
 
     def post_with(self, values: Column, samples: int, add: Callable[[Any, str, int], None], begins: Column) -> None:
-        """Prepares a whole set, as `post`, where what was posted before is taken; `add` takes the words of the record
-        with which it will be posted. `begins`: from where each value goes on; NaN: from where it is."""
+        """Prepares a whole set, as `post`, after the loop has taken the last one. `add` receives the words of the
+        record that will post it. `begins`: new start of each value; NaN: its current value."""
         self.record.move = move.address()
         self._ramps[0], self._ramps[4] = values, begins
         add(self.record, "posted_samples", samples)
@@ -91,12 +92,12 @@ class LiveValues:
 
 _doubles_at, _parameters_at = array_at(np.float64), record_at(PARAMETERS)
 call_move = function_at(types.int64(*[types.uint64] * 3))
-"""Calls `move`, with its arguments: whether any moved."""
+"""Calls `move`, with its arguments. Returns 1 if any value moved."""
 
 
 @entry
 def post(parameters, values, samples):
-    """`LiveValues.post`, compiled. `values`: (P,) of float64."""
+    """Posts a set, as `LiveValues.post`. `values`: (P,) of float64."""
     posted = _doubles_at(parameters.ramps, parameters.count)
     parameters.posted += 1
     fence()
@@ -109,9 +110,9 @@ def post(parameters, values, samples):
 
 @native(types.int64, *[types.uint64] * 3)
 def move(parameters, position, previous):
-    """Before a sample: takes what was posted, and moves the values by one sample; 1 where any moved. `position`,
-    `previous`: addresses of the points at this sample and the one before. It is called by its address, which is set
-    when something is posted: it is compiled only if a value ever changes."""
+    """Takes a posted set, and moves the values by one sample; call it before the sample. Returns 1 if any value moved.
+    `position`, `previous`: addresses of the points at this sample and the one before. Its address is set when a set is
+    posted, so that it is compiled only if a value ever changes."""
     parameters = _parameters_at(parameters)
     count = parameters.count
     ramps = _doubles_at(parameters.ramps, 5 * count)
@@ -161,7 +162,7 @@ def move(parameters, position, previous):
 
 @helper
 def _set_following(parameters, origin, target):
-    """Works out the values that follow, at the share of the way that is behind them then."""
+    """Computes the next values, at the completed share of their way."""
     for i in range(parameters.count):
         value = target[i]  # to the last digit
         if parameters.left > 0:

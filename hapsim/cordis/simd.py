@@ -1,14 +1,14 @@
-"""SIMD lanes: as many neighbouring numbers as fill 64 bytes, worked on at once, 8 of double precision or 16 of single.
+"""SIMD lanes: 64 bytes of neighbouring numbers, 8 in double or 16 in single precision, processed at once.
 
-A stencil written number by number leaves it to the compiler to find out which numbers can be worked on together; it
-tests at every sample whether arrays overlap, and what does not fill its last round it does one by one. Written in
-lanes there is nothing to find out. They are cut into what the processor has: two or four of its own vectors, or one.
+For a stencil written number by number, the compiler must find out which numbers can be processed together: it tests at
+every sample whether arrays overlap, and processes the rest of the last round one by one. Code in lanes avoids both. The
+compiler splits lanes into the processor's own vectors: one, two or four.
 
-Rows of positions are laid out for them: `WIDEST` numbers are a whole number of lanes in either precision, so a
-structure begins at a multiple of it and takes up a multiple of it.
+Rows of positions are laid out for lanes: `WIDEST` numbers are a whole number of lanes in either precision, so a
+structure begins at a multiple of it and occupies a multiple of it.
 
-A processor hands what was stored on to a load that comes soon after only where one store holds all that is loaded. So
-whatever is written into a row that is moved in lanes goes there in lanes too: `put_one`.
+A processor forwards a store to a soon following load only if one store holds all loaded bytes. So every write into a
+row that is moved in lanes uses lanes, too: `put_one`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ WIDEST = 16  # numbers of single precision
 
 
 class Lanes(types.Type):
-    """numba's type of them; `dtype`: of each number."""
+    """numba's type of lanes. `dtype`: of each number."""
 
     def __init__(self, dtype: Any) -> None:
         self.dtype = dtype
@@ -53,7 +53,7 @@ def padded(count: int) -> int:
 
 
 def aligned(array: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
-    """A copy as `dtype` that begins where lanes may begin, so that no load reaches over two of the cache's lines."""
+    """Returns a copy as `dtype`, aligned for lanes, so that no load crosses two cache lines."""
     size = array.size * np.dtype(dtype).itemsize
     room = np.zeros(size + BYTES, np.uint8)
     begin = -room.ctypes.data % BYTES
@@ -64,7 +64,7 @@ def aligned(array: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
 
 @intrinsic
 def width_of(_typing: Any, row: Any) -> Any:
-    """How many lanes of a row's numbers there are in one go: a constant to the compiler."""
+    """Returns the number of lanes for a row's type of number, a constant to the compiler."""
 
     def _generate(context: Any, _builder: Any, signature: Any, _arguments: Any) -> Any:
         return context.get_constant(signature.return_type, Lanes(row.dtype).width)
@@ -74,7 +74,7 @@ def width_of(_typing: Any, row: Any) -> Any:
 
 @intrinsic
 def fetch(_typing: Any, row: Any, first: Any) -> Any:  # noqa: ARG001
-    """The lanes of a row from number `first` (uint64) on."""
+    """Returns the lanes of a row from number `first` (uint64) on."""
     lanes = Lanes(row.dtype)
 
     def _generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -98,8 +98,8 @@ def put(_typing: Any, row: Any, first: Any, lanes: Any) -> Any:  # noqa: ARG001
 
 @intrinsic(prefer_literal=True)
 def shift_lanes(_typing: Any, terms: Any, which: Any, by: Any) -> Any:
-    """Of three lanes in a row (left, here, right), each a tuple: element `which`, from `by` lanes beside `here` on.
-    `which`, `by`: literals."""
+    """Returns element `which` of `terms`, shifted by `by` lanes. `terms`: three tuples of lanes in a row (left, here,
+    right). `which`, `by`: literals."""
     if not (isinstance(which, types.Literal) and isinstance(by, types.Literal)):
         return None
     element, shift = which.literal_value, by.literal_value
@@ -116,7 +116,8 @@ def shift_lanes(_typing: Any, terms: Any, which: Any, by: Any) -> Any:
 
 @intrinsic
 def chosen(_typing: Any, lanes: Any, others: Any, first: Any, end: Any) -> Any:  # noqa: ARG001
-    """`lanes` from lane `first` to before lane `end` (int64, which may lie beyond either side), `others` elsewhere."""
+    """Returns `lanes` from lane `first` to before lane `end` (int64, perhaps beyond either side), `others`
+    elsewhere."""
 
     def _generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         inside, outside, begin, stop = arguments
@@ -130,7 +131,7 @@ def chosen(_typing: Any, lanes: Any, others: Any, first: Any, end: Any) -> Any: 
 
 @intrinsic
 def all_equal(_typing: Any, row: Any, number: Any) -> Any:
-    """Lanes like those of a row, each `number`."""
+    """Returns lanes of a row's type, each `number`."""
     lanes = Lanes(row.dtype)
 
     def _generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -142,7 +143,7 @@ def all_equal(_typing: Any, row: Any, number: Any) -> Any:
 
 @inlined
 def put_one(row, i, number):
-    """Stores one number in a row, together with the lanes that it stands in."""
+    """Stores one number in a row, together with all its lanes."""
     first = i & ~(width_of(row) - np.uint64(1))
     lane = np.int64(i - first)
     nothing = all_equal(row, row.dtype.type(0))
@@ -153,7 +154,7 @@ def put_one(row, i, number):
 
 @inlined
 def add_to_one(row, i, number):
-    """Adds to one number in a row, and stores it together with the lanes that it stands in."""
+    """Adds to one number in a row, and stores it together with all its lanes."""
     first = i & ~(width_of(row) - np.uint64(1))
     lane = np.int64(i - first)
     nothing = all_equal(row, row.dtype.type(0))
@@ -175,7 +176,7 @@ def _spread(builder: Any, value: Any, lanes: Any) -> Any:
 
 
 def _arithmetic(operation: Any, instruction: str) -> None:
-    """`operation` between lanes, and between lanes and a number."""
+    """Registers `operation` between lanes, and between lanes and a number."""
 
     @infer_global(operation)
     class _Typed(AbstractTemplate):

@@ -1,22 +1,23 @@
-"""What a scene has stored, and a tank for what live changes add to it.
+"""The energy stored in a scene, and a tank for the energy that live changes add.
 
 A change of a parameter at a frozen state changes the energy that is stored by
 
     W = V(new parameters, x) - V(old parameters, x),
 
 which for a link that is stretched by x and stiffened by dK is dK x²/2, with its sign; for a ground, a rest length or a
-distance that moves it is force times way. That is all that a change can add. V is summed over the springs of the scene:
-links, contacts, bristles that stick, plectra that grip, detents, clicks, what holds a cell, and the links of which
-strings and membranes are made. Of a spring at a hand, and of the bottom of a click, no more counts than a force at its
-limit gives back. While one scene follows another,
-the force w F_new + (1 - w) F_old is that of a scene that has stored w H_new + (1 - w) H_old, so that a step dw adds
-dw (H_new - H_old), with kinetic energy. A module that no chain of links connects to a hand adds nothing.
+distance that moves it is force times way. A change can add no other energy. V is summed over the springs of the scene:
+links, contacts, bristles that stick, plectra that grip, detents, clicks, the springs of cells, and the links inside
+strings and membranes. A spring at a hand, and the bottom of a click, count only up to the energy that a force at its
+limit gives back. During a crossfade the force w F_new + (1 - w) F_old is that of a scene with the stored energy
+w H_new + (1 - w) H_old, so that a step dw adds dw (H_new - H_old), with kinetic energy. A module that no chain of links
+connects to a hand adds nothing.
 
-**The tank** (variable stiffness: Ferraguti, Secchi and Fantuzzi, ICRA 2013). What a change adds is taken from it, what
-a change takes away is put back, and it fills with a constant power. Where it has too little, the change goes on only as
-far as it lasts: all its parameters together, which so are slowed. What takes energy away is never slowed. So changes
-give a hand no more than what the tank holds and that power, whatever friction there is. `spent` is what they added:
-the energy guard counts it as the scene's own, and counts swings anew after a change (loop/guards/energy_guard.py).
+**The tank** (variable stiffness: Ferraguti, Secchi and Fantuzzi, ICRA 2013). Energy that a change adds is taken from
+the tank, energy that a change removes is put back, and a constant power fills it. If it holds too little, the change
+advances only as far as the tank allows, with all its parameters together. A change that removes energy is never slowed.
+So changes give a hand no more than the tank's content and that power, whatever the friction. `spent` is the added
+energy: the energy guard counts it as the scene's own, and restarts its count of swings after a change
+(loop/guards/energy_guard.py).
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ _SPRING = np.dtype(
         ("share", np.float64),  # of that
         ("offset", np.uint64),  # address of the distance at which it is not stretched; 0: none
         ("most", np.float64),  # N, beyond which no hand feels it
-        ("side", np.uint64),  # address of what a bristle or a plectrum remembers
+        ("side", np.uint64),  # address of the memory of a bristle or a plectrum
         ("force", np.uint64),  # address of a bristle's force while it slides
         ("shape", np.uint64, (5,)),  # addresses of a sine's pitch, depth; of a table's edges to period
         ("knots", np.int64),  # of a table, how many
@@ -94,7 +95,7 @@ _doubles_at, _singles_at = array_at(np.float64), array_at(np.float32)
 
 @inlined
 def number_at(address, i, single):
-    """Number i of those at an address."""
+    """Returns number i at an address."""
     if single:
         return np.float64(_singles_at(address, i + 1)[np.uint64(i)])
     return _doubles_at(address, i + 1)[np.uint64(i)]
@@ -102,7 +103,7 @@ def number_at(address, i, single):
 
 @inlined
 def put_number(address, i, single, number):
-    """Puts a number there."""
+    """Writes number i at an address."""
     if single:
         _singles_at(address, i + 1)[np.uint64(i)] = number
     else:
@@ -111,8 +112,8 @@ def put_number(address, i, single, number):
 
 @native(EVALUATE.return_type, *EVALUATE.args)
 def evaluate(stored, position, previous, way):
-    """J that springs and masses hold, for `way` = 0; else what the springs hold more with the live values that are
-    `way` bytes further on. `position` and `previous`: addresses of rows."""
+    """Returns the energy of springs and masses, J, for `way` = 0; else the change of the springs' energy with the live
+    values `way` bytes further on. `position` and `previous`: addresses of rows."""
     stored = stored_at(stored)
     springs, total = _springs_at(stored.springs, stored.count), 0.0
     for i in range(stored.count):
@@ -157,7 +158,7 @@ def _end(stored, spring, position, way, end):
 
 @helper
 def _value(stored, address, way):
-    """A live value, `way` bytes further on, or a constant."""
+    """Returns a live value, `way` bytes further on, or a constant."""
     if address >= stored.live[0] and address < stored.live[1]:
         address += way
     return number_at(address, 0, stored.single)
@@ -165,7 +166,7 @@ def _value(stored, address, way):
 
 @helper
 def _table_energy(spring, d, way, single):
-    """What a table does along its knots from the least on; beyond them with no more than `most` N."""
+    """Returns a table's energy above its minimum along the knots, J; beyond them with a force of at most `most` N."""
     edges, tensions = spring.shape[0] + way, spring.shape[1] + way
     below, beyond = number_at(spring.shape[2] + way, 0, single), number_at(spring.shape[3] + way, 0, single)
     period = number_at(spring.shape[4] + way, 0, single)
@@ -199,7 +200,7 @@ def _table_energy(spring, d, way, single):
 
 @inlined
 def _work_beyond(way, force, slope, most):
-    """J, done against a force that begins so and rises with this slope, up to `most` N."""
+    """Returns the work against a force that begins at `force` and rises with `slope` up to `most` N, J."""
     bent = min(way, max(most - force, 0.0) / slope) if slope > 0.0 else way
     return (
         bent * (force + 0.5 * slope * bent) + (way - bent) * most if bent < way else way * (force + 0.5 * slope * way)
@@ -208,13 +209,13 @@ def _work_beyond(way, force, slope, most):
 
 @inlined
 def _least_beyond(force, slope):
-    """J, the least of that, without a most."""
+    """Returns the minimum of that work over all ways without a limit, J."""
     return -0.5 * force * force / slope if force < 0.0 < slope else 0.0
 
 
 @inlined
 def affordable_share(tank, work):
-    """Of a step that adds so much, J."""
+    """Returns the share of a step that the tank allows. `work`: the energy that the step adds, J."""
     if work <= tank.level:
         return 1.0
     tank.slowed_ticks += 1
@@ -223,13 +224,13 @@ def affordable_share(tank, work):
 
 @inlined
 def remaining_ramp(share):
-    """Which part of a ramp is left where so much of its way, 3 s² - 2 s³, is done: 1 - s."""
+    """Returns the remaining time 1 - s of a ramp after this share of its way, 3 s² - 2 s³."""
     return 0.5 + math.sin(math.asin(1.0 - 2.0 * share) / 3.0)
 
 
 @inlined
 def spend(tank, work):
-    """Subtracts the energy that a change added in this sample; ignores NaN and infinity."""
+    """Takes the energy that a change added in this sample from the tank; ignores NaN and infinity."""
     tank.changed_ticks += 1
     if abs(work) < np.inf:
         tank.level = min(tank.capacity, tank.level - work)
@@ -237,7 +238,7 @@ def spend(tank, work):
 
 
 class Tank:
-    """Fills a TANK: `capacity_j` in J, `refill_j` in J a sample."""
+    """A full tank in a TANK. `capacity_j`: J; `refill_j`: J per sample."""
 
     def __init__(self, record: Any, *, capacity_j: float, refill_j: float) -> None:
         record.address = self.address = address_of(record)
@@ -246,7 +247,7 @@ class Tank:
 
 
 class StoredEnergy:
-    """Computes the energy of a program; what that needs is kept in the program's PARAMETERS from then on."""
+    """The input for computing a program's energy; its address goes into the program's PARAMETERS."""
 
     def __init__(self, program: Any, scene: Scene, tank: Any, force_limit: float) -> None:
         """`program`: a Program, which is not imported here: the loop would be compiled anew with every module.
@@ -268,19 +269,19 @@ class StoredEnergy:
         program.record.parameters.stored = record.address
 
     def _keep(self, values: Any, dtype: Any = None) -> int:
-        """The address of constants; `dtype`: the scene's precision unless given."""
+        """Returns the address of constants. `dtype` [default: the scene's precision]."""
         self._kept.append(np.atleast_1d(np.asarray(values, dtype or self._program.rows.dtype)))
         return address_of(self._kept[-1])
 
     def _live(self, name: str, field: str) -> int:
-        """The address of a module's value that may change, or of a constant where it may not."""
+        """Returns the address of a module's live value, or of a constant."""
         place = self._program.places.get((name, field))
         if place is None:
             return self._keep(getattr(self._scene.modules[name], field))
         return address_of(self._program.parameters.values[place : place + 1])
 
     def _remembered(self, name: str) -> list[int]:
-        """The addresses of what a module remembers."""
+        """Returns the addresses of a module's memory."""
         memories = [part.memory for part in self._program.parts if part.memory and name in part.memory.modules]
         return [address_of(column[memory.modules.index(name) :]) for memory in memories for column in memory.columns]
 
@@ -333,7 +334,7 @@ _SPRING_DEFAULTS = dict.fromkeys(_SPRING.names or (), 0) | {"share": 1.0, "most"
 
 
 def _spring(kind: int, ends: Sequence[int], at: Sequence[int], **fields: Any) -> tuple[Any, ...]:
-    """A _SPRING's fields, in its order."""
+    """Returns the fields of a _SPRING, in its order."""
     return tuple((_SPRING_DEFAULTS | {"kind": kind, "ends": ends, "at": at} | fields).values())
 
 
@@ -342,13 +343,13 @@ def _module(scene: Scene, point: str) -> str:
 
 
 def _nodes(scene: Scene, link: Link) -> list[str]:
-    """The modules at its ends that can move: a structure is one."""
+    """Returns the movable modules at a link's ends; a structure counts as one."""
     names = [_module(scene, end) for end in link.between]
     return [name for name in names if not isinstance(scene.modules[name], Ground)]
 
 
 def _connected(scene: Scene) -> frozenset[str]:
-    """The modules that a chain of links connects to a hand."""
+    """Returns the modules that a chain of links connects to a hand."""
     found, pairs = set(scene.device_points), [_nodes(scene, link) for link in scene.links.values()]
     while more := {name for pair in pairs if found & {*pair} for name in pair} - found:
         found |= more

@@ -1,10 +1,10 @@
 """The substep loop: moves the scene from sample to sample.
 
-When a position arrives, all steps since the last one are taken at once, the hand on a straight line between the two.
-What the hand gets is the force of the last step, or the mean over the last sample's.
+When a position arrives, all steps since the last one are made at once, with the hand on a straight line between the
+two. The device gets the force of the last step, or the mean over the steps of the last sample.
 
-While one scene follows another, `cross_fade` (loop/crossfade.py) moves both; where the scene has sound, `add_frame`
-(loop/sound.py) takes a frame of each step. Both are called by their addresses, and never compiled for scenes without.
+During a crossfade `cross_fade` (loop/crossfade.py) moves both scenes. With sound, `add_frame` (loop/sound.py) adds a
+frame for each step. Both are called by their addresses, and only compiled for scenes that use them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SCENE_SLOT = np.dtype(
     [
         ("address", np.uint64),  # of all this
         ("substeps", np.int64),  # steps of the program in a sample
-        ("mean", np.int64),  # 1: the mean of their forces is what the hand gets; 0: the last one
+        ("mean", np.int64),  # 1: the device gets the mean of their forces; 0: the last one
         ("summed", np.float64, (schema.MAX_CHANNELS,)),  # N, those so far
         ("program", np.uint64),  # of the program that is moved
         ("next", np.uint64),  # of the one that it fades to; 0: none
@@ -33,9 +33,9 @@ SCENE_SLOT = np.dtype(
         ("left", np.float64),  # steps until the old scene is dropped
         ("weight", np.float64),  # w
         ("incoming", np.float64, (schema.MAX_CHANNELS,)),  # N, the new scene's force
-        ("add_frame", np.uint64),  # address of the function of that name; 0: the scene has no sound
+        ("add_frame", np.uint64),  # address of that function; 0: the scene has no sound
         ("sound", np.uint64),  # address of its ring
-        ("cross_fade", np.uint64),  # address of the function that moves two; 0: one scene, and none is posted
+        ("cross_fade", np.uint64),  # address of that function; 0: one scene, and none is posted
     ],
     align=True,
 )
@@ -46,7 +46,8 @@ _call_cross_fade = function_at(CROSS_FADE)
 
 @inlined
 def move_scene(slot, io, samples):
-    """Moves the scene by `samples`, the hands along a line; the force that answers them is then in `io.asked`."""
+    """Moves the scene by `samples`, with the hands on straight lines. Writes the force that answers them to
+    `io.asked`."""
     compact()
     steps = samples * slot.substeps
     for i in range(1, steps + 1):
@@ -70,7 +71,8 @@ def move_scene(slot, io, samples):
 
 @inlined
 def _take_mean(slot, io, number, is_last):
-    """Adds the forces of step `number`, from 1 on, of the last sample's; makes their mean the force that is sent."""
+    """Adds the forces of step `number` (from 1 on) of the last sample; after the last step, sets the force to the
+    mean."""
     for c in range(np.uint64(io.channels)):
         if number == 1:
             slot.summed[c] = 0.0
@@ -81,7 +83,7 @@ def _take_mean(slot, io, number, is_last):
 
 @inlined
 def move_by_step(program, position, velocity, force):
-    """Moves the program at this address by a step, its live parameters first."""
+    """Moves live parameters and then the program at this address by a step."""
     program = program_at(program)
     if program.parameters.stored != 0:
         set_hands(program, position)

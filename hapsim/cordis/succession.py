@@ -1,9 +1,9 @@
-"""What a program takes over from the one before it, between two samples of a running loop.
+"""The state that a program takes over from the one before it, between two samples of a running loop.
 
-Whatever both scenes have under the same name and of the same type goes on: points with their positions and velocities,
-live parameters from where they are, and what links remember. What is new begins as its scene says, at the hands that
-are there. A structure goes on where it has as many masses as before; a material point may become one of another type,
-as a mass a cell.
+Modules with the same name and type in both scenes continue: points with positions and velocities, live parameters from
+their current values, and links with their memory. New modules begin as in their scene, at the present hands. A
+structure continues if it has as many masses as before. A material point may become one of another type, such as a mass
+a cell.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hapsim.scene.modules import MaterialPoint, Structure
 
 class CarriedPoints(NamedTuple):
     """Points of an older program, PROGRAM, by number there, `taken`, and here, `placed`. `rows`: (2, N) its positions,
-    in m."""
+    m."""
 
     older: Any
     rows: Column
@@ -32,7 +32,7 @@ class CarriedPoints(NamedTuple):
 
 
 class CarriedNumbers(NamedTuple):
-    """Numbers of an older program, source[taken], that become target[placed]."""
+    """Numbers of an older program: source[taken] become target[placed]."""
 
     source: Column
     taken: NDArray[np.uint32]
@@ -42,7 +42,7 @@ class CarriedNumbers(NamedTuple):
 
 @action
 def carry_points(points, state):
-    """Puts every point where it is and was."""
+    """Copies the positions of both samples of every common point."""
     points, state = value_of(points), value_of(state)
     turn = points.older.turn
     here, before = points.rows[turn], points.rows[1 - turn]
@@ -53,21 +53,21 @@ def carry_points(points, state):
 
 @action
 def carry_numbers(numbers, _state):
-    """Copies them."""
+    """Copies the numbers to their new places."""
     numbers = value_of(numbers)
     for i in range(np.uint64(numbers.taken.size)):
         numbers.target[numbers.placed[i]] = numbers.source[numbers.taken[i]]
 
 
 def take_over_from(older: Program, older_scene: Scene, program: Program, scene: Scene) -> None:
-    """Prepares `program`, of `scene`, to follow `older`: what `hapsim.cordis.tick.take_over` calls."""
+    """Prepares `program` of `scene` to follow `older`: fills the lists that `hapsim.cordis.tick.take_over` calls."""
     points = _common_points(older_scene, scene)
     same_type = {
         name
         for name in older_scene.modules.keys() & scene.modules.keys()
         if type(older_scene.modules[name]) is type(scene.modules[name])
     }
-    ramped = {name for name in same_type if scene.modules[name].live}  # a table that fades has no values to go on from
+    ramped = {name for name in same_type if scene.modules[name].live}  # a table that crossfades does not continue
     before, after = _ends(older_scene), _ends(scene)
     links = {name for name in same_type if before[name] == after[name] and points.issuperset(after[name])}
     older.call_all_of("place")
@@ -82,25 +82,25 @@ def take_over_from(older: Program, older_scene: Scene, program: Program, scene: 
 
 
 def _hands(scene: Scene) -> dict[str, str]:
-    """What each hand is called here: its channel makes it the same hand, whatever its name."""
+    """Returns a common name for each hand: its channel identifies it, whatever its name in the scene."""
     return {name: f"channel {hand.channel}" for name, hand in scene.device_points.items()}
 
 
 def _by_hand(scene: Scene, numbers: Mapping[str, int]) -> dict[str, int]:
-    """The number of each point by its name, of a hand by that of `_hands`."""
+    """Returns the number of each point by its name, of a hand by that of `_hands`."""
     hands = _hands(scene)
     return {hands.get(name, name): number for name, number in numbers.items()}
 
 
 def _ends(scene: Scene) -> dict[str, list[str]]:
-    """The points at the ends of each link, by the names of `_hands`; any other module has itself."""
+    """Returns the points at the ends of each link, by the names of `_hands`; for any other module itself."""
     hands = _hands(scene)
     own = {name: [name] for name in scene.modules}
     return own | {name: [hands.get(end, end) for end in link.between] for name, link in scene.links.items()}
 
 
 def _common_points(older: Scene, scene: Scene) -> set[str]:
-    """The points of both scenes that are the same, by the names of `_hands`."""
+    """Returns the common points of both scenes, by the names of `_hands`."""
     same = {*_hands(older).values()} & {*_hands(scene).values()}
     for name in older.modules.keys() & scene.modules.keys():
         before, after = older.modules[name], scene.modules[name]
@@ -116,7 +116,7 @@ def _common_points(older: Scene, scene: Scene) -> set[str]:
 
 
 def _live(older: Program, program: Program, names: set[str]) -> Iterator[tuple[NativeFunction, Any]]:
-    """Live parameters, from where they are now, wherever a change has brought them."""
+    """Yields the action that copies the current values of common live parameters, if there are any."""
     keys = [key for key in program.places if key[0] in names]
     taken, placed = _in_order(older.places, program.places, keys)
     if taken.size:
@@ -124,7 +124,7 @@ def _live(older: Program, program: Program, names: set[str]) -> Iterator[tuple[N
 
 
 def _remembered(older: Program, program: Program, links: set[str]) -> Iterator[tuple[NativeFunction, Any]]:
-    """What links remember: after `initialize`, which has them begin anew."""
+    """Yields the actions that copy the memory of common links, after `initialize` has reset it."""
     memories = {part.add_forces: part.memory for part in older.parts if part.memory is not None}
     for part in program.parts:
         before, after = memories.get(part.add_forces), part.memory
@@ -140,7 +140,7 @@ def _remembered(older: Program, program: Program, links: set[str]) -> Iterator[t
 def _in_order(
     there: Mapping[Any, int], here: Mapping[Any, int], keys: Iterable[Any]
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Where those keys that both have stand in each, in the order of memory."""
+    """Returns the indices of the common keys in each, in the order of memory."""
     pairs = sorted((there[key], here[key]) for key in keys if key in there and key in here)
     taken, placed = np.array(pairs, np.uint32).reshape(-1, 2).T
     return np.ascontiguousarray(taken), np.ascontiguousarray(placed)

@@ -1,4 +1,4 @@
-"""One sample of a scene: positions in, forces out, masses moved. Compiled once, for every scene there is."""
+"""One sample of a scene: it takes positions, returns forces and moves masses. Compiled once, for every scene."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ PROGRAM = np.dtype(
         ("single", np.int64),  # 1: positions and forces have single precision
         ("hands", np.int64),  # H device points, which come first among the points
         ("channel", np.uint64, (schema.MAX_CHANNELS,)),  # the device's channel of each
-        ("senses", np.int64),  # 1: something asks for velocities
+        ("senses", np.int64),  # 1: a link uses velocities
         ("velocity", np.uint64),  # address of the device points' velocities in m/s
-        ("pick_up_values", np.uint64),  # address of what the pick-ups heard in the last step
+        ("pick_up_values", np.uint64),  # address of the pick-ups' values of the last step
         ("settling", np.int64),  # 1: parameters moved with the last sample
         ("initialize", CALLS),
         ("retarget", CALLS),
@@ -37,7 +37,7 @@ PROGRAM = np.dtype(
     ],
     align=True,
 )
-"""A scene as compiled code has it."""
+"""A scene for compiled code."""
 
 program_at = record_at(PROGRAM)
 _doubles_at = array_at(np.float64)
@@ -45,8 +45,8 @@ _doubles_at = array_at(np.float64)
 
 @inlined
 def start(program, measured):
-    """Puts the device points where the hands are, at rest, so that the first tick feels no jump. `measured`: m, one
-    value per channel of the device."""
+    """Puts the device points at the hands, at rest, so that the first tick has no jump. `measured`: m, one value per
+    channel of the device."""
     compact()
     _set_at_rest(program, measured)
     call_all(program.initialize, program.states[np.uint64(program.turn)])
@@ -54,8 +54,8 @@ def start(program, measured):
 
 @inlined
 def take_over(older, program, measured):
-    """Instead of `start`, for a program that follows another in a running loop: what both have goes on from where the
-    older one has it, and hands that are new begin at rest."""
+    """Starts a program that follows another in a running loop, instead of `start`: common modules continue from the
+    older program's state, and new hands begin at rest."""
     call_all(older.place, older.states[np.uint64(older.turn)])
     state = program.states[np.uint64(program.turn)]
     _set_at_rest(program, measured)
@@ -69,8 +69,8 @@ def take_over(older, program, measured):
 
 @inlined
 def tick(program, measured, velocity, force):
-    """Moves the scene by one sample. `measured`: the device's positions in m, one per channel. `velocity`: those that
-    it senses in m/s, 0 where it does not. `force`: receives the force in N on each channel that the scene uses."""
+    """Moves the scene by one sample. `measured`: the device's positions in m, one per channel. `velocity`: its sensed
+    velocities in m/s, else 0. `force`: receives the force in N on each channel that the scene uses."""
     compact()
     turn = np.uint64(program.turn)
     program.turn = ONE - turn
@@ -87,7 +87,7 @@ def tick(program, measured, velocity, force):
 
 @inlined
 def _rows(program):
-    """The addresses of the positions at this sample and at the one before."""
+    """Returns the addresses of the positions at this sample and at the one before."""
     turn = np.uint64(program.turn)
     return program.rows[turn], program.rows[ONE - turn]
 
@@ -101,14 +101,14 @@ def _set_at_rest(program, measured):
 
 @inlined
 def set_hands(program, measured):
-    """Before `update_parameters`, where energy is accounted for: the device points are where the hands are."""
+    """Puts the device points at the hands. Call it before `update_parameters` if energy is accounted for."""
     _set_positions(program, program.rows[np.uint64(program.turn)], measured)
 
 
 @inlined
 def update_parameters(program):
-    """Before the tick: moves live parameters by one sample, and what they put elsewhere, which has no velocity any more
-    with the sample after."""
+    """Moves live parameters, and points that depend on them, by one sample. Call it before the tick. With the next
+    sample these points are at rest again."""
     compact()
     parameters, moved = program.parameters, 0
     if parameters.posted != parameters.taken or parameters.left > 0:
@@ -120,7 +120,7 @@ def update_parameters(program):
 
 @inlined
 def stored_energy(program, measured):
-    """J, before the tick, with the hands at `measured`; 0 where none is accounted for."""
+    """Returns the stored energy before the tick, J, with the hands at `measured`; 0 if it is not accounted for."""
     if program.parameters.stored == 0:
         return 0.0
     set_hands(program, measured)
@@ -138,7 +138,7 @@ def _set_positions(program, row, measured):
 
 @inlined
 def _read_forces(program, force):
-    """The force on each device point, which is used up."""
+    """Reads the force on each device point and sets it to zero."""
     compact()
     for h in range(program.hands):
         force[program.channel[np.uint64(h)]] = number_at(program.force, h, program.single)

@@ -1,1 +1,1 @@
-"""The types of module that a scene is made of, one a file: their numbers, and what a tick does with them."""
+"""The types of module in a scene: their numbers, and their actions in a tick."""

@@ -1,12 +1,12 @@
 """The links of a spring and a damper: the visco-elastic link (CORDIS: REF), the spring (RES), the damper (FRO).
 
-A damper is a visco-elastic link with K = 0. By how much d grows in a sample, g of `link.py`, the damper says; each is
-the recurrence of the transfer function that has the same name in `hapsim.theory`:
+A damper is a visco-elastic link with K = 0. The damper's type defines g of `link.py`, the growth of d in a sample.
+Each is the recurrence of the transfer function with the same name in `hapsim.theory`:
 
     backward   g[n] = d[n] - d[n-1]                                (Florens et al., §6)
     centred    g[n] = (d[n] - d[n-2])/2
     filtered   g[n] = k g[n-1] + (1 - k) (d[n] - d[n-1])           k = exp(-2 pi cutoff T)
-    sensed     g[n] = T v[n], where the device measures v; at an end that is no device point, backward
+    sensed     g[n] = T v[n], with v measured by the device; at an end that is no device point, backward
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def add_forces(links, state):
 
 @fma_action
 def add_spring_forces(springs, state):
-    """Adds the force of every spring: by itself, because reading the positions before costs a quarter of the time."""
+    """Adds the force of every spring. Separate, because reading the earlier positions costs a quarter of the time."""
     springs, state = value_of(springs), value_of(state)
     for i in range(count(springs.ends)):
         pull_ends(springs.ends, i, springs.stiffness[i] * stretch(springs.ends, i, state.position), state.force)
@@ -70,7 +70,7 @@ def add_spring_forces(springs, state):
 
 @action
 def initialize_centred(links, state):
-    """As if every point had moved up to now as it does."""
+    """Sets the memory as if every point had moved so far at its present velocity."""
     links, state = value_of(links), value_of(state)
     for i in range(count(links.ends)):
         before = stretch(links.ends, i, state.previous)
@@ -79,7 +79,7 @@ def initialize_centred(links, state):
 
 @action
 def initialize_filtered(links, state):
-    """As if every point had moved up to now as it does."""
+    """Sets the memory as if every point had moved so far at its present velocity."""
     links, state = value_of(links), value_of(state)
     for i in range(count(links.ends)):
         links.remembered[i] = stretch(links.ends, i, state.position) - stretch(links.ends, i, state.previous)
@@ -119,7 +119,7 @@ def add_sensed_forces(links, state):
 
 @inlined
 def _step(point, period, state):
-    """How far a point moves in a sample period, by its sensor where it has one: device points do, and come first."""
+    """Returns a point's step in a sample period, m: by the sensor for device points, which come first."""
     if point < state.velocity.size:
         return state.position.dtype.type(period * state.velocity[point])
     return state.position[point] - state.previous[point]
@@ -132,7 +132,8 @@ def damped_type(
     constant: Callable[[Any, float], float],
     initialize: NativeFunction | None = None,
 ) -> PartType:
-    """Links with another damper; `constant`: of a link at a rate in Hz. One with `initialize` remembers."""
+    """Returns the type of links with another damper. `constant`: of a link at a rate in Hz. With `initialize`, they
+    have a memory."""
     return link_type(
         ViscoElastic,
         DampedLinks if initialize else SensedLinks,

@@ -1,6 +1,6 @@
-"""What links have in common: two ends each, which they pull towards each other.
+"""The base of all links: two ends each, which they pull towards each other.
 
-    F[n] = K d[n] + (B / T) g[n]      d: first end minus second end; g: by how much d grows in a sample period
+    F[n] = K d[n] + (B / T) g[n]      d: first end minus second end; g: growth of d in a sample period
 
 is the visco-elastic link (Florens et al., §6, Figure 5b). F is a *tension*: a positive one pulls the ends together, so
 that it acts on the first end as -F, and on the second as +F. `pull_ends` does that for every link.
@@ -48,12 +48,12 @@ def link_type(
     remembers: int = 0,
     initialize: NativeFunction | None = None,
 ) -> PartType:
-    """The links of a module type for which `where` holds.
+    """Returns the type of the links of a module type for which `where` holds.
 
     Args:
         numbers: makes the part's numbers of the ends, the live columns, the constants and the remembered columns.
         constants: of these links, such as curves.
-        remembers: how many columns, 0 before the first tick, the links remember from sample to sample.
+        remembers: count of the links' memory columns, which are 0 before the first tick.
         name, compiled_as: as in `PartType`.
     """
 
@@ -68,7 +68,7 @@ def link_type(
 
 
 def ends_of(links: Mapping[str, Any], context: BuildContext) -> Ends:
-    """The ends of these modules of a scene."""
+    """Returns the ends of these links."""
     numbers = [[context.number[end] for end in link.between] for link in links.values()]
     first, second = np.array(numbers, np.uint32).reshape(-1, 2).T
     return Ends(np.ascontiguousarray(first), np.ascontiguousarray(second))
@@ -76,13 +76,13 @@ def ends_of(links: Mapping[str, Any], context: BuildContext) -> Ends:
 
 @inlined
 def count(ends):
-    """How many links there are."""
+    """Returns the number of links."""
     return np.uint64(ends.first.size)
 
 
 @inlined
 def stretch(ends, i, position):
-    """Link i's first end minus its second, where the points are at `position`, in m."""
+    """Returns link i's first end minus its second, m, for points at `position`."""
     return position[ends.first[i]] - position[ends.second[i]]
 
 
@@ -95,5 +95,5 @@ def pull_ends(ends, i, tension, force):
 
 @inlined
 def pull_link(links, i, d, growth, force):
-    """Adds link i's force: stretched by `d`, by `growth` more than a sample before, in m."""
+    """Adds link i's force. `d`: its stretch, m; `growth`: of the stretch in a sample, m."""
     pull_ends(links.ends, i, links.stiffness[i] * d + links.damping_per_sample[i] * growth, force)

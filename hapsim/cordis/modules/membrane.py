@@ -4,11 +4,11 @@ The recurrence is that of `string.py`, with four neighbours: s[i] = x[left] + x[
 
     x[n+1] = (2 - 4 (a + b) - e) x[n] + (a + b) s[n] - (1 - 4 b - e) x[n-1] - b s[n-1]
 
-A membrane stands in memory row after row, each between two borders, and between two rows of borders above and below.
-The border of a fixed edge stays where it is; that of a free edge follows its neighbour, so that no link to it
-is ever stretched. Every row begins where lanes may begin, so that what is above and below is fetched whole.
+A membrane is in memory row after row, each between two borders, and between two rows of borders above and below. The
+border of a fixed edge stays at its place; that of a free edge follows its neighbour, so that no link to it is ever
+stretched. Every row is aligned for lanes, so that the rows above and below are fetched in whole lanes.
 
-Rows are moved from above downwards, and x[n+1] goes where x[n-1] was. So what a row needs of the one above is kept.
+Rows are moved from the top down, and x[n+1] replaces x[n-1]. So the terms of the row above are kept.
 """
 
 from __future__ import annotations
@@ -41,9 +41,8 @@ from hapsim.scene import Membrane
 
 
 class Membranes(NamedTuple):
-    """S membranes: their first mass, how far it is in memory from one row to the next, how many rows and columns of
-    masses each has, shape (S,), and which edges are free (S, 4).
-    `above`: room for the terms of a row, the longest one's."""
+    """S membranes: first mass, distance in memory from row to row, rows and columns of masses, shape (S,), and which
+    edges are free (S, 4). `above`: room for the terms of the longest row."""
 
     first: NDArray[np.uint64]
     pitch: NDArray[np.uint64]
@@ -79,19 +78,19 @@ def _numbers(
 
 
 def _pitch(membrane: Membrane) -> int:
-    """A border, a row of masses, a border."""
+    """Returns the padded size of a border, a row of masses and a border."""
     return padded(membrane.columns + 2)
 
 
 def _layout(membrane: Membrane) -> tuple[Sequence[int], int]:
-    """Rows with a border at each end, between two rows of borders."""
+    """Returns the layout: rows with a border at each end, between two rows of borders."""
     rows, columns, pitch = range(1, membrane.rows + 1), range(1, membrane.columns + 1), _pitch(membrane)
     return [row * pitch + column for row in rows for column in columns], (membrane.rows + 2) * pitch
 
 
 @action
 def initialize(membranes, state):
-    """The borders go where the masses were."""
+    """Places the borders at the earlier positions of the masses."""
     membranes, state = value_of(membranes), value_of(state)
     for s in range(np.uint64(membranes.first.size)):
         _free_edges(membranes, s, state.previous)
@@ -115,7 +114,7 @@ def integrate(membranes, state):
 
 @inlined
 def _free_edges(membranes, s, position):
-    """The border of a free edge goes where its neighbour is."""
+    """Places the border of a free edge at its neighbour."""
     first, pitch, columns, free = membranes.first[s], membranes.pitch[s], membranes.columns[s], membranes.free
     last_row = first + (membranes.rows[s] - np.uint64(1)) * pitch
     if free[s, 0]:
@@ -145,7 +144,7 @@ def _terms_at(step, rows, place):
 
 @inlined
 def _copy_row(position, masses, borders, columns):
-    """Puts a row of borders where a row of masses is, in lanes, along with what stands beside them."""
+    """Copies a row of masses to a row of borders, in lanes, with the numbers beside them."""
     begin, end = np.uint64(1), columns + np.uint64(1)
     for i in range(np.uint64(0), end, width_of(position)):
         put(position, borders - begin + i, fetch(position, masses - begin + i))
@@ -167,7 +166,7 @@ def _update_by_differences(step, rows, here, terms):
 
 @fma
 def _sum_of_four(step, rows, here, terms):
-    """The terms of all neighbours; keeps those here for the row below."""
+    """Returns the sum of the neighbours' terms; keeps the terms here for the row below."""
     column = here - step.row
     above = fetch(step.above, column)
     put(step.above, column, terms[1][0])

@@ -1,8 +1,7 @@
 """The links with a recurrence of their own: dry friction, plectrum and sine detent.
 
-Their recurrences, and why, are in MODULES.md. A comparison decides so that a tension that is not a number (NaN) is
-passed on: the guard then ends the run.
-"""
+MODULES.md explains their recurrences. Comparisons are written so that a tension that is NaN is passed on: the guard
+then ends the run."""
 
 from __future__ import annotations
 
@@ -52,7 +51,7 @@ class Sines(NamedTuple):
 
 @action
 def initialize_friction(group, state):
-    """No bristle is bent."""
+    """Sets every anchor so that no bristle is bent."""
     group, state = value_of(group), value_of(state)
     for i in range(count(group.ends)):
         group.anchor[i] = stretch(group.ends, i, state.position)
@@ -60,8 +59,8 @@ def initialize_friction(group, state):
 
 @action
 def add_friction_forces(group, state):
-    """Adds the force of every friction link. It keeps which way it slides, so that a hand that stands still feels the
-    same force from sample to sample, whatever is rounded."""
+    """Adds the force of every friction link. A link keeps its direction of sliding, so that rounding does not change
+    the force on a hand that stands still."""
     group, state = value_of(group), value_of(state)
     for i in range(count(group.ends)):
         d = stretch(group.ends, i, state.position)

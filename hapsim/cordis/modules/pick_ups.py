@@ -1,7 +1,7 @@
-"""Pick-ups: what a scene's output channels hear in each step.
+"""Pick-ups: the values of a scene's output channels in each step.
 
-They act last among those that add forces. So the positions are those of this step and of the one before, and a point's
-force is the sum of what its links pull it with. Each leaves gain times that in the program's row `pick_up_values`.
+They act last among the actions that add forces. So the positions are those of this step and of the one before, and a
+point's force is the sum over its links. Each writes gain times the quantity to the program's `pick_up_values`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class PickUps(NamedTuple):
 
 @action
 def sample_pick_ups(pick_ups, state):
-    """Takes what each hears in this step."""
+    """Samples every pick-up in this step."""
     pick_ups, state = value_of(pick_ups), value_of(state)
     for c in range(np.uint64(pick_ups.point.size)):
         p = pick_ups.point[c]

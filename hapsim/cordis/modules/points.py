@@ -1,11 +1,11 @@
 """The points of a scene: the ground (CORDIS: SOL), the mass (MAS) and the cell (CEL).
 
-    ground   x[n] = position, which may change while the scene runs; the dampers tied to it feel it move
+    ground   x[n] = position, which may change while the scene runs; that moves the dampers tied to it
     mass     (m / T²) (x[n+1] - 2 x[n] + x[n-1]) = F[n]          second-order centred (Florens et al., §6, Figure 5a)
     cell     a mass with F[n] = -K d[n] - (B/T) (d[n] - d[n-1]),          d: where it is minus where it rests
 
-Where a cell's rest position is moved while the scene runs, d grows by that too: a cell is a mass, a visco-elastic link
-and a ground. Masses and cells stand together in memory, and one pass moves them all.
+A change of a cell's rest position also changes d: a cell is a mass, a visco-elastic link and a ground. Masses and cells
+are adjacent in memory, and one pass moves them all.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ class Grounds(NamedTuple):
 
 @action
 def retarget(grounds, state):
-    """Puts every ground to its rest position. Between, they stand still by themselves: both rows of positions have them
-    where they are."""
+    """Puts every ground at its rest position. Between changes both rows of positions have it."""
     grounds, state = value_of(grounds), value_of(state)
     for i in range(np.uint64(grounds.rest.size)):
         state.position[grounds.start + i] = grounds.rest[i]
@@ -46,7 +45,7 @@ class Masses(NamedTuple):
 
 @fma_action
 def integrate(group, state):
-    """Moves every mass by one sample, and uses up the force on it."""
+    """Moves every mass by one sample, and sets the force on it to zero."""
     group, state = value_of(group), value_of(state)
     first, end = group.start, group.start + np.uint64(group.mobility.size)
     x, before, force = state.position[first:end], state.previous[first:end], state.force[first:end]

@@ -11,14 +11,13 @@ that the masses move in each sample by a further
 
     -g (c[i-1] - 2 c[i] + c[i+1]) = -g (x[i-2] - 4 x[i-1] + 6 x[i] - 4 x[i+1] + x[i+2])
 
-A string stands in memory between two borders at each end. Where an end is free, the border goes where its mass is, so
-that the link to it is never stretched; elsewhere both stay. The borders of a stiff string are put where the curvatures
-that do no work come out as 0:
+A string is in memory between two borders at each end. At a free end the border is at its mass, so that the link to it
+is never stretched; at other ends both stay. The borders of a stiff string make the curvatures that do no work 0:
 
-    fixed     the first stays where it is, the second mirrors the end's mass: c = 0 about the first, a hinge
-    clamped   both stay where they are
-    free      both go on in the line of the end's two masses: c = 0 about the end's mass and beyond. The link to the
-              first, which is not there, has pulled then: that is taken back.
+    fixed     the first stays at its place, the second mirrors the end's mass: c = 0 about the first, a hinge clamped
+    both stay at their places free      both continue the line of the end's two masses: c = 0 about the end's mass and
+    beyond. The pull of the link
+              to the first, which does not exist, is subtracted.
 """
 
 from __future__ import annotations
@@ -51,13 +50,13 @@ from hapsim.cordis.simd import padded, put_one, shift_lanes
 from hapsim.scene import String
 
 _ONE = np.uint64(1)
-_FIXED, _EQUAL, _MIRRORED, _EXTRAPOLATED = (np.uint8(i) for i in range(4))  # what the borders at an end do
+_FIXED, _EQUAL, _MIRRORED, _EXTRAPOLATED = (np.uint8(i) for i in range(4))  # motion of an end's borders
 _BORDERS = {"fixed": _FIXED, "clamped": _FIXED, "free": _EQUAL}
 _STIFF_BORDERS = {"fixed": _MIRRORED, "clamped": _FIXED, "free": _EXTRAPOLATED}
 
 
 class StringRows(NamedTuple):
-    """S strings: where their first mass is, how many each has, what the borders at each end do (S, 2)."""
+    """S strings: number of the first mass, count of masses, motion of the borders at each end (S, 2)."""
 
     first: NDArray[np.uint64]
     masses: NDArray[np.uint64]
@@ -91,7 +90,7 @@ class StiffStringStep(NamedTuple):
 
 
 def rows_of(strings: Mapping[str, String], context: BuildContext) -> StringRows:
-    """Where these strings stand."""
+    """Returns the places of these strings in memory."""
     borders = [[(_STIFF_BORDERS if one.bending else _BORDERS)[end] for end in one.ends] for one in strings.values()]
     return StringRows(
         np.array([context.number[f"{name}.0"] for name in strings], np.uint64),
@@ -106,13 +105,13 @@ def _numbers(strings: Mapping[str, Any], links: UniformLinks, loaded: LoadedPoin
 
 
 def _layout(string: String) -> tuple[Sequence[int], int]:
-    """Two borders, the masses, two borders."""
+    """Returns the layout: two borders, the masses, two borders."""
     return range(2, string.masses + 2), padded(string.masses + 4)
 
 
 @action
 def initialize(strings, state):
-    """The borders go where the masses were."""
+    """Places the borders for the earlier positions of the masses."""
     strings, state = value_of(strings), value_of(state)
     for s in range(np.uint64(strings.rows.first.size)):
         place_borders(strings.rows, s, state.previous)
@@ -151,7 +150,7 @@ def integrate_stiff(strings, state):
 
 @inlined
 def place_borders(rows, s, position):
-    """Both ends' borders go where they belong to these positions."""
+    """Places both ends' borders for these positions."""
     first = rows.first[s]
     last = first + rows.masses[s] - _ONE
     _place_end(rows.borders[s, 0], position, first + _ONE, first, first - _ONE, first - np.uint64(2))
@@ -160,7 +159,7 @@ def place_borders(rows, s, position):
 
 @inlined
 def _place_end(borders, position, inner, outer, border, beyond):
-    """The end's mass is at `outer`, its neighbour at `inner`."""
+    """Places the borders of one end. `outer`: the end's mass; `inner`: its neighbour."""
     if borders == _EQUAL:
         put_one(position, border, position[outer])
     elif borders == _EXTRAPOLATED:
@@ -173,7 +172,7 @@ def _place_end(borders, position, inner, outer, border, beyond):
 
 @inlined
 def _border_pull(step, state, mass, border):
-    """How far the link to a border moves the mass beside it: at a free end, where there is none, that is taken back."""
+    """Returns the motion of the end's mass by the link to its border, m; a free end subtracts it."""
     x, before = state.position, state.previous
     d, d_before = x[border] - x[mass], before[border] - before[mass]
     return step.a * d + step.b * (d - d_before)

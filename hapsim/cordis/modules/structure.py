@@ -1,13 +1,13 @@
-"""What strings and membranes share: a stencil that moves every mass alike, in one pass over contiguous memory, in lanes
+"""The base of strings and membranes: a stencil that moves all masses in one pass over contiguous memory, in lanes
 (`simd.py`), and the masses that links hold.
 
-A step is a named tuple of a structure's numbers, with a kernel for its type in `STENCIL_KERNELS`.
-It works out from x[n] and x[n-1] of some masses what their neighbours need of them, and from that and the neighbours'
-terms where they are at x[n+1]. So each term is worked out once and not by each neighbour anew. x[n+1] goes where x[n-1]
-was: two rows of positions in place of three, which a long string fetches from beyond the nearest caches in every step.
+A step is a named tuple of a structure's numbers, with a kernel for its type in `STENCIL_KERNELS`. From x[n] and x[n-1]
+of some masses the kernel computes the terms for their neighbours, and from these and the neighbours' terms x[n+1]. So
+each term is computed once. x[n+1] replaces x[n-1]: two rows of positions instead of three, which a long string fetches
+from beyond the nearest caches in every step.
 
-A structure moves all its masses in one pass, without forces. Forces of links reach only the masses that they hold
-(`LoadedPoints`): those are moved once more, and no other mass is asked.
+A structure moves all its masses in one pass, without forces. Forces of links act only on the masses that they hold
+(`LoadedPoints`): those are moved once more.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hapsim.scene.modules import Structure
 
 
 class UniformLinks(NamedTuple):
-    """Of S structures: T²/m in m/N; K, B/T and friction/T in N/m; shape (S,)."""
+    """The links inside S structures: T²/m in m/N; K, B/T and friction/T in N/m; shape (S,)."""
 
     mobility: Column
     stiffness: Column
@@ -53,7 +53,8 @@ def structure_type(
     compiled_as: str,
     where: Callable[[Any], bool] = lambda _: True,
 ) -> PartType:
-    """The structures of a module type for which `where` holds; `numbers` makes their part's numbers."""
+    """Returns the type of the structures of a module type for which `where` holds. `numbers`: makes their part's
+    numbers."""
 
     def build(structures: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
         links = UniformLinks(context.mobility([one.mass for one in structures.values()]), *columns)
@@ -77,7 +78,7 @@ def _loaded_points_of(structures: Mapping[str, Any], context: BuildContext) -> L
 
 @inlined
 def push_loaded_points(loaded, state):
-    """Adds to x[n+1] of each mass that links hold what their force on it does, and uses up the force."""
+    """Adds the links' force to x[n+1] of each mass that they hold, and sets the force to zero."""
     for i in range(np.uint64(loaded.point.size)):
         p = loaded.point[i]
         add_to_one(state.previous, np.uint64(p), loaded.mobility[i] * state.force[p])
@@ -86,7 +87,7 @@ def push_loaded_points(loaded, state):
 
 @inlined
 def link_coefficients(links, s):
-    """a, b and e of structure s: T²/m times its stiffness, damping/T and friction/T."""
+    """Returns a, b and e of structure s: T²/m times its stiffness, damping/T and friction/T."""
     mobility = links.mobility[s]
     return (
         mobility * links.stiffness[s],
@@ -96,15 +97,15 @@ def link_coefficients(links, s):
 
 
 class StencilKernel(NamedTuple):
-    """How a step goes, with two ways to work out the same x[n+1].
+    """The functions of a step, with two ways to compute the same x[n+1].
 
-    `terms_of`: (step, x, before) -> (t, x, before), lanes of masses that are at x now and were at `before` a sample
-    ago; t is what neighbours add up. The other two: (step, rows, here, terms) -> the lanes at `here`, a sample on.
-    `rows`: (x, before); `terms`: those of the lanes to the left, of those here and of those to the right.
+    `terms_of`: (step, x, before) -> (t, x, before), for lanes of masses at x now and at `before` a sample ago; t is the
+    term that neighbours sum up. The other two: (step, rows, here, terms) -> the lanes at `here`, a sample on. `rows`:
+    (x, before); `terms`: of the lanes to the left, here and to the right.
 
-    `by_coefficients` multiplies x and `before` by a coefficient of each: fewer operations, but for numbers of 64 bits
-    only. With 32 bits the coefficients, rounded, no longer cancel: a string of 100 masses would swing in its lowest
-    mode by up to a thousandth too fast or too slow. `by_differences` subtracts a mass's own term from its neighbours'.
+    `by_coefficients` multiplies x and `before` by a coefficient each: fewer operations, but only for 64 bits. With 32
+    bits the rounded coefficients no longer cancel: the lowest mode of a string of 100 masses would be up to a
+    thousandth too fast or too slow. `by_differences` subtracts a mass's own term from its neighbours'.
     """
 
     terms_of: Callable[..., Any]
@@ -113,7 +114,7 @@ class StencilKernel(NamedTuple):
 
 
 STENCIL_KERNELS: dict[type, StencilKernel] = {}
-"""What moves a structure's masses by a sample, by the type of its step."""
+"""Kernels that move a structure's masses by a sample, by the type of its step."""
 
 
 def _neighbour_terms(step, x, before):
@@ -147,19 +148,19 @@ def _choose_update(step, rows, here, terms):  # noqa: ARG001  (numba matches the
 
 @fma
 def linear_terms(step, x, before):
-    """The terms of a structure in which each mass is linked to the nearest."""
+    """Returns the terms of a structure in which each mass is linked to the nearest ones."""
     return (step.a + step.b) * x - step.b * before, x, before
 
 
 @inlined
 def neighbours(terms, which):
-    """The sum of term `which`, a literal, of both neighbours in a row."""
+    """Returns the sum of term `which`, a literal, of both neighbours in a row."""
     return shift_lanes(terms, which, -1) + shift_lanes(terms, which, 1)
 
 
 @fma
 def next_position(step, x, before, pull):
-    """x[n+1] by differences; `pull`: how far the links move the masses, in m."""
+    """Returns x[n+1] by differences. `pull`: the motion by the links, m."""
     way = x - before
     return x + ((way - step.e * way) + pull)
 
@@ -168,15 +169,15 @@ def next_position(step, x, before, pull):
 def sweep(step, state, first, count):
     """Moves `count` masses from the one at `first` on by a sample.
 
-    There is a border or two before them, in the first one's lanes, and two numbers behind them. What stands beside
-    them in the same lanes keeps its place: `previous` gets it where `position` has it.
+    One or two borders precede them, in the first one's lanes, and two numbers follow them. Other numbers in the same
+    lanes keep their values: they are copied from `position` to `previous`.
 
-    x[n+1] goes where x[n-1] is. What the lanes to the right need of it is in `middle` by then.
+    x[n+1] replaces x[n-1]. The terms that the lanes to the right need are in `middle` by then.
     """
     rows, width, end = (state.position, state.previous), width_of(state.position), first + count
     here, last = first & ~(width - np.uint64(1)), (end - np.uint64(1)) & ~(width - np.uint64(1))
-    beyond = (end + np.uint64(1)) & ~(width - np.uint64(1))  # where the second border is
-    left = middle = _terms_at(step, rows, here)  # the first border, or two, stand before the first mass in its lanes
+    beyond = (end + np.uint64(1)) & ~(width - np.uint64(1))  # lanes of the second border
+    left = middle = _terms_at(step, rows, here)  # the first mass's lanes include one or two borders
     right = _terms_at(step, rows, min(here + width, beyond))
     _put_inside(rows, here, first, end, _update(step, rows, here, (left, middle, right)))
     here += width
@@ -197,5 +198,5 @@ def _terms_at(step, rows, here):
 
 @inlined
 def _put_inside(rows, here, first, end, lanes):
-    """What is not a mass stays."""
+    """Stores the lanes' masses; other numbers keep their values."""
     put(rows[1], here, chosen(lanes, fetch(rows[0], here), np.int64(first - here), np.int64(end - here)))

@@ -5,9 +5,9 @@ With the last knot (d_k, F_k) at or below d, and z the damping from there on,
 
     F[n] = F_k + (d[n] - d_k) (F_k+1 - F_k)/(d_k+1 - d_k) + (z/T) (d[n] - d[n-1])
 
-Below the first knot and above the last the law has slopes of its own, unless it repeats. What only pushes never pulls
-more than its knots do: a damper would hold back what leaves. All numbers are live: between two laws of as many knots,
-those in between are laws too, whose edges stay in order and whose slopes lie between those of both.
+Below the first knot and above the last the law has slopes of its own, unless it repeats. A link that only pushes never
+pulls more than its knots do: its damper would hold back a leaving hand. All numbers are live: between two laws with as
+many knots, the interpolated ones are laws too, with edges in order and slopes between those of both.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ class TableLinks(NamedTuple):
     begin[i + 1].
 
     Attributes:
-        piece: (L,) the knot whose piece was found the last time.
-        pushes: (L,) 1 where the tension never exceeds the highest of the knots, or 0.
-        slope, until: (K,) N/m from each knot on, and where it ends, m.
-        most: (L,) N, which the tension never exceeds.
-        nothing_from: (L,) m, from which on there is no force.
-        turn: (L,) m, of how many periods that piece is in another than the first.
+        piece: (L,) the knot of the last used piece.
+        pushes: (L,) 1 if the tension never exceeds the highest of the knots, else 0.
+        slope, until: (K,) N/m from each knot on, and its end, m.
+        most: (L,) N, largest tension.
+        nothing_from: (L,) m, beyond which there is no force.
+        turn: (L,) m, offset of that piece's period from the first.
         edge, tension, damping_per_sample: (K,) m, N, and N/m from there on; live, as all that follow.
         below, damping_below, beyond: (L,) N/m, slopes below the first knot and above the last; B/T below the first.
         period: (L,) m; 0: it does not repeat.
@@ -65,7 +65,7 @@ class TableLinks(NamedTuple):
 
 @action
 def retarget(links, _state):
-    """Works out what follows from the live numbers."""
+    """Computes the numbers that depend on the live ones."""
     links = value_of(links)
     real = links.edge.dtype.type
     for i in range(count(links.ends)):
@@ -84,7 +84,7 @@ def retarget(links, _state):
 
 @inlined
 def _slope(links, knot, following, turn):
-    """From one knot to another, which is `turn` further on; 0 where both are at one place."""
+    """Returns the slope from one knot to another, which is `turn` further on; 0 if both are at one place."""
     width = links.edge[following] + turn - links.edge[knot]
     rise = links.tension[following] - links.tension[knot]
     return rise / width if width > 0 else links.edge.dtype.type(0)
@@ -92,7 +92,7 @@ def _slope(links, knot, following, turn):
 
 @action
 def add_table_forces(links, state):
-    """Adds what every link does for the distance of its ends."""
+    """Adds the force of every link, by the distance of its ends."""
     links, state = value_of(links), value_of(state)
     for i in range(count(links.ends)):
         d = stretch(links.ends, i, state.position)
@@ -102,7 +102,7 @@ def add_table_forces(links, state):
 
 @action
 def add_velocity_forces(links, state):
-    """Adds what every link does for how fast its ends part."""
+    """Adds the force of every link, by the velocity of its ends."""
     links, state = value_of(links), value_of(state)
     for i in range(count(links.ends)):
         growth = stretch(links.ends, i, state.position) - stretch(links.ends, i, state.previous)
@@ -111,10 +111,10 @@ def add_velocity_forces(links, state):
 
 @inlined
 def _tension_at(links, i, d, previous):
-    """Link i's tension at `d` m, where its points were at `previous` a sample before; NaN for NaN."""
+    """Returns link i's tension in N at `d` m, with its points at `previous` a sample before; NaN for NaN."""
     k, at = links.piece[i], d - links.turn[i]
     slope, damping = links.slope[k], links.damping_per_sample[k]
-    if not links.edge[k] <= at < links.until[k]:  # else it is where it was the last time, as mostly
+    if not links.edge[k] <= at < links.until[k]:  # usually the piece is the last one
         k, period, at = links.begin[i], links.period[i], d
         if period > 0:
             links.turn[i] = period * np.floor((d - links.edge[k]) / period)
@@ -131,7 +131,7 @@ def _tension_at(links, i, d, previous):
 
 @inlined
 def _piece(links, k, end, at):
-    """The last knot at or below `at`, of those from `k`, which is, to before `end`."""
+    """Returns the last knot at or below `at`, from `k` to before `end`; knot `k` is."""
     while end - k > ONE:
         middle = (k + end) >> ONE
         if at < links.edge[middle]:
@@ -142,7 +142,8 @@ def _piece(links, k, end, at):
 
 
 def _columns(laws: Mapping[str, Law], rate: float, per: float, over: str) -> list[LiveColumn]:
-    """The live columns of `TableLinks`; `per`: metres in a unit of the laws' edges, which are `over` that."""
+    """Returns the live columns of `TableLinks`. `per`: metres per unit of the laws' edges. `over`: prefix of field
+    names."""
 
     def of_knots(what: str, values: Callable[[Law], Sequence[float]]) -> LiveColumn:
         rows = {name: values(law)[-len(law.knots) :] for name, law in laws.items()}
@@ -171,7 +172,8 @@ def _table_type(
     per: Callable[[float], float] = lambda _: 1.0,
     over: str = "",
 ) -> PartType:
-    """The links that have this table, whose edges are in `per` metres at a rate in Hz; `over`: as of `_columns`."""
+    """Returns the type of links with this table. `per`: metres per unit of its edges, at a rate in Hz. `over`: of
+    `_columns`."""
 
     def tables(links: Mapping[str, Link]) -> dict[str, Law]:
         return {name: law for name, link in links.items() if (law := table(link)) is not None}
@@ -202,16 +204,18 @@ def _over_velocity(link: Link) -> Law | None:
 def over_common_edges(
     scene: Scene, places: Mapping[tuple[str, str], int], live: Column, posted: tuple[Column, Column], wanted: Column
 ) -> Column | None:
-    """Writes each table of `wanted` over edges of the one before it too, so that a ramp from that is one of forces.
+    """Resamples each table of `wanted` at common edges with the one before, so that a ramp between them changes only
+    forces.
 
     Args:
-        places: of live values; `live`: what they are now.
-        posted: those that the scene had before, as `parameter_values` has them and as they were posted.
-        wanted: those of `scene`, to be posted: written over.
+        places: indices of live values.
+        live: the current values.
+        posted: the last scene's values, from `parameter_values` and as posted.
+        wanted: the values of `scene` to be posted; changed in place.
 
     Returns:
-        What the live values first become, without another force, NaN where they stay; None where a table is still on
-        its way to one of other points.
+        New starts of live values that leave the force unchanged, NaN for values that stay; None if a table is still
+        ramping to one with other points.
     """
     begins = np.full(wanted.size, np.nan)
     for (name, what), first in places.items():

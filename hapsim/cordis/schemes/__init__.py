@@ -1,8 +1,8 @@
-"""What moves the masses from sample to sample. A new scheme is a file and a line here, and a word in the scene's own
-list, `hapsim/scene/choices.py`, which says which of them are offered.
+"""Schemes that move the masses from sample to sample. A new scheme is a file, a line here, and a word in
+`hapsim/scene/choices.py`, the list of choices for a scene.
 
-Forces are those at sample n, worked out from the positions at n, whatever the scheme: only then can the hand have them
-at once. What differs is where the masses are at n + 1.
+In every scheme the forces are those at sample n, computed from the positions at n: only then can the hand get them at
+once. Schemes differ in the positions of the masses at n + 1.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hapsim.cordis.schemes.rk4 import RK4
 from hapsim.cordis.schemes.semi_implicit import SEMI_IMPLICIT
 
 CORDIS = Scheme(lambda _scene, context, present: tuple(one.build(context) for one in present))
-"""CORDIS's own: every type of module moves its points itself (`modules/points.py`, `modules/string.py`)."""
+"""CORDIS's own scheme: every type of module moves its points itself (`modules/points.py`, `modules/string.py`)."""
 
 SCHEMES: dict[str, Scheme] = {
     "cordis": CORDIS,
@@ -26,5 +26,5 @@ SCHEMES: dict[str, Scheme] = {
 
 
 def without_matrices() -> list[str]:
-    """The schemes under which every live value of a scene can change while it runs."""
+    """Returns the schemes in which every live value of a scene can change while it runs."""
     return [name for name, scheme in SCHEMES.items() if scheme.inside is None]

@@ -2,16 +2,15 @@
 
     M x'' + B x' + K x = f[n]      for n T <= t < (n + 1) T
 
-Where one change of coordinates makes K and B diagonal at once, each motion goes by itself (`ExactModes`), in O(n) for
-each point that something from outside holds. With x = S q, where S^T M S = 1 and S^T K S, S^T B S are diagonal
-(proportional damping is one case), each mode is an oscillator q'' + b q' + k q = g of unit mass. With p = T q' its step
-is
+If one change of coordinates makes both K and B diagonal, each mode moves by itself (`ExactModes`), in O(n) for each
+point with a force from outside. With x = S q, S^T M S = 1 and diagonal S^T K S and S^T B S (as for proportional
+damping), each mode is an oscillator q'' + b q' + k q = g of unit mass. With p = T q' its step is
 
     q[n+1] = e11 q + e12 p + d1 g,      p[n+1] = e21 q + e22 p + d2 g,     g = S^T f
 
-A sample puts only those points where they are that something from outside pulls; the others are hidden.
+A sample computes the positions of points with a force from outside only; the others are hidden.
 
-Otherwise all goes as one dense matrix (`ExactDense`): with w = T v, z = (x, w),
+Otherwise one dense matrix moves all points (`ExactDense`): with w = T v, z = (x, w),
 
     z[n+1] = E z[n] + D f[n],      E = exp(A), D the integral of exp(A t) over one sample period.
 """
@@ -36,19 +35,19 @@ from hapsim.cordis.schemes.linear_subsystem import (
 )
 from hapsim.errors import UsageError
 
-MOST_MODES = 4000  # whose shapes take some 15 s to be worked out
-MOST_POINTS = 1000  # whose matrix is 32 MB, and some milliseconds a tick
-DIAGONAL = 1e-9  # what is left beside the diagonal, as a part of the whole, where the modes are taken for modes
+MOST_MODES = 4000  # their shapes take some 15 s to compute
+MOST_POINTS = 1000  # their matrix is 32 MB, and takes some milliseconds per tick
+DIAGONAL = 1e-9  # largest off-diagonal element of modes, relative to the largest element
 
 Reals = NDArray[np.float64]
 
 
 class ExactDense(NamedTuple):
-    """n points (n,), of which something from outside pulls P, `loaded` (P,); by number.
+    """n points (n,), P of which have a force from outside, `loaded` (P,); by number.
 
     Attributes:
-        matrix: (2 n, 2 n + P + 1) what positions, steps, forces and 1 do to positions and steps.
-        state, next: (2 n + P + 1,) these; (2 n,) positions and steps of the next sample.
+        matrix: (2 n, 2 n + P + 1) from positions, steps, forces and 1 to positions and steps.
+        state, next: (2 n + P + 1,) the former; (2 n,) positions and steps of the next sample.
     """
 
     point: NDArray[np.uint32]
@@ -79,7 +78,7 @@ def integrate(points, state):
 
 @action
 def resume(points, state):
-    """Goes on from where the points are, and were."""
+    """Sets the state from the points' positions of both samples."""
     points, state = value_of(points), value_of(state)
     n = np.uint64(points.point.size)
     for i in range(n):
@@ -89,7 +88,7 @@ def resume(points, state):
 
 
 def _dense_part(inner: LinearSubsystem, context: BuildContext) -> Part:
-    """The part of the program that moves the subsystem as one."""
+    """Returns the part that moves the subsystem by one matrix. Raises UsageError for too many points."""
     from scipy.linalg import expm
 
     n, h = inner.point.size, inner.loaded.size
@@ -128,13 +127,13 @@ class Modes(NamedTuple):
 
 
 class ExactModes(NamedTuple):
-    """n modes of n points, P of which something from outside pulls.
+    """n modes of n points, P of which have a force from outside.
 
     Attributes:
         point, hidden: (P,) those by number; (n - P,) the others.
-        shape, hidden_shape: (P, n), (n - P, n) how far mode j moves each.
+        shape, hidden_shape: (P, n), (n - P, n) motion of each by mode j.
         mass: (n,) kg, of the former and then of the latter.
-        constant, push: (n,) T² g of what stays; of everything.
+        constant, push: (n,) T² g of constant forces; of all forces.
         gain: (6, n) e11, e12, e21, e22, d1, d2.
         position, step, after: (n,) q, p, and q of the next sample.
         period_squared: (1,) T² in s².
@@ -157,7 +156,7 @@ class ExactModes(NamedTuple):
 
 @action
 def integrate_modes(modes, state):
-    """Moves every mode by one sample, and puts the points where they are that something pulls."""
+    """Moves every mode by one sample, and writes the positions of points with a force from outside."""
     modes, state = value_of(modes), value_of(state)
     add_tie_forces(modes.ties, state)
     for j in range(np.uint64(modes.push.size)):
@@ -176,7 +175,7 @@ def integrate_modes(modes, state):
 
 @action
 def place_modes(modes, state):
-    """Puts the hidden points where they are."""
+    """Writes the positions of the hidden points."""
     modes, state = value_of(modes), value_of(state)
     for h in range(np.uint64(modes.hidden.size)):
         x = _sum(modes.hidden_shape[h], modes.position)
@@ -186,7 +185,7 @@ def place_modes(modes, state):
 
 @action
 def resume_modes(modes, state):
-    """Goes on from where the points are, and were: q = S^T M x."""
+    """Sets the modes from the points' positions of both samples: q = S^T M x."""
     modes, state = value_of(modes), value_of(state)
     for j in range(np.uint64(modes.position.size)):
         modes.position[j] = modes.step[j] = modes.mass.dtype.type(0)
@@ -207,8 +206,8 @@ def _push(push, shape, force):
 
 @fma
 def _advance(gain, position, step, push, after):
-    """One loop for each array that is written: more at once the compiler does not take for apart from each other, and
-    then it moves no two modes at a time."""
+    """Moves the modes by a sample. One loop for each written array: with more, the compiler cannot rule out an overlap,
+    and does not vectorise."""
     modes = np.uint64(position.size)
     e11, e12, d1 = gain[0], gain[1], gain[4]
     for j in range(modes):
@@ -229,13 +228,13 @@ def _sum(shape, motion):
 
 
 def modes_of(inner: LinearSubsystem, context: BuildContext) -> Modes | None:
-    """The modes of the subsystem; None where damping couples them."""
+    """Returns the modes of the subsystem; None if damping couples them."""
     root = 1.0 / (np.sqrt(inner.mass) * context.rate)
     stiffness = root[:, None] * inner.matrix_of(inner.stiffness).toarray() * root
     damping = root[:, None] * inner.matrix_of(inner.damping).toarray() * root * context.rate
     require_finite(stiffness, damping)
     scaled = [matrix / (float(np.abs(matrix).max(initial=0.0)) or 1.0) for matrix in (stiffness, damping)]
-    for share in (0.0, 0.5, 0.3819660112501051):  # where K alone leaves open which, B says so together with it
+    for share in (0.0, 0.5, 0.3819660112501051):  # if K alone has equal modes, K and B together separate them
         vectors = np.linalg.eigh(scaled[0] + share * scaled[1])[1]
         rotated = [vectors.T @ matrix @ vectors for matrix in scaled]
         if all(np.abs(one - np.diag(np.diag(one))).max(initial=0.0) <= DIAGONAL for one in rotated):
@@ -244,8 +243,8 @@ def modes_of(inner: LinearSubsystem, context: BuildContext) -> Modes | None:
 
 
 def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Modes:
-    """Each mode's k and b as the sum over all links of what it stretches them: a slow mode's are then as accurate as a
-    fast one's, which those that eigenvalues come with are not."""
+    """Returns the modes with k and b summed over all links by the mode's stretches. Unlike eigenvalues, these are as
+    accurate for slow modes as for fast ones."""
     squares = (inner.stretches() @ shape) ** 2
     stiffness = inner.stiffness @ squares / (context.rate * context.rate)
     damping = inner.damping @ squares / context.rate
@@ -253,7 +252,7 @@ def _refined(inner: LinearSubsystem, shape: Reals, context: BuildContext) -> Mod
 
 
 def _modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> Part:
-    """The part of the program that moves these modes."""
+    """Returns the part of the program that moves these modes."""
     momentum, column = modes.shape.T * inner.mass, context.column
     hidden = np.setdiff1d(np.arange(inner.point.size, dtype=np.uint32), inner.loaded)
     push, after = np.zeros((2, modes.stiffness.size), context.real)
@@ -277,7 +276,7 @@ def _modes_part(inner: LinearSubsystem, modes: Modes, context: BuildContext) -> 
 
 
 def _gains(k: Reals, b: Reals) -> Reals:
-    """(6, n): of the oscillators q'' + b q' + k q = g over a time of one."""
+    """Returns (6, n) e11, e12, e21, e22, d1, d2 of the oscillators q'' + b q' + k q = g over a time of 1."""
     decay, square = 0.5 * b, k - 0.25 * b * b
     omega = np.sqrt(np.abs(square))
     oscillates = square > 0.0
@@ -297,7 +296,7 @@ def _gains(k: Reals, b: Reals) -> Reals:
 
 
 def _lag(k: Reals, b: Reals, e11: Reals) -> Reals:
-    """q after a time of one from rest, under g = 1: (1 - e11)/k, and where that is 0/0 its series in time."""
+    """Returns q after a time of 1 from rest under g = 1: (1 - e11)/k, or where that is 0/0 its series in time."""
     with np.errstate(divide="ignore", invalid="ignore"):
         closed = (1.0 - e11) / k
     # q = sum a_m t^m with a_2 = 1/2, (m+2)(m+1) a_(m+2) = -b (m+1) a_(m+1) - k a_m
@@ -314,7 +313,7 @@ def _lag(k: Reals, b: Reals, e11: Reals) -> Reals:
 
 
 def _slow_lag(k: Reals, b: Reals) -> Reals:
-    """The same where the damper is far beyond the critical: two rates r < R, q = (h(r) - h(R))/(R - r), with
+    """Returns the same for damping far above critical: two rates r < R, q = (h(r) - h(R))/(R - r), with
     h(r) = (1 - exp(-r))/r."""
     rates = np.sqrt(b * b - 4.0 * k)
     fast = 0.5 * (b + rates)

@@ -1,8 +1,7 @@
-"""Structures as forces and nothing else, for schemes that move all points alike.
+"""Structures as forces alone, for schemes that move all points alike.
 
-The forces in a string are added up in one pass over contiguous memory. In any other structure they are added up link by
-link, as its `elements()` say; what a live value of it does is found by taking it apart with that value at one and the
-others at zero.
+The forces in a string are added up in one pass over contiguous memory; in any other structure link by link, from its
+`elements()`. The share of a live value is found from the structure with that value at one and the others at zero.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class WeightedLinks(NamedTuple):
 
 
 class WeightedLinksToRest(NamedTuple):
-    """The same, of links whose second end stays at `rest`, in m."""
+    """L links inside structures whose second end stays at `rest`, in m."""
 
     point: NDArray[np.uint32]
     rest: Column
@@ -54,12 +53,13 @@ class WeightedLinksToRest(NamedTuple):
 
 
 def first_moved(scene: Scene) -> int:
-    """The number of the first point that the scene moves; all after it are masses, or borders of structures."""
+    """Returns the number of the first point that the scene moves; all later ones are masses, or borders of
+    structures."""
     return len(scene.device_points) + len(scene.grounds)
 
 
 def mobility_of_all(scene: Scene, context: BuildContext) -> Column:
-    """T²/m in m/N of all points from `first_moved` on; 0 for borders."""
+    """Returns T²/m in m/N of all points from `first_moved` on; 0 for borders."""
     start = first_moved(scene)
     mobility = np.zeros(context.state.force.size - start, context.real)
     for name, mass in masses_of(scene):
@@ -68,7 +68,7 @@ def mobility_of_all(scene: Scene, context: BuildContext) -> Column:
 
 
 def expanded_forces(present: PresentType, context: BuildContext) -> tuple[Part, ...]:
-    """The parts that add up the forces in what this type's modules move, and move nothing."""
+    """Returns the parts that add up the forces inside this type's modules, and move nothing."""
     kind, modules, columns = present
     if kind.layout is None:  # points, between which there is no force
         return ()
@@ -78,7 +78,7 @@ def expanded_forces(present: PresentType, context: BuildContext) -> tuple[Part, 
 
 
 def weighted_links_of(present: PresentType, context: BuildContext) -> tuple[Part, ...]:
-    """The links inside structures of any kind."""
+    """Returns the parts of the links inside structures of any kind."""
     lists: dict[tuple[str | None, bool], list[Any]] = {}
     values: dict[str | None, Column] = {None: np.ones(len(present.modules), context.real)}
     for owner, (name, structure) in enumerate(present.modules.items()):

@@ -1,8 +1,8 @@
-"""The linear subsystem of a scene that is worked into matrices: M x'' + B x' + K x = f.
+"""The linear subsystem of a scene, in matrices: M x'' + B x' + K x = f.
 
-Inside are the points that the scene moves, and what joins them to each other, to grounds and to themselves at rest:
-what structures consist of, what holds material points, and links that are a spring and a backward damper and nothing
-else. Everything else pulls from outside, and so does the place of a ground, which may change while the scene runs.
+It contains the points that the scene moves, and their linear joins to each other, to grounds and to their rest
+positions: links inside structures, the springs of cells, and links with only a spring and a backward damper. All others
+act from outside, and so does the position of a ground, which may change while the scene runs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FIXED = -1
 
 
 class Ties(NamedTuple):
-    """L inner links to grounds: point and ground by number, K and B/T in N/m. What moves the ground pulls the point."""
+    """L inner links to grounds: point and ground by number, K and B/T in N/m. A moving ground pulls the point."""
 
     point: NDArray[np.uint32]
     ground: NDArray[np.uint32]
@@ -38,8 +38,8 @@ class LinearSubsystem(NamedTuple):
         point, mass: (n,) by number, rising; kg.
         ends: (L, 2) places among the points, or STAYS.
         stiffness, damping: (L,) N/m and N·s/m.
-        force: (n,) N, of what stays where structures are at rest.
-        loaded: (P,) places of the points that something from outside pulls.
+        force: (n,) N, constant, from the rest positions of structures.
+        loaded: (P,) places of the points with a force from outside.
         position, velocity: (n,) m and m/s at the first sample.
     """
 
@@ -55,7 +55,7 @@ class LinearSubsystem(NamedTuple):
     velocity: NDArray[np.float64]
 
     def stretches(self) -> Any:
-        """Sparse (L, n): what takes positions to the links' stretches."""
+        """Returns the sparse (L, n) matrix from positions to the links' stretches."""
         from scipy.sparse import coo_array
 
         link, end = np.nonzero(self.ends != FIXED)
@@ -63,7 +63,7 @@ class LinearSubsystem(NamedTuple):
         return coo_array((1.0 - 2.0 * end, (link, place)), (len(self.ends), self.point.size)).tocsr()
 
     def matrix_of(self, values: NDArray[np.float64]) -> Any:
-        """K in N/m, or B in N·s/m, a sparse (n, n), of a stiffness or a damping for each link."""
+        """Returns K in N/m, or B in N·s/m, sparse (n, n), from a stiffness or a damping for each link."""
         from scipy.sparse import diags_array
 
         spread = self.stretches()
@@ -71,21 +71,21 @@ class LinearSubsystem(NamedTuple):
 
 
 def _inner_links(scene: Scene) -> dict[str, Any]:
-    """The scene's links that are inside, by name."""
+    """Returns the scene's links inside the subsystem, by name."""
     hands = scene.device_points.keys()
     outside = ((name, link) for name, link in scene.links.items() if hands.isdisjoint(link.between))
     return {name: link for name, link in outside if link.law().in_a_matrix}
 
 
 def inside(scene: Scene) -> frozenset[str]:
-    """The modules that the inner system is made of, by name; without those points that pull themselves, of which it has
-    no more than the mass."""
+    """Returns the names of the modules in the subsystem, without points that pull themselves: only their mass is in
+    it."""
     points = [name for name, point in scene.material_points.items() if not point.pulls_itself]
     return frozenset([*points, *scene.structures, *_inner_links(scene)])
 
 
 def matrix_scheme(part_of: Callable[[LinearSubsystem, BuildContext], Part]) -> Scheme:
-    """The scheme that works the linear subsystem into matrices: `part_of` makes the part that moves it."""
+    """Returns the scheme that turns the linear subsystem into matrices. `part_of`: makes the part that moves it."""
 
     def parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) -> tuple[Part, ...]:
         outside = tuple(one.build(context) for one in present if not one.kind.moves_points)
@@ -96,7 +96,7 @@ def matrix_scheme(part_of: Callable[[LinearSubsystem, BuildContext], Part]) -> S
 
 
 def _linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | None:
-    """The subsystem of `scene`, which begins where the program's points are; None where the scene moves nothing."""
+    """Returns the subsystem of `scene` at the program's positions; None if the scene moves nothing."""
     mass = {context.number[name]: kilograms for name, kilograms in masses_of(scene)}
     if not mass:
         return None
@@ -133,7 +133,7 @@ def _linear_subsystem(scene: Scene, context: BuildContext) -> LinearSubsystem | 
 
 
 def require_finite(*arrays: Any) -> None:
-    """UsageError where a number of the inner system is beyond what is worked out."""
+    """Raises UsageError if a number of the subsystem is not finite."""
     if not all(np.isfinite(array).all() for array in arrays):
         raise UsageError("a stiffness, a damping or one over a mass is too large for the scene's scheme: try cordis")
 
@@ -141,8 +141,8 @@ def require_finite(*arrays: Any) -> None:
 def _joins(
     scene: Scene, context: BuildContext, place: Mapping[int, int]
 ) -> Iterator[tuple[int, int, float, float, float]]:
-    """The links inside: first place, second or STAYS, N/m, N·s/m, and where the second stays, m. The place of a ground
-    is a force from outside, so here it is 0."""
+    """Yields the links inside: first place, second or FIXED, N/m, N·s/m, and the fixed end's position, m. The position
+    of a ground acts as a force from outside, so here it is 0."""
     structures: Mapping[str, Any] = scene.structures
     for name, structure in structures.items():
         places = [place[context.number[f"{name}.{each}"]] for each in structure.point_names()]
@@ -172,7 +172,7 @@ def _ties(scene: Scene, context: BuildContext) -> Ties:
 
 @inlined
 def add_tie_forces(ties, state):
-    """Adds what the grounds' places and velocities do to the points that are tied to them."""
+    """Adds the forces of the grounds' positions and velocities on the points that are tied to them."""
     for i in range(np.uint64(ties.point.size)):
         x = state.position[ties.ground[i]]
         way = x - state.previous[ties.ground[i]]

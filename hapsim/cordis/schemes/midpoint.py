@@ -7,8 +7,8 @@ With the step w = T v and its change c = w[n+1] - w[n]:
     (M + T/2 B + T²/4 K) c = T² f - T² K (x + w/2) - T B w,       x[n+1] = x + w + c/2
 
 The matrix is factorised once, when the scene is compiled, with its points in an order that keeps it narrow (Cuthill
-and McKee); a tick goes through it forth and back. What is not inside (`linear_subsystem.py`) pulls with the force f of
-sample n all the way to n + 1.
+and McKee); a tick solves it forwards and backwards. Forces from outside (`linear_subsystem.py`) are held from sample n
+to n + 1.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _ONE = np.uint64(1)
 
 
 class LoadedRows(NamedTuple):
-    """The points that something from outside pulls: by number, and by row of the matrices."""
+    """The points with a force from outside: by number, and by row of the matrices."""
 
     point: NDArray[np.uint32]
     row: NDArray[np.uint64]
@@ -63,12 +63,12 @@ class Midpoint(NamedTuple):
     """n rows, each a point's.
 
     Attributes:
-        point, in_row: (n,) by number; 1 where they stand in a row in memory, which is quicker.
-        force: (n,) T² f of what stays, kg·m.
+        point, in_row: (n,) by number; 1 if they are adjacent in memory, which is faster.
+        force: (n,) T² f of constant forces, kg·m.
         period_squared: (1,) T² in s².
         stiffness, damping: T² K and T B, kg.
         middle, step: (n,) x + w/2 and w, m.
-        change: (b + n + b,): what is to be solved, and the solution, with room on both sides.
+        change: (b + n + b,): right-hand side and then the solution, with room on both sides.
     """
 
     point: NDArray[np.uint32]
@@ -110,7 +110,7 @@ def integrate(points, state):
 
 @fma
 def _read(point, in_row, position, previous, step, middle):
-    """w and x + w/2 of every row."""
+    """Computes w and x + w/2 of every row."""
     half, first = position.dtype.type(0.5), np.uint64(point[0])
     for i in range(np.uint64(point.size)):
         p = first + i if in_row else np.uint64(point[i])
@@ -121,7 +121,7 @@ def _read(point, in_row, position, previous, step, middle):
 
 @fma
 def _write(point, in_row, step, change, position, previous):
-    """The next position, and what becomes the one before it."""
+    """Writes the next positions, and those one step w before them."""
     half, first = position.dtype.type(0.5), np.uint64(point[0])
     for i in range(np.uint64(point.size)):
         p = first + i if in_row else np.uint64(point[i])
@@ -132,7 +132,7 @@ def _write(point, in_row, step, change, position, previous):
 
 @fma
 def _subtract(matrix, vector, out):
-    """out -= matrix vector"""
+    """Computes out -= matrix vector."""
     size = np.uint64(out.size)
     for i in range(size):
         out[i] -= matrix.main[i] * vector[i]
@@ -147,7 +147,7 @@ def _subtract(matrix, vector, out):
 
 @fma
 def _solve_narrow(factor, x):
-    """Solves in place where each row knows its neighbours only."""
+    """Solves a tridiagonal system in place."""
     size = np.uint64(x.size)
     carry = x[0]
     for i in range(_ONE, size):
@@ -164,7 +164,7 @@ def _solve_narrow(factor, x):
 
 @fma
 def _solve(factor, padded):
-    """Solves in place: `padded` has as many numbers more than rows, on both sides, as the matrix is wide."""
+    """Solves in place. `padded`: the rows, with as many more numbers on both sides as the matrix's bandwidth."""
     rows, band = np.uint64(factor.columns.shape[0]), np.uint64(factor.columns.shape[1])
     for i in range(rows):
         here, below, column = padded[band + i], padded[band + i + _ONE : band + i + _ONE + band], factor.columns[i]
@@ -213,7 +213,7 @@ def _part(inner: LinearSubsystem, context: BuildContext) -> Part:
 
 
 def _lower(matrix: Any) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """How far below the main diagonal, in which column and what the entries of a lower half are."""
+    """Returns the entries of a lower half: rows below the main diagonal, column, value."""
     entries = matrix.tocoo()
     entries.eliminate_zeros()
     lower = entries.row >= entries.col

@@ -1,13 +1,13 @@
 """The classical Runge-Kutta scheme of fourth order: forces at four instants of each sample period.
 
-With the step w = T v and c = (T²/m) F(x, w), where F is asked at
+With the step w = T v and c = (T²/m) F(x, w), and F computed at
 
     c1: x, w        c2: x + w/2, w + c1/2        c3: x + w/2 + c1/4, w + c2/2        c4: x + w + c2/2, w + c3
 
     x[n+1] = x + w + (c1 + c2 + c3)/6,           w[n+1] = w + (c1 + 2 c2 + 2 c3 + c4)/6
 
-Every link that remembers nothing is asked at each instant. Those that do are asked once, at the sample, and their force
-is held. Device points and grounds go on during the period as they went in the last. The force in the hand is that of
+Links without memory are computed at each instant. Those with memory are computed once, at the sample, and their force
+is held. Device points and grounds continue during the period at their last velocity. The force on the hand is that at
 the sample.
 """
 
@@ -30,7 +30,7 @@ from hapsim.scene import Scene
 
 
 class KeptForce(NamedTuple):
-    """The force at the sample of the links that remember: N, shape (N,)."""
+    """The force at the sample by links with memory: N, shape (N,)."""
 
     force: Column
 
@@ -50,7 +50,7 @@ class RungeKutta(NamedTuple):
 
 @action
 def keep_force(kept, state):
-    """Keeps what has been added up so far, by the links that remember."""
+    """Keeps the force so far, which is that of the links with memory."""
     kept, state = value_of(kept), value_of(state)
     for p in range(np.uint64(kept.force.size)):
         kept.force[p] = state.force[p]
@@ -85,8 +85,8 @@ def integrate(points, state):
 
 @inlined
 def _add_forces_at(points, state, share):
-    """The forces at an instant, which is this share of a sample period after the sample; the scheme has put its points
-    where they are then."""
+    """Adds the forces at an instant, this share of a sample period after the sample. The scheme has already moved its
+    points there."""
     at = points.at
     for p in range(points.start):
         way = state.position[p] - state.previous[p]
@@ -97,8 +97,7 @@ def _add_forces_at(points, state, share):
     call_all(points.links, points.at_address)
 
 
-# One loop for each array that is written: more at once the compiler does not take for apart from each other, and then
-# it moves no two points at a time.
+# One loop for each written array: with more, the compiler cannot rule out an overlap, and does not vectorise.
 
 
 @fma
@@ -109,21 +108,21 @@ def _change(mobility, force, change):
 
 @fma
 def _advance_points(x, before, share, change, of_change, y):
-    """Where the points are after this share of their step, and of a change."""
+    """Computes the points' positions after this share of their step and of a change."""
     for i in range(np.uint64(y.size)):
         y[i] = x[i] + (share * (x[i] - before[i]) + of_change * change[i])
 
 
 @fma
 def _advance_previous(x, before, y, share, change, y_before):
-    """Where they would have been at the step that they have by then."""
+    """Computes the positions one present step before these."""
     for i in range(np.uint64(y.size)):
         y_before[i] = y[i] - ((x[i] - before[i]) + share * change[i])
 
 
 @fma
 def _finish(mobility, force, x, before, change, after):
-    """Puts x[n+1] in `before` and what is the position before that in `x`; `after` holds it in between."""
+    """Writes x[n+1] to `before` and the position one step before it to `x`; `after` is scratch memory."""
     c1, c2, c3 = change
     two, sixth = x.dtype.type(2), x.dtype.type(1) / x.dtype.type(6)
     points = np.uint64(c1.size)
@@ -145,7 +144,7 @@ def _parts(scene: Scene, context: BuildContext, present: Sequence[PresentType]) 
             per_instant += expanded_forces(one, context)
         else:
             part = one.build(context)
-            remembers = part.memory is not None and one.kind is not CELL  # which remembers where it rested, no force
+            remembers = part.memory is not None and one.kind is not CELL  # its memory is a rest position, not a force
             (per_sample if remembers or one.kind is PICK_UP else per_instant).append(part)
     size, mobility = context.state.force.size, mobility_of_all(scene, context)
     position, previous, force, kept = np.zeros((4, size), context.real)

@@ -1,11 +1,11 @@
-"""The semi-implicit (symplectic) Euler scheme, with the step w = T v that each mass makes stored itself.
+"""The semi-implicit (symplectic) Euler scheme, with each mass's step w = T v stored.
 
     w[n+1] = w[n] + (T²/m) F[n],      x[n+1] = x[n] + w[n+1]
 
-is CORDIS's centred scheme: w[n] = x[n] - x[n-1] by the second equation, and the first with it is
-x[n+1] - 2 x[n] + x[n-1] = (T²/m) F[n]. Not so in numbers of finite length. There x[n] - x[n-1] is wrong by the rounding
-of two positions, about an ulp of x, and that error is carried on as velocity; a step that is stored itself is rounded
-to an ulp of its own, and what is lost where it is added to the position never comes back into it.
+is CORDIS's centred scheme in exact arithmetic: w[n] = x[n] - x[n-1] by the second equation, and the first is then
+x[n+1] - 2 x[n] + x[n-1] = (T²/m) F[n]. In floating point, x[n] - x[n-1] has the rounding error of two positions, about
+an ulp of x, and that error stays in the velocity. A stored step is rounded to an ulp of its own, and the rounding of
+the position never enters it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Steps(NamedTuple):
 
 @action
 def initialize(points, state):
-    """The steps that the points come with."""
+    """Sets the steps from the points' positions of both samples."""
     points, state = value_of(points), value_of(state)
     for i in range(np.uint64(points.step.size)):
         points.step[i] = state.position[points.start + i] - state.previous[points.start + i]
@@ -41,7 +41,7 @@ def initialize(points, state):
 
 @action
 def integrate(points, state):
-    """Moves every point by one sample; what becomes its previous position is where the step came from."""
+    """Moves every point by one sample; its previous position becomes the new one less the step."""
     points, state = value_of(points), value_of(state)
     start = points.start
     _advance(points.mobility, points.step, state.position[start:], state.previous[start:], state.force[start:])
@@ -49,8 +49,8 @@ def integrate(points, state):
 
 @fma
 def _advance(mobility, step, position, previous, force):
-    """One loop for each array that is written: more at once the compiler does not take for apart from each other, and
-    then it moves no two points at a time."""
+    """Moves points by a sample. One loop for each written array: with more, the compiler cannot rule out an overlap,
+    and does not vectorise."""
     points = np.uint64(step.size)
     for i in range(points):
         step[i] += mobility[i] * force[i]
