@@ -76,6 +76,18 @@ def _fit(text: Text) -> None:
         text.set_fontsize(0.85 * float(text.get_fontsize()))
 
 
+def _require_fonts() -> None:
+    """Adds matplotlib's own fonts where its list of fonts, which it keeps between runs, lacks them: it would print a
+    line for each font that a formula looks for."""
+    import matplotlib as mpl
+    from matplotlib.font_manager import fontManager
+
+    listed = {entry.fname for entry in fontManager.ttflist}
+    for file in Path(mpl.get_data_path(), "fonts", "ttf").glob("*.ttf"):
+        if str(file) not in listed:
+            fontManager.addfont(file)
+
+
 @contextmanager
 def figure_to(path: Path, width: float, height: float) -> Iterator[Figure]:
     """Yields a figure of this size in inches, and writes it to `path` at the end: .svg, .png or .pdf."""
@@ -84,6 +96,7 @@ def figure_to(path: Path, width: float, height: float) -> Iterator[Figure]:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
+    _require_fonts()
     with mpl.rc_context(_FONTS):
         figure = Figure(figsize=(width, height), dpi=_DOTS_PER_INCH, layout="constrained")
         FigureCanvasAgg(figure)  # measures texts

@@ -12,6 +12,7 @@ import numpy as np
 
 from hapsim.chart.figure import figure_to
 from hapsim.errors import UsageError
+from hapsim.number_format import share_in_percent
 from hapsim.scene.issue import did_you_mean
 
 if TYPE_CHECKING:
@@ -20,6 +21,13 @@ if TYPE_CHECKING:
 _DEVIATION = "measured_k_off"
 _LONGEST = 40  # characters of a line
 _LOGARITHMIC = 30.0  # a parameter whose values span more has a logarithmic axis
+_USUAL = (_DEVIATION, "predicted_k", "predicted_b", "measured_k", "measured_b")
+_UNCERTAINTIES = 4.0  # a difference of more is none of chance,
+_FEW = 0.05  # unless only this share of the points have one
+_ROUNDING = 1e-9  # of a value
+
+SHARES = {"stable": "predicted stable", "passive": "passive: no hand makes them unstable"}
+"""The variables that are 1 or 0 at a point, and what is said of the points with 1."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +47,10 @@ class SweepChart:
 
 def names_to_draw(
     variables: Iterable[str], parameters: Iterable[str], variable: str | None, over: Sequence[str]
-) -> tuple[str, list[str]]:
-    """Returns the variable and the one or two parameters that a chart shows: those asked for, or else how far measured
-    k is off, or k, over the first two. `parameters`: those with numbers. Raises UsageError for an unknown name."""
+) -> tuple[list[str], list[str]]:
+    """Returns the variables of which a chart shows one, and the one or two parameters: those asked for, or else how far
+    measured k is off, k, b and all others, over the first two. `parameters`: those with numbers. Raises UsageError for
+    an unknown name."""
     variables, parameters = list(variables), list(parameters)
     if {"measured_k", "predicted_k"} <= {*variables}:
         variables.append(_DEVIATION)
@@ -52,12 +61,36 @@ def names_to_draw(
         raise UsageError("--picture: the sweep has no parameter that is a number")
     if len(over) > 2:
         raise UsageError(f"--over: found {len(over)} parameters, expected one or two")
-    usual = (one for one in (_DEVIATION, "predicted_k", "measured_k") if one in variables)
-    return variable or next(usual, variables[0]), list(over) or parameters[:2]
+    usual = [one for one in _USUAL if one in variables]
+    return [variable] if variable else [*dict.fromkeys([*usual, *variables])], list(over) or parameters[:2]
 
 
-def sweep_chart(dataset: xarray.Dataset, variable: str, along: Sequence[str]) -> SweepChart:
-    """Returns the chart of a variable over one or two parameters, as `names_to_draw` gives them."""
+def sweep_chart(dataset: xarray.Dataset, variables: Sequence[str], along: Sequence[str]) -> SweepChart:
+    """Returns the chart over one or two parameters of the first variable that varies by more than its uncertainty; of
+    the first one where none does."""
+    charts = (_chart_of(dataset, variable, along) for variable in variables if variable in {*dataset, _DEVIATION})
+    first = next(charts)
+    return next((one for one in (first, *charts) if _varies(dataset, one.values)), first)
+
+
+def _varies(dataset: xarray.Dataset, values: xarray.DataArray) -> bool:
+    known = values.values[np.isfinite(values.values)]
+    if values.name == _DEVIATION:
+        off = abs(dataset["measured_k"] - dataset["predicted_k"])
+        return float((off > _UNCERTAINTIES * dataset["measured_k_uncertainty"]).mean()) > _FEW
+    unsure = dataset.get(f"{values.name}_uncertainty")
+    least = 0.0 if unsure is None else _UNCERTAINTIES * float(unsure.max())
+    return bool(known.size) and float(np.ptp(known)) > max(least, _ROUNDING * float(abs(known).max()))
+
+
+def shares_of(values: xarray.DataArray) -> str:
+    """Returns at which share of the points a variable of `SHARES` is 1."""
+    known = values.values[np.isfinite(values.values)]
+    count = int(known.sum())
+    return f"{count} of {known.size} points ({share_in_percent(count / known.size)}) are {SHARES[str(values.name)]}"
+
+
+def _chart_of(dataset: xarray.Dataset, variable: str, along: Sequence[str]) -> SweepChart:
     if variable == _DEVIATION:
         off = abs(dataset["measured_k"] / dataset["predicted_k"] - 1.0)
         dataset = dataset.assign(
@@ -65,20 +98,39 @@ def sweep_chart(dataset: xarray.Dataset, variable: str, along: Sequence[str]) ->
         )
     values = dataset[variable]
     if "point" in values.dims:
-        return SweepChart(values, tuple(along), True, "")
+        return SweepChart(values, tuple(along), True, shares_of(values) if variable in SHARES else "")
+    if variable in SHARES:
+        others = [one for one in values.dims if one not in along]
+        share = values.mean(others, keep_attrs=True).transpose(*reversed(along))
+        return SweepChart(share, tuple(along), False, shares_of(values))
     fixed = {one: values[one].size // 2 for one in map(str, values.dims) if one not in along}
     there = values.isel(fixed).transpose(*reversed(along))
-    return SweepChart(there, tuple(along), False, ", ".join(f"{one} = {there[one].item()}" for one in fixed))
+    return SweepChart(there, tuple(along), False, ", ".join(_with_unit(there[one]) for one in fixed))
+
+
+def _with_unit(value: xarray.DataArray) -> str:
+    number = value.item()
+    shown = f"{number:g}" if isinstance(number, float) else str(number)
+    return f"{value.name} = {shown} {value.attrs.get('units', '')}".rstrip()
+
+
+def _label_of(parameter: xarray.DataArray) -> str:
+    unit = parameter.attrs.get("units", "")
+    return f"{parameter.name} ({unit})" if unit else str(parameter.name)
 
 
 def draw_sweep(chart: SweepChart, path: Path) -> None:
     """Draws it to a file (.svg, .png or .pdf): a line over one parameter, colours over two."""
-    from matplotlib.colors import LogNorm
+    from matplotlib.colors import LogNorm, Normalize
+    from matplotlib.ticker import PercentFormatter
 
     values, over = chart.values, chart.over
     label = str(values.attrs.get("description", values.name))
     unit = values.attrs.get("units", "")
     label = textwrap.fill(f"{label} ({unit})" if unit else label, _LONGEST)
+    is_share = values.name in SHARES
+    if is_share:
+        label = f"share of the points that are {values.name}"
     with figure_to(path, 6.4, 4.6) as figure:
         axes = figure.subplots()
         along = [values[one].values for one in over]
@@ -86,19 +138,23 @@ def draw_sweep(chart: SweepChart, path: Path) -> None:
         if len(over) == 1:
             axes.plot(along[0], numbers, ".-" if not chart.is_scattered else ".", linewidth=1.0)
             axes.set_ylabel(label)
+            if is_share:
+                axes.yaxis.set_major_formatter(PercentFormatter(1.0))
             axes.grid(True)
         else:
             known = numbers[np.isfinite(numbers) & (numbers > 0.0)]
             is_positive = known.size and known.size == np.isfinite(numbers).sum()
             # logarithmic where the values are above 0 and span much
-            norm = LogNorm() if is_positive and known.max() / known.min() > _LOGARITHMIC else None
+            norm: Normalize | None = LogNorm() if is_positive and known.max() / known.min() > _LOGARITHMIC else None
+            if is_share:
+                norm = Normalize(0.0, 1.0)
             if chart.is_scattered:
                 drawn: Any = axes.scatter(along[0], along[1], c=numbers, s=14, norm=norm)
             else:
                 drawn = axes.pcolormesh(along[0], along[1], numbers, shading="nearest", norm=norm)
-            figure.colorbar(drawn, label=label)
-            axes.set_ylabel(over[1])
-        axes.set_xlabel(over[0])
+            figure.colorbar(drawn, label=label, format=PercentFormatter(1.0) if is_share else None)
+            axes.set_ylabel(_label_of(values[over[1]]))
+        axes.set_xlabel(_label_of(values[over[0]]))
         for one, set_scale in zip(along, (axes.set_xscale, axes.set_yscale), strict=False):
             if one.min() > 0.0 and one.max() / one.min() > _LOGARITHMIC:
                 set_scale("log")

@@ -77,7 +77,9 @@ def sweep(
     scheduler: str | None = option(
         "ADDRESS", "Let the workers of a dask.distributed scheduler do it, such as tcp://host:8786."
     ),
-    draw: str | None = option("VARIABLE", "What --picture shows [default: how far measured k is off, or predicted k]"),
+    draw: str | None = option(
+        "VARIABLE", "What --picture shows [default: what varies by more than its uncertainty: how far k is off, k or b]"
+    ),
     over: str | None = option("X,Y", "Over which parameters [default: the first two]"),
     pictures: PictureOptions,
     json: Json = False,
@@ -133,12 +135,12 @@ class _Progress:
         if self._calls > 2:
             left_s = (every - done) * (time.monotonic() - self._begun) / (done - self._first)
             left = f" · {left_s:.0f} s left" if left_s < 100.0 else f" · {left_s / 60.0:.0f} min left"
-        self._show(f"swept {done} of {every} points{left if done < every else ''}")
+        self._show(f"swept {done} of {every} points{left}" if done < every else f"finished {every} points")
 
 
 def _names_to_draw(
     kinds: tuple[str, ...], points: Points, variable: str | None, over: str | None
-) -> tuple[str, list[str]]:
+) -> tuple[list[str], list[str]]:
     from hapsim.chart.sweep_chart import names_to_draw
     from hapsim.sweeping.quantities import KINDS
 
@@ -177,13 +179,18 @@ def summary_of(dataset: xarray.Dataset) -> dict[str, Any]:
 
 
 def _print(dataset: xarray.Dataset, scene: str, out: Path) -> None:
+    from hapsim.chart.sweep_chart import SHARES, shares_of
+
     summary = summary_of(dataset)
     rows = [
         (f"{name}  {one['unit']}".rstrip(), *(number(one[what]) for what in ("least", "median", "most")))
         for name, one in summary["variables"].items()
+        if name not in SHARES
     ]
     if rows:
         stdout().print(table(f"{scene} at {dataset['error'].size} points", ("<", "least", "median", "most"), rows))
+    for sentence in (shares_of(dataset[name]) for name in SHARES if name in summary["variables"]):
+        print_line(sentence)
     for what, one in summary["measured_off_predicted"].items():
         median, most = (percent(one[which], _DEVIATION) for which in ("median", "most"))
         print_line(f"Measured {what} is off the predicted one by {most} at most, {median} in the median")

@@ -206,6 +206,7 @@ def _task(
     device = scene.device.model_copy(update={"clock": "lockstep", "port": None})
     varied = Varied(scene.model_copy(update={"device": device}))
     varied.require(points.columns)
+    varied.require_values(points)
     first = next(iter(scene.device_points.values()), None)
     if channel is None and first is not None:
         channel = first.channel
@@ -312,8 +313,9 @@ def dataset_of(task: Task, points: Points, parts: Parts) -> xarray.Dataset:
 
     variables = {name: one for kind in task.kinds for name, one in KINDS[kind].items()}
     columns = parts.together(len(points), variables)
-    shape, units = tuple(points.sizes.values()), Scene.model_validate(task.document).units_of(task.channel).si
-    coordinates = _coordinates(points)
+    scene = Scene.model_validate(task.document)
+    shape, units, varied = tuple(points.sizes.values()), scene.units_of(task.channel).si, Varied(scene)
+    coordinates = {path: (*one, {"units": varied.unit(path)}) for path, one in _coordinates(points).items()}
     found: dict[str, Any] = {}
     for name, column in columns.items():
         about = {}

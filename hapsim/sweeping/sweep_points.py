@@ -10,15 +10,18 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
 
 from hapsim.errors import UsageError
 from hapsim.scene import Device, Mock, Scene
-from hapsim.scene.issue import did_you_mean
+from hapsim.scene.issue import did_you_mean, one_of, quote
 from hapsim.scene.load import scene_from_document
+from hapsim.scene.quantity import UNEXPECTED, Expectation
+from hapsim.units import Units
 
 Value = float | str
 Method = Literal["lhs", "random", "sobol"]
@@ -27,6 +30,7 @@ METHODS: tuple[Method, ...] = ("lhs", "random", "sobol")
 POINT = "point"
 """The name of the dimension of samples and tables."""
 _MOST = 10_000_000
+_MOST_MEANT = 3  # names that a suggestion has
 _EXPECTED = (
     "expected values such as 0,0.5,1 or none,poles, a range such as lin:0:2:5 or log:100:10000:50, or, with --samples, "
     "one without a number, such as log:100:10000"
@@ -139,6 +143,8 @@ def read_axis(word: str) -> tuple[str, list[Value] | Range]:
     kind, *numbers = text.split(":")
     if not equals or not path or not text:
         raise UsageError(f"found '{word}', expected PATH=VALUES, such as touch.stiffness=log:100:10000:50")
+    if not numbers and ".." in text:
+        raise UsageError(f"{path}: found '{text}', {_EXPECTED}")
     if not numbers:
         return path, [_parsed(path, one.strip()) for one in text.split(",")]
     try:
@@ -203,7 +209,8 @@ class Varied:
         self._scene = scene
         self._document = scene.model_dump(mode="json", exclude_none=True)
         self.name = scene.path or "the scene"
-        self.known = sorted(_paths_of(scene))
+        self._fields = _fields_of(scene)
+        self.known = sorted(self._fields)
         """All paths, sorted."""
 
     @property
@@ -215,10 +222,51 @@ class Varied:
         """Raises UsageError for a path that the scene does not have."""
         for path in paths:
             if path not in self.known:
-                of_links = (one for one in self.known if not one.startswith(("device", "mock")))
+                of_links = (one for one in self.known if not _is_of_device(one))
                 example = next((one for one in of_links if one.endswith(".stiffness")), "rate")
                 expected = f"expected a parameter of {self.name}, such as {example}"
-                raise UsageError(f"found '{path}', {expected}{did_you_mean(path, self.known)}")
+                raise UsageError(f"found '{path}', {expected}{self._suggestion(path)}")
+
+    def require_values(self, points: Points) -> None:
+        """Raises UsageError for a word that its parameter does not take, and in a grid also for such a number."""
+        for path, column in points.columns.items():
+            values = (
+                points.axis(path) if points.is_grid else dict.fromkeys(one for one in column if isinstance(one, str))
+            )
+            for value in values:
+                if expected := self._expected(path, _as_written(value)):
+                    shown = quote(value) if isinstance(value, str) else f"{value:g}"
+                    raise UsageError(f"{path}: found {shown}, expected {expected}; correct this value, or leave it out")
+
+    def unit(self, path: str) -> str:
+        """Returns the unit of a parameter; "" where it has none."""
+        expectation = next((one for one in self._fields[path].metadata if isinstance(one, Expectation)), None)
+        return "" if expectation is None or expectation.unit == "1" else self._units(path).name(expectation.unit)
+
+    def _units(self, path: str) -> Units:
+        name = path.rpartition(".")[0]
+        return (self._scene.units_at(name) if name in self._scene.modules else self._scene.units).si
+
+    def _expected(self, path: str, value: Value) -> str:
+        """Returns what a parameter takes where it does not take this value; else ""."""
+        field = self._fields[path]
+        try:
+            adapter: TypeAdapter[Any] = TypeAdapter(Annotated[field.annotation, path, *field.metadata])  # type: ignore[arg-type]
+            adapter.validate_python(value, strict=True)
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            if fault["type"] == UNEXPECTED:
+                return self._units(path).filled(fault["ctx"]["of_motion"])
+            return str(fault.get("ctx", {}).get("expected", ""))
+        return ""
+
+    def _suggestion(self, path: str) -> str:
+        """Returns the end of a sentence: the whole names of which `path` is the last part, or the nearest name."""
+        whole = sorted((one for one in self.known if one.endswith(f".{path}")), key=_is_of_device)
+        meant = [one for one in whole if not _is_of_device(one)] or whole
+        if not meant:
+            return did_you_mean(path, self.known)
+        return f"; did you mean {one_of(map(quote, meant[:_MOST_MEANT]))}?"
 
     def scene(self, values: Mapping[str, Value]) -> Scene:
         """Returns the scene with these values, without its `path`. Raises SceneError if they are not valid."""
@@ -228,28 +276,39 @@ class Varied:
             *above, key = self._keys(path)
             for one in above:
                 part = part.setdefault(one, {})
-            part[key] = int(value) if isinstance(value, float) and value.is_integer() else value
+            part[key] = _as_written(value)
         return scene_from_document(document, self._scene)
 
     def _keys(self, path: str) -> list[str]:
-        if path.partition(".")[0] in ("device", "mock", *_TOP):
+        if _is_of_device(path) or path in _TOP:
             return path.split(".")
         name, _, key = path.rpartition(".")  # a part's name may have a point in it
         return ["modules" if name in self._document["modules"] else "sound", name, key]
 
 
-def _paths_of(scene: Scene) -> set[str]:
-    found = {*_TOP, *_fields("device", Device), *_fields("mock", Mock)} - {"device.port", "device.clock"}
+def _as_written(value: Value) -> Value:
+    """Returns a value as a scene's file has it: a whole number without a point."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def _is_of_device(path: str) -> bool:
+    return path.partition(".")[0] in ("device", "mock")
+
+
+def _fields_of(scene: Scene) -> dict[str, FieldInfo]:
+    """Returns the field of each path of a scene."""
+    found = {key: Scene.model_fields[key] for key in _TOP} | _fields("device", Device) | _fields("mock", Mock)
     for name, part in (*scene.modules.items(), *scene.sound.items()):
-        found |= {one for one in _fields(name, type(part)) if not one.endswith((".type", ".between"))}
-    return found
+        found |= _fields(name, type(part))
+    fixed = ("device.port", "device.clock")
+    return {path: one for path, one in found.items() if path not in fixed and not path.endswith((".type", ".between"))}
 
 
-def _fields(name: str, model: type[BaseModel]) -> set[str]:
-    """Returns the paths below a part of the scene, with those of its own parts."""
-    found = set()
+def _fields(name: str, model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Returns the fields below a part of the scene by path, those of its own parts among them."""
+    found: dict[str, FieldInfo] = {}
     for key, field in model.model_fields.items():
         path, kind = f"{name}.{field.alias or key}", field.annotation
         is_part = isinstance(kind, type) and issubclass(kind, BaseModel)
-        found |= _fields(path, kind) if is_part else {path}  # type: ignore[arg-type]
+        found |= _fields(path, kind) if is_part else {path: field}  # type: ignore[arg-type]
     return found

@@ -113,7 +113,7 @@ def test_samples_and_tables_are_drawn_and_told_for_people(
     table = ("--points", tmp_path / "points.csv", "--out", tmp_path / "a.nc", "--picture", tmp_path / "a.svg")
     answer = hapsim("sweep", scene, *table, "--check")
     assert answer.status == 0
-    assert "1 point without a value" in answer.out + answer.err
+    assert "1 point failed" in answer.out + answer.err
     assert "found -3" in answer.out + answer.err
 
 
@@ -172,3 +172,64 @@ def test_what_is_not_installed_is_named(
     answer = hapsim("sweep", scene, "touch.stiffness=1,2", "--out", tmp_path / "a.nc")
     assert answer.status == 2
     assert "install hapsim[sweep]" in answer.sentence
+
+
+def test_a_bad_value_is_refused_before_anything_is_worked_out(
+    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
+) -> None:
+    answer = hapsim("sweep", scene, "touch.stiffness=100,abc", "--out", tmp_path / "a.nc")
+    assert (answer.status, answer.out) == (2, "")
+    assert "swept" not in answer.err
+    assert "touch.stiffness: found 'abc', expected a number >= 0 (N/m)" in answer.sentence
+
+
+def test_progress_in_a_pipe_ends_with_all_points(hapsim: Callable[..., Any], scene: Path, tmp_path: Path) -> None:
+    answer = hapsim("sweep", scene, "touch.stiffness=500,1000", "--check", "--out", tmp_path / "a.nc")
+    assert answer.err.splitlines()[-1] == "finished 2 points"
+
+
+def test_what_is_stable_or_passive_is_counted_and_drawn_as_a_share(
+    hapsim: Callable[..., Any], scene: Path, tmp_path: Path
+) -> None:
+    words = ("touch.stiffness=100,1000,90000", "device.delay=0,1", "touch.damping=1,5", "--check", "--draw", "stable")
+    files = ("--out", tmp_path / "a.nc", "--data", tmp_path / "a.csv", "--picture", tmp_path / "a.svg")
+    answer = hapsim("sweep", scene, *words, *files)
+    stable = results(tmp_path / "a.nc")["stable"]
+    assert f"{int(stable.sum())} of 12 points (" in answer.out
+    assert ") are predicted stable" in answer.out
+    rows = [row.split(",") for row in (tmp_path / "a.csv").read_text("utf-8").splitlines()[1:]]
+    shares = {(float(x), float(y)): float(share) for x, y, share in rows}
+    for (x, y), share in shares.items():
+        assert share == float(stable.sel({"touch.stiffness": x, "device.delay": y}).mean())
+
+
+def test_without_a_variable_the_first_is_drawn_that_varies_by_more_than_its_uncertainty() -> None:
+    from hapsim.chart.sweep_chart import names_to_draw, sweep_chart
+
+    stiffness, unsure = np.array([100.0, 200.0, 300.0]), np.full(3, 0.01)
+    known = {"predicted_k": stiffness, "measured_k": stiffness + 0.01, "measured_k_uncertainty": unsure}
+
+    def drawn(**changed: Any) -> Any:
+        columns = {name: (("x",), column) for name, column in (known | changed).items()}
+        dataset = xarray.Dataset(columns, {"x": ("x", [1.0, 2.0, 3.0], {"units": "N/m"})})
+        return sweep_chart(dataset, *names_to_draw(known, ["x"], None, [])).values.name
+
+    assert drawn() == "predicted_k"
+    assert drawn(measured_k=stiffness + 1.0) == "measured_k_off"
+    assert drawn(predicted_k=np.full(3, 100.0), measured_k=np.full(3, 100.0)) == "measured_k_off"
+
+
+def test_axes_have_units_and_no_font_is_looked_for_in_vain(
+    hapsim: Callable[..., Any], scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from matplotlib import font_manager
+
+    one = [entry for entry in font_manager.fontManager.ttflist if entry.name == "DejaVu Sans"][:1]
+    monkeypatch.setattr(font_manager.fontManager, "ttflist", one)
+    words = ("touch.stiffness=log:100:9000:3", "touch.damping=1,5", "--check", "--out", tmp_path / "a.nc")
+    answer = hapsim("sweep", scene, *words, "--picture", tmp_path / "a.svg")
+    assert "findfont" not in answer.err
+    assert {"cmr10", "STIXGeneral"} <= {entry.name for entry in font_manager.fontManager.ttflist}
+    drawn = (tmp_path / "a.svg").read_text("utf-8")
+    assert "<!-- touch.stiffness (N/m) -->" in drawn
+    assert "<!-- touch.damping (N·s/m) -->" in drawn

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -71,6 +72,7 @@ def test_a_table_names_its_points(tmp_path: Path) -> None:
         (["touch.stiffness=log:1:ten:4"], None, "log:1:ten:4"),
         (["touch.stiffness=exp:1:10:4"], None, "exp:1:10:4"),
         (["touch.stiffness=1,nan"], None, "finite"),
+        (["touch.stiffness=100..200"], None, "found '100..200', expected values such as"),
         (["touch.stiffness=1,1"], None, "twice"),
         (["touch.stiffness=1", "touch.stiffness=2"], None, "twice"),
         (["touch.stiffness=lin:1:10"], None, "--samples"),
@@ -141,8 +143,40 @@ def test_a_path_that_is_none_gets_a_suggestion_and_a_value_that_is_none_a_senten
     varied = Varied(load_scene("first_touch"))
     with pytest.raises(UsageError, match=r"did you mean 'touch\.stiffness'"):
         varied.require(["touch.stifness"])
+    with pytest.raises(UsageError, match=r"did you mean 'touch\.stiffness'\?"):
+        varied.require(["stiffness"])
+    with pytest.raises(UsageError, match=r"did you mean 'device\.hold' or 'mock\.hold'\?"):
+        varied.require(["hold"])
     for other in ("device.port", "device.clock", "touch.type", "nothing.at.all", ""):
         with pytest.raises(UsageError):
             varied.require([other])
     with pytest.raises(SceneError, match=r"modules\.touch\.stiffness: found -1"):
         varied.scene({"touch.stiffness": -1.0})
+
+
+@pytest.mark.parametrize(
+    ("path", "values", "said"),
+    [
+        ("touch.stiffness", [100.0, "abc"], "touch.stiffness: found 'abc', expected a number >= 0 (N/m); correct"),
+        ("touch.stiffness", [-1.0, 5.0], "touch.stiffness: found -1, expected a number >= 0 (N/m)"),
+        ("device.hold", [1.0, "zoh"], "device.hold: found 1, expected 'zoh'"),
+        ("device.correction", ["none", "pole"], "found 'pole', expected 'none'"),
+        ("substeps", [1.5], "substeps: found 1.5, expected a whole number"),
+    ],
+)
+def test_a_value_that_its_parameter_never_takes_is_refused(path: str, values: list[Any], said: str) -> None:
+    varied = Varied(load_scene("first_touch"))
+    with pytest.raises(UsageError) as caught:
+        varied.require_values(grid({path: values}))
+    assert said in str(caught.value)
+
+
+def test_parameters_have_the_units_of_the_scene() -> None:
+    linear, rotary = Varied(load_scene("first_touch")), Varied(load_scene("knob_24"))
+    assert [linear.unit(path) for path in ("touch.stiffness", "device.delay", "rate", "scheme")] == [
+        "N/m",
+        "sample periods",
+        "Hz",
+        "",
+    ]
+    assert rotary.unit("device.mass") == "kg·m²"
