@@ -29,7 +29,7 @@
 #define CONVERSIONS 1
 #define METRES_PER_COUNT HAPSIM_F64(0x3ef20916, 0xfff6c5c5) /* 17.2e-6 m */
 #define TOOTH 787
-#define LOWEST 60 /* a reading outside is no sensor's: the wire is off */
+#define LOWEST 60 /* a reading outside means that the sensor's wire is off */
 #define HIGHEST 963
 #define FASTEST 190 /* counts from one sample to the next; half a tooth could be either way */
 

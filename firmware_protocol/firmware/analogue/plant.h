@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* What hangs on the pins of an emulated analogue board: a motor on its bridge, a moving mass with friction, a sensor. */
+/* The plant at the pins of an emulated analogue board: a motor on its bridge, a moving mass with friction, a sensor. */
 #ifndef PLANT_H
 #define PLANT_H
 
@@ -7,7 +7,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Takes NAME=NUMBER, one of the properties in plant.c; false where it is none. Before connect_plant. */
+/* Takes NAME=NUMBER, one of the properties in plant.c; returns false for another name. Call it before connect_plant. */
 bool set_plant(const char *word);
 
 /* Joins the converter's inputs and the motors' pins. `note`: called for each change of a motor's drive with the cycle from

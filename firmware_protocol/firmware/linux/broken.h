@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* Devices that are broken on purpose, to see that what tests a device notices: -DHAPSIM_BROKEN_..., one of these. Those
- * for which the state machine itself has to be wrong are made by linux/broken from a copy of it. */
+/* Devices that are broken on purpose, to test the tests of a device: -DHAPSIM_BROKEN_..., one of these. For a wrong
+ * state machine, linux/broken changes a copy of it. */
 #ifndef BROKEN_H
 #define BROKEN_H
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* The constants of a knob. Change them here: the whole library is compiled with them. PORTING.md explains the words. */
+/* The constants of a knob. Change them here: the whole library is compiled with them. PORTING.md explains them. */
 #ifndef HAPSIM_BOARD_H
 #define HAPSIM_BOARD_H
 
