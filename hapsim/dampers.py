@@ -1,4 +1,4 @@
-"""The dampers: how readings become the velocity that a link's damping acts on.
+"""The dampers: computation of the velocity that a link's damping acts on.
 
 Each damper is declared here once and described twice, independently. Its weights are for whatever predicts:
 `hapsim.theory` derives its transfer function from them. Its recurrence in the kernel
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 
 class DamperModel(NamedTuple):
-    """How readings become the velocity that a link's damping acts on, in metres per sample period.
+    """Computation of the velocity that a link's damping acts on, in metres per sample period.
 
     v[n] is the sum of ``of_positions`` over y[n], y[n-1], ... and of ``of_velocities`` over v[n-1], v[n-2], ...
     Where it ``senses``, the device sends the velocity of its own end, and they stand for the other end alone.
@@ -38,12 +38,12 @@ class Damper(NamedTuple):
 
     @property
     def senses(self) -> bool:
-        """Whether it reads the device's own velocity sensor."""
+        """True if it reads the device's own velocity sensor."""
         return self.model(math.inf).senses
 
     @property
     def looks_back(self) -> int:
-        """How many samples back the oldest position is that it uses."""
+        """Age of its oldest position, samples."""
         return len(self.model(math.inf).of_positions) - 1
 
 

@@ -1,4 +1,4 @@
-"""What can go wrong, as a tree: each branch is one exit status, each leaf one thing a user can act on.
+"""Exceptions, as a tree: each branch is one exit status, each leaf one problem that a user can act on.
 
 Each message is a sentence for the user: where, what was found, what was expected, what to do.
 """
@@ -109,7 +109,7 @@ def refused_by_system(error: BaseException | None) -> str:
 
 
 def _is_unmapped(error: BaseException) -> bool:
-    """Whether a library could not be loaded for want of address space."""
+    """Returns True if a library could not be loaded for lack of address space."""
     text = str(error)
     unmapped = "failed to map segment" in text or "Could not find/load shared object" in text
     return unmapped and isinstance(error, ImportError | OSError) and address_space_limit() > 0

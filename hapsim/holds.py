@@ -1,4 +1,4 @@
-"""The holds: what a device makes of the forces that it receives, until the next one.
+"""The holds: the force of a device between two received forces.
 
 Each hold is declared here once and described twice, independently. Its transfer function is for whatever predicts:
 `hapsim.theory` derives all that it needs from it. Its pieces in time are for whatever moves or measures: the mock, the
@@ -40,7 +40,7 @@ class Piece(NamedTuple):
 
 
 class Hold(NamedTuple):
-    """What a device makes of the forces that it receives.
+    """Reconstruction of a continuous force from received forces.
 
     The mean of the force is the mean of the received forces, so that a slow motion meets the simulated stiffness.
     """

@@ -1,4 +1,4 @@
-"""What each link does over the distance of its ends: springs and dampers, piece by piece (`Law`).
+"""Force of each link over the distance of its ends: springs and dampers, piece by piece (`Law`).
 
 Every link of a scene makes its own law (`law` in scene/modules). The account of stored energy, live changes and
 predictions read that one, and the kernel reads its knots; straight links and friction have a recurrence there.
@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # a scene is read without NumPy
     Floats = NDArray[np.float64]
 
 Points = Sequence[tuple[float, float]]
-"""Of a curve, by ascending abscissa: m or m/s, and N."""
+"""Points of a curve, by ascending abscissa: m or m/s, and N."""
 
 _MOST_EDGES = 4000  # of a law that repeats, within a travel
 
@@ -109,7 +109,7 @@ class Law:
 
     @cached_property
     def pieces(self) -> tuple[Piece, ...]:
-        """Those that are not empty, by ascending edge."""
+        """Pieces that are not empty, by ascending edge."""
         if len(self.states) == 1:
             return (Piece(-math.inf, self.below, self.dampings[0], self.states[0]),)
         edges, slopes = [edge for edge, _ in self._whole], self._slopes()
@@ -205,7 +205,7 @@ class Law:
         return np.asarray(dampings[np.searchsorted(self.edges, d, side="right") - first])
 
     def state(self, d: float) -> str:
-        """How the link is at d, in a word or two; "" where it is always the same."""
+        """State of the link at d, in a word or two; "" if it is always the same."""
         return self._beside(d)[1].state
 
     def linear(self, d: float | None = None) -> Linear:
@@ -284,7 +284,7 @@ class SineLaw(Law):
 
 @dataclass(frozen=True)
 class GrippingLaw(Law):
-    """Without a force beyond its knots; `stiffness`, N/m, between them."""
+    """A law without a force beyond its knots; `stiffness`, N/m, between them."""
 
     grips: ClassVar[bool] = True
 

@@ -1,5 +1,4 @@
-"""Linear algebra on one thread: for small matrices several threads would wait for each other, at twice the time and
-more."""
+"""Linear algebra on one thread: for small matrices, several threads wait for each other, and take twice the time."""
 
 from __future__ import annotations
 

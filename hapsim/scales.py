@@ -1,4 +1,4 @@
-"""How far, how fast and how hard hands and devices move, where nobody declared it: one value for each motion.
+"""Default travels, speeds and forces of hands and devices: one value for each motion.
 
 A rotary channel has the mathematics of a line, in radians, but no metre is a radian. Where the size of a wheel would
 say more, its rim is 0.2 m from the axis, as a steering wheel's: the fingers on a smaller one go less far. What follows
@@ -14,7 +14,7 @@ from hapsim.units import Motion
 
 
 class Scale(NamedTuple):
-    """Of one motion, in m, N, kg and s, or in rad, N·m, kg·m² and s."""
+    """Scales of one motion, in m, N, kg and s, or in rad, N·m, kg·m² and s."""
 
     credit: float = 0.25
     """At the force limit: the most energy that a scene can hold and a hand be credited with. Half of what the largest
@@ -29,14 +29,14 @@ class Scale(NamedTuple):
     sensor: float = 0.005
     """The error of a position sensor, beside its noise; 3 degrees, of a magnet beside its sensor's axis."""
     sign_pull: float = 15.0
-    """By which the force limit accelerates the mass: with less, a motor that is wired the wrong way may be missed. On
-    the rim."""
+    """Acceleration of the mass by the force limit. With less, the test may miss a motor that is wired the wrong way.
+    On the rim."""
     kick: float = 0.1
     """The speed that a push of a measurement gives to what nothing holds: a fiftieth of a hand's 5 m/s or 60 rad/s."""
     travel: float = 0.005
-    """How far a device that is identified or probed may go; 130 counts of 4096 a turn."""
+    """Largest travel of a device that is identified or probed; 130 counts of 4096 a turn."""
     excited: float = 0.001
-    """How far the excitation of an impedance moves it; 33 such counts, whose rounding still is like noise."""
+    """Travel during the excitation of an impedance; 33 such counts, whose rounding still is like noise."""
     rigid: float = 5e-4
     """The force limit stretches a device's own spring by more. On the rim."""
     brief: float = 1e-4
@@ -45,22 +45,22 @@ class Scale(NamedTuple):
     """So far beyond an edge is a place where nothing holds a hand; twice that is drawn beside the edge. Below any
     device's travel."""
     grip_damping: float = 5.0
-    """Of a light grip, with 0.5 kg and 300 N/m beside it; a firm one has 20 N·s/m."""
+    """Damping of a light grip, with 0.5 kg and 300 N/m; a firm one has 20 N·s/m."""
     drag_stiffness: float = 200.0
     drag_damping: float = 2.0
-    """Of the hand with which the page pulls the mock,"""
+    """Stiffness above, and damping, of the hand with which the page pulls the mock."""
     reach: float = 0.02
-    """and how far it reaches to either side, at first."""
+    """Reach of that hand to either side, at first."""
     jerk: float = 0.005
-    """What nothing holds has visibly moved. This and the next three on the rim of a knob, 5 cm from its axis."""
+    """Visible motion of a free device. This and the next three are on the rim of a knob, 5 cm from its axis."""
     runaway: float = 0.1
-    """What nothing holds has gone too far, as far as late forces may take it;"""
+    """Largest motion of a free device that late forces may cause."""
     grip: float = 0.002
-    """a hand that holds a handle elsewhere has another grip;"""
+    """Distance on a handle that makes another grip."""
     grip_force: float = 20.0
-    """and one that moves a handle pulls with less."""
+    """Largest force of a hand that moves a handle."""
     position_count: float = 1e-9
-    """Of the mock's position on the wire: 32 bits reach 2.1 m to either side, or 341 turns."""
+    """Count of the mock's position on the wire: 32 bits reach 2.1 m to either side, or 341 turns."""
 
 
 SCALES: dict[Motion, Scale] = {
@@ -89,7 +89,7 @@ SCALES: dict[Motion, Scale] = {
 
 
 def scale_of(motion: Motion, mass: float, travel: float) -> Scale:
-    """Of a channel with this mass (kg, or kg·m²) and declared travel (m, or rad; infinite: none).
+    """Returns the scales of a channel with this mass (kg, or kg·m²) and declared travel (m, or rad; infinite: none).
 
     What turns is credited with all of its travel. A hand holds it with 10/s and pulls it with 1000/s² of its inertia,
     however large it is: as 0.5 kg with 5 N·s/m, and 0.2 kg with 200 N/m.

@@ -1,4 +1,4 @@
-"""The signals that mean "stop": SIGINT (Ctrl-C), SIGTERM and SIGHUP, and what each part of a command makes of them.
+"""The signals that mean "stop": SIGINT (Ctrl-C), SIGTERM and SIGHUP, and their handling by each part of a command.
 
 Only the standard library is imported here: this file is loaded before everything that takes long to load.
 """
@@ -36,7 +36,7 @@ def note_arming() -> None:
 
 
 def note_work(ended: str) -> None:
-    """Notes what a stop would end from now on: words that follow "stopped"."""
+    """Sets the words that follow "stopped" if a stop signal ends the work from now on."""
     _Command.ended = ended
 
 
@@ -68,7 +68,7 @@ def is_urgent() -> bool:
 
 @contextlib.contextmanager
 def stops_as_interrupts() -> Iterator[None]:
-    """While open, each of these signals raises KeyboardInterrupt."""
+    """Makes each of these signals raise KeyboardInterrupt in the with-block."""
     _Command.ended, _Command.armed, _Command.interrupted, _Command.stops = "", False, False, 0
 
     def interrupt(*_: object) -> None:
@@ -81,7 +81,7 @@ def stops_as_interrupts() -> Iterator[None]:
 
 @contextlib.contextmanager
 def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """While open, each of these signals calls `stop`."""
+    """Makes each of these signals call `stop` in the with-block."""
 
     def count(*_: object) -> None:
         _Command.stops += 1
@@ -95,7 +95,7 @@ def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
 
 
 def undisturbed() -> contextlib.AbstractContextManager[None]:
-    """While open, these signals are ignored: the rest is short, and has to be whole."""
+    """Ignores these signals in the with-block, for output that is short and must be complete."""
     return _handled_by(signal.SIG_IGN)
 
 
@@ -109,8 +109,8 @@ def ignore_stops() -> None:
 
 @contextlib.contextmanager
 def _handled_by(handler: Any) -> Iterator[None]:
-    """While open, `handler` gets these signals (main thread only). Those that the parent has this process ignore, as
-    nohup does, stay ignored."""
+    """Calls `handler` for these signals in the with-block (main thread only). Signals that the parent process ignores,
+    as nohup does, stay ignored."""
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         before = {one: old for one in STOPS if (old := signal.getsignal(one)) not in (signal.SIG_IGN, None)}

@@ -48,7 +48,7 @@ class Units:
     motions: frozenset[Motion]
     """None: as of a line."""
     in_degrees: bool = False
-    """Whether angles are in degrees, where all channels turn. Stiffness and damping stay per rad."""
+    """True if angles are in degrees; all channels are rotary then. Stiffness and damping stay per rad."""
 
     @classmethod
     def of(cls, motions: Iterable[Motion], in_degrees: bool = False) -> Units:
@@ -68,7 +68,7 @@ class Units:
 
     @property
     def is_rotary(self) -> bool:
-        """Whether something turns."""
+        """True if a channel is rotary."""
         return "rotary" in self.motions
 
     def __call__(self, value: Any, unit: str, form: str | int = 6) -> str:
@@ -90,7 +90,7 @@ class Units:
         return number(shown, form) if isinstance(form, int) else f"{shown:{form}}"
 
     def name(self, unit: str) -> str:
-        """Returns what stands for this unit of a line: N·m/rad for N/m. Words may follow it: "m per count"."""
+        """Returns the name that replaces this linear unit: N·m/rad for N/m. Words may follow it: "m per count"."""
         of_a_line, *words = unit.split(" ", 1)
         turning = (self.in_degrees and _DEGREES.get(of_a_line)) or _ROTARY.get(of_a_line, of_a_line)
         if not self.is_rotary or turning == of_a_line:

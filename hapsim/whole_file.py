@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all: beside their place first, then moved into it."""
+"""Files that are written completely or not at all: to a temporary file first, which then replaces them."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     Where no other file can take its place, as of a device or in a directory that cannot be written, it is `path`.
     """
     place = Path(os.path.realpath(path))
-    beside = place.with_name(f".{os.urandom(8).hex()}.{place.name}")  # a name that nobody can plant a link at
+    temporary = place.with_name(f".{os.urandom(8).hex()}.{place.name}")  # a name that nobody can plant a link at
     is_replaced = not place.exists() or (place.is_file() and os.access(place.parent, os.W_OK))
     try:
-        yield beside if is_replaced else place
+        yield temporary if is_replaced else place
         if is_replaced:
             if place.exists():
-                shutil.copymode(place, beside)
-            os.replace(beside, place)
+                shutil.copymode(place, temporary)
+            os.replace(temporary, place)
     except OSError as error:
         raise UsageError(f"{path}: the file cannot be written: {error.strerror or error}") from error
     finally:
         with contextlib.suppress(OSError):
-            beside.unlink()
+            temporary.unlink()
 
 
 class FileForHdf5(io.FileIO):

@@ -1,4 +1,4 @@
-"""What `hapsim` calls. It handles signals first; the command line and all that it takes are loaded afterwards."""
+"""Entry point of `hapsim`. It handles signals first, and loads the command line afterwards."""
 
 from __future__ import annotations
 

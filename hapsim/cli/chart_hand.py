@@ -1,4 +1,4 @@
-"""`hapsim chart plane`, `felt`, `force` and `transparency`: what a hand feels, of a scene or described by options."""
+"""`hapsim chart plane`, `felt`, `force` and `transparency`: the hand of a scene, or one described by options."""
 
 from __future__ import annotations
 
@@ -34,27 +34,30 @@ if TYPE_CHECKING:
 
 
 Channel = Annotated[int | None, option(None, "Channel of the hand [default: the first]")]
-Mass = Annotated[float | None, option("M", "Mass of hand and handle, kg.")]
+Mass = Annotated[float | None, option("M", "Mass of hand and handle in kg [default: the scene's]")]
 
 
 def _kind(choice: Any) -> Any:
-    return option("KIND", f"One of {', '.join(get_args(choice))}.")
+    first, *_ = names = get_args(choice)
+    return option("KIND", f"One of {', '.join(names)} [default: the scene's, or {first}]")
 
 
 @dataclass
 class HandOptions:
-    """The hand that a chart is drawn for: of a scene, or described by options, which take precedence."""
+    """The hand of a chart: of a scene, or described by options. Options take precedence."""
 
-    scene: str | None = argument("[SCENE]", "A scene in YAML [default: a hand described by the options]")
+    scene: str | None = argument("[SCENE]", "Scene file in YAML [default: a hand described by the options]")
     channel: Channel = None
-    rate: float | None = option("HZ", "Sample rate, Hz.")
-    friction: float | None = option("B0", "Friction of the device, N·s/m.")
-    stiffness: float | None = option("K0", "Spring of the device, N/m.")
-    delay: float | None = option("N", "Delay, sample periods.")
+    rate: float | None = option("HZ", "Sample rate in Hz [default: the scene's]")
+    friction: float | None = option("B0", "Friction of the device in N·s/m [default: the scene's, or 0]")
+    stiffness: float | None = option("K0", "Spring of the device in N/m [default: the scene's, or 0]")
+    delay: float | None = option("N", "Delay in sample periods [default: the scene's, or 1]")
     hold: str | None = _kind(choices.Hold)
     sampling: str | None = _kind(choices.Sampling)
     damper: str | None = _kind(choices.DamperScheme)
-    cutoff: float | None = option("HZ", f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper, Hz.")
+    cutoff: float | None = option(
+        "HZ", f"Cutoff of the {one_of(choices.WITH_CUTOFF)} damper in Hz [default: the scene's]"
+    )
 
     def hands(
         self,
@@ -91,10 +94,10 @@ class HandOptions:
 
 @dataclass
 class SimulatedOptions:
-    """The spring and damper that are simulated, where not those of the scene."""
+    """The simulated spring and damper, in place of the scene's."""
 
-    simulated_stiffness: float | None = option("K", "Simulated K, N/m [default: the scene's]")
-    simulated_damping: float | None = option("B", "Simulated B, N·s/m [default: the scene's]")
+    simulated_stiffness: float | None = option("K", "Simulated stiffness K in N/m [default: the scene's]")
+    simulated_damping: float | None = option("B", "Simulated damping B in N·s/m [default: the scene's]")
 
     @property
     def pair(self) -> tuple[float | None, float | None]:
@@ -104,10 +107,10 @@ class SimulatedOptions:
 
 @dataclass
 class ChartOutput(PictureOptions):
-    """Where a chart goes: a picture, its numbers, a JSON document."""
+    """Output of a chart: a picture, its numbers, a JSON document."""
 
     picture: Path | None = option(
-        "FILE", "Picture: .svg, .png or .pdf [default: the command's name with .svg, unless --data or --json is given]"
+        "FILE", "Picture: .svg, .png or .pdf [default: the command's name with .svg; none with --data or --json]"
     )
     json: Json = False
 
@@ -179,15 +182,17 @@ def plane(
     simulated: SimulatedOptions,
     *,
     mass: list[str] | None = option(
-        "M", "Mass of hand and handle, kg; a list (0.1,0.2,0.4) draws one family of curves per mass."
+        "M", "Mass of hand and handle in kg. A list (0.1,0.2,0.4) draws one family of curves per mass."
     ),
-    normalised: bool = flag("--normalised", "The paper's units, K T²/m and B T/m; --mass and --rate default to 1."),
-    total_damping: bool = flag("--total-damping", "Put B + b0 on the axis, as in the paper's Figure 9."),
-    to_stiffness: float | None = option("K", "End of the K axis, in its unit [default: automatic]"),
-    to_damping: float | None = option("B", "End of the B axis, in its unit [default: automatic]"),
+    normalised: bool = flag(
+        "--normalised", "Use the paper's units, K T²/m and B T/m. --mass and --rate then default to 1."
+    ),
+    total_damping: bool = flag("--total-damping", "Draw over B + b0, as in the paper's Figure 9."),
+    to_stiffness: float | None = option("K", "End of the K axis, in the unit of the axis [default: automatic]"),
+    to_damping: float | None = option("B", "End of the B axis, in the unit of the axis [default: automatic]"),
     output: ChartOutput,
 ) -> None:
-    """Draw the K,B plane: curves of equal k and b that the hand feels.
+    """Draw the K,B plane: contours of the stiffness k and damping b that the hand feels.
 
     These are Figures 7, 8 and 9 of the paper. Options of the hand take precedence over the scene's values.
     """
@@ -228,11 +233,11 @@ def felt(
     hand: HandOptions,
     *,
     mass: Mass = None,
-    normalised: bool = flag("--normalised", "The paper's units; --mass and --rate default to 1."),
-    over: str | None = option("PATH", "How far off the scene's k and b are over device.mass, .friction or .delay."),
+    normalised: bool = flag("--normalised", "Use the paper's units. --mass and --rate then default to 1."),
+    over: str | None = option("PATH", "Draw the error of k and b over device.mass, .friction or .delay instead."),
     output: ChartOutput,
 ) -> None:
-    """Draw which desired stiffness and damping the hand feels, with each correction.
+    """Draw the desired stiffness and damping that the hand can feel, for each correction.
 
     Options of the hand take precedence over the scene's values (configs/README.md has an example).
     """
@@ -263,7 +268,7 @@ def felt(
 
 
 def _tolerance(hand: HandOptions, over: str, others: list[Any], output: ChartOutput) -> None:
-    """Draws how far off k and b of a scene's hand are where the device is not the declared one."""
+    """Draws the error of k and b of a scene's hand if the device is not the declared one."""
     from hapsim.chart.felt_chart import SHARES, draw_tolerance, tolerance_chart
 
     given = {name: value for name, value in asdict(hand).items() if value is not None}
@@ -296,13 +301,13 @@ def force(
     *,
     channel: Channel = None,
     speed: float | None = option(
-        "V", "Speed of the hand for the loop of friction and damping [default: 0.05 m/s or 2 rad/s]."
+        "V", "Speed of the hand for the loop of friction and damping [default: 0.05 m/s or 2 rad/s]"
     ),
     output: ChartOutput,
 ) -> None:
-    """Draw force over displacement: what the hand feels at each place.
+    """Draw force over displacement, with the stiffness that the hand feels in each region.
 
-    The colour is the difference between felt and asked for. Unstable regions are hatched.
+    The colour is the difference between felt and requested stiffness. Unstable regions are hatched.
     """
     from hapsim.chart.force import columns_of, draw_force, force_chart
 
@@ -331,10 +336,10 @@ def transparency(
     mass: Mass = None,
     output: ChartOutput,
 ) -> None:
-    """Draw the rendered impedance beside the desired one, over frequency.
+    """Draw rendered and desired impedance over frequency.
 
-    This is Figure 2 of the paper; beside it are k and b, the spring and damper of the same force. Options of the hand
-    take precedence over the scene's values, unless it moves masses or another hand.
+    This is Figure 2 of the paper, with k and b, the spring and damper of the same force. Options of the hand take
+    precedence over the scene's values, unless the hand moves masses or another hand.
     """
     from hapsim.chart.hand import described
     from hapsim.chart.impedance_chart import draw_transparency
@@ -366,8 +371,8 @@ def transparency(
 def _of_scene(
     hand: HandOptions, simulated: SimulatedOptions, mass: float | None
 ) -> tuple[Transparency, str, dict[str, Any]] | None:
-    """Returns the chart of a hand that moves more than itself, or that a predictor answers, its title and what scripts
-    read; None for another. UsageError where an option describes another hand."""
+    """Returns the chart of a hand that moves masses, moves another hand or uses a predictor; its title and its summary.
+    Returns None for any other hand. Raises UsageError if an option describes another hand."""
     if hand.scene is None:
         return None
     from hapsim.chart.impedance_chart import transparency_in
@@ -394,7 +399,7 @@ def _of_scene(
 
 
 def _band(low: float, high: float, first: float, last: float) -> str:
-    """Returns a band in words; where it ends with the picture, the end is no property of the wall."""
+    """Returns a band in words. An end of the picture is no end of the band."""
     if low <= first:
         return "at every frequency drawn" if high >= last else f"below {high:.4g} Hz"
     return f"above {low:.4g} Hz" if high >= last else f"from {low:.4g} to {high:.4g} Hz"

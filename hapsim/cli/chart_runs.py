@@ -1,4 +1,4 @@
-"""`hapsim chart table1`, `speed-accuracy` and `trace`: what was measured, timed or recorded."""
+"""`hapsim chart table1`, `speed-accuracy` and `trace`: charts of measurements, timings and records."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ def table1(
     *,
     channel: Channel = None,
     as_scene: bool = flag(
-        "--as-scene", "Use the scene's hold, delay, friction and damping, not the paper's ideal loop."
+        "--as-scene", "Use the scene's hold, delay, friction and damping instead of the paper's ideal loop."
     ),
-    correction: str | None = option("KIND", "poles or predictor [default: none; with --as-scene the scene's own]"),
+    correction: str | None = option(
+        "KIND", "Correction: poles or predictor [default: none, or the scene's with --as-scene]"
+    ),
     output: ChartOutput,
 ) -> None:
-    """Couple the hand's mass with real and simulated springs, predicted and measured.
+    """Draw Table 1 of the paper: a mass on real and simulated springs, predicted and measured.
 
-    This is Table 1 of the paper: a simulated spring is tuned to a real one, then two of either are coupled. The mock
-    plays the device.
+    A simulated spring is tuned to a real one. Then two springs of either kind are coupled. The mock is the device.
     """
     from hapsim.chart.hand import described
     from hapsim.chart.table1 import draw_table1
@@ -79,12 +80,12 @@ def speed_accuracy(
     *,
     objects: list[str] | None = option("NAME", f"Objects, a list: {_OBJECTS} [default: all]", "--object"),
     schemes: list[str] | None = option("NAME", "Schemes, a list such as cordis,exact [default: all]", "--scheme"),
-    rates: list[str] | None = option("HZ", "Sample rates, Hz, a list [default: 500 to 50000]", "--rates"),
-    rounds: int = option("N", "How often each is timed, in turns.", default=5),
-    peers: Path | None = option("FILE.json", "Draw peers too, as tools/bench/schemes recorded them.", "--with"),
+    rates: list[str] | None = option("HZ", "Sample rates in Hz, a list [default: 500 to 50000]", "--rates"),
+    rounds: int = option("N", "Number of timings of each, in turns.", default=5),
+    peers: Path | None = option("FILE.json", "Also draw peers, recorded by tools/bench/schemes.", "--with"),
     output: ChartOutput,
 ) -> None:
-    """Draw the cost of a simulated second against the error: objects, schemes, rates.
+    """Draw computing time against error, for objects, schemes and sample rates.
 
     The error is the distance from the continuous object.
     """
@@ -112,7 +113,7 @@ def speed_accuracy(
 
 
 def trace(
-    file: Path = argument("FILE", "A trace (.npz, .trace), the part that a crash left, or a report file.", default=...),
+    file: Path = argument("FILE", "Trace (.npz, .trace), part that a crash left, or report file.", default=...),
     *,
     last: float | None = option("S", "Draw the last S seconds only [default: all]"),
     output: ChartOutput,

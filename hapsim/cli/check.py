@@ -1,4 +1,4 @@
-"""`hapsim check`: the answer in about ten lines, all of it with --explain (`check_details`), or a JSON document."""
+"""`hapsim check`: about ten lines, everything with --explain (`check_details`), or a JSON document."""
 
 from __future__ import annotations
 
@@ -57,15 +57,17 @@ def check(
     scene: SceneFile,
     json: Json = False,
     at: At = None,
-    explain: bool = flag("--explain", "Print every mode, margin and bound; compile the scene too, and time its parts."),
+    explain: bool = flag(
+        "--explain", "Print every mode, margin and bound. Also compile the scene, and time its parts."
+    ),
     hand_mass: str | None = option(
-        "LOW:HIGH", "Judge hands that add so much mass, kg, and stiffness: 0.1:2.", "--hand-mass"
+        "LOW:HIGH", "Find the worst hand that adds a mass in this range, kg, such as 0.1:2.", "--hand-mass"
     ),
     hand_stiffness: str | None = option(
-        "LOW:HIGH", "The stiffness that these hands add, N/m: 0:500.", "--hand-stiffness"
+        "LOW:HIGH", "Range of the stiffness that these hands add, N/m, such as 0:500.", "--hand-stiffness"
     ),
 ) -> None:
-    """Predict without running: stability, what the hand feels, gain margins, the wire."""
+    """Predict stability, felt stiffness and damping, gain margins and wire time. Nothing runs."""
     loaded, hands = load(scene), hand_ranges(hand_mass, hand_stiffness)
     if why := refused_travel(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")
@@ -113,7 +115,7 @@ def _explanation(scene: Scene) -> Explanation:
 
 
 def _sound_peaks(scene: Scene) -> dict[str, float]:
-    """How loud each pick-up gets by itself: on the mock, in virtual time."""
+    """Returns the peak of each pick-up on the mock, in virtual time, with no hand moving it."""
     from hapsim.running import start
 
     with at_work(stderr(), "rendering the sound"):
@@ -179,7 +181,7 @@ def _one_hand(span: tuple[float, float], friction: float, stiffness: float, unit
 
 
 BRIEF, EXPLAIN, BOTH = {False}, {True}, {False, True}
-"""Levels of a line: by whether all is explained."""
+"""The values of `explain` with which a line is printed."""
 
 
 def check_lines(
@@ -192,8 +194,8 @@ def check_lines(
     partials: dict[str, tuple[float, ...]] | None = None,
     peaks: dict[str, float] | None = None,
 ) -> Iterator[Line]:
-    """Yields what is predicted: the answer in about ten lines, or all with `explain`. `on_wire`: as `predict_on_wire`
-    returned it. What is not printed is not worked out."""
+    """Yields the prediction: about ten lines, or everything with `explain`. `on_wire`: the result of `predict_on_wire`.
+    Lines that are not printed are not computed."""
     every: tuple[tuple[set[bool], Iterable[Line]], ...] = (
         (BRIEF, _felt_summary(prediction)),
         (EXPLAIN, details.assumption_lines(prediction.assumptions)),
@@ -237,7 +239,7 @@ def _guards(scene: Scene, prediction: Prediction) -> Iterator[str]:
 
 
 def _felt_summary(prediction: Prediction) -> Iterator[Line]:
-    """Yields k, b and static stiffness of each hand, beside what was asked for."""
+    """Yields k, b and static stiffness of each hand, beside the requested values."""
     rows = []
     for felt in prediction.felt:
         k, b = prediction.asked_for(felt)
@@ -286,8 +288,8 @@ _SWING = "least_m=least most_m=most force_n=force"
 def prediction_document(
     prediction: Prediction, channel: int | None = None, on_wire: Prediction | None = None
 ) -> dict[str, Any]:
-    """Returns what `hapsim check --json` prints; `predicted` and `dominant` are of `channel` (None: the first).
-    `on_wire`: as `predict_on_wire` returned it."""
+    """Returns the document of `hapsim check --json`. `predicted` and `dominant` are of `channel` (None: the first).
+    `on_wire`: the result of `predict_on_wire`."""
     felt, rendering = felt_on(prediction, channel), prediction.rendering
     modes = [
         pick(mode, "pole frequency_hz damping_ratio")

@@ -1,4 +1,4 @@
-"""What `hapsim check` prints of a correction: what it reaches, and how well the device has to be known for it."""
+"""Lines of `hapsim check` about a correction: its error, and how accurately the device must be known for it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _EXACT, _SMALL = 1e-6, 1e-3  # relative errors of a correction that are no error
 
 
 def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iterator[str]:
-    """Yields how well the device has to be known for a correction to be off by no more than these shares."""
+    """Yields the masses, frictions and delays for which the error of a correction stays within these shares."""
     for felt in prediction.felt:
         for one in prediction.tolerances(felt.name, shares):
             units = prediction.scene.units_of(felt.channel)
@@ -39,7 +39,7 @@ def _within(least: float, most: float) -> str:
 
 
 def correction_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields what a correction reaches, and the modes that it aims at; nothing without one."""
+    """Yields the error of a correction, and its desired modes; nothing without a correction."""
     rendering = prediction.rendering
     if rendering is None or rendering.kind is None:
         return
@@ -64,14 +64,14 @@ def correction_lines(prediction: Prediction) -> Iterator[Line]:
 
 
 def unreached_sentences(prediction: Prediction) -> Iterator[str]:
-    """Yields of each hand at which a correction does not reach what is desired, how close it comes."""
+    """Yields the error for each hand at which a correction does not reach the desired spring and damper."""
     for desired in prediction.desired:
         if not desired.reached and prediction.rendering is not None and prediction.rendering.kind is not None:
             yield _reached_sentence(desired, prediction.rendering.kind.name, prediction)
 
 
 def _reached_sentence(desired: Desired, name: str, prediction: Prediction) -> str:
-    """Returns how close a correction comes to what is desired at one hand, and what would bring it closer."""
+    """Returns the error of a correction at one hand, and its remedies."""
     steady, units = "", prediction.scene.units_of(desired.channel)
     if abs(desired.steady_stiffness - desired.k) > _EXACT * abs(desired.k):
         steady = f" A steady push meets {units(desired.steady_stiffness, 'N/m', '.6g')}, not {desired.k:.6g}."

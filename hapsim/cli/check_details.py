@@ -1,4 +1,4 @@
-"""What `hapsim check` prints of hands, modes and gain margins, the wire, and what bounds the force."""
+"""Lines of `hapsim check` about hands, modes, gain margins, the wire and the bounds of the force."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _NO_FACTOR, _UNKNOWN = "–", "?"
 
 
 def assumption_lines(assumptions: Iterable[str]) -> Iterator[Line]:
-    """Yields what the prediction assumes; sentences that differ in their first word alone become one."""
+    """Yields the assumptions of the prediction. Sentences that differ only in their first word become one."""
     alike: dict[str, list[str]] = {}
     for sentence in assumptions:
         name, _, rest = sentence.partition(" ")
@@ -49,7 +49,7 @@ def assumption_lines(assumptions: Iterable[str]) -> Iterator[Line]:
 
 
 def felt_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields what each hand feels, and what that means."""
+    """Yields k and b of each hand, and its margin."""
     for felt in prediction.felt:
         yield from _felt_lines(prediction, felt)
 
@@ -94,7 +94,7 @@ def _felt_table(felt: Felt, desired: Desired | None) -> Table:
 
 
 def margin_sentence(felt: Felt) -> str:
-    """Returns how far one hand is from the stability limit."""
+    """Returns the gain margin of one hand, in a sentence."""
     if felt.stiffness == 0.0:
         unstable = felt.spectral_radius > SURELY
         return f"There is no stiffness to have a margin{_enough_damping(felt, '; stable is it') if unstable else ''}."
@@ -120,7 +120,7 @@ def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
 
 
 def mode_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields the modes, slowest first; nothing where there are none."""
+    """Yields the modes, slowest first; nothing if there are none."""
     if not prediction.modes:
         return
     rows = []
@@ -150,13 +150,13 @@ def _more(count: int) -> str:
 
 
 def tightest(prediction: Prediction) -> list[LinkMargin]:
-    """Returns the links that are closest to the limit first, as many as a table holds."""
+    """Returns the links with the smallest margins, as many as a table holds, smallest first."""
     known = [margin for margin in prediction.margins if not math.isnan(margin.stiffness_factor)]
     return sorted(known, key=change_to_limit)[:_ROWS]
 
 
 def change_to_limit(margin: LinkMargin) -> float:
-    """Returns the logarithm of the smallest factor that takes the scene to the limit; infinity where none does."""
+    """Returns the logarithm of the smallest factor that takes the scene to its limit; infinity if none does."""
     ranges = (*(margin.stabilizing_stiffness or ()), *(margin.stabilizing_damping or ()))
     factors = [least if least >= 1.0 else most for least, most in ranges]
     if not ranges:
@@ -165,7 +165,7 @@ def change_to_limit(margin: LinkMargin) -> float:
 
 
 def margin_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields the gain margins of the links, and how they were worked out; nothing without links."""
+    """Yields the gain margins of the links, and the method; nothing without links."""
     if not prediction.margins:
         return
     links = tightest(prediction)
@@ -191,7 +191,7 @@ def _factor(value: float) -> str:
 
 
 def _ranges(ranges: tuple[tuple[float, float], ...] | None) -> str:
-    """Returns which factors make an unstable scene stable."""
+    """Returns the factors that make an unstable scene stable."""
     words = []
     for least, most in ranges or ():
         to = between(least, most) if math.isfinite(most) else f"{rounded_up(least)} or more"
@@ -200,9 +200,9 @@ def _ranges(ranges: tuple[tuple[float, float], ...] | None) -> str:
 
 
 def wire_lines(prediction: Prediction, on_wire: Prediction | None, explain: bool) -> Iterator[Line]:
-    """Yields what an exchange takes, and what that makes of the delay and of what the hand feels.
+    """Yields the time of an exchange, the delay that results, and k and b at that delay.
 
-    `on_wire`: as `predict_on_wire` returned it. `explain`: with its parts.
+    `on_wire`: the result of `predict_on_wire`. `explain`: adds the parts of the time.
     """
     budget, is_real = prediction.wire_time, prediction.wire_of != "none"
     whole = f"{duration(budget.exchange_s)} of {duration(budget.period)}"
@@ -244,7 +244,7 @@ def _delay(budget: WireTime) -> str:
 
 
 def _felt_on_wire(prediction: Prediction, on_wire: Prediction) -> str:
-    """Returns what the hands feel at the delay that results, beside what they feel at the declared one."""
+    """Returns k and b at the delay that results, beside those at the declared delay."""
     sentences = []
     for declared, late in zip(prediction.felt, on_wire.felt, strict=True):
         felt = f"no spring and damper is equivalent: {late.reason}"
@@ -259,7 +259,7 @@ def _felt_on_wire(prediction: Prediction, on_wire: Prediction) -> str:
 
 
 def force_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
-    """Yields what bounds the force when the host dies, and in `hapsim run`."""
+    """Yields the bounds of the force after the host dies, and in `hapsim run`."""
     silence = host_silence(prediction.rate)
     yield (
         f"If the host dies: the last force acts for at most {duration(silence.zero_force_after_s)} "
@@ -280,7 +280,7 @@ def force_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
 
 
 def device_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
-    """Yields what bounds the force with a device in place of the mock, and what the mock does not show of one."""
+    """Yields the bounds of the force with a device in place of the mock, and the limits of the mock."""
     if scene.device.port is None and scene.device.clock != "lockstep":
         bounds = force_bounds(scene, in_hand=True)
         yield (
@@ -344,7 +344,7 @@ _PEAK = 10.0 ** (-6.0 / 20.0)
 
 
 def partials_sentences(partials: dict[str, tuple[float, ...]]) -> Iterator[str]:
-    """Yields at which pitches each pick-up rings."""
+    """Yields the pitches of each pick-up, Hz."""
     for name, pitches in partials.items():
         some = ", ".join(f"{one:.1f}" for one in pitches[:_PARTIALS])
         more = f" and {len(pitches) - _PARTIALS} more" if len(pitches) > _PARTIALS else ""
@@ -355,7 +355,7 @@ def partials_sentences(partials: dict[str, tuple[float, ...]]) -> Iterator[str]:
 
 
 def sound_sentences(scene: Scene, peaks: dict[str, float]) -> Iterator[str]:
-    """Yields how loud each pick-up gets by itself, and the gain that makes its peak -6 dB."""
+    """Yields the peak of each pick-up with no hand moving it, and the gain that makes that peak -6 dB."""
     for name, peak in peaks.items():
         pick_up = scene.sound[name]
         if peak == 0.0:
@@ -367,7 +367,7 @@ def sound_sentences(scene: Scene, peaks: dict[str, float]) -> Iterator[str]:
 
 
 def explanation_lines(explanation: Explanation) -> Iterator[Line]:
-    """Yields what the scene was compiled to, and what its parts take."""
+    """Yields the compiled parts of the scene, and their time."""
     rows = [
         (
             part.name,

@@ -1,4 +1,4 @@
-"""What `hapsim check` prints of hands: by region, of those that move masses or each other, and of any others."""
+"""Lines of `hapsim check` about hands: by region, hands that move masses or each other, and any hands."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class _Row:
     region: Region
     alike: int
     is_here: bool
-    """Whether the hand is taken to be in it, or in one like it."""
+    """True for the assumed region of the hand, or one like it."""
 
 
 def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
-    """Yields a table for each hand with regions; hands that feel the same share one."""
+    """Yields a table for each hand with regions. Hands that feel the same share a table."""
     from hapsim.scene import Detent
 
     shared: dict[tuple[tuple[tuple[str, ...], ...], tuple[str, ...]], list[str]] = {}
@@ -68,8 +68,8 @@ def hand_lines(name: str, regions: tuple[Region, ...]) -> Iterator[Line]:
 
 
 def _bounces(regions: tuple[Region, ...]) -> str:
-    """Returns that bounces can grow though each region is stable, and what would be enough, in a sentence; "" where
-    passivity forbids it, or where it is not derived."""
+    """Returns the friction below which bounces can grow though each region is stable, in a sentence; "" if the scene is
+    passive, or if passivity is not derived."""
     held = [one.felt for one in regions if one.kind == "held"]
     needed = max((one.needed_friction for one in held), default=0.0)
     has, unit = regions[0].felt.configuration.friction, regions[0].hand.units.name("N·s/m")
@@ -79,7 +79,7 @@ def _bounces(regions: tuple[Region, ...]) -> str:
 
 
 def _narrow(regions: tuple[Region, ...]) -> str:
-    """Returns how many regions are narrower than a count, in a sentence; "" where none is."""
+    """Returns the number of regions narrower than a count, in a sentence; "" if there are none."""
     places = {(one.piece.low, one.piece.high): one.hand.count for one in regions}
     narrow = sum(high - low < count for (low, high), count in places.items())
     if not narrow:
@@ -96,8 +96,8 @@ def _table(names: str, rows: Sequence[tuple[str, ...]], units: Units) -> Table:
 
 
 def _rows(regions: tuple[Region, ...], here: Region | None = None) -> tuple[list[_Row], str]:
-    """All regions, or one of each kind, that nearest to position 0, with how many there are; of more kinds than fit the
-    most telling, and what the others are, in a sentence."""
+    """Returns all regions if they fit, else the region of each kind nearest to position 0, with the number of its kind.
+    If even these do not fit, returns the least stable ones, and a sentence about the others."""
     if len(regions) <= _ROWS:
         return [_Row(one, 1, one is here) for one in regions], ""
     alike: dict[tuple[object, ...], list[Region]] = {}
@@ -116,7 +116,7 @@ def _rows(regions: tuple[Region, ...], here: Region | None = None) -> tuple[list
 
 
 def _summed_up(kinds: list[Region], count: int) -> str:
-    """Returns what these regions are, `count` in all, in a sentence; "" where there are none."""
+    """Returns a summary of these regions, `count` in all, in a sentence; "" if there are none."""
     if not kinds:
         return ""
     low, high = (number(of(one.piece.stiffness for one in kinds), 4) for of in (min, max))
@@ -149,7 +149,7 @@ def _range(low: float, high: float, units: Units) -> str:
 
 
 def _verdict(region: Region) -> str:
-    """Returns whether it is stable and passive, or a snap, in a few words."""
+    """Returns a few words: stable, passive, unstable, or a snap."""
     slides = "sliding, " if region.piece.sliding else ""
     if not region.is_stable:
         return f"{slides}[red]unstable: buzzes[/red]"
@@ -161,7 +161,7 @@ def _verdict(region: Region) -> str:
 
 
 def state_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields in how many states the scene's other contacts can be, and what grows in which."""
+    """Yields the number of states of the scene's other contacts, and the motions that grow."""
     states = prediction.states
     for one in sorted(states.growing, key=lambda one: -one.growth)[:_GROWING]:
         whose = f"the motion of {escape(one.module)}" if one.module else "a motion"
@@ -180,7 +180,7 @@ _FREQUENCIES = 5  # of a sentence
 
 
 def together_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields k, b and static stiffness of these hands beside what was asked for, and what they are of."""
+    """Yields k, b and static stiffness of linked hands, beside the requested values, and sentences about them."""
     rows = [row for one in prediction.together for row in _pair_rows(one)]
     if rows:
         yield table("", ("", "asked for", "felt", "static", ""), rows, box=None)
@@ -188,7 +188,7 @@ def together_lines(prediction: Prediction) -> Iterator[Line]:
 
 
 def _pair_rows(together: FeltTogether) -> Iterator[tuple[str, str, str, str, str]]:
-    """Yields rows for each hand, and for each pair of hands: what the first feels of the second."""
+    """Yields rows for each hand, and for each pair of hands: the coupling that the first feels to the second."""
     felt, asked, static = together.felt, together.asked_for, together.static_stiffness
     if felt.reason:
         return
@@ -204,7 +204,7 @@ def _pair_rows(together: FeltTogether) -> Iterator[tuple[str, str, str, str, str
 
 
 def _sentences(prediction: Prediction) -> Iterator[str]:
-    """Yields what the rows are of, or what is felt where there are none."""
+    """Yields the meaning of the rows, or the felt stiffness over frequency if there are no rows."""
     for one in prediction.together:
         whys = "; ".join(f"[bold]{escape(name)}[/bold] {escape(prediction.coupled[name])}" for name in one.names)
         felt = one.felt
@@ -222,7 +222,7 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
 
 
 def _weight_of(prediction: Prediction, one: FeltTogether) -> Weight | None:
-    """Return its weight; None for rotary motion, for which `HAND_STIFFNESS` is no hand's."""
+    """Returns the weight that the hands feel; None for rotary motion, to which `HAND_STIFFNESS` does not apply."""
     motions = prediction.scene.device.motions(prediction.scene.channels)
     return one.weight if motions[one.channels[0]] == "linear" else None
 
@@ -250,7 +250,7 @@ def _at_frequencies(one: FeltTogether, i: int, units: Units) -> str:
 
 
 def _weight(weight: Weight) -> str:
-    """Returns what a linear hand feels of masses."""
+    """Returns the mass that a linear hand feels, in sentences."""
     from hapsim.prediction import HAND_STIFFNESS
 
     told = f"The free masses weigh {number(weight.mass, 4)} kg. Shaken by a hand of {HAND_STIFFNESS:g} N/m they feel "
@@ -295,7 +295,7 @@ _CLAMP = 2e4  # N/m: no hand is as stiff
 
 
 def hand_ranges(mass: str | None, stiffness: str | None) -> tuple[Range, Range] | None:
-    """Returns the ranges of mass and stiffness that hands add; None where none is asked for. Raises UsageError."""
+    """Returns the ranges of mass and stiffness that hands add; None if neither option is given. Raises UsageError."""
     if mass is None and stiffness is None:
         return None
     return _range_of("--hand-mass", mass or "0"), _range_of("--hand-stiffness", stiffness or "0")
@@ -312,8 +312,8 @@ def _range_of(option: str, text: str) -> Range:
 
 
 def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
-    """Yields for each part of the scene from which friction on it is stable in any hands, and in which it is not, and
-    whether ordinary hands shake it; what is alike once."""
+    """Yields for each part of the scene the friction that makes it stable in any hands, the hands that make it
+    oscillate, and the result for ordinary hands. Equal sentences are merged."""
     alike: dict[str, list[str]] = {}
     for one in prediction.any_hands:
         told = f"{_passive(prediction, one)}{_ordinary(prediction, one)}"
@@ -344,7 +344,7 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
 
 
 def _ordinary(prediction: Prediction, one: AnyHand) -> str:
-    """Returns whether ordinary hands shake it, where that is a question, and worked out."""
+    """Returns a sentence about ordinary hands; "" if the scene is passive, unstable by itself or rotary."""
     is_linear = prediction.scene.device.motions(prediction.scene.channels)[one.channels[0]] == "linear"
     if one.is_passive or not is_linear or not prediction.stable_as_taken:
         return ""
@@ -358,7 +358,7 @@ def _ordinary(prediction: Prediction, one: AnyHand) -> str:
 
 
 def _hands(one: AnyHand, worst: WorstHand, units: Units) -> str:
-    """Returns what they add; of several what those add that add something."""
+    """Returns the mass and stiffness that the hands add."""
     each = zip(one.names, worst.masses, worst.stiffnesses, strict=True)
     several = len(one.names) > 1
     told = [
@@ -387,7 +387,7 @@ def _numbers(friction: Any) -> str:
 
 
 def _shaken(prediction: Prediction, one: AnyHand) -> str:
-    """Returns below which friction a single hand is shaken, and which, unless the declared one is already."""
+    """Returns the friction below which a single hand makes the scene oscillate, and that hand."""
     least, hand = one.needed_for_one, one.shaking if prediction.stable_as_taken else None
     below = f"; below {rounded_down(least)} a mass or a spring shakes it" if least > 0.0 else ""
     if hand is None:
@@ -401,8 +401,8 @@ def _shaken(prediction: Prediction, one: AnyHand) -> str:
 
 
 def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | None) -> Iterator[str]:
-    """Yields for each part of the scene whether some hand of these ranges of mass and stiffness is shaken, and the
-    worst."""
+    """Yields for each part of the scene the stability with hands in these ranges of mass and stiffness, and the worst
+    hand."""
     if ranges is None:
         return
     for one in prediction.any_hands:

@@ -1,4 +1,4 @@
-"""The command line: which commands there are, and how each ends: a sentence and an exit status.
+"""The command line: the commands, and their ends as a sentence and an exit status.
 
 A command's file is loaded when the command is called: `hapsim --help` and the start of each command stay quick.
 """
@@ -33,7 +33,7 @@ class _Commands(TyperGroup):
     """A group whose commands are loaded when they are called."""
 
     table: ClassVar[dict[str, tuple[str, str]]] = {}
-    """Of each command: its module here and its function, and the first line of its help."""
+    """Commands by name: (module:function, first line of the help)."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
@@ -62,8 +62,8 @@ class _Commands(TyperGroup):
 
 
 def outline(path: str) -> Any:
-    """Returns a command that can only be completed by a shell, such as "hapsim run": its options are those of the
-    manual page, so that nothing heavy is imported."""
+    """Returns a command, such as "hapsim run", for a shell's completion only. Its options come from the manual page, so
+    that nothing heavy is imported."""
     page = Path(__file__).parents[1].joinpath("hapsim.1").read_text("utf-8").replace("\\-", "-")
     section = page.partition(f".SS {path} [OPTIONS]")[2].partition("\n.S")[0]
     declared = []
@@ -87,7 +87,7 @@ def outline(path: str) -> Any:
 
 
 def _offered(words: Callable[[], Iterable[str]], ending: str = "") -> Callable[[str], list[str]]:
-    """Returns what completes a value: `words`, and files of this directory. Where none fits, shells offer files."""
+    """Returns a completion of `words` and of files in this directory. If none fits, shells offer files."""
 
     def complete(incomplete: str) -> list[str]:
         files = [as_argument(path.name) for path in Path().glob(f"*{ending}")] if ending else []
@@ -110,7 +110,7 @@ _WORDS = {
     "PORT": (_of_port := _offered(_ports)),
     "--port": _of_port,
 }
-"""What completes an option or a value, by its name in the help."""
+"""Completion of an option or a value, by its name in the help."""
 
 
 class Commands(_Commands):
@@ -120,19 +120,19 @@ class Commands(_Commands):
         "run": ("run_command:run", "Run a scene with its device, or with the built-in mock."),
         "status": ("status_command:status", "Show the status of a running hapsim."),
         "service": ("prepare:service", "Print a systemd unit that runs a scene."),
-        "check": ("check:check", "Predict without running: stability, what the hand feels, gain margins, the wire."),
-        "measure": ("measure_command:measure", "Measure what the hand feels, and compare it with the prediction."),
+        "check": ("check:check", "Predict stability, felt stiffness and damping, and gain margins. Nothing runs."),
+        "measure": ("measure_command:measure", "Measure what the hand feels, and compare with the prediction."),
         "identify": (
             "identify:identify",
             "Push the device and identify its mass, friction, spring, delay and dry friction.",
         ),
-        "doctor": ("doctor:doctor", "Examine how steady this machine is for a haptic loop."),
+        "doctor": ("doctor:doctor", "Measure the wake-up latency of this machine, and the rates that it keeps."),
         "probe": ("probe:probe", "Test a device's firmware against the protocol, check by check."),
-        "replay": ("records:replay", "Run a record again, through its scene or another, without a device."),
+        "replay": ("records:replay", "Replay a record through its scene or another one. No device is used."),
         "export": ("records:export", "Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."),
         "sweep": (
             "sweep_command:sweep",
-            "Predict and measure a scene at thousands of points; the results are one dataset.",
+            "Predict and measure a scene at many points; the results are one dataset.",
         ),
         "frames": ("frames_command:frames", "Decode the frames of a capture, a report file or a serial port."),
         "faults": ("faults:faults", "Inject faults: relay between host and device and apply a script."),
@@ -140,9 +140,9 @@ class Commands(_Commands):
         "compile": ("prepare:compile_", "Compile ahead of the first run. No device is touched."),
         "ports": ("device_commands:ports", "List the serial ports."),
         "sound": ("device_commands:sound", "List the sound cards that `run --sound` can play on."),
-        "new": ("prepare:new", "Write a first scene to begin with."),
+        "new": ("prepare:new", "Write a scene file to start from."),
         "scenes": ("prepare:scenes", "List the scenes that ship with hapsim."),
-        "files": ("prepare:files", "Print where the header, the firmware, the pages and the scenes are."),
+        "files": ("prepare:files", "Print the paths of the header, the firmware, the pages and the scenes."),
         "schema": ("prepare:schema", "Print the JSON schema of scenes, for editors."),
     }
 
@@ -151,21 +151,12 @@ class ChartCommands(_Commands):
     """The commands `hapsim chart …`."""
 
     table: ClassVar[dict[str, tuple[str, str]]] = {
-        "plane": ("chart_hand:plane", "Draw the K,B plane: curves of equal k and b that the hand feels."),
-        "force": ("chart_hand:force", "Draw force over displacement: what the hand feels at each place."),
-        "transparency": (
-            "chart_hand:transparency",
-            "Draw the rendered impedance beside the desired one, over frequency.",
-        ),
-        "table1": (
-            "chart_runs:table1",
-            "Couple the hand's mass with real and simulated springs, predicted and measured.",
-        ),
-        "speed-accuracy": (
-            "chart_runs:speed_accuracy",
-            "Draw the cost of a simulated second against the error: objects, schemes, rates.",
-        ),
-        "felt": ("chart_hand:felt", "Draw which desired stiffness and damping the hand feels, with each correction."),
+        "plane": ("chart_hand:plane", "Draw the K,B plane: contours of the k and b that the hand feels."),
+        "force": ("chart_hand:force", "Draw force over displacement, with the felt stiffness."),
+        "transparency": ("chart_hand:transparency", "Draw rendered and desired impedance over frequency."),
+        "table1": ("chart_runs:table1", "Draw Table 1 of the paper: a mass on real and simulated springs."),
+        "speed-accuracy": ("chart_runs:speed_accuracy", "Draw computing time against error."),
+        "felt": ("chart_hand:felt", "Draw the desired stiffness and damping that the hand can feel."),
         "trace": ("chart_runs:trace", "Draw a recorded trace: position and force over time."),
     }
 
@@ -183,7 +174,7 @@ app.add_typer(
     typer.Typer(
         name="chart",
         cls=ChartCommands,
-        help="Draw what the hand feels, and write the numbers drawn.",
+        help="Draw charts of what the hand feels, and write their numbers.",
         no_args_is_help=True,
         callback=lambda: None,
     )
@@ -191,7 +182,7 @@ app.add_typer(
 
 
 def _print_version(wanted: bool) -> None:
-    """Prints the versions of everything that decides what hapsim does, without importing numba or numpy."""
+    """Prints the versions of hapsim, its protocol and its libraries, without importing numba or numpy."""
     if not wanted:
         return
     import platform
@@ -212,14 +203,17 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def _about_hapsim(
     version: Annotated[
-        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print what a bug report needs.")
+        bool,
+        typer.Option(
+            "--version", is_eager=True, callback=_print_version, help="Print the versions that a bug report needs."
+        ),
     ] = False,
     cache: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
             callback=choose_cache,
-            help="Where compiled code is kept, also after the command (or HAPSIM_CACHE; default: ~/.cache/hapsim).",
+            help=r"Directory for compiled code, also after the command \[default: HAPSIM_CACHE, or ~/.cache/hapsim]",
         ),
     ] = None,
 ) -> None:
@@ -227,7 +221,7 @@ def _about_hapsim(
 
 
 def run_command() -> int:
-    """Runs what `sys.argv` asks for, and returns the exit status."""
+    """Runs the command in `sys.argv`, and returns the exit status."""
     if os.environ.get("COLUMNS", "").strip("0") == "":
         os.environ.pop("COLUMNS", None)  # a terminal that does not know its width says 0: nothing would be printed
     with resilient_streams():

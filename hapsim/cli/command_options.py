@@ -1,4 +1,4 @@
-"""The options that several commands take, declared once.
+"""Options of several commands, declared once.
 
 A command takes a group of options as one argument, whose type is a dataclass: `on_command_line` declares each field as
 an option, and gives the command the object.
@@ -45,25 +45,25 @@ def argument(metavar: str | None, text: str, *, default: Any = None) -> Any:
 
 
 SceneFile = Annotated[
-    str, argument("SCENE", "A scene in YAML, the name of a shipped scene, or - for standard input.", default=...)
+    str, argument("SCENE", "Scene file in YAML, name of a shipped scene, or - for standard input.", default=...)
 ]
-Json = Annotated[bool, flag("--json", "Print one JSON document on standard output, nothing else there.")]
-Port = Annotated[str | None, option("P", "The device's serial port, in place of the scene's.")]
+Json = Annotated[bool, flag("--json", "Print one JSON document, and nothing else, on standard output.")]
+Port = Annotated[str | None, option("P", "Serial port of the device [default: the scene's]")]
 MockFlag = Annotated[bool, flag("--mock", "Use the built-in mock even if the scene names a port.")]
 Realtime = Annotated[
     bool,
     flag("--realtime", "Request real-time scheduling, locked memory and no CPU idle states; report what was granted."),
 ]
 Unstable = Annotated[
-    bool, flag("--unstable", "Run even a scene that is predicted unstable: the device will oscillate.")
+    bool, flag("--unstable", "Run the scene even if it is predicted unstable. The device will oscillate.")
 ]
-Watch = Annotated[bool, flag("--watch", "Follow the scene's file: apply it when it is saved.")]
+Watch = Annotated[bool, flag("--watch", "Apply changes of the scene file whenever it is saved.")]
 Baud = Annotated[int, option("B", "Baud rate of the device's port, bit/s.", min=1, max=100_000_000)]
 
 
 At = Annotated[
     str | None,
-    option("X", "Position of the hand: 0.002 (m), 2mm, 15deg [default: where nothing but the scene holds it].", "--at"),
+    option("X", "Position of the hand, such as 0.002 (m), 2mm or 15deg [default: the scene's equilibrium]", "--at"),
 ]
 
 
@@ -139,12 +139,14 @@ def take_cache(words: list[str]) -> list[str]:
 
 @dataclass
 class DeviceOptions:
-    """Where the device of a scene is: at a port, or the mock."""
+    """The device of a scene: at a port, or the mock."""
 
     scene: SceneFile
     port: Port = None
     mock: MockFlag = False
-    transport: str | None = option("KIND", "Where the mock runs: loopback (in memory) or terminal.")
+    transport: str | None = option(
+        "KIND", "Transport of the mock: loopback (in memory) or terminal [default: loopback for clock: lockstep]"
+    )
 
     def load(self) -> Any:
         """Returns the scene, with the port that the options name. Raises SceneError."""
@@ -169,25 +171,25 @@ class DeviceOptions:
 
 @dataclass
 class ExcitationOptions:
-    """How `hapsim measure` excites a hand."""
+    """The excitation of a hand by `hapsim measure`."""
 
-    channel: int | None = option(None, "Channel to measure [default: the first; with --impedance all]")
+    channel: int | None = option(None, "Channel to measure [default: the first, or all with --impedance]")
     at: At = None
-    duration: float | None = seconds("Duration in seconds [default: about 2; with --impedance 8 for each channel]")
+    duration: float | None = seconds("Duration in seconds [default: about 2, or 8 per channel with --impedance]")
     push: float | None = push_option()
-    hands: bool = flag("--hands", "Measure what all hands feel that are linked with that one.")
-    mass: bool = flag("--mass", "Also say how heavy what the hand shakes feels to it.")
+    hands: bool = flag("--hands", "Measure all hands that are linked with this one, and what each feels of the others.")
+    mass: bool = flag("--mass", "Also measure the mass that the hand feels.")
     hand_stiffness: float | None = option(
         "KH", "With --mass: stiffness of the hand that holds the device, N/m [default: mock.hand.stiffness]"
     )
     impedance: bool = flag("--impedance", "Measure the driving-point impedance over frequency instead of k and b.")
     travel: float | None = option(
-        "M", "With --impedance: largest travel of the hand in m, approximate [default: 0.001 m, 0.05 rad]"
+        "M", "With --impedance: largest travel of the hand in m (approximate) [default: 0.001 m or 0.05 rad]"
     )
-    z_width: bool = flag("--z-width", "With --impedance: also with the stiffest passive wall.")
+    z_width: bool = flag("--z-width", "With --impedance: also measure the Z-width, with the stiffest passive wall.")
 
     def for_runs(self, transport: Any, unstable: bool) -> dict[str, Any]:
-        """Returns what every measurement takes: keywords. `transport`: the TransportKind."""
+        """Returns the keyword arguments of every measurement. `transport`: the TransportKind."""
         return {
             "duration": self.duration,
             "push": self.push,
@@ -201,11 +203,11 @@ class ExcitationOptions:
 class RecordOptions:
     """The file that a trace is written to."""
 
-    record: Path | None = option("FILE", "Write the trace: .trace, .npz or .csv.")
-    overwrite: bool = flag("--overwrite", "Replace a file that exists.")
+    record: Path | None = option("FILE", "Write the trace to this file: .trace, .npz or .csv.")
+    overwrite: bool = flag("--overwrite", "Replace existing files.")
 
     def require_writable(self) -> None:
-        """Raises UsageError where the file cannot be written, or exists and is not to be replaced."""
+        """Raises UsageError if the file cannot be written, or exists without --overwrite."""
         if self.record is None:
             return
         from hapsim.recording.trace import require_writable_as_trace
@@ -214,21 +216,21 @@ class RecordOptions:
         self.require_free(self.record)
 
     def require_free(self, path: Path) -> None:
-        """Raises UsageError where a file exists and is not to be replaced."""
+        """Raises UsageError if a file exists without --overwrite."""
         if path.is_file() and not self.overwrite:
             raise UsageError(f"{path}: the file exists; --overwrite replaces it")
 
 
 @dataclass
 class PictureOptions:
-    """Where a picture and its numbers go."""
+    """Files for a picture and its numbers."""
 
-    picture: Path | None = option("FILE", "Draw it: .svg, .png or .pdf.")
-    data: Path | None = option("FILE.csv", "Write the numbers of the picture.")
+    picture: Path | None = option("FILE", "Draw the result to this file: .svg, .png or .pdf.")
+    data: Path | None = option("FILE.csv", "Write the numbers of the picture to this file.")
 
     @property
     def wanted(self) -> bool:
-        """Whether there is anything to draw or write."""
+        """True if a file is named."""
         return self.picture is not None or self.data is not None
 
     def require_writable(self) -> None:
@@ -240,7 +242,7 @@ class PictureOptions:
             require_writable(self.data, (".csv",))
 
     def write(self, columns: Callable[[], Mapping[str, Iterable[Any]]], draw: Callable[[Path], object]) -> None:
-        """Writes what was asked for: the numbers, `columns` by their headings, and the picture that `draw` writes."""
+        """Writes the named files: the numbers, `columns` by their headings, and the picture that `draw` writes."""
         if self.data is not None:
             from hapsim.chart.figure import save_rows
 
@@ -252,13 +254,13 @@ class PictureOptions:
                 draw(self.picture)
 
     def print_written(self) -> None:
-        """Prints which files were written."""
+        """Prints the names of the written files."""
         print_written("Picture", self.picture)
         print_written("Its numbers", self.data)
 
 
 def print_written(what: str, path: Path | None) -> None:
-    """Prints which file was written, if one was."""
+    """Prints the name of a written file, if there is one."""
     if path is not None:
         print_line(f"{what}: {path}")
 
@@ -280,7 +282,7 @@ def load(path: str, port: str | None = None) -> Any:
 
 
 def scene_name(path: str) -> str:
-    """Returns what sentences call the scene of this path."""
+    """Returns the name of the scene in sentences."""
     return "standard input" if path == _STANDARD_INPUT else path
 
 

@@ -14,13 +14,15 @@ from hapsim.cli.command_options import Json, SceneFile, flag, load, option
 from hapsim.cli.live import live_line
 from hapsim.cli.output import document, print_message, stderr, stdout, table
 
-Link = Annotated[Path | None, option("PATH", "Also give the port this name (a link).")]
+Link = Annotated[Path | None, option("PATH", "Symbolic link to create for the port.")]
 
 
 def mock(
     scene: SceneFile,
     link: Link = None,
-    realtime: bool = flag("--realtime", "Keep time as hardware does: before every program, where permitted."),
+    realtime: bool = flag(
+        "--realtime", "Request real-time priority for the mock, so that it keeps time as hardware does."
+    ),
     json: Json = False,
 ) -> None:
     """Serve the scene's mock device on a pseudo-terminal until Ctrl-C, and print its path."""

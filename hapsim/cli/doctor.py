@@ -42,21 +42,23 @@ if TYPE_CHECKING:
 
 
 def doctor(
-    scene: str | None = argument("[SCENE]", "The scene whose device is tested [default: the mock]"),
+    scene: str | None = argument("[SCENE]", "Scene whose device is tested [default: the mock]"),
     port: Port = None,
     mock: MockFlag = False,
-    seconds: float = option("S", "Duration of each measurement; a longer one finds rarer gaps.", default=2.0),
+    seconds: float = option(
+        "S", "Duration of each measurement in seconds. A longer one finds rarer gaps.", default=2.0
+    ),
     rates: list[str] | None = option(
-        "HZ,…", "Rates to test, Hz, a list [default: 1000,2000,4000,10000 and the scene's]"
+        "HZ,…", "Rates to test in Hz, a list [default: 1000,2000,4000,10000 and the scene's]"
     ),
     realtime: Realtime = False,
     *,
     picture: PictureOptions,
     json: Json = False,
 ) -> None:
-    """Examine how steady this machine is for a haptic loop, which rates it keeps, and what would help.
+    """Measure the wake-up latency of this machine, the rates that a haptic loop keeps on it, and advise.
 
-    The test sends zero force only: the scene runs without its links.
+    Only zero force is sent: the scene runs without its links.
     """
     if port is not None and scene is None:
         raise UsageError("--port: found no SCENE, expected the scene whose device is at that port")
@@ -94,7 +96,7 @@ _COLOUR = {"yes": "green", "with gaps": "yellow", "no": "red", "no verdict": "re
 
 
 def now(step: Step) -> str:
-    """Returns what is measured now."""
+    """Returns the progress of a step, in words."""
     what = f"{step.number} of {step.of}: {step.what}"
     if step.compiling:
         return f"{what}: compiling (only the first time, up to a minute), now {step.compiling}"
@@ -102,7 +104,7 @@ def now(step: Step) -> str:
 
 
 def show_examination(out: Console, examination: Examination) -> None:
-    """Prints the machine, how late it wakes up, what rates it keeps, and what would help."""
+    """Prints the machine, its wake-up latency, the rates that it keeps, and advice."""
     out.print(_machine(examination.machine))
     for grant in examination.grants or ():
         # Why something was denied is said with what would help.
@@ -147,7 +149,7 @@ def _wakeups(out: Console, wakeups: dict[float, Histogram]) -> Table:
 
 
 def _show_exchanges(out: Console, examination: Examination, clock: str, made: list[tuple[Exchanges, Verdict]]) -> None:
-    """Prints the table of one clock: side by side two would not fit an ordinary terminal."""
+    """Prints the table of one clock. Two side by side would not fit an ordinary terminal."""
     verdicts = [verdict for _, verdict in made]
     where = "the mock" if made[0][0].where == MOCK else f"{made[0][0].where}, sent zero force"
     # Above the table, not its title: a long path stays whole.
@@ -193,7 +195,7 @@ def _show_advice(out: Console, examination: Examination) -> None:
 
 
 def examination_document(examination: Examination) -> dict[str, Any]:
-    """Returns what `hapsim doctor --json` prints: plain values, durations in s with names that end in _s."""
+    """Returns the document of `hapsim doctor --json`: plain values, durations in s with names that end in _s."""
     failed, ending = examination.device_failed, {}
     if examination.stopped:
         ending = {"error": examination.stopped, "exit_status": INTERRUPTED}
@@ -236,7 +238,7 @@ _QUANTILES = (("p50", 0.5), ("p99", 0.99), ("99.9 %", 0.999), ("max", 1.0))
 
 @dataclass(frozen=True)
 class Row:
-    """What fell into one range of values, in s."""
+    """The counts of one range of values, in s."""
 
     begins: float
     ends: float
@@ -271,7 +273,7 @@ def histogram_lines(
 
 def histogram_rows(histogram: Histogram, marks: Mapping[str, float] | None = None) -> list[Row]:
     """Returns the bins merged to a row an octave, from the first that holds anything to the last; bin 0 is zero's
-    alone, and a row of its own. [] where nothing was counted."""
+    alone, and a row of its own. [] if the histogram is empty."""
     if histogram.total == 0:
         return []
     starts = np.concatenate([[0], np.arange(1, histogram.counts.size, _BINS_AN_OCTAVE)])

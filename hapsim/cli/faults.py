@@ -34,20 +34,20 @@ if TYPE_CHECKING:
 
 
 def faults(
-    scripts: list[str] | None = argument("SCRIPT", "Which faults happen when, in YAML; or a name of --list."),
-    port: str | None = option("DEV", "The device's port."),
-    scene: str | None = option("SCENE", "In place of a port: this scene's mock, started for it."),
-    path: Path | None = option("NAME", "Also give the port for the host this name (a link)."),
+    scripts: list[str] | None = argument("SCRIPT", "Script of faults in YAML, or a name printed by --list."),
+    port: str | None = option("DEV", "Serial port of the device."),
+    scene: str | None = option("SCENE", "Scene whose mock is used in place of a device."),
+    path: Path | None = option("NAME", "Symbolic link to create for the port of the host."),
     baud: Baud = 2_000_000,
     seed: int | None = option(None, "Seed of the random faults [default: the script's]", min=0, max=2**32 - 1),
     duration: float | None = seconds("Duration in seconds [default: until Ctrl-C]"),
-    list_: bool = flag("--list", "List the kinds of faults, and the scripts that ship."),
+    list_: bool = flag("--list", "List the kinds of faults and the shipped scripts."),
     json: Json = False,
 ) -> None:
     """Inject faults: relay between host and device and apply SCRIPT.
 
-    Prints the port for the host to open. At the end it reports what passed, how often each fault happened, and what
-    reached the device: the largest force, the largest change of it, and how the last one ended.
+    hapsim prints the port for the host to open. At the end it reports the traffic, how often each fault occurred, and
+    the forces that reached the device: the largest force, the largest change, and the end of the last force.
     """
     if list_:
         _print_list(json)
@@ -93,7 +93,7 @@ def _print_list(json: bool) -> None:
 
 
 def _script(names: list[str]) -> Script:
-    """Returns the script of a file, or else one that ships, or one fault of this kind as it is by default."""
+    """Returns the script of a file, a shipped script, or one fault of this kind with its defaults."""
     if not names:
         raise UsageError("found no SCRIPT, expected one, or --list, which lists them")
     if len(names) > 1:
@@ -130,13 +130,13 @@ _WAYS = {True: "to the device", False: "from the device"}
 
 
 def passing_on(injector: Injector) -> str:
-    """Returns what passed until now, for a live line."""
+    """Returns the traffic until now, for a live line."""
     frames = sum(traffic.frames_in for traffic in injector.passed.values())
     return f"passing on: {frames} frames, {sum(count for _, count in injector.counts)} faults · Ctrl-C ends it"
 
 
 def show_faults(out: Console, injector: Injector, unread_bytes: int, passing: PassingTimes) -> None:
-    """Prints what passed, how long that took, what was done to it, and what reached the device."""
+    """Prints the traffic, its latency, the faults, and the forces that reached the device."""
     rows = [
         (name, *map(str, (traffic.frames_in, traffic.frames_out, traffic.bytes_in, traffic.bytes_out)))
         for name, traffic in ((name, injector.passed[way]) for way, name in _WAYS.items())
@@ -157,7 +157,7 @@ def show_faults(out: Console, injector: Injector, unread_bytes: int, passing: Pa
 
 
 def _at_the_device(injector: Injector) -> Iterator[str]:
-    """Yields what reached the device, and how the last force ended."""
+    """Yields the forces that reached the device, and the end of the last one."""
     witness = injector.witness
     every, since = witness.all, witness.since_fault
     if not every.count:
@@ -189,7 +189,7 @@ def _newtons(force: float) -> str:
 def faults_document(
     name: str, injector: Injector, unread_bytes: int, passing: PassingTimes, failure: RunError | None
 ) -> dict[str, Any]:
-    """Returns what `hapsim faults --json` prints, and how it failed, if it did."""
+    """Returns the document of `hapsim faults --json`, with the failure if there is one."""
     witness, release = injector.witness, injector.witness.release()
     return {
         "port": name,

@@ -40,22 +40,22 @@ _LOOK_S = 0.2  # how often a silent port or pipe is left to see whether it is en
 _TEXT_INDENT = " " * 10  # of an entry that goes on in the next line: below what follows its offset
 
 Piece = tuple[bytes, float | None]
-"""Bytes, and when they came, in s, where that is known."""
+"""Bytes, and their time of arrival in s, or None."""
 
 
 def frames(
     source: str = argument(
-        "FILE|PORT", "A capture, raw bytes, or a report file; - for standard input; or a serial port.", default=...
+        "FILE|PORT", "Capture of raw bytes, report file or serial port; - for standard input.", default=...
     ),
-    sender: str = option("WHO", "Whose frames to look for: host, device or both.", "--from", default="both"),
-    hex_too: bool = flag("--hex", "Show the bytes of every frame too."),
+    sender: str = option("WHO", "Sender of the frames to decode: host, device or both.", "--from", default="both"),
+    hex_too: bool = flag("--hex", "Also print the bytes of every frame."),
     baud: Baud = 2_000_000,
-    duration: float | None = seconds("Seconds to listen to a port [default: until Ctrl-C]"),
+    duration: float | None = seconds("Time to listen to a port, in seconds [default: until Ctrl-C]"),
     json: Json = False,
 ) -> None:
-    """Decode the frames of a capture, a report file or a serial port, field by field, and show what is refused.
+    """Decode the frames of a capture, a report file or a serial port, field by field.
 
-    At a port it only listens: nothing is sent.
+    Bytes that are no valid frame are printed with the reason. At a port, hapsim only listens: it sends nothing.
     """
     if sender not in _SENDERS:
         raise UsageError(f"--from: found '{sender}', expected host, device or both")
@@ -76,7 +76,7 @@ def frames(
 
 
 class _Output:
-    """Prints what is found: lines for people, or one JSON document as it grows."""
+    """Prints the frames: lines for people, or one JSON document as it grows."""
 
     def __init__(self, source: str, sender: str, hex_too: bool, json: bool) -> None:
         self._sender, self._hex_too, self._json = sender, hex_too, json
@@ -84,7 +84,7 @@ class _Output:
         self._before = f'{{"source": {standard_json.dumps(source)}, "entries": [\n'  # what goes before the next entry
 
     def all_of(self, capture: Capture, pieces: Iterator[Piece]) -> DeviceError | None:
-        """Shows every frame, and the counters. Returns why the port was lost, if it was."""
+        """Prints every frame, and the counters. Returns the error if the port was lost."""
         failure, time_s = None, None
         try:
             for data, time_s in pieces:
@@ -109,12 +109,12 @@ class _Output:
             print_line(text_of(entry), indent=_TEXT_INDENT)
 
     def print_line(self, sentence: str) -> None:
-        """Shows a sentence; a document has none."""
+        """Prints a sentence, except into a document."""
         if not self._json:
             print_line(sentence)
 
     def close(self, about: dict[str, Any]) -> None:
-        """Writes what a document says at its end."""
+        """Writes the end of a document."""
         counters: dict[str, Any] = {"refused": {name: self._counters[f"refused: {name}"] for name in REASONS}}
         for key in ("bytes", "from the host", "from the device", "refused bytes"):
             counters[key.replace("the ", "").replace(" ", "_")] = self._counters[key]
@@ -136,8 +136,7 @@ def _is_report(source: str) -> bool:
 
 
 def _show_report(path: Path, show: _Output, sender: str) -> dict[str, Any]:
-    """Shows one direction after the other: a report does not say when which byte was on the wire. Returns what a
-    document has of it."""
+    """Prints one direction after the other, as a report has no time of each byte. Returns entries for a document."""
     report = read_report(path)
     registers = {int(number): value for number, value in report.about["registers"].items()}
     show.print_line(f"{report.about['when']}  {report.about['sentence']}")
@@ -154,8 +153,7 @@ def _show_report(path: Path, show: _Output, sender: str) -> dict[str, Any]:
 def _pieces_of(
     source: str, baud: int, duration: float | None, stopped: Callable[[], bool]
 ) -> Iterator[Iterator[Piece]]:
-    """Yields the bytes of a file, of standard input, or of a port. Raises UsageError and DeviceError where there are
-    none."""
+    """Yields the bytes of a file, of standard input, or of a port. Raises UsageError or DeviceError."""
     if source == "-":
         yield _of_stream("standard input", sys.stdin.buffer, stopped)
         return
@@ -183,7 +181,7 @@ def _pieces_of(
 
 @contextlib.contextmanager
 def _reading(source: str) -> Iterator[None]:
-    """Only around what reads: where the output cannot be written, the capture is not to blame."""
+    """Raises UsageError for a failed read. Writing stays outside: a full output is no fault of the capture."""
     try:
         yield
     except OSError as error:
@@ -245,7 +243,7 @@ def _register_name(number: int) -> str:
 
 
 def entry_of(capture: Capture, found: Decoded | Refused, time_s: float | None, with_hex: bool) -> dict[str, Any]:
-    """Returns what was found, field by field. `time_s`: when it came, where that is known."""
+    """Returns the fields of a frame. `time_s`: its time of arrival in s, or None."""
     place: dict[str, Any] = {"offset": found.offset, "time_s": time_s}
     if isinstance(found, Refused):
         return place | {"refused": found.reason, "bytes": found.length, "hex": found.data.hex(" ")}
@@ -262,8 +260,7 @@ def entry_of(capture: Capture, found: Decoded | Refused, time_s: float | None, w
 
 
 def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
-    """Returns the fields to which this type of frame gives a meaning; SI where the capture describes the scales, else
-    null."""
+    """Returns the fields of this type of frame, in SI units if the capture describes the scales, else null."""
     counts, argument = found.frame.counts, found.frame.argument
     match schema.TYPES[found.frame.type]:
         case "DESCRIBE":
@@ -324,7 +321,7 @@ _WORDS = {
 
 
 def _words(entry: dict[str, Any]) -> str:
-    """Returns what a frame says, from its entry."""
+    """Returns the content of a frame in words, from its entry."""
     counts, positions, velocities = entry["counts"], entry.get("position_m", []), entry.get("velocity_m_s", [])
     motion = _values(counts[: len(positions)], positions, "m"), _values(counts[len(positions) :], velocities, "m/s")
     words = {

@@ -53,15 +53,15 @@ _SEEN = 3.0  # uncertainties: a value that differs from 0
 _OFF = 4.0  # uncertainties: a value that differs from the declared one
 
 Written = Mapping[str, str | Known]
-"""What is written into the scene, by key."""
+"""Values written into the scene, by key."""
 
 
 def identify(
     device: DeviceOptions,
     channel: int | None = option(None, "Channel to push [default: the first]"),
     push: float | None = push_option("--force"),
-    travel: float | None = option("M", "Stop if the device moves farther, m [default: 0.005 m, 0.2 rad]"),
-    duration: float | None = seconds("Seconds recorded for the fit [default: 6]"),
+    travel: float | None = option("M", "Largest travel in m. Beyond it the run stops [default: 0.005 m or 0.2 rad]"),
+    duration: float | None = seconds("Duration of the recording in seconds [default: 6]"),
     write: bool = flag("--write", "Write the values into the scene's `device` [default: only print them]"),
     *,
     picture: PictureOptions,
@@ -69,8 +69,9 @@ def identify(
 ) -> None:
     """Push the device and identify its mass, friction, spring, delay and dry friction.
 
-    Each value is printed with its uncertainty beside what the scene declares. The pushes go to both sides, gently at
-    first, on several simulated springs. Of the scene it uses the device only. The file changes only with --write.
+    hapsim pushes the device to both sides, gently at first, against several simulated springs. It prints each value
+    with its uncertainty, beside the value in the scene. Only the `device` section of the scene is used. The file
+    changes only with --write.
     """
     if write:
         require_file(device.scene, "--write")
@@ -148,7 +149,7 @@ def _within_travel(scene: Scene, channel: int, travel: float | None) -> tuple[Sc
 
 
 def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, json: bool) -> None:
-    """Shows what was found, then writes it where that was asked for: if it cannot be written, it was shown at least."""
+    """Prints the estimates, then writes them if asked to. They are printed even if they cannot be written."""
     device, channels, channel = scene.device, scene.channels, found.channel
     least, most = device.mass_spans(channels)[channel]
     declared = {
@@ -207,7 +208,7 @@ def _rounded(estimate: Estimate) -> str:
 
 
 def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str) -> Table:
-    """Returns what is declared beside what was found."""
+    """Returns the table of declared values and estimates."""
     rows = []
     for key, (what, unit) in _LABELS.items():
         estimate: Estimate = getattr(found, key)
@@ -269,7 +270,7 @@ def _sentences(found: DeviceIdentification) -> list[str]:
 def _identification_document(
     found: DeviceIdentification, declared: Mapping[str, float], written: Written | None
 ) -> dict[str, Any]:
-    """Returns what `hapsim identify --json` prints beside the scene."""
+    """Returns the document of `hapsim identify --json`, without the scene."""
     values = None
     if written is not None:
         values = {name: float(one) if isinstance(one, str) else one.model_dump() for name, one in written.items()}

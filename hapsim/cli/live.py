@@ -1,4 +1,4 @@
-"""What shows a running scene: the live line on standard error, and the options that serve it to other programs."""
+"""Display of a running scene: the live line on standard error, and the options that serve it to other programs."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _shown(error: Console, words: _Words) -> Iterator[Callable[[Progress], None]
 
 @contextlib.contextmanager
 def live_words(error: Console) -> Iterator[Callable[[str], None]]:
-    """Yields a function that shows a text in the same way. The first word of a text says of which kind it is."""
+    """Yields a function that shows a text in the same way. The first word of a text is its kind."""
     if _can_change_a_line(error):
         with error.status("starting") as status:
             yield status.update
@@ -139,7 +139,7 @@ def _can_change_a_line(error: Console) -> bool:
 
 
 class _Pace:
-    """Lets pass what is of another kind than the last one, or comes a while after it."""
+    """Limits the rate of lines: returns True for another kind than the last one, or after an interval."""
 
     def __init__(self) -> None:
         self._kind, self._last = "", 0.0
@@ -158,7 +158,7 @@ class _Words:
     def __init__(self) -> None:
         self._compiled, self._since = 0, 0.0
         self.compiled = False
-        """Whether anything was compiled."""
+        """True once anything was compiled."""
 
     def of(self, progress: Progress) -> str:
         """Returns the text for the next Progress of a run."""
@@ -207,22 +207,21 @@ _PORT, _OSC_PORT = 7470, 7471
 
 @dataclass
 class LiveOptions:
-    """Who may see and change the scene while it runs, and where."""
+    """Access to the scene while it runs."""
 
-    serve: bool = flag("--serve", "Serve a page for browsers and a WebSocket, for this machine alone.")
+    serve: bool = flag("--serve", "Serve a page for browsers and a WebSocket, to this machine only.")
     serve_at: str | None = option(
-        "HOST:PORT", "Serve them at this address [default: 127.0.0.1:7470]; others need a token."
+        "HOST:PORT", "Address of page and WebSocket. Other machines need a token [default: 127.0.0.1:7470]"
     )
-    record_dir: Path | None = option("DIR", "Directory for records that are begun from the page.")
-    osc: bool = flag("--osc", "Answer OSC over UDP, and OSCQuery over TCP, for this machine alone.")
-    osc_at: str | None = option("HOST:PORT", "Answer it at this address [default: 127.0.0.1:7471].")
-    osc_from: list[str] | None = option("IP,…", "Addresses whose OSC is taken; required beyond this machine.")
+    record_dir: Path | None = option("DIR", "Directory for records that are started from the page.")
+    osc: bool = flag("--osc", "Answer OSC over UDP and OSCQuery over TCP, for this machine only.")
+    osc_at: str | None = option("HOST:PORT", "Address for OSC and OSCQuery [default: 127.0.0.1:7471]")
+    osc_from: list[str] | None = option("IP,…", "Addresses whose OSC is accepted. Required if --osc-at is not local.")
 
     @contextlib.contextmanager
     def serving(self, scene: Scene, name: str, idle_priority: bool) -> Iterator[Hub | None]:
-        """While open, serves the scene in the ways that were asked for. Gives the hub that the run has to keep up to
-        date; None where nothing was asked for. `name`: what the command calls the scene. `idle_priority`: the loop is
-        compiled. Raises UsageError."""
+        """Serves the scene in the with-block as the options request. Yields the hub that the run keeps up to date; None
+        if nothing is requested. `name`: of the scene. `idle_priority`: the loop is compiled. Raises UsageError."""
         page, osc = self._addresses()
         if page is None and osc is None:
             yield None
@@ -272,7 +271,7 @@ class LiveOptions:
         return views
 
     def _addresses(self) -> tuple[Address | None, Address | None]:
-        """Returns where the page and where OSC is served; None for what is not. Raises UsageError."""
+        """Returns the addresses of the page and of OSC; None if not served. Raises UsageError."""
         serves, answers_osc = self.serve or self.serve_at is not None, self.osc or self.osc_at is not None
         if self.record_dir is not None and not serves:
             raise UsageError("--record-dir: found no --serve, from whose page records are begun; expected both")

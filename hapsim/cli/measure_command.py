@@ -70,15 +70,15 @@ def measure(
     record: RecordOptions,
     *,
     unstable: Unstable = False,
-    explain: bool = flag("--explain", "Print the report of the run too."),
+    explain: bool = flag("--explain", "Also print the report of the run."),
     json: Json = False,
 ) -> None:
-    """Measure what the hand feels, and compare it with the prediction.
+    """Measure the stiffness k and damping b that the hand feels, and compare them with the prediction.
 
-    hapsim pushes the hand to both sides, computes k and b from the motion, and prints k and b beside
-    the prediction. Where the scene has contacts, tables, detents or dry friction, or with --at, it
-    first leads the hand slowly to a position, and pushes so little that the hand stays in the region
-    around it. With --impedance it excites each channel in turn with many frequencies at once.
+    hapsim pushes the hand to both sides, and computes k and b from the motion. With --at, or if the scene has contacts,
+    tables, detents or dry friction, it first moves the hand slowly to a position. It then pushes so little that the
+    hand stays in the region around that position. With --impedance, it excites each channel in turn with many
+    frequencies at once.
     """
     if excitation.impedance:
         given = {"--at": excitation.at is not None, "--mass": excitation.mass, "--hands": excitation.hands}
@@ -109,7 +109,7 @@ def _measure_pair(
     explain: bool,
     json: bool,
 ) -> None:
-    """Rings a hand, and prints the k and b that it identifies beside the prediction."""
+    """Pushes a hand, and prints the measured k and b beside the prediction."""
     kind = device.kind()
     scene = with_mock(device.load(), kind)
     picture.require_writable()
@@ -187,7 +187,7 @@ def _require_drawable(prediction: Prediction, hands: dict[int, str], channel: in
 def _end_failed(
     scene: str, prediction: Prediction, channel: int, error: RunError, record: Path | None, json: bool
 ) -> NoReturn:
-    """Prints what was recorded and predicted of a run that failed before anything could be identified, and why."""
+    """Prints record and prediction of a run that failed before anything could be identified, and the error."""
     if record is not None:
         error.trace.save(record)
     if json:
@@ -267,7 +267,7 @@ def show_measurement(
 
 
 def _of_coupled(why: str, own: OwnMotion | None) -> str:
-    """Returns what is predicted and measured of a hand that moves masses or another hand."""
+    """Returns the meaning of prediction and measurement for a hand that moves masses or another hand."""
     what = "no single spring and damper is predicted for it" if own is None else "predicted is its own motion"
     return (
         f"This hand {why}: {what}. Measured is the mode that has nearly all of the energy, or else rings longest; k "
@@ -276,7 +276,7 @@ def _of_coupled(why: str, own: OwnMotion | None) -> str:
 
 
 def _plainly(reason: str) -> str:
-    """Returns why no spring and damper fits, without speaking of poles; `Measurement.reason` keeps it precise."""
+    """Returns the reason why no spring and damper fits, without poles. `Measurement.reason` has the precise one."""
     from hapsim.measuring.fitted_pair import NO_SECOND_REAL_POLE
 
     if reason == NO_SECOND_REAL_POLE:
@@ -320,7 +320,7 @@ def _to_digits(value: float, uncertainty: float) -> str:
 def measurement_document(
     prediction: Prediction, measurement: Measurement, channel: int, on_wire: Prediction | None = None
 ) -> dict[str, Any]:
-    """Returns what `hapsim measure` prints: prediction and measurement, and how the run went. `rate_hz` is the rate
+    """Returns the document of `hapsim measure`: prediction, measurement and run report. `rate_hz` is the rate
     that scene and device declare; `at_rate_seen` has both sides for another rate that was seen."""
     seen, felt = measurement.seen_rate, felt_on(prediction, channel)
     diagnosis, at_seen_rate = diagnose(prediction, measurement, channel), None

@@ -1,4 +1,4 @@
-"""`hapsim measure --hands` and `--impedance`: what is felt at several device points, of the scene and of each other."""
+"""`hapsim measure --hands` and `--impedance`: stiffness, damping and impedance at several device points."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def measure_hands(
     unstable: bool,
     json: bool,
 ) -> None:
-    """Rings each of the hands that are linked, and prints the matrices that it identifies beside the prediction."""
+    """Pushes each of the linked hands, and prints the measured matrices beside the prediction."""
     others: dict[str, object] = {"--at": excitation.at, "--mass": excitation.mass or None, "--record": record.record}
     others |= {"--picture": picture.picture, "--data": picture.data, "--travel": excitation.travel}
     if refused := next((option for option, value in others.items() if value is not None), ""):
@@ -102,7 +102,7 @@ def _rows(one: FeltTogether, found: HandsMeasurement, i: int, j: int) -> list[tu
 
 
 def hands_document(one: FeltTogether, found: HandsMeasurement) -> dict[str, Any]:
-    """Returns the same for scripts; matrices by device points."""
+    """Returns the document of `hapsim measure --hands`; matrices by device points."""
     predicted = None if one.felt.reason else pick(one.felt, "k b")
     measured = pick(found, "k b k_uncertainty b_uncertainty poles others samples")
     return {"device_points": one.names, "channels": found.channels, "predicted": predicted, "measured": measured}
@@ -166,7 +166,7 @@ def measure_impedance(
 
 
 def _place(scene: Scene, channel: int | None) -> int | None:
-    """Returns which of the scene's device points is on a channel, in the scene's order; None for all."""
+    """Returns the place of a channel's device point in the scene's order; None for all."""
     channels = [point.channel for point in scene.device_points.values()]
     if channel is None or channel in channels:
         return None if channel is None else channels.index(channel)
@@ -182,14 +182,14 @@ def _save_traces(channels: tuple[int, ...], traces: tuple[Trace, ...], path: Pat
 
 
 class MeasuredWidth(NamedTuple):
-    """(n,) dB: the Z-width between the device and its wall, both measured, and how far off it may be."""
+    """Measured Z-width between the device and its wall, (n,) dB, and its uncertainty."""
 
     width_db: Any
     uncertainty_db: Any
 
 
 Widths = list[dict[str, ZWidth]]
-"""For each device point the Z-width with a wall of each kind."""
+"""Z-width of each device point, by kind of wall."""
 
 Walls = Mapping[int, MeasuredWidth]
 """The Z-width that was measured, by channel."""
@@ -271,7 +271,7 @@ def _shown(frequency: Any) -> list[int]:
 
 
 def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> list[str]:
-    """Returns how far prediction and measurement are apart, what was done, and what limits the numbers."""
+    """Returns the differences of prediction and measurement, the excitation, and the cautions."""
     frequency = predicted.frequency
     found = []
     for name, words in (("rendered", "rendered"), ("closed_loop", "closed-loop"), ("device", "device's own")):
@@ -306,7 +306,7 @@ def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> li
 
 
 def cautions(predicted: PredictedImpedance, measured: MeasuredImpedance) -> list[str]:
-    """Returns sentences: what limits the meaning of the numbers; none where nothing does."""
+    """Returns sentences that limit the meaning of the numbers."""
     found = []
     if predicted.assumptions:
         found.append(
@@ -339,7 +339,7 @@ def cautions(predicted: PredictedImpedance, measured: MeasuredImpedance) -> list
 
 
 def off_by(predicted: PredictedImpedance, measured: MeasuredImpedance, name: str) -> Any:
-    """Returns (n, C, C): how far the two are apart, over the stated uncertainty."""
+    """Returns the distance of the two over the stated uncertainty, (n, C, C)."""
     circles = getattr(measured, name)
     apart = np.abs(circles.value - getattr(predicted, name))
     return np.divide(apart, circles.uncertainty, out=np.zeros_like(apart), where=apart > 0.0)
@@ -373,7 +373,7 @@ def _means(frequency: Any, width: Any, form: str = ".2f") -> list[str]:
 def impedance_document(
     predicted: PredictedImpedance, measured: MeasuredImpedance, widths: Widths, walls: Walls
 ) -> dict[str, Any]:
-    """Returns what `hapsim measure --impedance --json` prints beside the scene; matrices are (frequencies, C, C),
+    """Returns the document of `hapsim measure --impedance --json`, without the scene; matrices are (frequencies, C, C),
     complex numbers [re, im], N·s/m."""
     sides = {"desired": predicted.desired, "predicted": predicted.rendered, "measured": measured.rendered.value}
     pairs = {name: spring_and_damper(predicted.frequency[:, None, None], one) for name, one in sides.items()}

@@ -1,4 +1,4 @@
-"""What is said beside a measured k and b: of runs, dry friction, limits, another device, and the felt weight."""
+"""Remarks on a measured k and b: runs, dry friction, limits, another device, and the felt mass."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 
 def attempts(measurement: Measurement) -> Iterator[str]:
-    """Yields what became of each run at a position before the one that is printed, and of that one if the hand left
-    its region."""
+    """Yields the result of each run before the printed one, and of that one if the hand left its region."""
     for one, following in pairwise(measurement.attempts):
         why = f"the hand left its region ({one.left})" if one.left else _unsure(one.uncertainty)
         most, next_most = output_units()(one.push_n, "N", 3), output_units()(following.push_n, "N", 3)
@@ -41,7 +40,7 @@ def attempts(measurement: Measurement) -> Iterator[str]:
 
 
 def smaller_push(asked: float | None, measurement: Measurement) -> Iterator[str]:
-    """Yields how hard the hand was pushed, where that is less than the N that were asked for."""
+    """Yields the largest push, if it is less than requested."""
     most = measurement.push_n
     if asked is not None and most is not None and most < 0.99 * asked:
         pushed = output_units()(most, "N", 3)
@@ -53,8 +52,8 @@ def _unsure(share: float) -> str:
 
 
 def dry_friction(scene: Scene, measurement: Measurement, channel: int) -> Iterator[str]:
-    """Yields the dry friction that the motion shows, or that the scene declares, and what it is in a swing of the same
-    size: the viscous friction that takes as much energy."""
+    """Yields the dry friction that the motion shows, or that the scene declares, and the viscous friction that takes as
+    much energy from a swing of the same size."""
     seen, declared = measurement.dry_friction_n, scene.mock_device.coulomb
     dry, swing = seen or declared, 0.5 * float(np.ptp(measurement.trace.position[:, channel], axis=0))
     angular = 2.0 * math.pi * measurement.frequency_hz
@@ -90,7 +89,7 @@ def _shaped_ticks(measurement: Measurement) -> tuple[int, int, int, int]:
 
 
 def limits(measurement: Measurement) -> Iterator[str]:
-    """Yields for which motions k and b hold, where something limited the force."""
+    """Yields the motions for which k and b hold, if something limited the force."""
     in_all, limited, slewed, faded = _shaped_ticks(measurement)
     for ticks, place, holds in (
         (limited, "at the force limit", "stay below it; beyond, the hand feels less"),
@@ -103,7 +102,7 @@ def limits(measurement: Measurement) -> Iterator[str]:
 
 
 def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -> Iterator[str]:
-    """Yields in what the device differs from what the scene declares."""
+    """Yields the difference between the device and the scene's declaration."""
     second, mass = diagnosis.second_mode, diagnosis.probable_mass
     if second is not None and diagnosis.gives:
         yield (
@@ -130,7 +129,7 @@ def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -
 
 
 class MeasuredWeight(NamedTuple):
-    """kg, and N/m."""
+    """Felt masses in kg, and the stiffness of the hand in N/m."""
 
     hand_stiffness: float
     measured: float
@@ -164,7 +163,7 @@ def with_hand(scene: Scene, channel: int, stiffness: float | None) -> Scene:
 def measured_weight(
     scene: Scene, prediction: Prediction, measurement: Measurement, channel: int, excitation: ExcitationOptions
 ) -> MeasuredWeight:
-    """Returns how heavy it felt, and should."""
+    """Returns the measured and the predicted felt mass."""
     from hapsim.scene.quantity import per_channel
 
     stiffness = excitation.hand_stiffness
@@ -177,7 +176,7 @@ def measured_weight(
 
 
 def weight_sentence(weight: MeasuredWeight, channel: int) -> str:
-    """Returns it in words."""
+    """Returns the felt mass in words."""
     units = output_units(channel)
     hand = f"a hand of {units(weight.hand_stiffness, 'N/m', 4)}"
     if not math.isfinite(weight.measured):

@@ -1,8 +1,8 @@
-"""What hapsim writes: sentences and tables for people, JSON documents and lines of JSON (`run --log json`) for scripts.
+"""Output of hapsim: sentences and tables for people, JSON documents and lines of JSON (`run --log json`) for scripts.
 
 The keys of a document are a contract with scripts. A value that does not exist is null, never NaN. A line of JSON has
-`time` (UTC), `level` (info, warning, error), `event`, `message` and `fields`. At most one line a second is written of
-each event and what it is about; the next one, or the last line of all, counts in `left_out` those skipped.
+`time` (UTC), `level` (info, warning, error), `event`, `message` and `fields`. At most one line a second is written
+for each event and its subject; `left_out` of the next one, or of the last line of all, counts the dropped lines.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _PHRASE = 24  # characters: a longer cell is a phrase, which wraps, and not a nu
 
 
 def document(value: Any) -> str:
-    """Returns the text of one JSON document: of a result, or a dict with results in it."""
+    """Returns the text of a JSON document: a result, or a dict of results."""
     return json.dumps(plain(value), indent=2, allow_nan=False)
 
 
 def failure_document(failure: HapsimError | None) -> dict[str, Any]:
-    """Returns the keys that say how a command failed; none if it did not."""
+    """Returns the keys `error` and `exit_status` of a failed command; none if it did not fail."""
     return {} if failure is None else {"error": str(failure), "exit_status": failure.exit_status}
 
 
@@ -66,18 +66,18 @@ _units: list[Units] = []
 
 
 def set_output_units(units: Units, *of_channels: Units) -> None:
-    """Prints from now on in these units, of a scene and of each of its channels."""
+    """Sets the units of all later output: of a scene, and of each of its channels."""
     _units[:] = units, *of_channels
 
 
 def use_channel_units(channel: int) -> None:
-    """Prints from now on in the units of this channel of the scene."""
+    """Sets the units of all later output to those of this channel."""
     if _units:
         _units[0] = output_units(channel)
 
 
 def output_units(channel: int | None = None) -> Units:
-    """Returns the units in which everything is printed; of a channel, those of its motion."""
+    """Returns the units of the output, or of a channel's motion."""
     place = 0 if channel is None else channel + 1
     return _units[place] if place < len(_units) else LINEAR
 
@@ -93,7 +93,7 @@ class Table:
     rows: list[list[str]]
     caption: str
     options: dict[str, Any]
-    """Of rich's table."""
+    """Options of rich's table."""
 
     def __rich_console__(self, _console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         from rich.text import Text
@@ -158,7 +158,7 @@ def _unbroken(cell: str) -> list[str]:
 
 
 Line = str | Table
-"""What is printed in a line of its own."""
+"""A printed line or table."""
 
 
 def show(out: Console, lines: Iterable[Line]) -> None:

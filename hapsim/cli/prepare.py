@@ -1,4 +1,4 @@
-"""`hapsim new`, `scenes`, `files`, `schema`, `compile` and `service`: what ships, and what comes before a run."""
+"""`hapsim new`, `scenes`, `files`, `schema`, `compile` and `service`: shipped files, and preparations for a run."""
 
 from __future__ import annotations
 
@@ -29,11 +29,13 @@ from hapsim.whole_file import whole_file
 
 
 def new(
-    path: Path = argument(None, "Where to write it.", default=Path("scene.yaml")),
-    from_: str | None = option("NAME", "Copy this scene; `hapsim scenes` lists them [default: first_touch]", "--from"),
-    board: str | None = option("NAME", "Copy the first scene of this device, such as hapkit.", "--board"),
+    path: Path = argument(None, "File to write.", default=Path("scene.yaml")),
+    from_: str | None = option(
+        "NAME", "Shipped scene to copy. `hapsim scenes` lists them [default: first_touch]", "--from"
+    ),
+    board: str | None = option("NAME", "Board whose first scene is copied, such as hapkit.", "--board"),
 ) -> None:
-    """Write a first scene to begin with."""
+    """Write a scene file to start from."""
 
     if from_ is not None and board is not None:
         raise UsageError("--from and --board: each names a scene to copy, expected one of them")
@@ -68,7 +70,7 @@ def scenes(json: Json = False) -> None:
 
 
 def files(json: Json = False) -> None:
-    """Print where the scenes, the protocol's header, the firmware and the pages are."""
+    """Print the paths of the scenes, the protocol's header, the firmware and the pages."""
 
     product, protocol = Path(hapsim.__file__).parent, Path(firmware_protocol.__file__).parent
     places = {
@@ -100,12 +102,12 @@ def schema() -> None:
 
 
 def compile_(
-    scenes: list[str] | None = argument("[SCENE]…", "Compile what these scenes need [default: what any scene needs]"),
+    scenes: list[str] | None = argument("[SCENE]…", "Scenes to compile for [default: whatever any scene needs]"),
     json: Json = False,
 ) -> None:
     """Compile ahead of the first run. No device is touched.
 
-    The code is kept in ~/.cache/hapsim, or where --cache DIR or HAPSIM_CACHE in the environment says.
+    The code is kept in ~/.cache/hapsim, or in the directory that --cache or the variable HAPSIM_CACHE names.
     """
     from hapsim.running.compile_ahead import prepare
 
@@ -130,9 +132,9 @@ def compile_(
 def service(
     scene: SceneFile,
     port: Port = None,
-    user: bool = flag("--user", "For your own service manager, which grants less."),
+    user: bool = flag("--user", "Print a unit for your own service manager, which grants fewer privileges."),
     watch: Watch = False,
-    sound: bool = flag("--sound", "Play the scene's sound, on a card of ALSA."),
+    sound: bool = flag("--sound", "Play the scene's sound on an ALSA sound card."),
     *,
     live: LiveOptions,
     json: Json = False,

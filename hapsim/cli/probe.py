@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 
 
 def probe(
-    port: str = argument("PORT", "The device's serial port (`hapsim ports` lists them).", default=...),
+    port: str = argument("PORT", "Serial port of the device. `hapsim ports` lists the ports.", default=...),
     baud: int = option("B", "Baud rate of the device's port, bit/s.", default=2_000_000),
-    push: float | None = option("N", "Allow pushes of at most N newton, for example 0.5 [default: zero force only]"),
+    push: float | None = option("N", "Largest push in N, such as 0.5 [default: zero force only]"),
     travel: float | None = option(
-        "M", "With --push: stop if the device moves farther, in m [default: 0.005 m, 0.2 rad]"
+        "M", "With --push: largest travel in m. Beyond it the push stops [default: 0.005 m or 0.2 rad]"
     ),
-    mass: float | None = option("KG", "With --push: moving mass, hand included, in kg; tests the scales."),
-    channel: int = option(None, "With --push: the channel that is pushed.", default=0),
-    only: list[str] | None = option("STEP", "This step alone; may be repeated."),
-    until: str | None = option("STEP", "The steps up to this one."),
+    mass: float | None = option("KG", "With --push: moving mass in kg, hand included. Tests the scales."),
+    channel: int = option(None, "With --push: channel to push.", default=0),
+    only: list[str] | None = option("STEP", "Run this step only. May be repeated."),
+    until: str | None = option("STEP", "Run the steps up to this one [default: all steps]"),
     json: Json = False,
 ) -> None:
-    """Judge the device at PORT against the protocol, check by check, in the order of bringing up a firmware.
+    """Test the device at PORT against the protocol, check by check, in the order of bringing up a firmware.
 
-    Steps: conversation, registers, refusals, arming, forces, watchdog, blocked, host, push. Without --push only zero
-    force is sent. The exit status is 3 if a check fails; a check that could not run does not count as a failure.
+    Steps: conversation, registers, refusals, arming, forces, watchdog, blocked, host, push. Without --push, only zero
+    force is sent. The exit status is 3 if a check fails. A check that could not run does not count as a failure.
     """
     leave = _leave(push, travel, mass, channel)
     steps = steps_of(tuple(only or ()), until)
@@ -71,7 +71,7 @@ def probe(
 
 
 def _leave(push: float | None, travel: float | None, mass: float | None, channel: int) -> Leave | None:
-    """Returns what the probe may do to the device; None for zero force only. Raises UsageError."""
+    """Returns the permitted pushes; None for zero force only. Raises UsageError."""
     for name, value in (("--push", push), ("--travel", travel), ("--mass", mass)):
         require_positive(name, value)
     if channel < 0:
@@ -108,7 +108,7 @@ def show_judgement(out: Console, judgement: Judgement) -> None:
 
 
 def _print(out: Console, text: str, label: str = "", hanging: str = "", style: str = "") -> None:
-    """Prints a paragraph; `hanging`: what its first line follows on the same line."""
+    """Prints a paragraph. `hanging`: text that already stands on its first line."""
     width = max(min(out.width, 120), 40)
     for line in text.split("\n"):
         first = label or hanging
@@ -137,7 +137,7 @@ def _conclusion(judgement: Judgement) -> str:
 
 
 def _judgement_document(judgement: Judgement) -> dict[str, Any]:
-    """Returns what `hapsim probe --json` prints."""
+    """Returns the document of `hapsim probe --json`."""
     count = _counts(judgement)
     return {
         "port": judgement.port,

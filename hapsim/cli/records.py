@@ -1,4 +1,4 @@
-"""`hapsim replay` and `export`: records, run again and written for other programs."""
+"""`hapsim replay` and `export`: replay of records, and files for other programs."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 
 def replay(
-    record: Path = argument("RECORD", "A .trace of `hapsim run --record`.", default=...),
-    scene: str | None = argument("[SCENE]", "Another scene for the same hand [default: the recorded one]"),
+    record: Path = argument("RECORD", "Record of `hapsim run --record`, a .trace.", default=...),
+    scene: str | None = argument("[SCENE]", "Another scene for the same hand [default: the recorded scene]"),
     *,
-    sound_file: Path | None = option("FILE.wav", "Write what the scene's pick-ups hear."),
-    overwrite: bool = flag("--overwrite", "Replace a file that exists."),
+    sound_file: Path | None = option("FILE.wav", "Write the sound of the scene's pick-ups to this file."),
+    overwrite: bool = flag("--overwrite", "Replace existing files."),
     device: bool = flag(
         "--device", "Serve the record as a device on a pseudo-terminal until Ctrl-C, and print its path."
     ),
@@ -31,11 +31,10 @@ def replay(
     pictures: PictureOptions,
     json: Json = False,
 ) -> None:
-    """Run a record again, without a device: its positions and changes through its scene.
+    """Replay a record: run its positions and changes through its scene again. No device is used.
 
-    The forces are those of the run, to the last bit, on the same kind of processor; else it names the first sample
-    that differs. With another scene it computes what that scene would have answered to the same hand. It opens no
-    port.
+    On the same kind of processor, the forces are those of the run, to the last bit. If they differ, hapsim prints the
+    first sample that does. With another scene, it computes the forces of that scene for the same motion of the hand.
     """
     if device or link is not None:
         _serve(record, link, json, device and scene is None and sound_file is None and not pictures.wanted)
@@ -64,7 +63,7 @@ def replay(
 
 
 def _serve(record: Path, link: Path | None, json: bool, is_alone: bool) -> None:
-    """`is_alone`: whether --device has nothing beside it but --link and --json."""
+    """Serves a record as a device. `is_alone`: only --link and --json accompany --device."""
     from hapsim.replaying.replay import device_of
 
     if not is_alone:
@@ -107,11 +106,13 @@ def _document(found: Comparison, is_complete: bool) -> dict[str, Any]:
 
 
 def export(
-    record: Path = argument("RECORD", "A .trace, or the .part that a crash left.", default=...),
-    out: Path = argument("OUT", "The file: .h5, .mcap, .csv, .npz or .wav.", default=...),
+    record: Path = argument("RECORD", "Record: a .trace, or the .part file that a crash left.", default=...),
+    out: Path = argument("OUT", "Output file: .h5, .mcap, .csv, .npz or .wav.", default=...),
     *,
-    column: str | None = option("NAME", "Of a .wav: position.0, force.0, another column and channel, or a pick-up."),
-    overwrite: bool = flag("--overwrite", "Replace a file that exists."),
+    column: str | None = option(
+        "NAME", "Column of a .wav: position.0, force.0, another column and channel, or a pick-up."
+    ),
+    overwrite: bool = flag("--overwrite", "Replace existing files."),
     json: Json = False,
 ) -> None:
     """Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."""
@@ -140,7 +141,7 @@ def export(
 
 
 def _missing(columns: Columns) -> list[str]:
-    """Returns what the record lacks, as sentences."""
+    """Returns the gaps of the record, as sentences."""
     dropped = int(columns.report["dropped_rows"])
     slow = f"{plural(dropped, 'row')} missing: the reader of the loop was too slow"
     older = "an older hapsim recorded it: without its scene, changes and prediction"
@@ -150,5 +151,5 @@ def _missing(columns: Columns) -> list[str]:
 
 
 def unfinished(rows: int) -> str:
-    """Returns what is said of a record without its end."""
+    """Returns the sentence about a record without its end."""
     return f"the run goes on, or the record is cut off or damaged: it has {plural(rows, 'row')}"

@@ -1,4 +1,4 @@
-"""`hapsim run`, and what its report says."""
+"""`hapsim run` and its report."""
 
 from __future__ import annotations
 
@@ -71,22 +71,20 @@ _LOOK_S = 0.05  # how often the scene's file is looked at
 
 @dataclass
 class ServiceOptions:
-    """What a run does that goes on for long."""
+    """Options of long runs."""
 
     reports: Path | None = option(
         "DIR",
-        "Directory for the report of a run that a guard or the device ends, the newest 20 "
+        "Directory for reports of runs that a guard or the device ended. The newest 20 are kept "
         "[default: ~/.local/state/hapsim/reports, for a device on a port]",
     )
     watch: Watch = False
     reconnect: bool = flag("--reconnect", "Wait for a lost device, and continue when it is back.")
-    status: str | None = option(
-        "PATH", "Report the status at this unix socket, for `hapsim status`; auto: named by the port."
-    )
-    log: str = option("FORM", "Form of standard error: text, or json, one line for each event.", default="text")
+    status: str | None = option("PATH", "Unix socket for `hapsim status`. With auto, the port names it.")
+    log: str = option("FORM", "Format of standard error: text, or json with one line per event.", default="text")
 
     def choose_log(self) -> None:
-        """Writes standard error in the form that is asked for. Raises UsageError for another form."""
+        """Sets the format of standard error. Raises UsageError for an unknown format."""
         if self.log not in ("text", "json"):
             raise UsageError(f"--log: found '{self.log}', expected text or json")
         log_as_json(self.log == "json")
@@ -94,7 +92,7 @@ class ServiceOptions:
     def serving(
         self, state: RunState, port: str | None, idle_priority: bool
     ) -> contextlib.AbstractContextManager[None]:
-        """Returns a context in which the status is served, if that is asked for."""
+        """Returns a context in which the status is served, if --status is given."""
         if self.status is None:
             return contextlib.nullcontext()
         path = path_for(port) if self.status == AUTO else Path(self.status)
@@ -103,17 +101,15 @@ class ServiceOptions:
 
 @dataclass
 class SoundOptions:
-    """Where the scene's sound goes."""
+    """Output of the scene's sound."""
 
     sound: bool = flag("--sound", "Play the scene's sound on a sound card.")
     sound_device: str | None = option(
-        "NAME", "Sound card, by a name or a number of `hapsim sound` [default: the system's]."
+        "NAME", "Sound card: name or number listed by `hapsim sound` [default: the system's]"
     )
-    volume: float | None = option("DB", "Volume in dB; 0 is full scale [default: 0]")
-    latency: float | None = option(
-        "MS", "Time from a position to the loudspeaker in ms, if it can be had [default: 15]"
-    )
-    sound_file: Path | None = option("FILE.wav", "Write the sound, also without a sound card and in virtual time.")
+    volume: float | None = option("DB", "Volume in dB, where 0 is full scale [default: 0]")
+    latency: float | None = option("MS", "Target latency from position to loudspeaker in ms [default: 15]")
+    sound_file: Path | None = option("FILE.wav", "Write the sound to this file. No sound card is needed.")
 
     def values(self, record: RecordOptions) -> dict[str, Any]:
         """Returns the options of `start`. Raises UsageError where the file exists or --sound is missing."""
@@ -144,7 +140,7 @@ def run(
     service: ServiceOptions,
     live: LiveOptions,
     unstable: Unstable = False,
-    portable: bool = flag("--portable", "Run the loop in plain Python: more jitter, no Linux needed."),
+    portable: bool = flag("--portable", "Run the loop in plain Python: more jitter, but no Linux needed."),
     json: Json = False,
 ) -> None:
     """Run a scene with its device, or with the built-in mock."""
@@ -248,7 +244,7 @@ def _show(lifetime: Lifetime, grants: Sequence[PrivilegeResult], warnings: list[
 
 
 class _Reporter:
-    """Reports that a run has started, and what becomes of edits of its scene while it runs."""
+    """Reports the start of a run, and edits of its scene while it runs."""
 
     def __init__(self, show: Callable[[Progress], None], port: str, kind: Any, file: WatchedFile | None) -> None:
         """`show`: shows progress. `port`: "" for the mock. `kind`: the TransportKind. `file`: the one to follow."""
@@ -259,7 +255,7 @@ class _Reporter:
 
     @property
     def observer(self) -> RunObserver:
-        """What calls this."""
+        """The callbacks of this reporter."""
         return RunObserver(
             arming=self._meet,
             started=self._started,
@@ -269,7 +265,7 @@ class _Reporter:
         )
 
     def _meet(self) -> None:
-        """Reports of a device that answers for the first time what has not been judged yet."""
+        """Reports that the sign of a new device's motor is not tested yet."""
         if self._port and is_first_use(self._port):
             print_message(
                 f"First run at {self._port}: `hapsim probe {self._port} --push 0.5`, or `hapsim identify`, judges "
@@ -292,8 +288,8 @@ class _Reporter:
             BackgroundWork(lambda: self._follow(file, session), session.idle_priority)
 
     def _running(self, progress: Progress) -> None:
-        """Shows progress; and reports, once for each arming, that the device was armed outside its travel, and each
-        time that a position stands still while force acts."""
+        """Shows progress. Reports a device that was armed outside its travel, once for each arming, and a position that
+        stands still while force acts."""
         if progress.phase in ("running", "ended") and progress.ticks > 0 and not self._is_placed:
             self._is_placed = True
             if progress.faded_ticks == progress.ticks:
@@ -332,14 +328,14 @@ _OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
 
 
 def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
-    """Prints how a run went, as a table. `reconnections`: how often its device came back."""
+    """Prints the report of a run as a table. `reconnections`: of its device."""
     out.print()
     out.print(table("The run", ("", "result"), _rows(report, reconnections), show_header=False))
     _warn_of_the_wire(out, report)
 
 
 def show_run(out: Console, report: Report) -> None:
-    """Prints how a run went in a line, and what is wrong with the wire."""
+    """Prints the report of a run in one line, and problems of the wire."""
     misses = plural(report.deadline_misses, "deadline miss", "deadline misses")
     out.print(
         f"The run: {report.ending}, {report.ticks} ticks in {report.duration_s:.3g} s of {_time(report)} at "
@@ -392,7 +388,7 @@ def _time(report: Report) -> str:
 
 
 def _warn_of_the_wire(out: Console, report: Report) -> None:
-    """Prints what to look at where a position stood still, or the wire lost or spoilt more than a few frames."""
+    """Prints advice if a position stood still, or if the wire lost or damaged more than a few frames."""
     if report.frozen:
         out.print(f"Warning: {report.frozen}.", style="yellow", markup=False)
     positions = report.ticks + report.lost_frames
@@ -410,7 +406,7 @@ def _warn_of_the_wire(out: Console, report: Report) -> None:
 
 
 def _estimated_mass(report: Report, channel: int, mass: float) -> str:
-    """Returns the mass with its uncertainty, and whether the motion shows it."""
+    """Returns the mass with its uncertainty, and a note if the motion hardly shows it."""
     if channel >= len(report.estimated_mass_uncertainty_kg):
         return f"{mass:.4g}"  # a record of an earlier version
     uncertainty, explained = report.estimated_mass_uncertainty_kg[channel] or 0.0, report.mass_explained[channel] or 0.0
@@ -429,7 +425,7 @@ def _share(share: float) -> str:
 
 
 def _off_rate(report: Report) -> str:
-    """Returns a note beside the rate that was kept, where it is surely another than was asked for."""
+    """Returns a note beside the kept rate if it certainly differs from the nominal rate."""
     asked, kept = report.nominal_rate_hz, kept_rate(report)
     if kept is None or not kept.differs_from(asked) or abs(kept.rate_hz / asked - 1.0) < _OFF_RATE:
         return ""
@@ -443,7 +439,7 @@ def _spread_in_us(spread: Spread) -> str:
 
 
 def lifetime_document(lifetime: Lifetime, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:
-    """Returns what `hapsim run` prints: the report of all sessions, and how often the device came back."""
+    """Returns the document of `hapsim run --json`: the report of all sessions, and the reconnections."""
     return {
         **pick(lifetime.report, "*"),
         **({"realtime": grants} if grants else {}),

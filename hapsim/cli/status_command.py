@@ -19,10 +19,10 @@ from hapsim.units import Units
 
 
 def status(
-    where: str | None = argument("[PORT|PATH]", "Port or socket of a running hapsim [default: the only one that runs]"),
+    where: str | None = argument("[PORT|PATH]", "Port or socket of the running hapsim [default: the only one]"),
     json: Json = False,
 ) -> None:
-    """Show the status of a running hapsim, which was started with --status."""
+    """Show the status of a running hapsim that was started with --status."""
     path = _path_of(where)
     document = _document(path, request_status(path))
     if json:

@@ -1,4 +1,4 @@
-"""Standard output and error of a command that outlives its reader: a closed terminal or pipe does not end a run."""
+"""Standard output and error of a command: a closed terminal or pipe does not end a run."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class _Stream:
 
 @contextlib.contextmanager
 def resilient_streams() -> Iterator[None]:
-    """While open, standard output and standard error take everything and raise nothing (`output_failure`)."""
+    """Makes standard output and standard error raise no errors in the with-block; `output_failure` returns them."""
     _hold_descriptors()
     if sys.stdin is None:
         sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115

@@ -31,9 +31,9 @@ class PointOptions:
     parameters: list[str] | None = argument(
         "[PATH=VALUES …]", "touch.stiffness=log:200:5000:50, device.delay=0,0.5,1 or rate=lin:500:2000:4"
     )
-    samples: int | None = option("N", "Take N samples of ranges such as lin:0:2 or log:200:5000.")
-    method: str = option("KIND", "How samples are taken: lhs (Latin hypercube), random or sobol.", default="lhs")
-    points: Path | None = option("FILE.csv", "Take the points from a table with a row of names.")
+    samples: int | None = option("N", "Number of samples to draw from ranges such as lin:0:2 or log:200:5000.")
+    method: str = option("KIND", "Sampling method: lhs (Latin hypercube), random or sobol.", default="lhs")
+    points: Path | None = option("FILE.csv", "Table of points, with the names of the parameters in its first row.")
     seed: int = option("N", "Seed of the samples.", default=0)
 
     def read(self) -> Points:
@@ -49,11 +49,11 @@ class PointOptions:
 
 @dataclass
 class QuantityOptions:
-    """What is worked out at each point."""
+    """Quantities computed at each point."""
 
-    check: bool = flag("--check", "Only predict.")
-    measure: bool = flag("--measure", "Only measure, on the mock in virtual time.")
-    impedance: bool = flag("--impedance", "Predict and measure impedances over frequency instead.")
+    check: bool = flag("--check", "Predict only.")
+    measure: bool = flag("--measure", "Measure only, on the mock in virtual time.")
+    impedance: bool = flag("--impedance", "Predict and measure impedances over frequency instead of k and b.")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,13 +69,13 @@ def sweep(
     scene: SceneFile,
     points: PointOptions,
     *,
-    out: Path = option("FILE.nc", "Write the results: .nc (netCDF) or .zarr.", default=...),
+    out: Path = option("FILE.nc", "File for the results: .nc (netCDF) or .zarr.", default=...),
     quantities: QuantityOptions,
     channel: int | None = option(None, "Channel of the hand [default: the first]"),
     duration: float | None = seconds("Duration of each measurement in seconds [default: about 2]"),
-    jobs: int | None = option("N", "Processes [default: all processors, if it takes long]", min=1),
+    jobs: int | None = option("N", "Number of processes [default: one per processor if the sweep is long]", min=1),
     scheduler: str | None = option(
-        "ADDRESS", "Let the workers of a dask.distributed scheduler do it, such as tcp://host:8786."
+        "ADDRESS", "Use the workers of a dask.distributed scheduler, such as tcp://host:8786."
     ),
     draw: str | None = option(
         "VARIABLE", "What --picture shows [default: what varies by more than its uncertainty: how far k is off, k or b]"
@@ -84,7 +84,7 @@ def sweep(
     pictures: PictureOptions,
     json: Json = False,
 ) -> None:
-    """Predict and measure a scene at thousands of points: every combination of values, or samples of ranges.
+    """Predict and measure a scene at many points: every combination of values, or samples of ranges.
 
     The results are one dataset for xarray. While it grows, each finished batch is kept in FILE.nc.parts: if the sweep
     is interrupted or killed, the same command goes on with what is missing, and once it is finished draws another
