@@ -262,6 +262,9 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
                 axes.set_yscale("symlog", linthresh=linear_to)
             axes.plot(data.frequency, both[0][part], **style.DESIRED)
             axes.plot(data.frequency, both[1][part], **style.RENDERED)
+            if axes.get_yscale() == "symlog":  # no ticks crowded around 0
+                (low, high), ticks = axes.get_ylim(), axes.get_yticks()
+                axes.set_yticks([at for at in ticks if low <= at <= high and not 0.0 < abs(at) < 0.5 * linear_to])
             axes.set_ylabel(label)
         panels[1, 1].set_xlabel("frequency  (Hz)")
         panels[0, 0].set_title("impedance")

@@ -253,12 +253,13 @@ def _write_numbers(axes: Axes, data: Plane, words: Sequence[Any]) -> None:
     for curve in (curve for curve in data.iso if curve.mass in (first, last)):
         share = _SHARES[curve.kind] + (0.25 if curve.mass != first else 0.0)
         number = axes.text(0.0, 0.0, f"{names[curve.kind]}{short(curve.value)}", **style.NUMBER)
-        box = _box_on(axes, curve, share, 0.5 * number.get_window_extent().size + _CLEAR, taken)
+        box = _box_on(axes, curve, share, 0.5 * np.array(number.get_window_extent().size) + _CLEAR, taken)
         if box is None:
             number.remove()
         else:
             taken.append(box)
-            number.set_position(axes.transData.inverted().transform(0.5 * (box.min + box.max)))
+            x, y = axes.transData.inverted().transform(np.mean(box.get_points(), axis=0))
+            number.set_position((x, y))
 
 
 def _box_on(axes: Axes, curve: Curve, share: float, half: Floats, taken: Sequence[Any]) -> Bbox | None:
