@@ -15,7 +15,7 @@
 
 #include "../hapsim_protocol.h"
 
-/* An IEEE 754 double as two words, for scales, limits and the rate in hapsim_board.h. The words are hexadecimal, because
+/* An IEEE 754 double as two words, for scales, limits and the rate in hapsim_board.h. The words are hexadecimal:
  * the double of some compilers (avr-gcc) has 4 bytes. PORTING.md has a table of the usual ones. In Python,
  * `struct.pack('>d', 1e-9).hex(' ', -4)` prints both words. */
 typedef struct {
@@ -46,7 +46,7 @@ void hapsim_device_lost_bytes(void);
 void hapsim_device_tick(void);
 
 /* Checks, if the host paces, that it has not been quiet for too long. Call it in every round of the main loop. Returns
- * true if the next call should come soon, because the host paces. The tick makes the same check up to a period later. */
+ * true if the next call should come soon, because the host paces. The tick checks the same up to a period later. */
 bool hapsim_device_look(void);
 
 /* Returns HAPSIM_IDLE, HAPSIM_ARMED or HAPSIM_LATCHED, for a lamp. */

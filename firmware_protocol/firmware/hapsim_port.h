@@ -2,8 +2,8 @@
 /* The port layer: the board's functions that the state machine (hapsim_device.c) calls. You write these functions, and
  * the constants in your board's own hapsim_board.h. Nothing else has to change.
  *
- * Two contexts call them. The *tick* is the sample timer's interrupt, which calls hapsim_device_tick. The *main loop* (or
- * a task) passes on the bytes that the receiver collected. Only the tick may interrupt the main loop's calls.
+ * Two contexts call them. The *tick* is the sample timer's interrupt, which calls hapsim_device_tick. The *main loop*
+ * (or a task) passes on the bytes that the receiver collected. Only the tick may interrupt the main loop's calls.
  */
 #ifndef HAPSIM_PORT_H
 #define HAPSIM_PORT_H
@@ -36,8 +36,8 @@ void hapsim_port_feed_watchdog(void);
 /* Restarts the sample timer when the host arms the device: the next tick comes one whole sample period from now. */
 void hapsim_port_begin(void);
 
-/* Disable the tick's interrupt and enable it again. The receiver's interrupt stays enabled: bytes come at any time. Both
- * must be functions of another file (or contain a memory barrier), so that the compiler moves nothing across them. */
+/* Disable the tick's interrupt and enable it again. The receiver's interrupt stays enabled: bytes come at any time.
+ * Both must be functions of another file (or contain a memory barrier), so that the compiler moves nothing across them. */
 void hapsim_port_hold_tick(void);
 void hapsim_port_let_tick(void);
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* The chip's functions for hapsim_knob.cpp: a timer that calls hapsim_knob_tick, and a watchdog that resets the chip. */
+/* The chip's part for hapsim_knob.cpp: a timer that calls hapsim_knob_tick, and a watchdog that resets the chip. */
 #ifndef HAPSIM_PLATFORM_H
 #define HAPSIM_PLATFORM_H
 
