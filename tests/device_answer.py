@@ -6,7 +6,7 @@ import numpy as np
 
 from hapsim.theory import Network
 from hapsim.theory.device_step import DeviceStep
-from hapsim.theory.interface import damper_answer
+from hapsim.theory.interface import damper_transfer
 from hapsim.theory.sample import channel_steps
 
 
@@ -33,7 +33,7 @@ def rendered_stiffness(network: Network, z: complex) -> np.ndarray:
     read = [channel_answer(step, 1.0 + w, w) for step in channel_steps(network)]
     for (a, b), K, B, damper in zip(network.ends, network.stiffness, network.damping, network.damper, strict=True):
         for end, sign in ((a, 1.0), (b, -1.0)):
-            velocity = damper_answer(damper, 1.0 + w, w)[0]
+            velocity = damper_transfer(damper, 1.0 + w, w)[0]
             if damper.senses and 0 <= end < channels:
                 velocity = (read[end][1] / read[end][0])[0]
             matrix[a, end] += sign * (K + B * network.rate * velocity)

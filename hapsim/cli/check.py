@@ -40,8 +40,8 @@ from hapsim.prediction import (
     warnings_about,
 )
 from hapsim.prediction.felt_alone import SHARES
-from hapsim.prediction.force_bounds import refused_slew, refused_travel, run_bounds, slow_slew, travel_document
-from hapsim.prediction.linear import late_by_mean, with_device
+from hapsim.prediction.force_bounds import run_bounds, slew_error, slew_warning, travel_document, travel_error
+from hapsim.prediction.linear import mean_lag, with_device
 from hapsim.prediction.timing import on_wire
 from hapsim.theory.network.margins import SEARCHED
 from hapsim.units import Units
@@ -69,7 +69,7 @@ def check(
 ) -> None:
     """Predict stability, felt stiffness and damping, gain margins and wire time. Nothing runs."""
     loaded, hands = load(scene), hand_ranges(hand_mass, hand_stiffness)
-    if why := refused_travel(loaded):
+    if why := travel_error(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
         prediction = predict(loaded, at=position(at, loaded))
@@ -78,8 +78,8 @@ def check(
         _ = prediction.margins  # while that is said
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
-    refused = refused_slew(loaded)
-    of_slew = [f"{refused}: `hapsim run` refuses this scene." if refused else "", slow_slew(loaded, prediction)]
+    refused = slew_error(loaded)
+    of_slew = [f"{refused}: `hapsim run` refuses this scene." if refused else "", slew_warning(loaded, prediction)]
     of_slew = [one for one in of_slew if one]
     warnings = [*of_slew, *(one for one in warnings_about(loaded, prediction) if one not in of_slew)]
     if json:
@@ -168,7 +168,7 @@ def _predicted_for(scene: Scene) -> str:
     late = f"delay {delay:g} {samples} ({duration(delay * scene.period)}{declared})" if delay else "no delay"
     averaged = ", averaged positions" if device.sampling == "average" else ""
     steps = f", {scene.substeps} substeps a sample" if scene.substeps > 1 else ""
-    if lag := late_by_mean(scene):
+    if lag := mean_lag(scene):
         steps += f" (springs act on the mean position, {lag:.4g} of a sample late)"
     return f"for a hand of {who}, {late}, {HOLDS[device.hold].label}{averaged}{steps}"
 

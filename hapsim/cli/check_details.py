@@ -20,8 +20,8 @@ from hapsim.prediction import (
     host_silence,
     robustness_of,
 )
-from hapsim.prediction.force_bounds import force_bounds, hidden_sign, run_bounds
-from hapsim.prediction.timing import what_helps, wire_parts
+from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
+from hapsim.prediction.timing import wire_parts, wire_remedies
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import SURELY
 
@@ -210,7 +210,7 @@ def wire_lines(prediction: Prediction, on_wire: Prediction | None, explain: bool
         whole = f"{wire_parts(budget)}; {whole} ({budget.exchange_s / budget.period:.0%})"
     if is_real:
         on = "on a UART an" if prediction.wire_of == "unknown" else "an"
-        verdict = "fits" if budget.fits else f"[red]does not fit[/red]: {what_helps(budget)}"
+        verdict = "fits" if budget.fits else f"[red]does not fit[/red]: {wire_remedies(budget)}"
         yield f"Wire: {on} exchange takes {whole}: {verdict}. {_delay(budget)}"
     else:
         fits = f"A UART at {budget.baud} baud would {'fit' if budget.fits else '[yellow]not fit[/yellow]'}"
@@ -288,7 +288,7 @@ def device_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
             f"{scene.units(bounds.slew_limit, 'N/s', 'g')}, and that of the very first sample comes "
             f"{_soft_start(bounds.soft_start_s)}."
         )
-    if hidden := hidden_sign(scene, prediction):
+    if hidden := sign_warning(scene, prediction):
         yield hidden
 
 

@@ -47,7 +47,7 @@ from hapsim.loop.counts import Progress
 from hapsim.measuring.trace_quality import kept_rate
 from hapsim.number_format import percent, plural
 from hapsim.prediction import Prediction, predict, warnings_about
-from hapsim.prediction.force_bounds import refused_slew
+from hapsim.prediction.force_bounds import slew_error
 from hapsim.running.reconnecting import RunObserver, keep_running, observe_all
 from hapsim.running.requirements import refusal_to_arm
 from hapsim.running.service import Notifier
@@ -201,7 +201,7 @@ def with_mock(scene: Scene, kind: Any) -> Scene:
 def predict_before_arming(path: str, scene: Scene, unstable: bool) -> list[str]:
     """Predicts the scene of this file and prints its warnings; returns them. Raises UsageError if the scene is surely
     unstable and `unstable` is False, or if its slew limit is too slow for the mock."""
-    if why := refused_slew(scene):
+    if why := slew_error(scene):
         raise UsageError(why)
     prediction = predict(scene, with_margins=False)
     require_stable(path, scene, prediction, unstable)

@@ -19,7 +19,7 @@ from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import SURELY, poles_of, state_size
 from hapsim.theory.network.impedance import device_forces
 from hapsim.theory.network.modes import snap_to_rest
-from hapsim.theory.network.scene_passivity import HeldScene, Passivity, highest, passivity_of, peaks_of, why_not_derived
+from hapsim.theory.network.scene_passivity import HeldScene, Passivity, highest, no_derivation, passivity_of, peaks_of
 
 Range = tuple[float, float]
 
@@ -88,7 +88,7 @@ class AnyHand:
     @cached_property
     def not_derived(self) -> str:
         """Reason why the passivity condition is unknown; "" if it is known."""
-        return self.not_predicted or why_not_derived(self._network)
+        return self.not_predicted or no_derivation(self._network)
 
     @cached_property
     def _held(self) -> HeldScene:

@@ -26,7 +26,7 @@ from hapsim.prediction.correction import (
 from hapsim.prediction.linear import LinearScene, hand_of
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
-from hapsim.theory.correction import PredictedLoop, StatePredictor, as_read
+from hapsim.theory.correction import PredictedLoop, StatePredictor, plain_predictor
 
 _PLAIN = 0.01  # an error of k or b that is worth a correction
 _SPAN, _TRIED = 10.0, 81  # masses from a tenth to ten times the declared one
@@ -171,7 +171,7 @@ class Felt:
     def robustness(self) -> Robustness:
         """Quantities besides k and b."""
         c, element = self.configuration, (self.stiffness, self.damping)
-        loop = PredictedLoop(c, as_read(c) if self.predictor is None else self.predictor)
+        loop = PredictedLoop(c, plain_predictor(c) if self.predictor is None else self.predictor)
         with np.errstate(all="ignore"):  # an infinite loop is not stable
             return Robustness(
                 steady_stiffness=loop.steady_stiffness(*element) + c.stiffness,
@@ -203,7 +203,7 @@ def robustness_of(felt: Felt) -> Robustness:
     return felt.robustness
 
 
-def felt_by(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
+def felt_of(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
     """Returns the prediction for a single hand; with a predictor in its loop, for the device as declared."""
     felt = _felt(name, rendering.seen.device_points[name].channel, *hand_of(rendering.seen, linear, name))
     port = next((port for port in rendering.ports if port.name == name), None)

@@ -57,7 +57,7 @@ def run_bounds(scene: Scene) -> ForceBounds:
     return force_bounds(scene, in_hand=in_hand, judges_energy=True)
 
 
-def below_a_count(scene: Scene, force_scale: Iterable[float]) -> str:
+def slew_step_error(scene: Scene, force_scale: Iterable[float]) -> str:
     """Returns the error of a slew limit below one count of the device's force in a sample; "" if there is none.
     `force_scale`: N per count of each channel; a scale above the force limit has no finer step."""
     slew, limit = scene.device.slew_limit, scene.device.force_limit
@@ -73,12 +73,12 @@ def below_a_count(scene: Scene, force_scale: Iterable[float]) -> str:
     )
 
 
-def refused_slew(scene: Scene) -> str:
+def slew_error(scene: Scene) -> str:
     """Returns the same error for the mock's counts, if the scene's device is the mock."""
-    return below_a_count(scene, [scene.mock_device.force_scale]) if scene.device.port is None else ""
+    return slew_step_error(scene, [scene.mock_device.force_scale]) if scene.device.port is None else ""
 
 
-def slow_slew(scene: Scene, prediction: Prediction) -> str:
+def slew_warning(scene: Scene, prediction: Prediction) -> str:
     """Returns a warning if the slew limit of `run_bounds` is too slow for the predicted `scene`; "" if it is not. Too
     slow is less than 2 pi f times the force limit, the steepest part of an oscillation up to it, with f the highest
     frequency at which a hand oscillates."""
@@ -97,7 +97,7 @@ def slow_slew(scene: Scene, prediction: Prediction) -> str:
     )
 
 
-def hidden_sign(scene: Scene, prediction: Prediction) -> str:
+def sign_warning(scene: Scene, prediction: Prediction) -> str:
     """Returns a warning if the guard may miss a motor that is wired the wrong way while `scene` runs; "" if it mostly
     finds it."""
     spans, scales = scene.device.mass_spans(scene.channels), scene.device.scales(scene.channels)
@@ -134,7 +134,7 @@ def fastest_swing_hz(scene: Scene, prediction: Prediction) -> float:
     return max((one for one in [*hands, *modes] if 0.0 < one < 0.5 * prediction.rate), default=0.0)
 
 
-def refused_travel(scene: Scene) -> str:
+def travel_error(scene: Scene) -> str:
     """Returns the error of a travel margin over which the force fades too steeply for the loop, without a full stop; ""
     if there is none."""
     device = scene.device

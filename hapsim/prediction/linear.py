@@ -109,7 +109,7 @@ def fastest_motion(scene: Scene) -> float:
     return _FASTEST["rotary" if "rotary" in scene.device.motions(scene.channels) else "linear"]
 
 
-def has_more_than_regions(scene: Scene, name: str) -> bool:
+def needs_network(scene: Scene, name: str) -> bool:
     """Returns whether the regions of a hand's travel do not describe it completely: dampers of several kinds act at it
     somewhere, or a damper depends on the speed."""
     links = [link for link in scene.links.values() if name in link.between]
@@ -119,7 +119,7 @@ def has_more_than_regions(scene: Scene, name: str) -> bool:
     return len({*kinds}) > 1 or any(law.dampings_at(fastest_motion(scene)) for law in laws)
 
 
-def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
+def coupling_reason(scene: Scene, linear: LinearScene, name: str) -> str:
     """Reason why the hand at this device point is no oscillator of its own, a phrase that follows its name; "" if it is
     one."""
     for link, module in links_of(linear, name).items():
@@ -130,7 +130,7 @@ def why_coupled(scene: Scene, linear: LinearScene, name: str) -> str:
             return f"is joined to another hand ({other}, by {link})"
     kinds = dampers_of(linear, name)
     other_than_backward = [f"{link}: {kind}" for (kind, _), link in kinds.items() if kind != "backward"]
-    if other_than_backward and late_by_mean(scene):
+    if other_than_backward and mean_lag(scene):
         return (
             f"receives the mean force of its substeps and has a damper that is not backward ({other_than_backward[0]})"
         )
@@ -157,11 +157,11 @@ def configuration_of(
         stiffness=device.stiffnesses(scene.channels)[channel],
         damper=damper,
         cutoff=cutoff,
-        spring_lag=late_by_mean(scene) if damper == "backward" else 0.0,
+        spring_lag=mean_lag(scene) if damper == "backward" else 0.0,
     )
 
 
-def late_by_mean(scene: Scene) -> float:
+def mean_lag(scene: Scene) -> float:
     """Lag of the mean of the substeps' forces behind the last one, for an even motion, sample periods."""
     return 0.5 - 0.5 / scene.substeps if scene.device.decimation == "mean" else 0.0
 
@@ -174,7 +174,7 @@ def hand_of(scene: Scene, linear: LinearScene, name: str) -> tuple[Configuration
     return configuration_of(scene, scene.device_points[name].channel, damper, cutoff), stiffness, damping
 
 
-def instead_of(network: Network, reason: NotWorkedOutError) -> tuple[Network, str]:
+def stand_in_for(network: Network, reason: NotWorkedOutError) -> tuple[Network, str]:
     """Returns a network that stands in for one whose poles cannot be computed, and a sentence about it."""
     if network.substeps == 1:
         sentence = (

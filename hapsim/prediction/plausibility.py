@@ -43,7 +43,7 @@ RANGES = {
     "N": Range(1e-3, 250.0, "a hand feels 10 mN and more, and devices render up to 50 N", _FORCES),
     "N·s/m": Range(0.0, 500.0, "a firm grip has 20 N·s/m", _DAMPINGS),
     "N/m": Range(1.0, 1e5, "springs of devices and hands have 10 to 1000 N/m", _STIFFNESSES),
-    "modules N/m": Range(0.0, math.inf, "", _STIFFNESSES),  # `_of_spring` judges these two by rate and mass
+    "modules N/m": Range(0.0, math.inf, "", _STIFFNESSES),  # `_spring_values` judges these two by rate and mass
     "modules N·s/m": Range(0.0, math.inf, "", _DAMPINGS),
     "m": Range(5e-6, 1.0, "devices move 2 mm to 0.5 m, in steps of 10 µm and more", _LENGTHS),
     "travel": Range(2e-4, 1.0, "devices move 2 mm to 0.5 m", _LENGTHS),
@@ -121,7 +121,7 @@ def unlikely(scene: Scene) -> list[str]:
     probable intention. The same key of several modules shares one sentence."""
     weights = set(_weights(scene, _ranges(scene)["m"].most))
     off = [one for one in _values(scene, "", _ranges(scene)) if one.is_off and one.path not in weights]
-    for of_part in (_of_device, _of_links):
+    for of_part in (_device_values, _link_values):
         if not any(one.unit in ("Hz", "kg", "samples") for one in off):  # the other checks depend on these values
             off += [one for one in of_part(scene) if one.is_off and one.path not in weights]
     alike: dict[tuple[str, str], dict[str, _Value]] = {}
@@ -196,7 +196,7 @@ def _numbers(value: Any) -> list[float]:
     return [value] if isinstance(value, int | float) else []
 
 
-def _of_device(scene: Scene) -> Iterator[_Value]:
+def _device_values(scene: Scene) -> Iterator[_Value]:
     """Yields keys of device and mock that depend on each other."""
     device, mock, limit = scene.device, scene.mock or Mock(), scene.device.force_limit
     named = f"the force limit of {scene.units(limit, 'N')}"
@@ -228,12 +228,12 @@ def _of_device(scene: Scene) -> Iterator[_Value]:
         yield _Value("device.friction", friction, "N·s/m", Range(mass / _COASTS_S, most, why, _DAMPINGS))
 
 
-def _of_links(scene: Scene) -> Iterator[_Value]:
+def _link_values(scene: Scene) -> Iterator[_Value]:
     """Yields values of links that depend on the masses at their ends, and of structures and cells on their own."""
     spans, limit = scene.device.mass_spans(scene.channels), scene.device.force_limit
     masses = {name: module.mass for name, module in (scene.material_points | scene.structures).items()}
     for name, mass in masses.items():
-        yield from _of_spring(scene, name, mass, "")
+        yield from _spring_values(scene, name, mass, "")
     moved = frozenset(masses)
     masses |= {name: spans[point.channel][0] for name, point in scene.device_points.items()}
     ranges = _ranges(scene)
@@ -241,7 +241,7 @@ def _of_links(scene: Scene) -> Iterator[_Value]:
     for name, link in scene.links.items():
         ends = [end.partition(".")[0] for end in link.between]
         hand = next((end for end in ends if end in scene.device_points), "")
-        yield from _of_spring(
+        yield from _spring_values(
             scene, name, min(masses[end] for end in ends if end in masses), hand, not moved.isdisjoint(ends)
         )
         if hand:
@@ -256,7 +256,7 @@ def _of_links(scene: Scene) -> Iterator[_Value]:
         yield _Value(f"modules.{name}.mass", structure.mass, "kg", heavy)
 
 
-def _of_spring(scene: Scene, name: str, mass: float, hand: str, moves: bool = True) -> Iterator[_Value]:
+def _spring_values(scene: Scene, name: str, mass: float, hand: str, moves: bool = True) -> Iterator[_Value]:
     """Yields a module's stiffness and damping with the ranges for this mass, in kg. `hand`: the device point that it
     holds, or ""; `moves`: whether it holds a point that the scene moves."""
     module, rate, units = scene.modules[name], scene.step_rate if moves else scene.rate, scene.units_at(name)

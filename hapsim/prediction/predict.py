@@ -17,9 +17,9 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.any_hand import AnyHand
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, desired_of, felt_by, swing, tolerance_of
+from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, desired_of, felt_of, swing, tolerance_of
 from hapsim.prediction.felt_together import FeltTogether
-from hapsim.prediction.linear import has_more_than_regions, links_of, network_of, require_within_numbers, why_coupled
+from hapsim.prediction.linear import coupling_reason, links_of, needs_network, network_of, require_within_numbers
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates
 from hapsim.prediction.swings import Shaking
@@ -33,7 +33,7 @@ from hapsim.theory.arrays import Indices, sort_by_modulus
 from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, part_of, part_of_each
 from hapsim.theory.network.network import is_centred
 
-_LETS_GO = (Buffer, Plectrum, Click, Friction)  # links that excite a sound and release its source
+_EXCITERS = (Buffer, Plectrum, Click, Friction)  # links that excite a sound and release its source
 _LOWEST_HZ = 20.0  # of a partial
 _MOST_DAMPED = 0.1  # of critical; with more damping it is a thud
 _LEAST_SHARE = 1e-4  # of the largest energy that a motion has at the pick-up's point
@@ -57,7 +57,7 @@ class Prediction:
         self._take()
         if instead := self.states.instead():
             self._take(instead)
-        whys = {name: why_coupled(self._seen, self._linear, name) for name in scene.device_points}
+        whys = {name: coupling_reason(self._seen, self._linear, name) for name in scene.device_points}
         self.coupled: dict[str, str] = {name: why for name, why in whys.items() if why}
         """Device points that are no temporary hybrid systems of their own, each with a reason that follows its name."""
         self.is_lone: bool = not self.coupled and not self._linear.masses
@@ -80,7 +80,7 @@ class Prediction:
     @cached_property
     def _lone(self) -> tuple[Felt, ...]:
         names = (name for name in self.scene.device_points if name not in self.coupled)
-        return tuple(felt_by(self._rendering, self._linear, name) for name in names)
+        return tuple(felt_of(self._rendering, self._linear, name) for name in names)
 
     @cached_property
     def felt(self) -> tuple[Felt, ...]:
@@ -97,7 +97,7 @@ class Prediction:
         if hand is None or simulated is None:
             return ()
         pieces = [(piece, linear_at(simulated, self._linear, piece)) for piece in hand.pieces()]
-        felt = ((piece, here, felt_by(self._rendering, here, name)) for piece, here in pieces)
+        felt = ((piece, here, felt_of(self._rendering, here, name)) for piece, here in pieces)
         return tuple(Region(piece, one, links_of(here, name), hand) for piece, here, one in felt)
 
     @cached_property
@@ -171,7 +171,7 @@ class Prediction:
         regions = self.regions.items() if self._at is not None else ()
         held = {name for name, every in regions if any(one.kind == "held" and one.is_stable for one in every)}
         loose = tuple(felt for felt in self._lone if not felt.stable and felt.name not in held)
-        judged = {name: one for name, one in self._every_region.items() if not has_more_than_regions(self._seen, name)}
+        judged = {name: one for name, one in self._every_region.items() if not needs_network(self._seen, name)}
         return Judge(self._network, self.points, self.is_lone, judged, loose, self.states)
 
     @property
@@ -438,7 +438,7 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
 def partials_of(scene: Scene, prediction: Prediction | None = None) -> dict[str, tuple[float, ...]]:
     """Partials of each pick-up in Hz, ascending: the frequencies of its source once contacts, plectra and friction have
     released it; of a large scene the lowest ones. `prediction`: that of the scene, if known."""
-    held = {name: one for name, one in scene.modules.items() if not isinstance(one, _LETS_GO)}
+    held = {name: one for name, one in scene.modules.items() if not isinstance(one, _EXCITERS)}
     taken = [] if prediction is None else [prediction._linear.links[at] for at in scene.modules.keys() - held.keys()]
     is_released = all(one.stiffness == one.damping == 0.0 for one in taken)  # at the assumed positions of the hands
     if prediction is None or prediction.rendering is not None or not is_released:

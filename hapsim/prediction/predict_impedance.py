@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from hapsim.prediction.characteristic import places_of, scene_at
 from hapsim.prediction.correction import Rendering, rendered
-from hapsim.prediction.linear import configuration_of, instead_of, network_of, why_coupled
+from hapsim.prediction.linear import configuration_of, coupling_reason, network_of, stand_in_for
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Scene
 from hapsim.theory import Network, NotWorkedOutError
@@ -59,7 +59,7 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
     try:
         loop = loop_impedance(network, f)
     except NotWorkedOutError as reason:
-        instead, sentence = instead_of(network, reason)
+        instead, sentence = stand_in_for(network, reason)
         assumptions.append(sentence)
         loop = loop_impedance(instead, f)
     if rendering.kind is not None and rendering.kind.predicts:
@@ -89,7 +89,7 @@ def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
     names = list(scene.device_points)
     found = np.zeros((frequency.size, len(names), len(names)), dtype=complex)
     linear = scene_at(scene)
-    if scene.sensed_links or any(why_coupled(scene, linear, name) for name in names):
+    if scene.sensed_links or any(coupling_reason(scene, linear, name) for name in names):
         return np.full_like(found, np.nan)
     for port in rendering.ports:
         at = names.index(port.name)

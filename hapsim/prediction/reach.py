@@ -88,7 +88,7 @@ State = dict[str, Option]
 """Piece of each link of a part of the scene, by name."""
 
 
-_MEETS = 1e-12  # m: smaller overlaps do not count
+_OVERLAP = 1e-12  # m: smaller overlaps do not count
 
 
 class Reach:
@@ -100,14 +100,14 @@ class Reach:
     """
 
     def __init__(self, scene: Scene, linear: LinearScene, contacts: Collection[str]) -> None:
-        self._begins = beginnings(scene)
+        self._begins = start_positions(scene)
         touched = {end for name in contacts for end in linear.links[name].between if end not in scene.grounds}
         self._index = {name: i for i, name in enumerate((*sorted(touched), STAYS))}
         near: dict[str, list[tuple[str, float]]] = {}
         for first, second, least, most in self._limits(scene, linear, contacts):
             near.setdefault(second, []).append((first, most))
             near.setdefault(first, []).append((second, -least))
-        ways = [_least_ways(near, name) for name in self._index]
+        ways = [_shortest_sums(near, name) for name in self._index]
         self.apart = np.array([[way.get(name, math.inf) for way in ways] for name in self._index])
 
     def _limits(
@@ -120,7 +120,7 @@ class Reach:
             yield name, STAYS, low - begins, high - begins
         fast = {name: (abs(point.start()[1]), point.mass) for name, point in scene.material_points.items()}
         named = [*linear.links.items(), *(("", link) for link in linear.inner)]
-        for (name, link), stretch in zip(named, stretches_at_the_beginning(scene, linear), strict=True):
+        for (name, link), stretch in zip(named, start_stretches(scene, linear), strict=True):
             if name in contacts:
                 continue
             first, second = (STAYS if end in linear.fixed else end for end in link.between)
@@ -136,7 +136,8 @@ class Reach:
         begins = self._begins[between[0]] - self._begins[between[1]]
         i, j = (self._index.get(end, len(self._index) - 1) for end in between)
         options = tuple(one for one in options if one.moved <= self.apart[i, j] + self.apart[j, i])
-        meet = self.limited(self.apart, between, Option("", Linear(0.0, 0.0), -2.0 * _MEETS, 2.0 * _MEETS)) is not None
+        touching = Option("", Linear(0.0, 0.0), -2.0 * _OVERLAP, 2.0 * _OVERLAP)
+        meet = self.limited(self.apart, between, touching) is not None
         return tuple(one for one in options if not one.through or meet or one.low <= begins <= one.high)
 
     def limited(self, apart: Floats, between: tuple[str, str], option: Option) -> Floats | None:
@@ -144,17 +145,17 @@ class Reach:
         i, j = (self._index.get(end, len(self._index) - 1) for end in between)
         begins = self._begins[between[0]] - self._begins[between[1]]
         for one, other, most in ((i, j, option.high - begins), (j, i, begins - option.low)):
-            if apart[other, one] + most <= _MEETS:
+            if apart[other, one] + most <= _OVERLAP:
                 return None
             if most < apart[one, other]:
                 apart = np.minimum(apart, apart[:, [one]] + most + apart[[other], :])
         return apart
 
 
-def stretches_at_the_beginning(scene: Scene, linear: LinearScene) -> Floats:
+def start_stretches(scene: Scene, linear: LinearScene) -> Floats:
     """Stretches at the start (L,), m, of the scene's links and of the elements of its structures and material
     points."""
-    begins, found = beginnings(scene), []
+    begins, found = start_positions(scene), []
     for link in (*linear.links.values(), *linear.inner):
         first, second = ("" if end == STAYS else end for end in link.between)
         name = first or second
@@ -168,7 +169,7 @@ def stretches_at_the_beginning(scene: Scene, linear: LinearScene) -> Floats:
     return np.array(found)
 
 
-def beginnings(scene: Scene) -> dict[str, float]:
+def start_positions(scene: Scene) -> dict[str, float]:
     """Positions of all points at the start, m: a hand at 0, or as near as its travel permits."""
     found = {name: ground.position for name, ground in scene.grounds.items()}
     for name, point in scene.device_points.items():
@@ -181,7 +182,7 @@ def beginnings(scene: Scene) -> dict[str, float]:
     return found
 
 
-def _least_ways(near: dict[str, list[tuple[str, float]]], start: str) -> dict[str, float]:
+def _shortest_sums(near: dict[str, list[tuple[str, float]]], start: str) -> dict[str, float]:
     """Least sum of limits from `start` to every point that they reach (Dijkstra, 1959)."""
     found: dict[str, float] = {}
     waiting = [(0.0, start)]
@@ -199,7 +200,7 @@ _INSIDE = 1e-2  # m: distance of a hand from the only edge of a state, if its pr
 _STILL = 1e-12  # of the hand's movement: smaller stretches of a link count as none
 
 
-def swing_of_part(
+def part_swing(
     scene: Scene,
     linear: LinearScene,
     network: Network,
@@ -217,7 +218,7 @@ def swing_of_part(
         None also if the part has several hands, masses that pull themselves, or links with a memory. It is never
         unnoticed if a motion grows in a state that has no rest, or while a damper is fast.
     """
-    names, begins = [points[point] for point in inside], beginnings(scene)
+    names, begins = [points[point] for point in inside], start_positions(scene)
     hands = [name for name in names if name in scene.device_points]
     if not names or any(one.pulls_itself for name, one in scene.material_points.items() if name in names):
         return None
@@ -230,7 +231,7 @@ def swing_of_part(
     swinging = Swinging(part, names, laws, scene.device.force_limit, travel, quantum)
     if not laws or not swinging.is_simulated:
         return None
-    stretch = stretches_at_the_beginning(scene, linear)[numbers]
+    stretch = start_stretches(scene, linear)[numbers]
     fixed = stretch - stretches_of(part, sparse=False) @ np.array([begins[name] for name in names])
     rests = []
     for growth, state in grown:
@@ -352,19 +353,19 @@ def links_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, Linear]
 def distances_at_rest(scene: Scene, hands: Mapping[str, float]) -> dict[str, float]:
     """Distance of the ends of each link of the scene, m, by name, while the hands hold still at these positions (m) and
     the masses rest. A stuck link has no force there. UsageError if no rest is found."""
-    linear, begins, first = linear_scene(scene), beginnings(scene), len(scene.device_points)
+    linear, begins, first = linear_scene(scene), start_positions(scene), len(scene.device_points)
     network, points = network_of(scene, linear)
     stretches, start = stretches_of(network, sparse=True), np.array([begins[name] for name in points])
     held = start.copy()
     held[:first] = [hands.get(name, 0.0) for name in points[:first]]
-    fixed = stretches_at_the_beginning(scene, linear) + stretches[:, :first] @ held[:first] - stretches @ start
+    fixed = start_stretches(scene, linear) + stretches[:, :first] @ held[:first] - stretches @ start
     laws = [scene.links[name].law() for name in linear.links]
     springs = _Springs(stretches[:, first:], fixed, network.stiffness[len(laws) :], laws)
-    d = springs.distances(_relaxed(springs, start[first:]))
+    d = springs.distances(_rest_positions(springs, start[first:]))
     return dict(zip(linear.links, d.tolist(), strict=False))
 
 
-def _relaxed(springs: _Springs, x: Floats) -> Floats:
+def _rest_positions(springs: _Springs, x: Floats) -> Floats:
     """Returns the rest of the masses, (N,), m, by Newton's steps, each halved until the forces are less."""
     from scipy.sparse.linalg import spsolve
 

@@ -24,7 +24,7 @@ from hapsim.prediction.felt_alone import Felt
 from hapsim.prediction.linear import LinearLink, LinearScene, links_of
 from hapsim.prediction.reach import pressed_within
 from hapsim.prediction.states import ContactStates, Grown
-from hapsim.prediction.swings import NetworkVerdict, Rest, Shaking, Swing, Swinging, has_pieces, without_real
+from hapsim.prediction.swings import NetworkVerdict, Rest, Shaking, Swing, Swinging, drop_real_poles, has_pieces
 from hapsim.theory import Margins, Stabilizing
 from hapsim.theory.network import SURELY, part_of, state_size
 
@@ -71,7 +71,7 @@ class Region:
         if self.kind == "held" and self.felt.stable:
             return 0.0
         # The largest real pole is left out: it belongs to a snap or a free hand itself.
-        grows = max(map(abs, without_real(self.felt.poles, int(self.kind != "held"))), default=0.0)
+        grows = max(map(abs, drop_real_poles(self.felt.poles, int(self.kind != "held"))), default=0.0)
         return 0.0 if self.kind != "held" and grows < SURELY else grows
 
     @property
@@ -176,7 +176,7 @@ class Judge(NetworkVerdict):
         is_quick = self.is_lone or state_size(self.network) <= most_states
         if not is_quick or self._unstable or self._shaken_hand is not None:
             return False
-        return (self.is_lone or self.dies_out) and not self.states.growing
+        return (self.is_lone or self.decays) and not self.states.growing
 
     @cached_property
     def _unstable(self) -> dict[str, list[Region]]:

@@ -18,13 +18,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.laws import Linear
-from hapsim.prediction.linear import LinearScene, fastest_motion, has_more_than_regions, why_coupled
-from hapsim.prediction.reach import Option, Reach, State, options_of, swing_of_part
+from hapsim.prediction.linear import LinearScene, coupling_reason, fastest_motion, needs_network
+from hapsim.prediction.reach import Option, Reach, State, options_of, part_swing
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
 from hapsim.scene import Scene
 from hapsim.theory import Network
 from hapsim.theory.arrays import Floats, Indices
-from hapsim.theory.network import LARGE, never_grows, part_of, part_of_each, state_size
+from hapsim.theory.network import LARGE, part_of, part_of_each, proves_stability, state_size
 from hapsim.theory.rows import stretches_of
 
 MOST_STATES = 1024
@@ -58,8 +58,8 @@ class ContactStates:
     def __init__(self, scene: Scene, linear: LinearScene, network: Network, points: tuple[str, ...]) -> None:
         """`linear`, `network`, `points`: the linear form of the scene."""
         self._scene, self._linear, self._network, self._points = scene, linear, network, points
-        hands = (name for name in scene.device_points if not why_coupled(scene, linear, name))
-        alone = {name for name in hands if not has_more_than_regions(scene, name)}
+        hands = (name for name in scene.device_points if not coupling_reason(scene, linear, name))
+        alone = {name for name in hands if not needs_network(scene, name)}
         self._ends = dict(zip(linear.links, network.ends.tolist(), strict=False))
         moving = (name for name, (first, second) in self._ends.items() if first != second)  # not two grounds, -1
         own = (name for name in moving if not {*linear.links[name].between} & alone)
@@ -115,7 +115,7 @@ class ContactStates:
             apart = self._reach.apart
             for name in names:
                 options, between = self._options[name], self._linear.links[name].between
-                taken = [one for one in options if self._is_taken(name, one)]
+                taken = [one for one in options if self._is_assumed(name, one)]
                 limits = [(one, self._reach.limited(apart, between, one)) for one in (*taken, *options) if taken]
                 one, nearer = next(((one, limit) for one, limit in limits if limit is not None), (None, None))
                 apart = apart if nearer is None else nearer
@@ -126,7 +126,7 @@ class ContactStates:
                     found[name] = one.linear._replace(assumption=words)
         return found
 
-    def _is_taken(self, name: str, option: Option) -> bool:
+    def _is_assumed(self, name: str, option: Option) -> bool:
         link = self._linear.links[name]
         return (option.linear.stiffness, option.linear.damping) == (link.stiffness, link.damping)
 
@@ -148,7 +148,7 @@ class ContactStates:
         verdicts, left, unjudged = dict[object, Shaking | None](), _WORK, 0
         found: list[tuple[Shaking, State]] = []
         for state in (one for part in self.parts for one in part):
-            if all(self._is_taken(name, option) for name, option in state.items()):
+            if all(self._is_assumed(name, option) for name, option in state.items()):
                 continue
             left -= _OF_STATE
             is_judged = left > 0.0 and all(math.isfinite(option.linear.stiffness) for option in state.values())
@@ -156,7 +156,7 @@ class ContactStates:
                 key = blocks, tuple((name, state[name].linear) for name in names if state[name].acts)
                 if key not in verdicts:
                     network, points = self._part(blocks, state)
-                    grows, size = not never_grows(network), state_size(network)
+                    grows, size = not proves_stability(network), state_size(network)
                     left -= grows * (_OF_LARGE * size if size > LARGE else (size + _OF_EACH) ** 3)
                     if left < 0.0:
                         is_judged = False
@@ -182,7 +182,7 @@ class ContactStates:
             names = tuple(self._points[point] for point in inside)
             taken = NetworkVerdict(part_of(self._network, np.array(inside)), names).shaken_by_network()
             if taken is not None and not {*names} & {*regional}:
-                options = {name: [one for one in self._options[name] if self._is_taken(name, one)] for name in part}
+                options = {name: [one for one in self._options[name] if self._is_assumed(name, one)] for name in part}
                 state = {name: found[0] for name, found in options.items() if part[name] == its and found}
                 grown.setdefault(its, []).append((taken, state))
         most = {its: max(every, key=lambda one: one[0].growth)[0] for its, every in grown.items()}
@@ -191,7 +191,7 @@ class ContactStates:
 
     def swing_of(self, grown: Grown) -> Swing | None:
         """Returns the size of the oscillation in this part of the scene; None if it was not found."""
-        return swing_of_part(self._scene, self._linear, self._network, self._points, grown.points, grown.states)
+        return part_swing(self._scene, self._linear, self._network, self._points, grown.points, grown.states)
 
     @cached_property
     def _block(self) -> Indices:

@@ -16,7 +16,7 @@ import numpy as np
 
 from hapsim.laws import Law
 from hapsim.one_thread import one_thread
-from hapsim.prediction.linear import instead_of
+from hapsim.prediction.linear import stand_in_for
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network import LARGE, SURELY, loop, state_size, transition
@@ -223,7 +223,7 @@ class Shaking(NamedTuple):
         return f"{whose} grows {by} per sample{when}; {remedy}"
 
 
-def without_real(poles: Iterable[complex], count: int) -> list[complex]:
+def drop_real_poles(poles: Iterable[complex], count: int) -> list[complex]:
     """Returns the poles without the ``count`` largest real positive ones: these are the snaps, which drive a point
     on."""
     rest = list(poles)
@@ -235,7 +235,7 @@ def without_real(poles: Iterable[complex], count: int) -> list[complex]:
 
 
 class Solved(NamedTuple):
-    """Network with its poles and modes, and a sentence if it stands in for another (`instead_of`); else ""."""
+    """Network with its poles and modes, and a sentence if it stands in for another (`stand_in_for`); else ""."""
 
     network: Network
     solution: Solution
@@ -260,12 +260,12 @@ class NetworkVerdict:
             try:
                 return Solved(self.network, solve(self.network), "")
             except NotWorkedOutError as reason:
-                instead, sentence = instead_of(self.network, reason)
+                instead, sentence = stand_in_for(self.network, reason)
                 return Solved(instead, solve(instead), sentence)
 
     @cached_property
     @np.errstate(all="ignore")
-    def dies_out(self) -> bool:
+    def decays(self) -> bool:
         """True if squares of the transition show that every motion decays, in a fifth of the time that eigenvalues
         take. False proves nothing."""
         if state_size(self.network) > LARGE:
@@ -284,7 +284,7 @@ class NetworkVerdict:
     def shaken_by_network(self, snaps: int = 0) -> Shaking | None:
         """Returns the motion that surely grows; None also if the poles cannot be computed for the scheme. `snaps`:
         number of real poles that belong to snaps; a snap moves the points on before a slower growth is felt."""
-        if not snaps and self.dies_out:
+        if not snaps and self.decays:
             return None
         solution = self.solved.solution
         if self.solved.instead:
@@ -293,7 +293,7 @@ class NetworkVerdict:
             return Shaking(math.inf, "")
         radius = solution.spectral_radius
         if snaps:
-            every, rest = solution.poles.tolist(), without_real(solution.poles.tolist(), snaps)
+            every, rest = solution.poles.tolist(), drop_real_poles(solution.poles.tolist(), snaps)
             radius, driven = (max(map(abs, poles), default=0.0) for poles in (rest, {*every} - {*rest}))
         if not radius > (max(SURELY, driven) if snaps else SURELY):
             return None

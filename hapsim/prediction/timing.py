@@ -54,7 +54,7 @@ def samples_on_wire(scene: Scene) -> int:
     return min(wire_time_of(scene).delay_samples or oldest, oldest)
 
 
-def samples_if_late(scene: Scene, round_trip_s: float) -> int:
+def least_late_samples(scene: Scene, round_trip_s: float) -> int:
     """Least number of samples from a position to its force, on a wire on which forces are late. `round_trip_s`: the
     shortest time from a question to its answer before arming, in which a device may have waited for its next tick."""
     measured = 0.0 if scene.device.clock == "lockstep" else round_trip_s * scene.rate
@@ -83,12 +83,12 @@ def wire_delay(scene: Scene) -> str:
     budget = wire_time_of(scene)
     return (
         f"delay: {declared:g} sample{'' if declared == 1.0 else 's'} declared, {declared + samples - 1:g} on this wire "
-        f"({wire_parts(budget)}; {what_helps(budget)})"
+        f"({wire_parts(budget)}; {wire_remedies(budget)})"
     )
 
 
-def why_late(scene: Scene, samples: int, round_trip_s: float) -> str:
-    """Sentences on `samples_if_late` and possible causes."""
+def lateness_sentences(scene: Scene, samples: int, round_trip_s: float) -> str:
+    """Sentences on `least_late_samples` and possible causes."""
     why = f"{samples} samples or more. Before arming, a question and its answer took {duration(round_trip_s)}."
     name = os.path.basename(os.path.realpath(scene.device.port or ""))
     with contextlib.suppress(OSError, ValueError):
@@ -107,7 +107,7 @@ def wire_parts(budget: WireTime) -> str:
     return " and ".join(f"{duration(seconds)} for {part}" for part, seconds in parts.items() if seconds > 0.0)
 
 
-def what_helps(budget: WireTime) -> str:
+def wire_remedies(budget: WireTime) -> str:
     """Phrase on remedies for an exchange that does not fit into a sample."""
     if budget.least_baud is None and budget.turnaround_s > 0.0:
         return (

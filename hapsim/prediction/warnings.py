@@ -14,7 +14,7 @@ import numpy as np
 
 from hapsim.number_format import frequency, number, rounded_down
 from hapsim.prediction.characteristic import hand_at
-from hapsim.prediction.force_bounds import slow_slew
+from hapsim.prediction.force_bounds import slew_warning
 from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import Prediction, is_surely_unstable
@@ -60,7 +60,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
                 f"{name} at {hand.units(x, 'm')}: the scene's force is {hand.units(abs(float(hand.force(x))), 'N')}; "
                 f"the force limit clips it to {hand.units(limit, 'N', 'g')}."
             )
-    slow = slow_slew(scene, prediction)
+    slow = slew_warning(scene, prediction)
     warnings += [slow] if slow else []
     for one in (one for one in prediction.desired if one.remedies is not None):
         off = f", off by {one.error:.1%}" if math.isfinite(one.error) else ""

@@ -188,7 +188,7 @@ def _setting_of(
 ) -> Setting:
     limit = float(loop.record.io.force_limit[: description.channels].max())
     in_hand = connection.behind_port and scene.device.clock != "lockstep"  # no hand in virtual time
-    samples = timing.samples_if_late(scene, connection.round_trip_s)
+    samples = timing.least_late_samples(scene, connection.round_trip_s)
     late = options.unstable is False and surely_shaken_by(timing.with_wire_delay(scene, samples)) is not None
     return Setting(
         scene,
@@ -198,7 +198,7 @@ def _setting_of(
         behind_port=connection.behind_port,
         judges_energy=options.judges_energy,
         judges_sign=options.judges_sign,
-        first_late=timing.why_late(scene, samples, connection.round_trip_s) if late else "",
+        first_late=timing.lateness_sentences(scene, samples, connection.round_trip_s) if late else "",
     )
 
 

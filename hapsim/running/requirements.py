@@ -20,7 +20,7 @@ from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
 from hapsim.number_format import between, duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
-from hapsim.prediction.force_bounds import refused_travel
+from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay
 from hapsim.prediction.warnings import most_force
 from hapsim.recording.trace import require_writable_as_trace
@@ -56,7 +56,7 @@ def require_runnable(scene: Scene, options: RunOptions) -> None:
         raise UsageError(f"rate: found {scene.rate:g} Hz, which no clock keeps (1e-3 to 1e9 Hz)")
     if options.duration is not None and not 0 < options.duration * scene.rate < _MOST_TICKS:
         raise UsageError(f"duration: found {options.duration}, expected a finite number of seconds above 0")
-    if not options.unstable and (why := refused_travel(scene)):
+    if not options.unstable and (why := travel_error(scene)):
         raise UsageError(why)
     if options.realtime:
         require_linux("--realtime", "leave it out")

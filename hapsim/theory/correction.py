@@ -23,7 +23,7 @@ from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.lone_hand import lone_hand
 from hapsim.theory.hand.pole_pair import oscillator_of_quadratic
 from hapsim.theory.hand.poles import pair_of_poles
-from hapsim.theory.interface import SAMPLINGS, damper_named, hold_segments, late_and_held, whole_and_fraction
+from hapsim.theory.interface import SAMPLINGS, damper_named, delay_and_hold, hold_segments, whole_and_fraction
 from hapsim.theory.network.network import BACKWARD
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
@@ -90,14 +90,14 @@ def state_predictor(model: Configuration, senses: bool = False, pole: float = SL
     every = np.zeros((4, STATES + lags))
     every[:, :2], every[:, 2], every[:, STATES:] = step.moves[0], pushed, step.moves[1]
     moves = np.vstack([every[:2, :STATES], [0.0, 0.0, 1.0]])
-    gains = (_of_velocities if senses else _of_positions)(moves, every[read, :STATES], pole)
+    gains = (_velocity_gains if senses else _position_gains)(moves, every[read, :STATES], pole)
     # Unknown part of a free motion at the first sample.
     before = np.array([SAMPLINGS[model.sampling].lag, 1.0])
     first = gains[:2] if senses else (moves[:2, :2] @ before / (every[READING, :2] @ before))[:, None]
     return _in_si(model, every[:2], every[read], gains, first, _ahead(model, own, step, pushed))
 
 
-def as_read(model: Configuration) -> StatePredictor:
+def plain_predictor(model: Configuration) -> StatePredictor:
     """Returns a link without a predictor in the form of one: the position as read, and the damper's velocity. In place
     of the push its state has the last difference of two positions."""
     damper = damper_named(model.damper, model.cutoff, model.rate)
@@ -132,14 +132,14 @@ def _ahead(model: Configuration, own: tuple[float, float], step: DeviceStep, pus
     return state
 
 
-def _of_positions(moves: Floats, read: Floats, pole: float) -> Floats:
+def _position_gains(moves: Floats, read: Floats, pole: float) -> Floats:
     """Gains (3, 1) that place the poles of ``moves - gains read`` at (pole, pole, 0), by Ackermann's formula."""
     seen = np.vstack([read, read @ moves, read @ moves @ moves])
     wanted = (moves - pole * np.eye(STATES)) @ (moves - pole * np.eye(STATES)) @ moves
     return np.asarray(wanted @ np.linalg.inv(seen)[:, -1:])
 
 
-def _of_velocities(moves: Floats, read: Floats, pole: float) -> Floats:
+def _velocity_gains(moves: Floats, read: Floats, pole: float) -> Floats:
     """Gains (3, 2) that take position and velocity as read, given the push; it takes 1 - pole of the remaining
     difference."""
     at_once = moves[:2, :2] @ np.linalg.inv(read[:, :2])
@@ -172,7 +172,7 @@ def forces_in_second_difference(model: Configuration) -> tuple[Floats, int]:
     return of_forces[acting[0] : acting[-1] + 1], int(acting[0])
 
 
-NOTHING_LEFT = 1e-12  # of the oldest noise: its square is beyond rounding
+NEGLIGIBLE = 1e-12  # of the oldest noise: its square is beyond rounding
 MOVES = 2  # numbers of the plant's state: position and velocity
 
 
@@ -189,7 +189,7 @@ class PredictedLoop(NamedTuple):
     def poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
         """Poles (..., N) in the z-plane, by decreasing modulus; K in N/m, B in N·s/m; arrays broadcast."""
         moves, pushes, _ = self._open_loop()
-        answers = self._answers(K, B, len(moves))
+        answers = self._feedback(K, B, len(moves))
         finite = np.isfinite(answers).all(axis=-1, keepdims=True)
         closed = moves - pushes[:, None] * np.where(finite, answers, 0.0)[..., None, :]
         return np.where(finite, sort_by_modulus(np.linalg.eigvals(closed).astype(complex)), np.nan)
@@ -213,7 +213,7 @@ class PredictedLoop(NamedTuple):
         f = np.asarray(frequency, dtype=float)
         theta = 2.0 * np.pi * f * self.plant.period
         some = (theta > 0.0) & (theta < np.pi)
-        through = late_and_held(theta[some], self.plant.delay, self.plant.hold, self.plant.sampling)
+        through = delay_and_hold(theta[some], self.plant.delay, self.plant.hold, self.plant.sampling)
         found = np.full(f.shape, np.nan, dtype=complex)
         found[some] = self._stiffness_at(np.exp(1j * theta[some]), K, B) * through / (2j * np.pi * f[some])
         return found
@@ -228,10 +228,10 @@ class PredictedLoop(NamedTuple):
         if not self.spectral_radius(K, B) < 1.0:
             return math.inf
         moves, pushes, reads = self._open_loop()
-        answers = self._answers(K, B, len(moves))
+        answers = self._feedback(K, B, len(moves))
         power: Floats = moves - np.outer(pushes, answers)
         spread: Floats = reads @ reads.T
-        while np.abs(power).max() > NOTHING_LEFT:  # twice as many samples of noise each time
+        while np.abs(power).max() > NEGLIGIBLE:  # twice as many samples of noise each time
             spread = spread + power @ spread @ power.T
             power = power @ power
         return float(np.sqrt(max(float(answers @ spread @ answers), 0.0)) * self.plant.stiffness_unit)
@@ -239,19 +239,19 @@ class PredictedLoop(NamedTuple):
     def _stiffness_at(self, z: Complexes, K: float, B: float) -> Complexes:
         """Force over the position that is read, (n,) N/m, at z."""
         moves, pushes, reads = self._open_loop(moved=False)
-        answers = self._answers(K, B, len(moves))
+        answers = self._feedback(K, B, len(moves))
         alone = moves - np.outer(pushes, answers)
         if not np.isfinite(alone).all():
             return np.full(z.shape, np.nan, dtype=complex)
         state = np.linalg.solve(z[:, None, None] * np.eye(len(alone)) - alone, z[:, None, None] * reads[:, :1])
         return np.asarray(state[..., 0] @ answers * self.plant.stiffness_unit)
 
-    def _answers(self, K: ArrayLike, B: ArrayLike, size: int) -> Floats:
+    def _feedback(self, K: ArrayLike, B: ArrayLike, size: int) -> Floats:
         """Feedback (..., size): -f, as T²/m f, from the state in the order of `_open_loop`."""
         K, B = np.broadcast_arrays(np.asarray(K, float), np.asarray(B, float))
         if self.predictor.differences:
             damping = B * self.plant.rate
-            now = self._of_velocity()._answers(K + damping, 0.0, size - 1)
+            now = self._of_velocity()._feedback(K + damping, 0.0, size - 1)
             return np.concatenate([now, -damping[..., None] / self.plant.stiffness_unit], axis=-1)
         gain = np.stack([K, B * self.plant.rate], axis=-1) / self.plant.stiffness_unit
         _, _, ahead = self._normalised()
@@ -284,7 +284,7 @@ class PredictedLoop(NamedTuple):
         c = self.plant
         if self.predictor.differences:  # last number of the state: the position ahead, one sample ago
             moves, pushes, reads = self._of_velocity()._open_loop(moved)
-            ahead = self._of_velocity()._answers(c.stiffness_unit, 0.0, len(moves))
+            ahead = self._of_velocity()._feedback(c.stiffness_unit, 0.0, len(moves))
             moves = np.pad(np.vstack([moves, ahead]), ((0, 0), (0, 1)))
             return moves, np.append(pushes, 0.0), np.pad(reads, ((0, 1), (0, 0)))
         own = device_step(c.friction / c.damping_unit, c.delay, c.hold, c.stiffness / c.stiffness_unit, c.sampling)

@@ -111,14 +111,14 @@ def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:
     return DAMPERS[name].model(2.0 * math.pi * cutoff / rate)
 
 
-def damper_answer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
+def damper_transfer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
     """Transfer function v/y of a damper; its weights of positions add up to zero, which gives a factor 1 - 1/z =
     w/z."""
     from_positions = np.polyval(np.cumsum(damper.of_positions)[-2::-1], 1.0 / z)
     return w / z * from_positions / (1.0 - np.polyval([*damper.of_velocities[::-1], 0.0], 1.0 / z))
 
 
-def late_and_held(theta: Floats, delay: float, hold: str, sampling: str) -> Complexes:
+def delay_and_hold(theta: Floats, delay: float, hold: str, sampling: str) -> Complexes:
     """Factor of delay, hold and sampling for a force that oscillates at theta radians per sample: its fundamental."""
     through = _through(HOLDS[hold].terms, theta) * _through(SAMPLINGS[sampling].terms, theta)
     return np.asarray(through * np.exp(-1j * delay * theta))
@@ -128,13 +128,13 @@ def damper_gain(damper: DamperModel, theta: Floats) -> Complexes:
     """Ratio of the damper's velocity to the true one at theta; 1: exact."""
     if damper.senses:
         return np.ones_like(theta, dtype=complex)
-    return np.asarray(velocity_read(damper, theta) / (1j * theta))
+    return np.asarray(damper_velocity(damper, theta) / (1j * theta))
 
 
-def velocity_read(damper: DamperModel, theta: Floats) -> Complexes:
+def damper_velocity(damper: DamperModel, theta: Floats) -> Complexes:
     """Transfer function of a damper from position to velocity, in metres per sample, at z = exp(j theta)."""
     w = 2j * np.sin(0.5 * theta) * np.exp(0.5j * theta)  # z - 1, without loss of digits
-    return damper_answer(damper, np.exp(1j * theta), w)
+    return damper_transfer(damper, np.exp(1j * theta), w)
 
 
 def _through(terms: tuple[Term, ...], theta: Floats) -> Complexes:

@@ -87,11 +87,10 @@ def cut(rows: Rows, sizes: dict[str, int]) -> dict[str, Rows]:
 class Tick:
     """One step of a scene's links and masses, on rows.
 
-    ``stretches`` (L, C + M): stretch of each link. ``older``, ``past``: lists by lag of the links whose dampers
-    remember a step of their stretch or a velocity. ``inside`` (L,): 1 for a link whose force a scheme other than
-    CORDIS's includes in its rates. ``rates``: T A of such a scheme for the masses' positions and steps (in ``unit``),
-    and also for the channels' positions, steps and sensed velocities where inner links depend on them
-    (``theory.schemes``).
+    ``stretches`` (L, C + M): stretch of each link. ``old_steps``, ``old_rates``: lists by lag of the links whose
+    dampers remember a step of their stretch or a velocity. ``inside`` (L,): 1 for a link in the rates of a scheme other
+    than CORDIS's. ``rates``: T A of such a scheme for the masses' positions and steps (in ``unit``), and also for the
+    channels' positions, steps and sensed velocities where inner links depend on them (``theory.schemes``).
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
@@ -105,9 +104,9 @@ class Tick:
         own = np.array([number[damper] for damper in network.damper], dtype=np.intp)
         damps = np.isin(np.arange(links), acting)
         self.senses = 1.0 * (damps & np.array([damper.senses for damper in kinds], dtype=bool)[own])
-        steps, velocities = [of_steps(kind) for kind in kinds], [kind.of_velocities for kind in kinds]
-        self._of_steps, self._of_velocities = _padded(steps)[own], _padded(velocities)[own]
-        self.older, self.past = (
+        steps, velocities = [step_weights(kind) for kind in kinds], [kind.of_velocities for kind in kinds]
+        self._step_weights, self._velocity_weights = _padded(steps)[own], _padded(velocities)[own]
+        self.old_steps, self.old_rates = (
             [np.flatnonzero(damps & (depth[own] > lag)) for lag in range(depth.max(initial=0))]
             for depth in (np.array([len(one) - 1 for one in steps], int), np.array(list(map(len, velocities)), int))
         )
@@ -116,38 +115,38 @@ class Tick:
         self._scheme = None if is_centred(network) else SCHEMES[network.scheme]
         if self._scheme is not None:
             self.inside = np.isin(np.arange(links), inner := inner_links(network)) * 1.0
-            self._asks_channels = bool(touches_channel(network, inner).any())
+            self._needs_channels = bool(touches_channel(network, inner).any())
             self.rates, self.unit = self._rates_inside(sparse)
 
-    def forces(self, x: Rows, step: Rows, sensed: Rows, older: list[Rows], past: list[Rows]) -> tuple[Rows, Rows, Rows]:
+    def forces(self, x: Rows, step: Rows, sensed: Rows, steps: list[Rows], rates: list[Rows]) -> tuple[Rows, ...]:
         """Returns each link's pull from its first end to its second, N, its stretch, and its damper's velocity, m a
         step. ``x``, ``step``: positions and steps of the points. ``sensed``: velocities that the device senses.
-        ``older``, ``past``: memories of the dampers, by lag."""
+        ``steps``, ``rates``: memories of the dampers, by lag."""
         stretch, moved = self.stretches @ x, self.stretches @ step
         if self.senses.any():
             aside = self.stretches[:, : self._channels] @ (sensed - step[: self._channels])
             moved = moved + times(self.senses, aside)
-        rate = times(self._of_steps[:, 0], moved)
+        rate = times(self._step_weights[:, 0], moved)
         for lists, weights, first, memories in (
-            (self.older, self._of_steps, 1, older),
-            (self.past, self._of_velocities, 0, past),
+            (self.old_steps, self._step_weights, 1, steps),
+            (self.old_rates, self._velocity_weights, 0, rates),
         ):
             for lag, (links, memory) in enumerate(zip(lists, memories, strict=True), first):
                 rate = rate + spread(times(weights[links, lag], memory), links, len(self.senses))
         return times(self._network.stiffness, stretch) + times(self.damping, rate), stretch, rate
 
-    def masses(self, begun: dict[str, Rows], pull: Rows, pushed: Rows, unknown: Rows | None = None) -> tuple[Rows, ...]:
+    def masses(self, start: dict[str, Rows], pull: Rows, pushed: Rows, unknown: Rows | None = None) -> tuple[Rows, ...]:
         """Returns the changes of the masses' positions and steps, from the links' pulls and other forces ``pushed``
         (N). ``unknown``: rows that stand for the change of a scheme with no sparse one. The third part is then the
         right-hand side of (1 - share rates) unknown."""
         count, of_masses = self._masses, self.stretches[:, self._channels :].T
         if self._scheme is None:
             faster = times(self._unit_force, pushed - of_masses @ pull)
-            return begun["mass_step"] + faster, faster
+            return start["mass_step"] + faster, faster
         held = times(self._unit_force / self.unit, pushed - of_masses @ times(1.0 - self.inside, pull))
-        z = [begun["mass"], begun["mass_step"] / self.unit]
-        if self._asks_channels:
-            z += [begun["hand"] + begun["gain"], begun["gain"], self._sensed(begun)]
+        z = [start["mass"], start["mass_step"] / self.unit]
+        if self._needs_channels:
+            z += [start["hand"] + start["gain"], start["gain"], self._sensed(start)]
         z = stack(z)
         held = spread(held, np.arange(count, 2 * count), z.shape[0])
         if unknown is None:
@@ -155,39 +154,39 @@ class Tick:
             return change[:count], change[count : 2 * count] * self.unit
         return unknown[:count], unknown[count : 2 * count] * self.unit, self.rates @ z + held
 
-    def _sensed(self, begun: dict[str, Rows]) -> Rows:
+    def _sensed(self, start: dict[str, Rows]) -> Rows:
         """Sensed velocities of the channels, (C, .), m a step."""
-        sensed = begun["sensed"] + begun["speeding"] if "speeding" in begun else begun["sensed"]
+        sensed = start["sensed"] + start["sensed_step"] if "sensed_step" in start else start["sensed"]
         return spread(sensed / self._network.substeps, sensed_channels(self._network), self._channels)
 
-    def seen(self, begun: dict[str, Rows]) -> tuple[Rows, Rows, Rows]:
+    def seen(self, start: dict[str, Rows]) -> tuple[Rows, Rows, Rows]:
         """Returns what ``forces`` returns, at the instant when the hands have arrived."""
-        x, step = stack([begun["hand"] + begun["gain"], begun["mass"]]), stack([begun["gain"], begun["mass_step"]])
-        older, past = _by_lag(begun["older"], self.older), _by_lag(begun["past"], self.past)
-        return self.forces(x, step, self._sensed(begun), older, past)
+        x, step = stack([start["hand"] + start["gain"], start["mass"]]), stack([start["gain"], start["mass_step"]])
+        old_steps, old_rates = _by_lag(start["old_steps"], self.old_steps), _by_lag(start["old_rates"], self.old_rates)
+        return self.forces(x, step, self._sensed(start), old_steps, old_rates)
 
-    def step(self, begun: dict[str, Rows], pushed: Rows | None = None, unknown: Rows | None = None) -> dict[str, Rows]:
-        """Returns the change that a step makes in each part of ``begun``: hands arrive, links pull, masses move.
+    def step(self, start: dict[str, Rows], pushed: Rows | None = None, unknown: Rows | None = None) -> dict[str, Rows]:
+        """Returns the change that a step makes in each part of ``start``: hands arrive, links pull, masses move.
         ``pushed``: other forces on the masses, N. ``unknown``: as in ``masses``; its equation is then the part
         "unknown"."""
-        network, gain, still = self._network, begun["gain"], 0.0 * begun["sensed"]
-        pull, _, rate = self.seen(begun)
+        network, gain, still = self._network, start["gain"], 0.0 * start["sensed"]
+        pull, _, rate = self.seen(start)
         force = -(self.stretches[:, : self._channels].T @ pull)
-        pushed = 0.0 * begun["mass"] if pushed is None else pushed
-        more, faster, *equation = self.masses(begun, pull, pushed, unknown)
-        before = self.stretches @ stack([gain, more - faster]) if self.older else begun["older"]
+        pushed = 0.0 * start["mass"] if pushed is None else pushed
+        more, faster, *equation = self.masses(start, pull, pushed, unknown)
+        before = self.stretches @ stack([gain, more - faster]) if self.old_steps else start["old_steps"]
         out = {
             "hand": gain,
             "gain": 0.0 * gain,
-            "sensed": begun.get("speeding", still),
-            "speeding": still,
+            "sensed": start.get("sensed_step", still),
+            "sensed_step": still,
             "mass": more,
             "mass_step": faster,
-            "older": _shifted(before, self.older, begun["older"]),
-            "past": _shifted(rate, self.past, begun["past"]),
-            "force": force / network.substeps if network.decimation == "mean" else force - begun["force"],
+            "old_steps": _shifted(before, self.old_steps, start["old_steps"]),
+            "old_rates": _shifted(rate, self.old_rates, start["old_rates"]),
+            "force": force / network.substeps if network.decimation == "mean" else force - start["force"],
         }
-        return {name: out[name] for name in begun} | ({} if unknown is None else {"unknown": equation[0]})
+        return {name: out[name] for name in start} | ({} if unknown is None else {"unknown": equation[0]})
 
     def _rates_inside(self, sparse: bool) -> tuple[Rows, float]:
         """Returns the rates (N, N) and the unit of the steps: about the radians that the fastest motion turns in a
@@ -197,22 +196,22 @@ class Tick:
         ends = np.asarray(abs(self.stretches).sum(axis=1)).ravel()
         pace = self._unit_force * (abs(of_masses) @ (np.abs(stiffness) * ends))
         unit = max(1.0, float(np.sqrt(pace.max(initial=0.0))))
-        sizes = {"mass": count, "step": count, "hand": channels, "way": channels, "sensed": channels}
-        if not self._asks_channels:
-            sizes |= {"hand": 0, "way": 0, "sensed": 0}
+        sizes = {"mass": count, "step": count, "hand": channels, "last_step": channels, "sensed": channels}
+        if not self._needs_channels:
+            sizes |= {"hand": 0, "last_step": 0, "sensed": 0}
         z = cut(unit_rows(sum(sizes.values()), sparse), sizes)
         stretch, moved = of_masses.T @ z["mass"], of_masses.T @ (unit * z["step"])
-        if self._asks_channels:
+        if self._needs_channels:
             of_channels = self.stretches[:, :channels]
-            stretch, moved = stretch + of_channels @ z["hand"], moved + of_channels @ z["way"]
-            moved = moved + times(self.senses, of_channels @ (z["sensed"] - z["way"]))
+            stretch, moved = stretch + of_channels @ z["hand"], moved + of_channels @ z["last_step"]
+            moved = moved + times(self.senses, of_channels @ (z["sensed"] - z["last_step"]))
         pull = times(stiffness, stretch) + times(inside * self.damping, moved)
         faster = times(-self._unit_force / unit, of_masses @ pull)
-        return stack([unit * z["step"], faster, z["way"], 0.0 * z["way"], 0.0 * z["sensed"]]), unit
+        return stack([unit * z["step"], faster, z["last_step"], 0.0 * z["last_step"], 0.0 * z["sensed"]]), unit
 
 
 @lru_cache(64)
-def of_steps(damper: DamperModel) -> tuple[float, ...]:
+def step_weights(damper: DamperModel) -> tuple[float, ...]:
     """Weights of y[n] - y[n-1], y[n-1] - y[n-2], ... in a damper whose weights of positions add up to 0."""
     return tuple(np.cumsum(damper.of_positions)[:-1].tolist())
 

@@ -10,7 +10,7 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, device_step
 from hapsim.theory.interface import SAMPLINGS
 from hapsim.theory.network.network import Network, damping_links
-from hapsim.theory.rows import Rows, Tick, cut, of_steps, sensed_channels, stack, times, unit_rows
+from hapsim.theory.rows import Rows, Tick, cut, sensed_channels, stack, step_weights, times, unit_rows
 
 LARGE = 1000  # numbers in the state; above, the eigenvalues of the whole matrix take too long
 
@@ -36,32 +36,33 @@ class Sample:
             "hand": len(steps),
             "gain": len(steps),
             "sensed": self._sensed.size,
-            "speeding": self._sensed.size,
+            "sensed_step": self._sensed.size,
             "mass": network.point_mass.size,
             "mass_step": network.point_mass.size,
-            "older": self.sizes["older"],
-            "past": self.sizes["past"],
+            "old_steps": self.sizes["old_steps"],
+            "old_rates": self.sizes["old_rates"],
             "force": len(steps),
         }
         if network.substeps == 1:
-            del self.step_sizes["speeding"]
+            del self.step_sizes["sensed_step"]
 
     def points(self, state: dict[str, Rows]) -> Rows:
         """Positions as the computer reads them, (C + M)."""
         read = state["position"] - state["lag"] if state["lag"].shape[0] else state["position"]
         return stack([read, state["mass"]])
 
-    def begun(self, state: dict[str, Rows]) -> dict[str, Rows]:
+    def start(self, state: dict[str, Rows]) -> dict[str, Rows]:
         """Returns the state before the first step: the hands at their readings of one sample ago. Over the steps, hands
         and sensed velocities move evenly to the readings of now."""
         steps, read = self.network.substeps, self.points(state)[: len(self._motion)]
         sensed = state["mean_velocity"] if state["lag"].shape[0] else state["velocity"][self._sensed]
-        out = {"hand": read - state["way"], "gain": state["way"] / steps, "sensed": sensed}
+        out = {"hand": read - state["last_step"], "gain": state["last_step"] / steps, "sensed": sensed}
         if steps > 1:
-            out |= {"sensed": sensed - state["turn"], "speeding": state["turn"] / steps}
-        return out | {name: state[name] for name in ("mass", "mass_step", "older", "past")} | {"force": 0.0 * read}
+            out |= {"sensed": sensed - state["sensed_change"], "sensed_step": state["sensed_change"] / steps}
+        same = {name: state[name] for name in ("mass", "mass_step", "old_steps", "old_rates")}
+        return out | same | {"force": 0.0 * read}
 
-    def ended(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
+    def state_change(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
         """Returns the change of the state over a whole sample whose steps are ``moved``; ``pushed``: other forces on
         the channels, N."""
         network, x, v = self.network, state["position"], state["velocity"]
@@ -77,18 +78,18 @@ class Sample:
             return out
 
         new = {"position": row(0), "mass": moved["mass"], "velocity": row(1), "mass_step": moved["mass_step"]}
-        way = new["position"]
+        last_step = new["position"]
         if averaged := state["lag"].shape[0]:
             new["lag"] = row(2) - state["lag"]
-            way = way - new["lag"]
-        new["way"] = way - state["way"]
+            last_step = last_step - new["lag"]
+        new["last_step"] = last_step - state["last_step"]
         turned = new["velocity"][self._sensed]
         if averaged:
             turned = new["mean_velocity"] = row(3)[self._sensed] - state["mean_velocity"]
         if network.substeps > 1:
-            new["turn"] = turned - state["turn"]
+            new["sensed_change"] = turned - state["sensed_change"]
         new["held"] = stack(ranks)[: self.sizes["held"]] - state["held"]
-        new |= {name: moved[name] for name in ("older", "past")}
+        new |= {name: moved[name] for name in ("old_steps", "old_rates")}
         return stack([new[name] for name in self.sizes if name in new])
 
 
@@ -115,13 +116,13 @@ def sizes_of(network: Network) -> dict[str, int]:
         "mass": masses,
         "velocity": channels,
         "lag": channels * averaged,
-        "way": channels,
+        "last_step": channels,
         "mean_velocity": sensed * averaged,
-        "turn": sensed * stepped,
+        "sensed_change": sensed * stepped,
         "mass_step": masses,
         "held": sum(step.forces.shape[1] - 1 for step in channel_steps(network)),
-        "older": sum(len(of_steps(damper)) - 1 for damper in dampers),
-        "past": sum(len(damper.of_velocities) for damper in dampers),
+        "old_steps": sum(len(step_weights(damper)) - 1 for damper in dampers),
+        "old_rates": sum(len(damper.of_velocities) for damper in dampers),
     }
 
 
@@ -142,16 +143,16 @@ def loop(network: Network, inputs: bool = False, sparse: bool = False) -> Loop:
     size, points = sum(sample.sizes.values()), network.channel_mass.size + network.point_mass.size
     one = unit_rows(size + points * inputs, sparse)
     state, pushed = cut(one[:size], sample.sizes), one[size:] if inputs else None
-    begun, channels = sample.begun(state), network.channel_mass.size
+    start, channels = sample.start(state), network.channel_mass.size
     if network.substeps == 1:
-        moved = sample.tick.step(begun, None if pushed is None else pushed[channels:])
+        moved = sample.tick.step(start, None if pushed is None else pushed[channels:])
     else:
-        moved = cut(_power(step_of(sample), network.substeps) @ stack([*begun.values()]), sample.step_sizes)
-    whole = sample.ended(state, moved, None if pushed is None else pushed[:channels])
+        moved = cut(_power(step_of(sample), network.substeps) @ stack([*start.values()]), sample.step_sizes)
+    whole = sample.state_change(state, moved, None if pushed is None else pushed[:channels])
     read = sample.points(state)[:, :size]
     if not inputs:
         return Loop(whole, read)
-    _, stretch, rate = sample.tick.seen(begun)
+    _, stretch, rate = sample.tick.seen(start)
     stretches = stretch[:, :size], rate[:, :size]
     return Loop(whole[:, :size], read, whole[:, size:], moved["force"][:, :size], stretches)
 

@@ -16,7 +16,7 @@ from hapsim.theory.arrays import Floats
 
 TAYLOR_TERMS = 18  # for a norm of 1: beyond rounding
 FASTEST = 1000.0  # limit of the radians in a sample period, about, for twelve digits of a sparse exponential
-NOTHING = 1e-18  # smaller entries of a sparse exponential are dropped
+LEAST_ENTRY = 1e-18  # smaller entries of a sparse exponential are dropped
 MOST_ENTRIES = 10_000_000  # in a sparse exponential; more would take over a minute
 
 
@@ -44,7 +44,7 @@ def in_a_matrix(link: LinkNature) -> bool:
     return link.in_a_matrix and not link.at_channel
 
 
-def at_every_instant(link: LinkNature) -> bool:
+def between_samples(link: LinkNature) -> bool:
     """Returns whether a scheme that needs forces at several instants of a sample period can compute this link's."""
     return link.memoryless
 
@@ -80,13 +80,13 @@ def exactly(rates: Any, z: Any, held: Any) -> Any:
     """
     size = float(abs(rates).sum(axis=1).max()) if rates.shape[0] else 0.0
     if isinstance(rates, np.ndarray):
-        trimmed, one = _whole, np.eye(len(rates))
+        trimmed, one = _keep, np.eye(len(rates))
         if not math.isfinite(size):
             return np.full(z.shape, np.nan)
     else:
         from scipy.sparse import eye
 
-        trimmed, one = _trimmed, eye(rates.shape[0], format="csr")
+        trimmed, one = _trim, eye(rates.shape[0], format="csr")
         if not size <= FASTEST:
             raise NotWorkedOutError("its fastest motion is too fast for the rate")
     halvings = math.ceil(math.log2(max(size, 1.0)))
@@ -101,12 +101,12 @@ def exactly(rates: Any, z: Any, held: Any) -> Any:
     return flow @ z + mean @ held
 
 
-def _whole(matrix: Floats) -> Floats:
+def _keep(matrix: Floats) -> Floats:
     return matrix
 
 
-def _trimmed(matrix: Any) -> Any:
-    matrix.data[np.abs(matrix.data) < NOTHING] = 0.0
+def _trim(matrix: Any) -> Any:
+    matrix.data[np.abs(matrix.data) < LEAST_ENTRY] = 0.0
     matrix.eliminate_zeros()
     if matrix.nnz > MOST_ENTRIES:
         raise NotWorkedOutError("each of its masses moves too many others in a sample period")
@@ -124,7 +124,7 @@ SCHEMES: dict[str, Scheme | None] = {
     "cordis": None,
     "semi_implicit": None,  # v[n+1] = v[n] + T F[n]/m, x[n+1] = x[n] + T v[n+1]: equals CORDIS's scheme
     "midpoint": Scheme(0.5, in_a_matrix),  # every exp(s T) becomes (1 + s T/2)/(1 - s T/2)
-    "rk4": Scheme(_rk4, at_every_instant),
+    "rk4": Scheme(_rk4, between_samples),
     "exact": Scheme(exactly, in_a_matrix),
 }
 """Schemes by name; None: CORDIS's scheme, m/T² (x[n+1] - 2 x[n] + x[n-1]) = F[n] for every mass."""

@@ -19,7 +19,7 @@ from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import transition
-from hapsim.theory.network.network import BACKWARD, inner_links, remembers_nothing
+from hapsim.theory.network.network import BACKWARD, inner_links, is_memoryless
 from hapsim.theory.rows import cut
 from hapsim.theory.sample import Sample
 from hapsim.theory.schemes import SCHEMES as THEORY
@@ -195,7 +195,7 @@ def test_the_kernel_remembers_what_the_theory_says_that_it_does() -> None:
         for name, one in scene.links.items()
     }
     linear = {name: one.law().linear() for name, one in scene.links.items()}
-    remember = {name for name, one in linear.items() if not (one.memoryless and remembers_nothing(dampers[name]))}
+    remember = {name for name, one in linear.items() if not (one.memoryless and is_memoryless(dampers[name]))}
     assert remembering(scene) == remember != set()
     in_a_matrix = {name for name, one in linear.items() if one.in_a_matrix}
     assert {scene.links[name].type for name in in_a_matrix} == {"viscoelastic", "spring", "damper"}

@@ -14,7 +14,7 @@ from hapsim.loop.endings import RECEIVED
 from hapsim.loop.guards.travel import OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED, LIMITED
 from hapsim.measuring.measure import pushes
-from hapsim.prediction.force_bounds import fade_stiffness, refused_travel
+from hapsim.prediction.force_bounds import fade_stiffness, travel_error
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run
 from hapsim.running.requirements import require_known_zero
@@ -194,7 +194,7 @@ def test_the_band_that_is_accepted_does_not_shake_a_hand(share: float, grows: bo
     mock = {"initial": {"position": LIMIT + 0.5 * MARGIN + 2e-6}, "hand": hand}
     scene = scene_of(stiffness=1e6, damping=0.0, mock=mock, device={**BAND, "force_limit": force})
     far = {"wall": scene.modules["wall"].model_copy(update={"position": 1.0})}
-    assert (refused_travel(scene) != "") is grows
+    assert (travel_error(scene) != "") is grows
     wide = scene.device.model_copy(update={"travel_margin": MARGIN})
     trace = unjudged(scene.model_copy(update={"device": wide, "modules": {**scene.modules, **far}}))
     swing = np.abs(trace.position[:, 0] - LIMIT - 0.5 * MARGIN)
@@ -204,7 +204,7 @@ def test_the_band_that_is_accepted_does_not_shake_a_hand(share: float, grows: bo
 def unjudged(scene: Scene) -> Trace:
     """A run that no prediction refuses."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hapsim.running.requirements.refused_travel", lambda _: "")
+        patch.setattr("hapsim.running.requirements.travel_error", lambda _: "")
         return run(scene, duration=0.5)
 
 
@@ -212,10 +212,10 @@ def test_a_band_that_is_too_narrow_is_refused_before_anything_is_armed() -> None
     scene = scene_of(device={"travel": [-0.05, 0.05], "travel_margin": 0.002})
     with pytest.raises(UsageError, match=r"of up to 10 N fades over 0\.002 m.* 5000 N/m .* at least 0\.00248 m"):
         run(scene, duration=0.1)
-    assert not refused_travel(scene_of(device={"travel": [-0.05, 0.05], "travel_margin": 0.00248}))
-    assert not refused_travel(scene_of(device={"travel": [-0.05, 0.05], "friction": 0.0}))
+    assert not travel_error(scene_of(device={"travel": [-0.05, 0.05], "travel_margin": 0.00248}))
+    assert not travel_error(scene_of(device={"travel": [-0.05, 0.05], "friction": 0.0}))
     two = scene_of(2, device={"travel": [[-0.05, 0.05], [0.0, 0.001]]})
-    assert "over 0.0001 m on channel 1, " in refused_travel(two)
+    assert "over 0.0001 m on channel 1, " in travel_error(two)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from hapsim.prediction.predict_impedance import mean_width, predict_impedance, z
 from hapsim.recording.trace import Trace
 from hapsim.running import run
 from hapsim.scene import Scene, Span, load_scene, parse_scene
-from hapsim.theory.interface import late_and_held
+from hapsim.theory.interface import delay_and_hold
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SHIPPED = ("first_touch", "paper_6_2_one_sample", "sensed_velocity", "sprung_device", "held_string", "two_hands")
@@ -205,7 +205,7 @@ def test_an_instant_of_the_hold_and_the_delay_are_those_of_the_theory() -> None:
     theta = 2.0 * np.pi * f / 1000.0
     for hold, sampling, delay in itertools.product(HOLDS, ("ideal", "average"), (0.0, 0.4, 1.0, 2.0)):
         found = Converters(hold, sampling).response(f, 1000.0, delay)
-        np.testing.assert_allclose(found, late_and_held(theta, delay, hold, sampling), rtol=1e-12)
+        np.testing.assert_allclose(found, delay_and_hold(theta, delay, hold, sampling), rtol=1e-12)
 
 
 def test_impulses_averages_and_fractions_of_a_delay_agree_too() -> None:

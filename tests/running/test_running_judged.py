@@ -43,7 +43,7 @@ def varied(scene: Scene, chance: random.Random) -> Scene:
 def by_poles(scene: Scene) -> Shaking | None:
     """Returns the unstable motion by every pole, without squares of the transition."""
     judge = Prediction(scene, wherever=True).judge
-    judge.dies_out = False
+    judge.decays = False
     return judge.shaking
 
 

@@ -14,7 +14,7 @@ from hapsim.errors import GuardError, UsageError
 from hapsim.live.hub import predicted
 from hapsim.live.messages import Predict
 from hapsim.prediction import predict, surely_shaken_by, warnings_about
-from hapsim.prediction.timing import on_wire, samples_if_late, samples_on_wire, wire_of
+from hapsim.prediction.timing import least_late_samples, on_wire, samples_on_wire, wire_of
 from hapsim.running import run
 from hapsim.scene import Scene, parse_scene
 from hapsim.sweeping.quantities import Task
@@ -190,8 +190,8 @@ def test_no_other_is(share: float, damping: float, unstable: bool | None) -> Non
 def test_a_question_and_its_answer_tell_how_late_the_late_ones_are() -> None:
     scene = scene_of(1000.0, clock="device")
     for seconds, samples in ((0.0, 2), (0.0019, 2), (0.0031, 3), (0.0161, 16), (5.0, 21)):
-        assert samples_if_late(scene, seconds) == samples
-    assert samples_if_late(scene_of(1000.0), 0.0161) == 2  # in virtual time it says nothing
+        assert least_late_samples(scene, seconds) == samples
+    assert least_late_samples(scene_of(1000.0), 0.0161) == 2  # in virtual time it says nothing
 
 
 @pytest.mark.parametrize("rate", [500.0, 1000.0])

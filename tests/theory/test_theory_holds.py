@@ -13,7 +13,7 @@ from hapsim.holds import HOLDS, Piece, Term
 from hapsim.theory import Configuration, Network, solve
 from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import device_step
-from hapsim.theory.interface import SAMPLINGS, Sampling, damper_named, hold_lag, hold_segments, late_and_held
+from hapsim.theory.interface import SAMPLINGS, Sampling, damper_named, delay_and_hold, hold_lag, hold_segments
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from device_answer import channel_answer
@@ -64,7 +64,7 @@ def test_its_poles_are_those_of_its_motion(hold: str, sampling: str, delay: floa
 @pytest.mark.parametrize("hold", HOLDS | UNSHIPPED)
 def test_its_lag_is_what_its_transfer_function_says(hold: str) -> None:
     theta = 1e-3
-    through = late_and_held(np.array([theta]), 0.0, hold, "ideal")[0]
+    through = delay_and_hold(np.array([theta]), 0.0, hold, "ideal")[0]
     assert abs(through) == pytest.approx(1.0, abs=1e-6)
     assert hold_lag(hold) == pytest.approx(-np.angle(through) / theta, abs=1e-6)
 

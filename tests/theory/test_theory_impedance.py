@@ -13,7 +13,7 @@ from hapsim.dampers import DAMPERS, DamperModel
 from hapsim.holds import HOLDS
 from hapsim.theory import Configuration, Network
 from hapsim.theory.hand.configuration import stiffest_passive, stiffest_stable
-from hapsim.theory.interface import SAMPLINGS, damper_named, late_and_held
+from hapsim.theory.interface import SAMPLINGS, damper_named, delay_and_hold
 from hapsim.theory.network.impedance import desired_impedance, loop_impedance
 from hapsim.theory.sample import loop
 from hapsim.theory.schemes import SCHEMES
@@ -63,11 +63,11 @@ def test_the_closed_loop_is_what_the_transition_makes_of_an_added_force(damper: 
     network = two_hands(damper=own, hold=hold, sampling=sampling)
     theta = 2.0 * np.pi * F / RATE
     stiffness = np.array([rendered_stiffness(network, z) for z in np.exp(1j * theta)])
-    expected = stiffness * (late_and_held(theta, 1.3, hold, sampling) / S)[:, None, None]
+    expected = stiffness * (delay_and_hold(theta, 1.3, hold, sampling) / S)[:, None, None]
     np.testing.assert_allclose(loop_impedance(network, F).rendered, expected, rtol=1e-10)
     sparse = chain(30, own[0], hold, sampling)
     expected = np.array([rendered_stiffness(sparse, z) for z in np.exp(1j * theta)])[:, 0, 0]
-    through = late_and_held(theta, 1.3, hold, sampling) / S
+    through = delay_and_hold(theta, 1.3, hold, sampling) / S
     np.testing.assert_allclose(loop_impedance(sparse, F).rendered[:, 0, 0], expected * through, rtol=1e-10)
 
 

@@ -205,7 +205,7 @@ class TestReasons:
         ideal = configuration(delay=0.0, hold="impulse")
         assert "changes its sign" in ideal.why_no_equivalent(3.9 * STIFFNESS_UNIT, 1.5 * DAMPING_UNIT)
         late = configuration(delay=0.0)
-        assert "single creep" in late.why_no_equivalent(0.01 * STIFFNESS_UNIT, 1.8 * DAMPING_UNIT)
+        assert "motion creeps" in late.why_no_equivalent(0.01 * STIFFNESS_UNIT, 1.8 * DAMPING_UNIT)
 
 
 def test_large_grids_are_worked_out_in_parts_and_come_out_the_same() -> None:

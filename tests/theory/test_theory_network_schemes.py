@@ -12,7 +12,7 @@ from hapsim.theory import Network, NotWorkedOutError, margins_of, sample, solve
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import is_large, transition
 from hapsim.theory.network.large_loop import sparse_transition
-from hapsim.theory.schemes import SCHEMES, Scheme, at_every_instant, in_a_matrix
+from hapsim.theory.schemes import SCHEMES, Scheme, between_samples, in_a_matrix
 
 RATE = 1000.0
 
@@ -23,7 +23,7 @@ def heun(rates: Any, z: Any, held: Any) -> Any:
 
 
 #: Schemes that hapsim does not ship, of what a scheme can say of itself.
-OTHERS = {"implicit Euler": Scheme(1.0, in_a_matrix), "Heun": Scheme(heun, at_every_instant)}
+OTHERS = {"implicit Euler": Scheme(1.0, in_a_matrix), "Heun": Scheme(heun, between_samples)}
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ from hapsim.scene import Scene
 from hapsim.theory import Configuration, Network, NotWorkedOutError, sample, solve
 from hapsim.theory.device_step import device_step
 from hapsim.theory.hand.configuration import stiffest_passive, stiffest_stable
-from hapsim.theory.interface import damper_named, late_and_held
+from hapsim.theory.interface import damper_named, delay_and_hold
 from hapsim.theory.network import large_loop, large_modes, transition
 from hapsim.theory.network.impedance import loop_impedance
 from hapsim.theory.network.large_loop import sparse_transition
@@ -287,7 +287,7 @@ class TestSpringLag:
         z = np.exp(2j * np.pi * f / RATE)
         position = np.array([1.0 - (substeps - j) / substeps * (1.0 - 1.0 / z) for j in range(1, substeps + 1)])
         force = 2000.0 * position.mean(axis=0) + 5.0 * RATE * (1.0 - 1.0 / z)
-        through = late_and_held(2.0 * np.pi * f / RATE, one.delay, one.hold, one.sampling)
+        through = delay_and_hold(2.0 * np.pi * f / RATE, one.delay, one.hold, one.sampling)
         np.testing.assert_allclose(rendered, force * through / (2j * np.pi * f), rtol=1e-12)
         if one.hold == "zoh":
             shifted = replace(one, spring_lag=0.0).needed_friction(2000.0, 5.0 - 2000.0 * one.spring_lag / RATE)

@@ -147,13 +147,13 @@ def _clip_to_step(slew, channel, counts):
 
 def _set_up(loop: Any, setting: Setting) -> Any:
     """Fills the SLEW of a LOOP. Raises UsageError if a step would be less than a count."""
-    from hapsim.prediction.force_bounds import ONE_PERIOD, below_a_count
+    from hapsim.prediction.force_bounds import ONE_PERIOD, slew_step_error
 
     slew, scene, description, bounds = loop.slew, setting.scene, setting.description, setting.bounds
     is_limited = math.isfinite(bounds.slew_limit)
     if not is_limited and bounds.soft_start_s <= 0.0:
         return None
-    if is_limited and (why := below_a_count(scene, description.force_scale)):
+    if is_limited and (why := slew_step_error(scene, description.force_scale)):
         raise UsageError(why)
     with np.errstate(over="ignore"):
         counts = np.floor(bounds.slew_limit * scene.period / np.array(description.force_scale) * ONE_PERIOD)

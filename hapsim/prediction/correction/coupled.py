@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hapsim.prediction.correction.kind import Port, shared_out, with_modules
+from hapsim.prediction.correction.kind import Port, distribute, with_modules
 from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.scene import Scene
 from hapsim.scene.choices import DamperScheme
@@ -70,7 +70,7 @@ def match_modes(
     def poles_with(elements: Floats) -> Complexes:
         changed: dict[str, Module] = {}
         for port, (K, B) in zip(ports, elements.tolist(), strict=True):
-            changed |= shared_out(port, K, B, damper)
+            changed |= distribute(port, K, B, damper)
         return poles_of(_network(with_modules(as_seen, changed)))
 
     def off(x: Floats) -> Floats:

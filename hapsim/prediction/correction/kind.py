@@ -118,7 +118,7 @@ def as_viscoelastic(link: Link) -> ViscoElastic:
     return ViscoElastic(between=link.between, stiffness=stiffness, damping=damping)
 
 
-def shared_out(port: Port, stiffness: float, damping: float, damper: DamperScheme | None) -> dict[str, ViscoElastic]:
+def distribute(port: Port, stiffness: float, damping: float, damper: DamperScheme | None) -> dict[str, ViscoElastic]:
     """Returns the linear links of the port with the sums K and B (N/m, N·s/m), each with its share of the scene's. If
     no link has a stiffness (or damping), the shares are those of the other quantity."""
     updates = {}

@@ -16,14 +16,14 @@ from hapsim.prediction.correction.kind import (
     CorrectionKind,
     Observer,
     Port,
+    distribute,
     observer_of,
     ports_of,
     predictor_for,
-    shared_out,
     with_modules,
     without_delay,
 )
-from hapsim.prediction.linear import configuration_of, hand_of, linear_scene, why_coupled, with_device
+from hapsim.prediction.linear import configuration_of, coupling_reason, hand_of, linear_scene, with_device
 from hapsim.prediction.timing import on_wire
 from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
@@ -125,20 +125,20 @@ class _Correction:
         self.linear, self.ports = linear_scene(scene), ports_of(scene)
         self.spans = scene.device.mass_spans(scene.channels)
         self.declared = {port.name: hand_of(scene, self.linear, port.name)[0] for port in self.ports}
-        self.why_coupled = {port.name: why_coupled(scene, self.linear, port.name) for port in self.ports}
+        self.coupling_reason = {port.name: coupling_reason(scene, self.linear, port.name) for port in self.ports}
 
     def rendering(self) -> Rendering:
         """Returns the corrected scene, with notes on parts that the correction does not cover."""
         notes: list[str] = []
         elements: dict[str, Element] = {}
         schedules: dict[str, Schedule] = {}
-        are_small = any(self.why_coupled.values()) and is_small(self.scene)
-        for port in (one for one in self.ports if not self.why_coupled[one.name] or not are_small):
+        are_small = any(self.coupling_reason.values()) and is_small(self.scene)
+        for port in (one for one in self.ports if not self.coupling_reason[one.name] or not are_small):
             schedule = self.schedule(port) if self.kind.adapts else None
             if schedule is not None:
                 schedules[port.name] = schedule
             elements[port.name] = self.lone(port) if schedule is None else schedule.elements[0]
-            if why := self.why_coupled[port.name]:
+            if why := self.coupling_reason[port.name]:
                 notes.append(
                     f"{port.name} {why}: its neighbours are assumed fixed, because the scene has more than "
                     f"{MOST_STATES} numbers in its state"
@@ -159,7 +159,7 @@ class _Correction:
             Corrected(
                 name=port.name,
                 channel=port.channel,
-                desired=(math.nan, math.nan) if self.why_coupled[port.name] else self.desired(port),
+                desired=(math.nan, math.nan) if self.coupling_reason[port.name] else self.desired(port),
                 written=(port.stiffness, port.damping),
                 element=settled[port.name],
                 declared=self.declared[port.name],
@@ -186,7 +186,7 @@ class _Correction:
         for port in self.ports:
             if port.name in elements:
                 element = elements[port.name]
-                changed |= shared_out(port, element.stiffness, element.damping, self.kind.with_damper)
+                changed |= distribute(port, element.stiffness, element.damping, self.kind.with_damper)
                 changed |= self.contacts(port, element)
         return with_modules(self.scene, changed)
 
@@ -259,15 +259,15 @@ class _Correction:
             why = (
                 f"no stiffness and damping at {names} places the slowest mode as desired: neighbours are assumed fixed"
             )
-            return [why, *self.over_the_spans(ports, elements)]
+            return [why, *self.span_notes(ports, elements)]
         masses = self.scene.device.masses(self.scene.channels)
         found, is_reached = matched
         for port, (K, B) in zip(ports, found, strict=True):
             elements[port.name] = Element(K, B, masses[port.channel], is_reached)
         near = f"no stiffness and damping at {names} places the slowest modes exactly as desired: the nearest are used"
-        return [*([] if is_reached else [near]), *self.over_the_spans(ports, elements)]
+        return [*([] if is_reached else [near]), *self.span_notes(ports, elements)]
 
-    def over_the_spans(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
+    def span_notes(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
         """Returns notes on hands that move more than themselves and whose mass is a span: they are placed for its
         middle."""
         open_ports = [port for port in ports if self.spans[port.channel][0] < self.spans[port.channel][1]]

@@ -28,14 +28,14 @@ from hapsim.theory.hand.poles import (
     LeadingPair,
     all_poles,
     all_within,
-    quietly_in_blocks,
-    why_not_dominant,
+    broadcast_in_blocks,
+    dominance_reasons,
 )
 from hapsim.theory.hand.wall_passivity import needed_friction
-from hapsim.theory.interface import SAMPLINGS, damper_gain, damper_named, hold_lag, late_and_held
+from hapsim.theory.interface import SAMPLINGS, damper_gain, damper_named, delay_and_hold, hold_lag
 
 MOST_EIGENVALUES = 8  # poles; beyond, a stable interval is sought without eigenvalues, which take too long
-_quietly = np.errstate(all="ignore")  # numbers out of range become NaN
+_no_warnings = np.errstate(all="ignore")  # numbers out of range become NaN
 
 
 @dataclass(frozen=True)
@@ -109,13 +109,13 @@ class Configuration:
         """m/T in N·s/m: the damping that is 1 in the paper's normalised units (§6)."""
         return self.mass * self.rate
 
-    @_quietly
+    @_no_warnings
     def normalised(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
         """(K T²/m, B T/m), the paper's units (§6), of stiffnesses in N/m and dampings in N·s/m."""
         kappa, beta = self._normalised(K, B)
         return kappa[()], beta[()]
 
-    @quietly_in_blocks
+    @broadcast_in_blocks
     def simulated(self, k: ArrayLike, b: ArrayLike, *, dominant: bool = True) -> tuple[Floats, Floats]:
         """Returns the simulated (K, B) that the hand feels as the real (k, b): the paper's Figure 4, in closed form.
 
@@ -134,7 +134,7 @@ class Configuration:
         K, B = K * self.stiffness_unit, B * self.damping_unit
         return np.where(good, K, np.nan), np.where(good, B, np.nan)
 
-    @quietly_in_blocks
+    @broadcast_in_blocks
     def equivalent(self, K: ArrayLike, B: ArrayLike) -> tuple[Floats, Floats]:
         """Returns the real (k, b) that the hand feels for a simulated (K, B) (Florens et al., §5), N/m and N·s/m. It is
         read from the slowest-decaying pair of poles, a complex pair or two positive real ones: s = ln(z)/T, k = m s1
@@ -146,19 +146,19 @@ class Configuration:
         b = np.where(lead.dominant, sigma * self.damping_unit, np.nan)
         return k, b
 
-    @quietly_in_blocks
+    @broadcast_in_blocks
     def dominant(self, K: ArrayLike, B: ArrayLike) -> Bools:
         """Returns whether the slowest poles are a complex pair or two positive real ones, and all others decay
         faster."""
         return self._solved(K, B)[0].dominant
 
-    @quietly_in_blocks
+    @broadcast_in_blocks
     def dominant_poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
         """Dominant pair (..., 2) in the z-plane, from which ``equivalent`` is read; NaN where ``dominant`` is False."""
         lead, poles = self._solved(K, B)
         return np.where(lead.dominant[:, None], poles[:, :2], np.nan)
 
-    @quietly_in_blocks
+    @broadcast_in_blocks
     def poles(self, K: ArrayLike, B: ArrayLike) -> Complexes:
         """Poles (..., N) of the loop in the z-plane, by decreasing modulus. N is 2 for the impulse hold with ideal
         sampling and no delay. It is one more for each whole sample of delay, for a fraction of one, for the zero-order
@@ -169,7 +169,7 @@ class Configuration:
         """Largest modulus of a pole: below 1 every motion decays."""
         return np.abs(self.poles(K, B)[..., 0])
 
-    @quietly_in_blocks
+    @broadcast_in_blocks
     def is_stable(self, K: ArrayLike, B: ArrayLike) -> Bools:
         """Returns whether every motion decays (Florens et al., §6.2: the limit is the curve b = 0). Where ``dominant``
         is True the test is k > 0 and b > 0, since the spectral radius of a slow motion rounds to 1."""
@@ -179,7 +179,7 @@ class Configuration:
         held = (np.asarray(K) != 0.0) | (self.stiffness != 0.0)  # otherwise a pole is 1
         return np.where(lead.dominant, restores & (lead.p > lead.q), held & (np.abs(poles[:, 0]) < 1.0))
 
-    @_quietly
+    @_no_warnings
     def is_passive(self, K: ArrayLike, B: ArrayLike) -> Bools:
         """Returns whether the wall gives no energy to any hand: K >= 0 and a friction above ``needed_friction``.
 
@@ -189,7 +189,7 @@ class Configuration:
         needed = self.needed_friction(K, B)
         return ((np.asarray(K, dtype=float) >= 0.0) & (self.friction > needed))[()]
 
-    @_quietly
+    @_no_warnings
     def needed_friction(self, K: ArrayLike, B: ArrayLike) -> Floats:
         """Real friction, N·s/m, above which a wall (K, B) is passive (Colgate and Schenkel, 1997).
 
@@ -215,7 +215,7 @@ class Configuration:
         needed = needed_friction(self.period * K.ravel(), damping.ravel(), self.delay, self.normalised_loop.damper)
         return needed.reshape(K.shape)[()]
 
-    @_quietly
+    @_no_warnings
     def stability_limit(self, frequency: ArrayLike) -> tuple[Floats, Floats]:
         """Element (K, B) with which the hand oscillates without decay at a frequency in Hz: the curve b = 0 (§6.2),
         closed form. NaN from the Nyquist frequency on, and where another pole of the loop lies outside the unit
@@ -223,19 +223,19 @@ class Configuration:
         k = self.mass * (2.0 * np.pi * np.asarray(frequency, dtype=float)) ** 2
         return self.simulated(k, 0.0)
 
-    @_quietly
+    @_no_warnings
     def stable_stiffness(self, B: ArrayLike) -> tuple[Floats, Floats]:
         """Lowest interval (least, most) of K, N/m, in which the loop is stable for B in N·s/m; NaN if there is none."""
         least, most = self._stable_interval(0, self._normalised(0.0, B)[1])
         return (least * self.stiffness_unit)[()], (most * self.stiffness_unit)[()]
 
-    @_quietly
+    @_no_warnings
     def stable_damping(self, K: ArrayLike) -> tuple[Floats, Floats]:
         """Lowest interval (least, most) of B, N·s/m, in which the loop is stable for K in N/m; NaN if there is none."""
         least, most = self._stable_interval(1, self._normalised(K, 0.0)[0])
         return (least * self.damping_unit)[()], (most * self.damping_unit)[()]
 
-    @_quietly
+    @_no_warnings
     def linear_stiffness_limit(self, B: ArrayLike) -> Floats:
         """Largest stiffness near the origin, (b0 + B)/(T/2 + delay T), N/m; too large as B grows (Gil et al., 2004).
         T/2 is the zero-order hold's mean delay; averaged sampling adds as much, ``spring_lag`` its own, and the impulse
@@ -243,7 +243,7 @@ class Configuration:
         lag = self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag + self.spring_lag
         return ((self.friction + np.asarray(B, dtype=float)) / (lag * self.period))[()]
 
-    @_quietly
+    @_no_warnings
     def fold(self, decay: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
         """Fold of the map (K, B) -> (k, b) as (K, B, k, b), N/m and N·s/m. There the faster pole of the dominant pair
         is a double one; on the far side no spring and damper is equivalent. The parameter of the curve is the ``decay``
@@ -255,7 +255,7 @@ class Configuration:
         k, b = slow * fast * self.stiffness_unit, (slow + fast) * self.damping_unit
         return tuple(value.reshape(decay.shape)[()] for value in (K, B, k, b))  # type: ignore[return-value]
 
-    @_quietly
+    @_no_warnings
     def impedance(self, K: ArrayLike, B: ArrayLike, frequency: ArrayLike) -> Complexes:
         """Felt impedance, force over velocity in N·s/m, at a frequency in Hz (the paper's Figure 2). It includes the
         device's friction and spring, but not its mass, and of a held force only the part at the frequency itself. NaN
@@ -264,18 +264,18 @@ class Configuration:
         jw, theta = 2j * np.pi * f, 2.0 * np.pi * f * self.period
         damping = np.asarray(B) - self.spring_lag * self.period * np.asarray(K)
         element = np.asarray(K) / jw + damping * damper_gain(self.normalised_loop.damper, theta)
-        rendered = element * late_and_held(theta, self.delay, self.hold, self.sampling)
+        rendered = element * delay_and_hold(theta, self.delay, self.hold, self.sampling)
         rendered = rendered + self.friction + self.stiffness / jw
         return np.where((theta > 0.0) & (theta < np.pi), rendered, np.nan)[()]
 
-    @quietly_in_blocks
+    @broadcast_in_blocks
     def why_no_equivalent(self, K: ArrayLike, B: ArrayLike) -> NDArray[np.str_]:
         """Reason why ``equivalent`` is NaN; "" where it is not."""
         lead, poles = self._solved(K, B)
-        words = why_not_dominant(poles, lead.dominant)
+        words = dominance_reasons(poles, lead.dominant)
         return words if self._own_swing_is_seen else np.full(words.shape, OWN_ABOVE_NYQUIST)
 
-    @_quietly
+    @_no_warnings
     def characteristic(self, K: ArrayLike, B: ArrayLike) -> Floats:
         """Coefficients (..., N + 1) of the monic characteristic polynomial in z, highest power first. The polynomial is
         the paper's P K + Q B + R (§6) divided by its leading coefficient."""

@@ -32,8 +32,8 @@ class LoneHand(NamedTuple):
 
     ``moving``: places of position and velocity in the state; without forces they move by the factor w² + p w + q. Each
     other place reads only those before it: the ``held`` forces, newest first; the memory of ``averaged`` sampling;
-    ``way``, the last step of the reading; and the memories of the damper. ``numerator``, ``lead``: a force f is read as
-    y = f numerator(z)/(z^lead (w² + p w + q)). ``polynomials`` (3, N + 1): parts of the characteristic polynomial in z,
+    ``last_step`` of the reading; and the memories of the damper. ``numerator``, ``lead``: a force f is read as y =
+    f numerator(z)/(z^lead (w² + p w + q)). ``polynomials`` (3, N + 1): parts of the characteristic polynomial in z,
     highest power first: the part that does not depend on the element, and the factors of kappa and beta.
     """
 
@@ -49,7 +49,7 @@ class LoneHand(NamedTuple):
     moving: tuple[int, int]
     held: list[int]
     averaged: list[int]
-    way: int
+    last_step: int
     memories: list[int]
     numerator: Floats
     lead: int
@@ -75,24 +75,24 @@ def lone_hand(
     parts = cut(np.arange(len(found.change)), sizes)
     push, reads = found.push[:, 0], np.concatenate(found.stretches)
     change = found.change + UNFELT * np.outer(push, reads[1])
-    (x,), (v,), (way,) = (parts[name].tolist() for name in ("position", "velocity", "way"))
+    (x,), (v,), (last_step,) = (parts[name].tolist() for name in ("position", "velocity", "last_step"))
     read = list(np.flatnonzero(reads.any(axis=0)))
     for row in read:  # and the places that these read, while the list grows
         read += [at for at in np.flatnonzero(change[row]) if at not in read]
     held, averaged, memories = (
         [at for name in names for at in parts[name].tolist() if at in read]
-        for names in (["held"], ["lag", "mean_velocity"], ["older", "past"])
+        for names in (["held"], ["lag", "mean_velocity"], ["old_steps", "old_rates"])
     )
     p, q = quadratic_of_oscillator(damping, stiffness)
     free = np.array([1.0, p - 2.0, 1.0 - p + q])
     seen = [x, v, *held, *averaged]
     numerator = _polynomials(free, change, push, reads[:1], seen)[1]
     first, last = np.flatnonzero(numerator)[[0, -1]].tolist()
-    polynomials = _polynomials(free, change, push, reads, [*seen, *[way] * (way in read), *memories])
+    polynomials = _polynomials(free, change, push, reads, [*seen, *[last_step] * (last_step in read), *memories])
     polynomials = polynomials[:, : np.flatnonzero(polynomials.any(axis=0))[-1] + 1]  # the rest is not observable
     of_reading = numerator[first : last + 1], last - 2
     own = damping, stiffness, lag, damper, p, q
-    return LoneHand(*own, change, push, reads, (x, v), held, averaged, way, memories, *of_reading, polynomials)
+    return LoneHand(*own, change, push, reads, (x, v), held, averaged, last_step, memories, *of_reading, polynomials)
 
 
 def _polynomials(free: Floats, change: Floats, push: Floats, reads: Floats, state: list[int]) -> Floats:
@@ -126,7 +126,7 @@ def relation_on_pair(hand: LoneHand, pair: PolePair, change: tuple[Floats, Float
         ratio = z.power(hand.lead).over(numerator)
     # Each memory of a damper for a reading of 1: it does not depend on the cause of the motion.
     values = _sensed(hand, pair, free) if hand.damper.senses else {}
-    values[hand.way] = w.over(z)
+    values[hand.last_step] = w.over(z)
     for at in hand.memories:
         values[at] = _sum(hand.change[at], values).over(w.plus(-float(hand.change[at, at])))
     return _sum(hand.reads[1], values), free.times(ratio)

@@ -28,7 +28,7 @@ FREE_MASS = 1e-40  # a p or q smaller than this is zero
 POINTS_AT_ONCE = 32768  # block of large arrays: this number fits a core's cache
 
 
-def quietly_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
+def broadcast_in_blocks(method: Callable[..., Any]) -> Callable[..., Any]:
     """Decorates a method that treats each pair of entries of two arrays (n,) separately: it accepts arrays of any
     shapes. The arrays are broadcast against each other, and the results have their shape; scalars give scalars. Numbers
     out of range become NaN, without a warning."""
@@ -170,7 +170,7 @@ FURTHER = "another pole of the loop decays no faster than the pair of the hand"
 OWN_ABOVE_NYQUIST = "the device's own mass and spring oscillate at or above the Nyquist frequency, half the rate"
 
 
-def why_not_dominant(poles: Complexes, dominant: Bools) -> NDArray[np.str_]:
+def dominance_reasons(poles: Complexes, dominant: Bools) -> NDArray[np.str_]:
     """Reasons for poles (..., N) by decreasing modulus; "" where the pair is dominant."""
     first, second = poles[..., 0], poles[..., 1]
     real = first.imag == 0.0

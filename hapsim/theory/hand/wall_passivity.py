@@ -25,7 +25,7 @@ import numpy as np
 
 from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Complexes, Floats
-from hapsim.theory.interface import velocity_read, whole_and_fraction
+from hapsim.theory.interface import damper_velocity, whole_and_fraction
 
 POINTS_PER_SWING = 64  # of theta, for a half oscillation of the fastest term
 REFINED_SPACING = (1.0, 0.02, 0.02)  # of that grid: the last parabola is accurate to rounding
@@ -46,7 +46,7 @@ def _upper_bound(elastic: Floats, viscous: Floats, delay: float, damper: DamperM
 
     def demand_at(theta: Floats) -> Floats:
         theta = np.maximum(np.abs(theta), SLOWEST)
-        return _demand(elastic + viscous * velocity_read(damper, theta), theta, delay)
+        return _demand(elastic + viscous * damper_velocity(damper, theta), theta, delay)
 
     late = delay + len(damper.of_positions) - len(damper.of_velocities)
     count = math.ceil(POINTS_PER_SWING * late)

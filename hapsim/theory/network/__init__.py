@@ -15,7 +15,7 @@ from hapsim.theory.network.felt import (
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import SURELY, Mode, Solution, poles_of
-from hapsim.theory.network.network import Network, never_grows, part_of, part_of_each
+from hapsim.theory.network.network import Network, part_of, part_of_each, proves_stability
 from hapsim.theory.sample import LARGE, is_large, loop, state_size, transition
 from hapsim.theory.schemes import NotWorkedOutError
 
@@ -40,11 +40,11 @@ __all__ = [
     "is_large",
     "loop",
     "margins_of",
-    "never_grows",
     "no_pair",
     "part_of",
     "part_of_each",
     "poles_of",
+    "proves_stability",
     "solve",
     "state_size",
     "static_stiffness",

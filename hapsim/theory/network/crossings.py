@@ -125,7 +125,7 @@ FAR = 2.0  # limit of the refined crossings, as a multiple of the nearest one's 
 
 def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> tuple[Floats, str]:
     """Returns the factors of stiffness and damping of a stable scene, (links, 2), and a phrase on the sampling."""
-    matrix = _Changes(network)
+    matrix = _PoleChanges(network)
     points = network.channel_mass.size + network.point_mass.size
     most = int(min(MOST, max(FEWEST, WORK / points)))
     with one_thread(), np.errstate(all="ignore"):
@@ -152,7 +152,7 @@ def margins_along_circle(network: Network, links: Indices, poles: Complexes) -> 
     return factors, f"the circle was sampled at {angles.size} angles{coarse}"
 
 
-class _Changes:
+class _PoleChanges:
     """Relative changes of a link's stiffness, and of its damping, that place a pole at a given z. A mass's last step is
     1 - 1/z times its position. CORDIS's scheme has two equations for a mass; that of the step implies both."""
 
@@ -196,7 +196,7 @@ def _angles_about(poles: Complexes, most: int) -> Floats:
     return np.unique(angles[(angles >= 0.0) & (angles <= math.pi)])
 
 
-def _margin(matrix: _Changes, link: int, quantity: int, angles: Floats, change: Complexes) -> float:
+def _margin(matrix: _PoleChanges, link: int, quantity: int, angles: Floats, change: Complexes) -> float:
     """Returns the least factor above 1 at which the change of a link's quantity is real; ``change``: at the angles."""
     from scipy.optimize import brentq
 

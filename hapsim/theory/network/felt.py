@@ -84,7 +84,7 @@ def continuous_modes(network: Network) -> list[ContinuousMode]:
     return sorted(modes, key=lambda mode: -mode.root.real)
 
 
-OWN = 0.9
+OWN_SHARE = 0.9
 """Share of a motion's kinetic energy; with more in the hands it is one of their own."""
 CARRIED = 0.25
 """Limit of the share of other motions in the hands' velocity and position after an impulse, rms, for a felt pair."""
@@ -191,7 +191,7 @@ def _motions(network: Network, s: Complexes, states: Complexes, speeds: Complexe
 def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
     """Returns the pair. ``most``: limit of the share of other motions, except for one hand without masses."""
     hands, rate, (s, at, share, carried) = network.channel_mass.size, network.rate, motions
-    own = np.flatnonzero(share >= OWN)
+    own = np.flatnonzero(share >= OWN_SHARE)
     own = own[np.argsort(np.abs(s[own]), kind="stable")[: 2 * hands]]
     sums = _sums(s, own)
     others = _others(s, carried, own, sums)

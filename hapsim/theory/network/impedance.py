@@ -5,7 +5,7 @@ and the others are held. Three of them, at one frequency f, s = 2 pi j f, z = ex
 
 * desired: the scene in continuous time, its springs, dampers and masses without sampling, hold and delay.
 * rendered: the force of the loop as it acts on the real mass: of a held, delayed force the part at f itself
-  (``late_and_held``). The velocity is the one that the device reads, s times the reading's position.
+  (``delay_and_hold``). The velocity is the one that the device reads, s times the reading's position.
 * device: the real mass, friction and spring as the loop sees them: the held, delayed force over the velocity that is
   read. It is m s + b0 + k0/s, except for the images of the motion that sampling folds onto f.
 
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hapsim.theory.arrays import Complexes
-from hapsim.theory.interface import late_and_held
+from hapsim.theory.interface import delay_and_hold
 from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.felt import matrices
 from hapsim.theory.network.large_loop import PIVOTS, factorised, sparse_transition
@@ -58,10 +58,10 @@ def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
     theta = 2.0 * np.pi * f / network.rate
     some = (theta > 0.0) & (theta < np.pi)
     w = on_circle(theta[some])
-    through = late_and_held(theta[some], network.delay, network.hold, network.sampling) / (2j * np.pi * f[some])
+    through = delay_and_hold(theta[some], network.delay, network.hold, network.sampling) / (2j * np.pi * f[some])
     found = np.full((2, f.size, channels, channels), np.nan, dtype=complex)
     found[0, some] = device_forces(network, w)[:, None] * np.eye(channels)
-    found[1, some] = _answers(network, w)[0]
+    found[1, some] = _loop_forces(network, w)[0]
     found[:, some] *= through[:, None, None]
     return LoopImpedance(*found)
 
@@ -90,10 +90,10 @@ def device_forces(network: Network, w: Complexes) -> Complexes:
     alone = replace(
         network, point_mass=none, ends=np.zeros((0, 2), int), stiffness=none, damping=none, damper=(), outside=()
     )
-    return np.asarray(np.diagonal(_answers(alone, w)[1], axis1=1, axis2=2))
+    return np.asarray(np.diagonal(_loop_forces(alone, w)[1], axis1=1, axis2=2))
 
 
-def _answers(network: Network, w: Complexes) -> Complexes:
+def _loop_forces(network: Network, w: Complexes) -> Complexes:
     """Forces (2, n, C, C), N z^n, for a reading of 1 m z^n on one channel and of 0 on the others: those with which the
     scene pulls its channels back, and those that have to be added."""
     channels, size = network.channel_mass.size, state_size(network)

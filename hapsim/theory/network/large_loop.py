@@ -25,17 +25,17 @@ PIVOTS: dict[str, Any] = {
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.1,
 }  # rows of a loop are nearly symmetric
-A_CALL = 15_000  # multiplications that take as long as the call of one product
+CALL_COST = 15_000  # multiplications that take as long as the call of one product
 
 
-def factorised(matrix: Any, **how: Any) -> Solve | None:
+def factorised(matrix: Any, **options: Any) -> Solve | None:
     """Returns the function x -> matrix^-1 x; None if there is no inverse. ``options``: of scipy's ``splu``."""
     from scipy.sparse import linalg
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            solve: Solve = linalg.splu(matrix.tocsc(), **how).solve
+            solve: Solve = linalg.splu(matrix.tocsc(), **options).solve
         except RuntimeError:
             return None
     return solve
@@ -65,12 +65,12 @@ class SparseTransition:
         self.is_finite = all(bool(np.isfinite(one.data).all()) for one in (change, *(implicit or ())))
         if implicit is not None and self.is_finite:
             # No pivoting: eliminating the positions leaves 1 + B T/2 m + K T²/4 m, which is definite.
-            how: dict[str, Any] = {
+            options: dict[str, Any] = {
                 "permc_spec": "MMD_AT_PLUS_A",
                 "diag_pivot_thresh": 0.0,
                 "options": {"SymmetricMode": True},
             }
-            self._solve = factorised(implicit.left, **how)
+            self._solve = factorised(implicit.left, **options)
             self.is_finite = self._solve is not None
 
     def __matmul__(self, state: NDArray) -> NDArray:
@@ -92,7 +92,7 @@ class SparseTransition:
         if self._implicit is not None:
             return self, 1
         power, steps = self.right, 1
-        while 2 * steps <= most and (squared := power @ power).nnz < 2 * power.nnz + A_CALL:
+        while 2 * steps <= most and (squared := power @ power).nnz < 2 * power.nnz + CALL_COST:
             power, steps = squared, 2 * steps
         return power, steps
 
@@ -138,16 +138,16 @@ class LiftedTransition:
         first = 2 * sample.step_sizes["hand"] + 2 * sample.step_sizes["sensed"]
         self.held = self.step.part(slice(first, of_step - sample.step_sizes["force"]))
         own = cut(np.arange(self.size)[:, None], sample.sizes)
-        self._scene = np.concatenate([own[name].ravel() for name in ("mass", "mass_step", "older", "past")])
+        self._scene = np.concatenate([own[name].ravel() for name in ("mass", "mass_step", "old_steps", "old_rates")])
         channels = network.channel_mass.size
         rows = unit_rows(self.size + of_step + channels, True)
         state = cut(rows, sample.sizes)
-        last, begun = cut(rows[self.size :], sample.step_sizes), sample.begun(state)
-        moved = {name: last[name] - begun[name] for name in begun}
-        ended = sample.ended(state, moved, rows[self.size + of_step :]) + rows[: self.size]
-        self.begun = stack([*begun.values()])[:, : self.size]
-        self.own, self.by_last = ended[:, : self.size], ended[:, self.size : self.size + of_step]
-        self.points, self.push = sample.points(state)[:, : self.size], ended[:, self.size + of_step :].toarray()
+        last, start = cut(rows[self.size :], sample.step_sizes), sample.start(state)
+        moved = {name: last[name] - start[name] for name in start}
+        state_change = sample.state_change(state, moved, rows[self.size + of_step :]) + rows[: self.size]
+        self.start = stack([*start.values()])[:, : self.size]
+        self.own, self.by_last = state_change[:, : self.size], state_change[:, self.size : self.size + of_step]
+        self.points, self.push = sample.points(state)[:, : self.size], state_change[:, self.size + of_step :].toarray()
         self._power = self.step.power(self.steps & -self.steps) if self.is_finite else (self.step, 1)
 
     def __matmul__(self, state: NDArray) -> NDArray:
@@ -160,7 +160,7 @@ class LiftedTransition:
 
     def _after_steps(self, state: NDArray) -> NDArray:
         power, steps = self._power
-        moved = self.begun @ state
+        moved = self.start @ state
         for _ in range(self.steps // steps):
             moved = power @ moved
         return np.asarray(moved)
@@ -229,8 +229,8 @@ def sparse_transition(network: Network) -> Transition:
         unknown, channels = _unknowns(sample), network.channel_mass.size
         rows = unit_rows(size + channels + unknown, True)
         state = cut(rows, sample.sizes)
-        moved = sample.tick.step(sample.begun(state), unknown=rows[size + channels :] if unknown else None)
-        change = sample.ended(state, moved, rows[size : size + channels])
+        moved = sample.tick.step(sample.start(state), unknown=rows[size + channels :] if unknown else None)
+        change = sample.state_change(state, moved, rows[size : size + channels])
         found = SparseTransition(change[:, :size], _implicit(sample, change, moved.get("unknown")))
         found.points, found.push = sample.points(state)[:, :size], change[:, size : size + channels].toarray()
         found.of_forces = moved["force"][:, :size]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Bools, Complexes, Floats, sort_by_modulus
-from hapsim.theory.interface import damper_answer
+from hapsim.theory.interface import damper_transfer
 from hapsim.theory.network.impedance import device_forces
 from hapsim.theory.network.large_loop import LiftedTransition, Transition, sparse_transition
 from hapsim.theory.network.modes import NO_MOTION, SAME_AS_REST, Solution, all_modes, modes_of, not_finite
@@ -25,18 +25,18 @@ from hapsim.theory.rows import stretches_of
 from hapsim.theory.sample import is_large
 from hapsim.theory.schemes import SCHEMES
 
-BESIDE = 1e-6  # distance of a shift from 1, where a free motion's pole would make it singular
-ASIDE = 1e-7  # distance of a shift from a pole that was found
+OFFSET_FROM_ONE = 1e-6  # distance of a shift from 1, where a free motion's pole would make it singular
+OFFSET_FROM_POLE = 1e-7  # distance of a shift from a pole that was found
 APPROACHES = 6
 LOWEST = 24  # poles of a scene with substeps
 EDGE = 1.05  # if a bound of the fastest motion is this close to it, the bound is the shift
 ROW = 0.1  # a pole further from the shift is another one
 SAME = 1e-9  # tolerance for one pole from two searches
-TRUSTED = 1e-8  # residual of a pole and its motion, relative to the motion
+RESIDUAL = 1e-8  # residual of a pole and its motion, relative to the motion
 STATE_STEPS = 6e8  # limit of the search for a motion that grows: steps times numbers in the state,
 MOST_STEPS = 200_000  # and steps
-BREATH = 16  # steps between two measurements of the motion's size
-GREW = 1.6  # growth of a motion in the last quarter; a free mass drifts by 4/3
+STEPS_PER_BLOCK = 16  # steps between two measurements of the motion's size
+LEAST_GROWTH = 1.6  # growth of a motion in the last quarter; a free mass drifts by 4/3
 MOST_HANDS = 16
 REFINEMENTS = 5
 SLOPE_OVER = 1e-4  # of z - 1: step of the difference quotient
@@ -73,38 +73,38 @@ def _some_modes(network: Network) -> Solution:
     matrix = sparse_transition(network)
     if not matrix.is_finite:
         return not_finite(matrix.size)
-    searches = [(search, *_nearest(matrix, search)) for search in _searches(network)]
+    searches = [(search, *_nearest_poles(matrix, search)) for search in _searches(network)]
     steps = int(min(MOST_STEPS, STATE_STEPS / matrix.work))
-    *grown, growth = _growing(matrix, steps)
+    *grown, growth = _growing_poles(matrix, steps)
     # A random motion must exceed all the others before its end.
-    least_seen = max(4.0 * math.log(GREW), math.log(matrix.size) / 1.5) / steps
+    least_seen = max(4.0 * math.log(LEAST_GROWTH), math.log(matrix.size) / 1.5) / steps
     places = [search.where for search, poles, _ in searches if poles.size]
     found = [*(one[1:] for one in searches), tuple(grown)]
     if isinstance(matrix, LiftedTransition):
-        found.append(_lowest(matrix))
+        found.append(_lowest_poles(matrix))
         places.append("the masses' own poles of lowest pitch")
     poles, states = np.concatenate([one for one, _ in found]), np.hstack([states for _, states in found])
     motions = matrix.points @ states
-    every, kept = _once_each(network, refined(network, poles, motions), motions)
+    every, kept = _distinct_poles(network, refined(network, poles, motions), motions)
     both = sort_by_modulus(np.concatenate([every, every[every.imag > 0.0].conj()]))
     others = f"no other motion was seen that grows by more than {least_seen:.1g} of itself per sample period"
     if grown[0].size or growth:
         others = "and those that grow" if grown[0].size else "a random motion grew, but its pole was not found"
     listed = " and to ".join(filter(None, [", to ".join(places[:-1]), *places[-1:]]))
-    how = f"{both.size} of {matrix.size} poles were worked out: those nearest to {listed}; {others}"
-    return Solution(both, modes_of(network, every, motions[:, kept], states[:, kept]), matrix.size, how, growth)
+    sentence = f"{both.size} of {matrix.size} poles were worked out: those nearest to {listed}; {others}"
+    return Solution(both, modes_of(network, every, motions[:, kept], states[:, kept]), matrix.size, sentence, growth)
 
 
 def _searches(network: Network) -> Iterator[PoleSearch]:
     # Counted in substeps, motions of every pitch approach any place of the plane: each search takes few of them.
     few = network.substeps > 1
-    yield PoleSearch(1.0 + BESIDE, 4 if few else 32, "1")
+    yield PoleSearch(1.0 + OFFSET_FROM_ONE, 4 if few else 32, "1")
     if not few:
-        yield PoleSearch(-1.0 - BESIDE, 8, "-1")
-    top = _highest(network)
+        yield PoleSearch(-1.0 - OFFSET_FROM_ONE, 8, "-1")
+    top = _highest_motion(network)
     if top is not None:
         yield PoleSearch(top[0], 2 if few else 16, "about the highest of the masses' own poles", top[1])
-    hands = [_hand_alone(network, channel) for channel in range(min(network.channel_mass.size, MOST_HANDS))]
+    hands = [_single_hand_pole(network, channel) for channel in range(min(network.channel_mass.size, MOST_HANDS))]
     for hand in sorted({complex(np.round(hand, 6)) for hand in hands}, key=abs):
         yield PoleSearch(
             hand,
@@ -114,24 +114,24 @@ def _searches(network: Network) -> Iterator[PoleSearch]:
         )
 
 
-def _nearest(matrix: Transition, search: PoleSearch) -> tuple[Complexes, NDArray]:
+def _nearest_poles(matrix: Transition, search: PoleSearch) -> tuple[Complexes, NDArray]:
     """Poles nearest to the shift that converged, of pairs the upper, and their motions (N, n)."""
     from scipy.sparse import linalg
 
     size = matrix.size
     shift = search.shift if search.shift.imag else search.shift.real
     if search.start is not None:
-        shift = _beside_a_pole(matrix, search.shift, search.start)
+        shift = _shift_near_pole(matrix, search.shift, search.start)
     solve = matrix.inverse(shift)
     if solve is None:
         return np.zeros(0, complex), np.zeros((size, 0))
     inverse = linalg.LinearOperator((size, size), solve, dtype=type(shift))
     # A crowd of aliases converges slowly; an isolated pole converges fast.
-    values, motions = _largest(inverse, search.most, 4 if isinstance(matrix, LiftedTransition) else 40)
-    return _trusted(matrix, shift + 1.0 / values, motions)
+    values, motions = _largest_eigenvalues(inverse, search.most, 4 if isinstance(matrix, LiftedTransition) else 40)
+    return _converged(matrix, shift + 1.0 / values, motions)
 
 
-def _beside_a_pole(matrix: Transition, near: complex, start: Floats) -> complex:
+def _shift_near_pole(matrix: Transition, near: complex, start: Floats) -> complex:
     """Returns a shift close to a pole near this one, by inverse iterations and then Rayleigh's. If poles stand in a row
     and the shift is outside it, all of them are equally far away. From a place in the row their distances differ, and
     the search converges fast."""
@@ -146,29 +146,29 @@ def _beside_a_pole(matrix: Transition, near: complex, start: Floats) -> complex:
             motion = solve(motion)
             motion /= np.linalg.norm(motion)
         pole = complex(np.vdot(motion, matrix @ motion))
-    return (pole if abs(pole - near) < ROW else near) + ASIDE
+    return (pole if abs(pole - near) < ROW else near) + OFFSET_FROM_POLE
 
 
-def _lowest(matrix: LiftedTransition) -> tuple[Complexes, NDArray]:
+def _lowest_poles(matrix: LiftedTransition) -> tuple[Complexes, NDArray]:
     """Poles and motions of the lowest pitch, wherever a whole sample period places them in the plane. The search starts
     from a step with the hands held still; inverse iterations follow each pole to the scene with moving hands."""
-    poles, held = _nearest(matrix.held, PoleSearch(1.0 + BESIDE, LOWEST, ""))
+    poles, held = _nearest_poles(matrix.held, PoleSearch(1.0 + OFFSET_FROM_ONE, LOWEST, ""))
     once = np.unique(np.round(poles, 9), return_index=True)[1]  # both of a pair were found
-    followed = [_followed(matrix, complex(poles[i]) ** matrix.steps, held[:, i]) for i in once]
+    followed = [_follow_pole(matrix, complex(poles[i]) ** matrix.steps, held[:, i]) for i in once]
     motions = np.array([motion for _, motion in followed]).reshape(-1, matrix.size).T
     poles = np.array([pole for pole, _ in followed], complex)
-    return _trusted(matrix, np.where(np.abs(poles.imag) < REAL, poles.real, poles), motions)
+    return _converged(matrix, np.where(np.abs(poles.imag) < REAL, poles.real, poles), motions)
 
 
-def _followed(matrix: LiftedTransition, pole: complex, held: NDArray) -> tuple[complex, NDArray]:
+def _follow_pole(matrix: LiftedTransition, pole: complex, held: NDArray) -> tuple[complex, NDArray]:
     motion = matrix.placed(held).astype(complex)
     for _ in range(APPROACHES):
         motion /= np.linalg.norm(motion)
         moved = matrix @ motion
         quotient = complex(np.vdot(motion, moved))
-        if np.linalg.norm(moved - quotient * motion) < 0.1 * TRUSTED:
+        if np.linalg.norm(moved - quotient * motion) < 0.1 * RESIDUAL:
             return quotient, motion
-        solve = matrix.inverse(pole + ASIDE)
+        solve = matrix.inverse(pole + OFFSET_FROM_POLE)
         if solve is None:
             break
         motion = solve(motion)
@@ -176,18 +176,18 @@ def _followed(matrix: LiftedTransition, pole: complex, held: NDArray) -> tuple[c
     return pole, motion
 
 
-def _growing(matrix: Transition, samples: int) -> tuple[Complexes, NDArray, float]:
+def _growing_poles(matrix: Transition, samples: int) -> tuple[Complexes, NDArray, float]:
     """Poles of the largest modulus and their motions, if a random motion grows by more than a free one would. The third
     value is its growth in a sample period if no growing pole was found, else 0."""
     from scipy.sparse import linalg
 
     none = np.zeros(0, complex), np.zeros((matrix.size, 0))
     motion = np.random.default_rng(1).standard_normal(matrix.size)
-    breaths = samples // BREATH
-    logarithm = np.zeros(breaths + 1)
-    power, steps = matrix.power(BREATH)
-    for n in range(breaths):
-        for _ in range(BREATH // steps):
+    blocks = samples // STEPS_PER_BLOCK
+    logarithm = np.zeros(blocks + 1)
+    power, steps = matrix.power(STEPS_PER_BLOCK)
+    for n in range(blocks):
+        for _ in range(STEPS_PER_BLOCK // steps):
             motion = power @ motion
         size = float(np.linalg.norm(motion))
         if not 0.0 < size < np.inf:
@@ -195,17 +195,17 @@ def _growing(matrix: Transition, samples: int) -> tuple[Complexes, NDArray, floa
         motion /= size
         logarithm[n + 1] = logarithm[n] + math.log(size)
     # Peaks are compared, because the size of a slow motion oscillates.
-    quarter = breaths // 4
+    quarter = blocks // 4
     last = float(logarithm[-quarter:].max() - logarithm[-2 * quarter : -quarter].max())
-    if last < math.log(GREW):
+    if last < math.log(LEAST_GROWTH):
         return *none, 0.0
     step = linalg.LinearOperator((matrix.size, matrix.size), matrix.__matmul__, dtype=float)
-    poles, motions = _trusted(matrix, *_largest(step, 8, 200, motion))
+    poles, motions = _converged(matrix, *_largest_eigenvalues(step, 8, 200, motion))
     found = bool((np.abs(poles) > 1.0).any())
-    return poles, motions, 0.0 if found else math.exp(last / (quarter * BREATH))
+    return poles, motions, 0.0 if found else math.exp(last / (quarter * STEPS_PER_BLOCK))
 
 
-def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> tuple[Complexes, NDArray]:
+def _largest_eigenvalues(operator: Any, count: int, iterations: int, start: Any = None) -> tuple[Complexes, NDArray]:
     """Eigenvalues of the largest modulus that converged, and their vectors."""
     from scipy.sparse import linalg
 
@@ -219,16 +219,16 @@ def _largest(operator: Any, count: int, iterations: int, start: Any = None) -> t
         return np.zeros(0, complex), np.zeros((size, 0), complex)
 
 
-def _trusted(matrix: Transition, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
+def _converged(matrix: Transition, poles: Complexes, motions: NDArray) -> tuple[Complexes, NDArray]:
     """Returns the poles that really multiply their motions, of pairs the upper."""
     lower = poles.imag < 0.0
     poles, motions = np.where(lower, poles.conj(), poles), np.where(lower, motions.conj(), motions)
     residual = np.linalg.norm(matrix @ motions - motions * poles, axis=0)
-    good = (residual < TRUSTED * np.linalg.norm(motions, axis=0)) & (np.abs(poles) > NO_MOTION)
+    good = (residual < RESIDUAL * np.linalg.norm(motions, axis=0)) & (np.abs(poles) > NO_MOTION)
     return poles[good], motions[:, good]
 
 
-def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Complexes, list[int]]:
+def _distinct_poles(network: Network, poles: Complexes, motions: NDArray) -> tuple[Complexes, list[int]]:
     """Returns the poles, and their indices, without those of an earlier search; equal separate parts of a scene count
     once. Poles that are known to be 1 are repeated as often as they occur: the searches find only some, and
     approximately."""
@@ -244,17 +244,17 @@ def _once_each(network: Network, poles: Complexes, motions: NDArray) -> tuple[Co
     return np.concatenate([np.ones(first, complex), seen]), kept
 
 
-def _hand_alone(network: Network, channel: int) -> complex:
+def _single_hand_pole(network: Network, channel: int) -> complex:
     """Slowest pole, on or above the real axis, of a channel whose neighbours are held still."""
     still = replace(network, ends=np.where(network.ends == channel, channel, -1), scheme="cordis", outside=())
     alone = part_of(still, np.array([channel]))
     if is_large(alone):
-        return 1.0 + 2.0 * BESIDE
+        return 1.0 + 2.0 * OFFSET_FROM_ONE
     pole = all_modes(alone).poles[0]
-    return complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
+    return complex(pole.real, abs(pole.imag)) * (1.0 + OFFSET_FROM_ONE)
 
 
-def _highest(network: Network) -> tuple[complex, Floats | None] | None:
+def _highest_motion(network: Network) -> tuple[complex, Floats | None] | None:
     """Shift near the fastest motion of the simulated masses on their springs, with the device held still, and that
     motion (C + M,); None for the motion if the shift is above all of them."""
     from scipy.sparse import coo_matrix, linalg
@@ -278,7 +278,7 @@ def _highest(network: Network) -> tuple[complex, Floats | None] | None:
     kappa = float(network.stiffness[links] @ stretched) / rate**2
     beta = float(network.damping[links] @ stretched) / rate
     # No motion is faster than one in which neighbours move against each other with equal amplitudes.
-    bound = float(abs(springs).sum(axis=1).max()) / rate**2 * (1.0 + BESIDE)
+    bound = float(abs(springs).sum(axis=1).max()) / rate**2 * (1.0 + OFFSET_FROM_ONE)
     beside = bound < EDGE * kappa
     if beside:
         kappa, beta = bound, beta * bound / kappa
@@ -289,7 +289,7 @@ def _highest(network: Network) -> tuple[complex, Floats | None] | None:
         step = np.eye(2) + scheme.changed(np.array([[0.0, 1.0], [-kappa, -beta]]), np.eye(2), np.zeros((2, 2)))
     poles = np.linalg.eigvals(step)
     pole = complex(poles[np.argmin(poles.real)]) ** network.substeps
-    shift = complex(pole.real, abs(pole.imag)) * (1.0 + BESIDE)
+    shift = complex(pole.real, abs(pole.imag)) * (1.0 + OFFSET_FROM_ONE)
     return shift, None if beside else np.concatenate([np.zeros(channels), motion / np.sqrt(network.point_mass)])
 
 
@@ -314,7 +314,7 @@ def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
 
     def form(w: Complexes) -> Complexes:
         z = 1.0 + w
-        dampers = sum((of * damper_answer(damper, z, w) for damper, of in of_dampers.items()), 0.0 * w)
+        dampers = sum((of * damper_transfer(damper, z, w) for damper, of in of_dampers.items()), 0.0 * w)
         device = (squares[:channels].T * device_forces(network, w)).sum(axis=1)
         return np.asarray(of_springs + of_masses * w * w / z + dampers + device)
 

@@ -28,9 +28,9 @@ MANY_STATES = 40  # fewer eigenvalues take one thread anyway
 WORK = 1.5e9  # limit of the cost of all margins: eigenvalue problems times the cube of the state's size
 EIGENVALUES = 6  # problems for the two margins of a link: the crossings, and two tests of the poles
 SEARCHES = 140  # the same for a search by the poles; four times as many for the ranges of an unstable loop
-ONE_AT_LEAST = 200  # numbers in the state up to which one link is always searched under another scheme
-FOLLOWED = 16  # links of a large scene
-FURTHER_THAN_ROUNDING = 1.001  # a pole outside this radius is unstable in spite of rounding
+MOST_STATES_OF_ONE = 200  # numbers in the state up to which one link is always searched under another scheme
+MOST_CIRCLE_LINKS = 16  # links of a large scene
+SURELY_OUTSIDE = 1.001  # a pole outside this radius is unstable in spite of rounding
 SAME = 1e-9  # two factors closer than this are one
 STEPS = 10.0 ** np.concatenate([np.arange(0.04, 1.0, 0.04), np.arange(1.0, 10.0, 0.3)])  # of a search, from 1 on
 
@@ -97,7 +97,7 @@ def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
     elif size <= MOST_STATES:
         search = _by_crossings(network, links.size, size, int(touching.sum()), unstable)
     else:
-        few = links if links.size <= FOLLOWED else links[: touching.sum()]
+        few = links if links.size <= MOST_CIRCLE_LINKS else links[: touching.sum()]
         search = _along_circle(network, few, links.size, poles, unstable)
     with one_thread(is_centred(network) and MANY_STATES < size <= MOST_STATES):
         found = {
@@ -121,24 +121,24 @@ def _by_crossings(network: Network, links: int, size: int, touching: int, unstab
 
 def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Search:
     most = int(WORK / (SEARCHES * (4 if unstable else 1)) / (size + 40) ** 3)
-    most = max(most, int(size <= ONE_AT_LEAST))
-    how = f"{SEARCHED}; an unstable range within one step is not seen"
+    most = max(most, int(size <= MOST_STATES_OF_ONE))
+    method = f"{SEARCHED}; an unstable range within one step is not seen"
     if not most:
         under = f"under scheme: {network.scheme}" if network.substeps == 1 else "with substeps"
-        how = f"none was worked out: the scene has too many masses {under}"
+        method = f"none was worked out: the scene has too many masses {under}"
     elif links > most:
-        how = f"{most} of {links} links, those that touch a hand first; {how}"
-    return _Search(most, how, lambda link, quantity: ChangedLink(network, link, quantity).ranges_searched(unstable))
+        method = f"{most} of {links} links, those that touch a hand first; {method}"
+    return _Search(most, method, lambda link, quantity: ChangedLink(network, link, quantity).ranges_searched(unstable))
 
 
-def _along_circle(network: Network, links: Indices, asked: int, poles: Complexes, unstable: bool) -> _Search:
+def _along_circle(network: Network, links: Indices, count: int, poles: Complexes, unstable: bool) -> _Search:
     if unstable or not links.size:
         why = "a large scene that is unstable" if unstable else "a large scene with many links and no hand"
         return _Search(0, f"none was worked out for {why}", lambda _link, _quantity: ())
-    factors, how = margins_along_circle(network, links, poles)
+    factors, method = margins_along_circle(network, links, poles)
     of_link = dict(zip(links.tolist(), factors.tolist(), strict=True))
-    some = f"{links.size} of {asked} links, those that touch a hand; " if links.size < asked else ""
-    return _Search(links.size, some + how, lambda link, quantity: ((1.0, of_link[link][quantity]),))
+    some = f"{links.size} of {count} links, those that touch a hand; " if links.size < count else ""
+    return _Search(links.size, some + method, lambda link, quantity: ((1.0, of_link[link][quantity]),))
 
 
 def _collected(
@@ -180,15 +180,15 @@ class ChangedLink:
         if not np.isfinite(change).all():
             return False
         poles = np.asarray(1.0 + np.linalg.eigvals(change), complex)
-        if SURELY < np.abs(poles).max(initial=0.0) < FURTHER_THAN_ROUNDING:
+        if SURELY < np.abs(poles).max(initial=0.0) < SURELY_OUTSIDE:
             poles = settled(changed, change, poles)
         return bool(np.abs(poles).max(initial=0.0) <= SURELY)
 
     def ranges_between(self, crossings: Floats, unstable: bool) -> tuple[Range, ...]:
         """Returns the ranges from one test between each two crossings, where stability does not change. If a test
         contradicts the verdict at 1, the ranges are searched by the poles alone."""
-        up = [1.0, *_apart(crossings[crossings > 1.0 + SAME]), math.inf]
-        down = [1.0, *_apart(crossings[crossings < 1.0 - SAME][::-1]), 0.0]
+        up = [1.0, *_distinct(crossings[crossings > 1.0 + SAME]), math.inf]
+        down = [1.0, *_distinct(crossings[crossings < 1.0 - SAME][::-1]), 0.0]
         if self.is_stable(_between(*up[:2])) == unstable:
             return self.ranges_searched(unstable)
         found = [self._first([_between(*pair) for pair in pairwise(up[1:])], up[1:].__getitem__, unstable, math.inf)]
@@ -199,18 +199,18 @@ class ChangedLink:
     def ranges_searched(self, unstable: bool) -> tuple[Range, ...]:
         """Returns the ranges from the poles alone: steps outward from 1, and bisection."""
         found = []
-        for looks, end in ((1.0 / STEPS, 0.0), (STEPS, math.inf)) if unstable else ((STEPS, math.inf),):
-            factors = [1.0, *looks.tolist()]
+        for tests, end in ((1.0 / STEPS, 0.0), (STEPS, math.inf)) if unstable else ((STEPS, math.inf),):
+            factors = [1.0, *tests.tolist()]
             found.append(
                 self._first(factors[1:], lambda i, at=factors: self._edge(at[i], at[i + 1]), unstable, end)  # type: ignore[misc]
             )
         return tuple(one for one in found if one is not None)
 
-    def _first(self, looks: Sequence[float], edge: Callable[[int], float], unstable: bool, end: float) -> Range | None:
+    def _first(self, tests: Sequence[float], edge: Callable[[int], float], unstable: bool, end: float) -> Range | None:
         """Returns the first stable range along factors that lead away from 1 to ``end``; ``edge`` (i): factor at which
         stability changes between the test before i and test i."""
         near = None if unstable else 1.0
-        for i, factor in enumerate(looks):
+        for i, factor in enumerate(tests):
             stable = self.is_stable(factor)
             if near is None and stable:
                 near = edge(i)
@@ -228,7 +228,7 @@ class ChangedLink:
         return stable
 
 
-def _apart(factors: Floats) -> list[float]:
+def _distinct(factors: Floats) -> list[float]:
     """Returns sorted factors without those that equal the one before."""
     return [float(one) for i, one in enumerate(factors) if not i or abs(one / factors[i - 1] - 1.0) > SAME]
 

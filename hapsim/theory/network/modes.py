@@ -170,8 +170,8 @@ def _steps_of_motions(network: Network, poles: Complexes, states: NDArray) -> tu
     point."""
     sparse = is_large(network) or (SCHEMES[network.scheme] is None and len(states) > MOST_DENSE)
     sample = Sample(network, sparse)
-    begun = sample.begun(cut(unit_rows(len(states), sparse), sample.sizes))
-    motion = stack([*begun.values()]) @ states
+    start = sample.start(cut(unit_rows(len(states), sparse), sample.sizes))
+    motion = stack([*start.values()]) @ states
     step = sparse_step(sample) if sparse else step_of(sample) + np.eye(len(motion))
     places = cut(np.arange(len(motion))[:, None], sample.step_sizes)
     points = np.concatenate([places["hand"].ravel(), places["mass"].ravel()])

@@ -147,10 +147,10 @@ def touches_channel(network: Network, links: Indices) -> Bools:
 
 @lru_cache(64)
 def _nature(damper: DamperModel, at_channel: bool) -> LinkNature:
-    return LinkNature(damper == BACKWARD, remembers_nothing(damper), at_channel)
+    return LinkNature(damper == BACKWARD, is_memoryless(damper), at_channel)
 
 
-def remembers_nothing(damper: DamperModel) -> bool:
+def is_memoryless(damper: DamperModel) -> bool:
     """Returns whether the damper's velocity depends on the newest two positions alone, or is sensed."""
     return len(damper.of_positions) <= 2 and not damper.of_velocities
 
@@ -192,7 +192,7 @@ def part_of(network: Network, points: Indices) -> Network:
     )
 
 
-def never_grows(network: Network) -> bool:
+def proves_stability(network: Network) -> bool:
     """Returns True if a simple test proves that no motion grows; False if it proves nothing. It applies to masses
     without a channel, under CORDIS's scheme, on springs and backward dampers that are not negative, nor too stiff for
     the step T.

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
-from hapsim.theory.interface import late_and_held, whole_and_fraction
+from hapsim.theory.interface import delay_and_hold, whole_and_fraction
 from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.network import Network
 from hapsim.theory.sample import is_large, loop, sizes_of
@@ -65,7 +65,7 @@ class Passivity(NamedTuple):
     pushes_away: bool = False
 
 
-def why_not_derived(network: Network) -> str:
+def no_derivation(network: Network) -> str:
     """Reason why the condition is not derived; "" if it is."""
     if network.hold != "zoh" or network.sampling != "ideal":
         return "the condition is derived only for a zero-order hold and ideal sampling"
@@ -76,7 +76,7 @@ def why_not_derived(network: Network) -> str:
 
 @dataclass(frozen=True, eq=False)
 class HeldScene:
-    """Scene without its hands: forces from positions. Only for scenes for which ``why_not_derived`` returns ""."""
+    """Scene without its hands: forces from positions. Only for scenes for which ``no_derivation`` returns ""."""
 
     network: Network
 
@@ -88,7 +88,8 @@ class HeldScene:
         starts, own, given = 0, np.zeros(len(change), bool), np.zeros(len(change), bool)
         for name, size in sizes_of(self.network).items():
             part = slice(starts, starts + size)
-            own[part], given[part] = name in {"mass", "mass_step", "older", "past"}, name in {"position", "way"}
+            own[part] = name in {"mass", "mass_step", "old_steps", "old_rates"}
+            given[part] = name in {"position", "last_step"}
             starts += size
         return change[np.ix_(own, own)], change[np.ix_(own, given)], force[:, own], force[:, given]
 
@@ -169,7 +170,7 @@ class HeldScene:
         network, one = self.network, np.eye(self.network.channel_mass.size)
         s = 1j * theta[:, None] * network.rate
         device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
-        through = late_and_held(theta, network.delay, network.hold, network.sampling)
+        through = delay_and_hold(theta, network.delay, network.hold, network.sampling)
         rendered = self.forces(on_circle(theta)) * (through / s[:, 0])[:, None, None]
         return np.asarray(1.0 / np.linalg.inv(device[:, None] * one + rendered)[:, channel, channel])
 
