@@ -1,7 +1,7 @@
-"""Which part of what a scene may ask for is felt, with each correction, and how well the device has to be known.
+"""Accuracy of the felt k and b over the desired ones, with each correction, and the tolerance to device errors.
 
-By theory alone. The desired K T²/m has a logarithmic axis, the desired damping ratio a linear one, and every point of
-that plane counts alike. Below: the share that is felt, over the true mass and over the delay.
+The theory alone is used. The desired K T²/m has a logarithmic axis, the desired damping ratio a linear one, and every
+point of that plane counts alike. Below: the share that is felt, over the true mass and over the delay.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
 
 DRAWN = ("none", "poles", "predictor")
-"""Of `device.correction`; an adaptive one that knows its mass is a predictor."""
+"""Corrections in the picture; an adaptive one that knows its mass is a predictor."""
 WITHIN = (0.01, 0.05, 0.1)
 OF_SHARES = 0.05
 """The felt error within which a point counts in the curves."""
@@ -86,14 +86,14 @@ class DesiredPlane:
         return k, 2.0 * self.ratio * np.sqrt(k * configuration.mass)
 
     def asked(self, configuration: Configuration) -> Bools:
-        """Returns (n, m): where a scene on this device can ask for it, by adding a spring and a damper."""
+        """Returns (n, m): True if a scene can reach it by adding a spring and a damper to this device."""
         k, b = self.desired(configuration)
         return (k >= configuration.stiffness) & (b >= configuration.friction)
 
 
 @dataclass(frozen=True)
 class FeltPlane:
-    """What one correction makes of a plane."""
+    """The result of one correction over a plane."""
 
     error: Floats
     """(n, m): as of ``felt_error``; infinite if no spring and damper is equivalent, or none can be simulated."""
@@ -286,7 +286,7 @@ class ToleranceChart:
     k_error: dict[str, Floats]
     b_error: dict[str, Floats]
     within: dict[str, tuple[Tolerance | None, ...]]
-    """By correction, for each of `SHARES`; None where what is desired is not felt so."""
+    """Tolerances by correction, for each of `SHARES`; None if the desired values are not felt."""
 
     def columns(self) -> dict[str, Any]:
         """Returns what is drawn, by the names that a data file uses."""

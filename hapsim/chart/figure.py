@@ -1,4 +1,4 @@
-"""What every picture shares: fonts, sizes, the file it is written to, and the file of its numbers."""
+"""Common parts of all pictures: fonts, sizes, the file of the picture, and the file of its numbers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _FONTS: Any = {
     "svg.hashsalt": "hapsim",  # names in an SVG are random without it
 }
 _METADATA: dict[str, Any] = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-"""Without them, the same data give the same bytes."""
+"""Metadata to omit, so that the same data give the same bytes."""
 
 
 def require_writable(path: Path | None, endings: tuple[str, ...] = (".svg", ".png", ".pdf")) -> None:

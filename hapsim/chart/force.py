@@ -26,7 +26,7 @@ _LEAST_ERROR, _MOST_ERROR = 1e-3, 1.0  # ends of the colours
 
 
 class ForceChart(NamedTuple):
-    """What is drawn of one hand."""
+    """The numbers of the picture of one hand."""
 
     name: str
     regions: tuple[Region, ...]
@@ -70,7 +70,7 @@ def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
 
 
 def _view(hand: Characteristic, regions: tuple[Region, ...]) -> tuple[float, float]:
-    """From where to where it is drawn, m: around the edges, and no further than the travel and the force limit."""
+    """Returns the ends of the position axis, m: around the edges, within the travel and the force limit."""
     places = [one.piece.place for one in regions]
     edges = hand.edges()
     low, high = min([*edges, *places]), max([*edges, *places])

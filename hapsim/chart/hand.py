@@ -30,11 +30,11 @@ class Hand:
     corrected: tuple[float, float] | None = None
     """The scene's stiffness and damping, N/m and N·s/m, if a correction simulates others."""
     units: Units = LINEAR
-    """Of its channel."""
+    """Units of its channel."""
 
     @property
     def is_simulated(self) -> bool:
-        """Whether there is an operating point."""
+        """True if there is an operating point."""
         return math.isfinite(self.stiffness) and math.isfinite(self.damping)
 
     @property

@@ -33,7 +33,7 @@ _ABOUT = np.array([-10.0, -3.0, -1.0, -0.3, 0.0, 0.3, 1.0, 3.0, 10.0])  # of its
 
 
 class Measured(NamedTuple):
-    """What was measured at frequencies (n,) in Hz, N·s/m, with the radii of its circles."""
+    """A measured impedance (n,) in N·s/m at frequencies in Hz, with the radii of its circles."""
 
     frequency: Floats
     value: Complexes

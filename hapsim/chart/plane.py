@@ -60,7 +60,7 @@ class Plane:
     """Outlines of where the loop is unstable with at least one of the masses."""
     points: tuple[Point, ...]
     ideal: tuple[Curve, ...] = ()
-    """Where the curves would be in continuous time. This and the following belong to a single mass."""
+    """The same curves in continuous time. This and the following belong to a single mass."""
     without_equivalent: tuple[Curve, ...] = ()
     """Outlines of where no spring and damper is felt, stable or not; empty if none of it is stable."""
     fold: tuple[Curve, ...] = ()
@@ -74,7 +74,7 @@ class Plane:
 
     @property
     def is_family(self) -> bool:
-        """Whether it shows several masses."""
+        """True if it shows several masses."""
         return len(self.sheets) > 1
 
     @property

@@ -79,7 +79,7 @@ class Scale:
 
     @property
     def simulated(self) -> str:
-        """What the B axis shows."""
+        """Name of the quantity on the B axis."""
         return "B + b_0" if self.total else "B"
 
     @property
@@ -174,7 +174,7 @@ class Curve:
 
     @property
     def is_seen(self) -> bool:
-        """Whether any of it is in the picture."""
+        """True if any of it is in the picture."""
         return bool(np.any(np.isfinite(self.K)))
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
@@ -185,7 +185,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Sheet:
-    """What curves are drawn on: a configuration's plane, the part that is in view, and its units."""
+    """The plane on which curves are drawn: a configuration, the part in view, and the units."""
 
     configuration: Configuration
     view: View

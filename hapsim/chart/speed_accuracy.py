@@ -1,4 +1,4 @@
-"""What a simulated second costs against its error: a panel for each object, a line for each method."""
+"""Cost of a simulated second over its error: a panel for each object, a line for each method."""
 
 from __future__ import annotations
 

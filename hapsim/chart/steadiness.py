@@ -1,4 +1,4 @@
-"""The picture of `hapsim doctor`: which share of wake-ups and exchanges takes longer than a time, rate by rate."""
+"""The picture of `hapsim doctor`: the share of wake-ups and exchanges that take longer than a time, rate by rate."""
 
 from __future__ import annotations
 

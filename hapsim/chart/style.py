@@ -36,7 +36,7 @@ OF_MASS: tuple[Look, ...] = (
     {"color": "0.2", "linestyle": (0, (6, 2, 1.5, 2))},
     {"color": "0.6", "linestyle": (0, (10, 3))},
 )
-"""Where several masses are drawn: one look for each, of its stability boundary and of its curves."""
+"""Looks of several masses: one for each, of its stability boundary and of its curves."""
 WORDS_BOX: Look = {"facecolor": "white", "edgecolor": "0.4", "linewidth": 0.5, "pad": 2.5}
 NUMBER: Look = {
     "ha": "center",

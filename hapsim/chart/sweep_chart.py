@@ -32,7 +32,7 @@ SHARES = {"stable": "predicted stable", "passive": "passive: no hand makes them 
 
 @dataclass(frozen=True)
 class SweepChart:
-    """What is drawn: the values along one or two parameters, where the others are as the title says."""
+    """The values of the picture along one or two parameters; the title has the values of the others."""
 
     values: xarray.DataArray
     over: tuple[str, ...]

@@ -31,7 +31,7 @@ _MARKS = (
     ("at its limit", "v", LIMITED, WITHHELD),
     ("positions lost before", "+", BRIDGED, 0),
 )
-"""What is marked, its marker, and which rows: those with the first flag and without the second, which says more."""
+"""Label, marker, and two flags of each mark: on rows with the first flag and without the second, more specific one."""
 
 
 def seconds_of(trace: Trace) -> NDArray[np.float64]:

@@ -1,1 +1,1 @@
-"""How steady this machine is for a haptic loop: what wakes it late, what it keeps up with, and what would help."""
+"""Examination of this machine for a haptic loop: wake-up latency, rates that it keeps, and advice."""

@@ -65,7 +65,7 @@ class Machine:
     kernel: str
     preempt_rt: bool  # whether the kernel is a real-time one (PREEMPT_RT)
     governors: tuple[str, ...]
-    """How the cores choose their frequency: performance, powersave, …; none on most virtual machines."""
+    """Frequency governors of the cores: performance, powersave, …; none on most virtual machines."""
     clock_source: str  # what the kernel reads the time from
     virtual: str  # the hypervisor of a virtual machine, by its name if that is known
     smt: bool | None  # whether two threads share a core
@@ -118,7 +118,7 @@ class CpuTimes:
 
 @dataclass(frozen=True)
 class Load:
-    """Of the time between two looks."""
+    """The load between two reads of the system files."""
 
     others_cores: float  # cores that others kept busy: 0.5 is half a core
     stolen_share: float  # of the time of all cores (0 to 1), taken by the host of a virtual machine
@@ -170,7 +170,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class Situation:
-    """What is known of the machine when it is advised upon."""
+    """The facts about the machine from which the advice follows."""
 
     tree: SystemFiles
     machine: Machine
@@ -185,7 +185,7 @@ class Situation:
 
     @property
     def wakes_late(self) -> bool:
-        """Whether a wake-up came so late that it is worth doing something about."""
+        """True if a wake-up came late enough to justify advice."""
         return self.worst_wakeup_s is not None and self.worst_wakeup_s > _LATE_S
 
 

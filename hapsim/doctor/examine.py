@@ -79,18 +79,18 @@ class Examination:
     advice: tuple[Advice, ...]
     steps: int = 0  # how many measurements it is made of
     stopped_after: int | None = None
-    """How many of them were made when an interrupt ended it; None if it was not interrupted."""
+    """Number of measurements made before an interrupt; None if it was not interrupted."""
 
     @property
     def stopped(self) -> str:
-        """That it was interrupted, in a sentence; "" if it was not."""
+        """A sentence about an interrupt, or ""."""
         if self.stopped_after is None:
             return ""
         return f"stopped after {self.stopped_after} of {self.steps} steps: the measurements until then are shown"
 
     @property
     def best_rates(self) -> dict[str, float | None]:
-        """By clock: the fastest rate (Hz) that this machine keeps on the mock; empty if a device was examined."""
+        """Fastest rate (Hz) that this machine keeps on the mock, by clock; empty if a device was examined."""
         clocks = dict.fromkeys(verdict.clock for verdict in self.verdicts if verdict.where == MOCK)
         return {clock: best_rate(self.verdicts, clock) for clock in clocks}
 

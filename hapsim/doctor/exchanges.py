@@ -1,5 +1,5 @@
-"""How late this machine wakes up a thread that sleeps to a grid, as every real-time loop does; runs of a scene at one
-rate; and the verdict: the share of its forces that this machine sends in time.
+"""Wake-up latency of a thread that sleeps to a grid, as in every real-time loop; runs of a scene at one rate; and the
+verdict: the share of its forces that this machine sends in time.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def wake_up_latency(
     failures: list[BaseException] = []
 
     def work() -> None:
-        """In a thread of its own, beside which this one hears Ctrl-C and reports progress."""
+        """Runs in its own thread, so that the calling one receives Ctrl-C and reports progress."""
         try:
             with _punctual(realtime) as grants:
                 on_grants(grants)
@@ -98,7 +98,7 @@ def wake_up_latency(
 
 @contextlib.contextmanager
 def _punctual(realtime: bool) -> Iterator[list[PrivilegeResult]]:
-    """While open, this thread wakes up as punctually as it may: at the least without the kernel's slack of 50 µs."""
+    """Makes this thread wake up as punctually as possible, at least without the kernel's slack of 50 µs."""
     from hapsim.loop.realtime import realtime as in_real_time
     from hapsim.loop.realtime import remove_timer_slack
 
@@ -242,24 +242,24 @@ IN_TIME = {
     "host": "In time: the loop woke up less than a period late, and its force answers the newest position, as the "
     "device says; a force that was never sent is a deadline miss.",
 }
-"""What it means, by clock."""
+"""Meaning of "in time", by clock."""
 
 EXCHANGE = {
     "device": "An exchange lasts from a position's arrival until its force has left.",
     "host": "An exchange lasts from waking up for the tick until the position has arrived, the force sent in between.",
 }
-"""What is measured, by clock."""
+"""Meaning of an exchange, by clock."""
 
 ON_THE_MOCK = (
     "The mock keeps the rate. It runs on the same cores and wakes up late like any program; a device has its own "
     "timer. If the mock keeps less than 95 % of the rate, there is no verdict."
 )
-"""With clock: device."""
+"""Remark about the mock with clock: device."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """On one rate under one clock."""
+    """The verdict on one rate under one clock."""
 
     rate_hz: float
     clock: str

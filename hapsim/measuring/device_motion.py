@@ -253,8 +253,7 @@ class SampledMotion(NamedTuple):
     polynomial: Floats
 
     def answer_to(self, forces: Sequence[Floats]) -> Floats:
-        """Returns positions along the last axis under the forces f[n - D - age] of each age. The motion starts at rest
-        at 0, one sample before the first position."""
+        """Returns positions along the last axis under the forces f[n - D - age] of each age, starting at rest."""
         each = zip(forces, self.gains, strict=True)
         return np.asarray(sum(self._filtered(force, gain, float(gain[self.seen])) for force, gain in each))
 

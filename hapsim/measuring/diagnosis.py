@@ -62,7 +62,7 @@ class Diagnosis(NamedTuple):
 
     @property
     def differs(self) -> bool:
-        """Whether the device differs from what the scene declares."""
+        """True if the device differs from the scene's declaration."""
         return self.probable_mass is not None or self.gives or self.is_another_device
 
 

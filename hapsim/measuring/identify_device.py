@@ -357,7 +357,7 @@ class _Pusher:
     def _run(
         self, drive: Drive | None, bounds: Bounds, duration: float, push: PeriodicExcitation | None = None
     ) -> Trace:
-        """Returns the trace of a run, which the loop ends at the first sample out of bounds. `push`: instead of the
+        """Returns the trace of a run, ended by the loop at the first sample out of bounds. `push`: replaces the
         drive's."""
         home = self._home_counts * self._count_m
         excitation = push if drive is None or push is not None else drive.excitation(self._channel)

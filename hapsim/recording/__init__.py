@@ -1,1 +1,1 @@
-"""What a run leaves behind: trace, record, report."""
+"""Recordings of a run: trace, record, report."""

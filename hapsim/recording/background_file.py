@@ -1,6 +1,6 @@
-"""A file that a thread of its own writes while a run goes on, so that nothing waits for the disk.
+"""A file written by its own thread during a run, so that the run never waits for the disk.
 
-A disk that is slow for a while costs memory, up to a bound; a full one costs the rest of the file, but no force.
+While the disk is slow, rows wait in memory, up to a limit. A full disk loses the rest of the file, but no force.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 
-_WRITE_S = 0.25  # how often what has gathered is written: a process that is killed loses no more
-_SUMMARY_S = 1.0  # how often what the file says of itself is written, and the system puts all of it on the disk
-_MOST_BYTES = 1 << 26  # that wait to be written
+_WRITE_S = 0.25  # interval between writes: a killed process loses no more
+_SUMMARY_S = 1.0  # interval between summaries, which also flush the file to the disk
+_MOST_BYTES = 1 << 26  # largest backlog
 _PATIENCE_S = 5.0  # in virtual time, where no hand has to wait for the disk
 _POLL_S = 0.01
 
 
 class BackgroundFile:
-    """The thread and what waits for it. A subclass opens `path`, begins with `_start`, and says how to write."""
+    """The writing thread and its backlog. A subclass opens `path`, calls `_start`, and implements the writing."""
 
     def __init__(self, path: Path, on_warning: Callable[[str], None], what: str, unit: str) -> None:
         """`on_warning` is called if the disk fails, in the writing thread. `what`, `unit`: words for the file and for
@@ -37,7 +37,7 @@ class BackgroundFile:
         self._path = self._part = path
         self._on_warning, self._what, self._unit = on_warning, what, unit
         self.failure = ""
-        """Why rows are missing, or the file that was asked for; "" where nothing is."""
+        """The reason if rows or the requested file are missing, else ""."""
         self._is_broken = False
         self._taken = 0
         self._notes: deque[dict[str, Any]] = deque()
@@ -47,7 +47,7 @@ class BackgroundFile:
         self._thread = threading.Thread(target=self._write_all, name=what, daemon=True)
 
     def take_notes(self, notes: Iterable[dict[str, Any]]) -> None:
-        """Takes what happened beside the rows that are put next."""
+        """Queues notes about the rows that are put next."""
         self._notes.extend(notes)
 
     def _start(self) -> None:
@@ -55,22 +55,22 @@ class BackgroundFile:
 
     @abstractmethod
     def _write(self, rows: NDArray[Any]) -> None:
-        """Writes rows. OSError where not all could be written."""
+        """Writes rows. Raises OSError if not all could be written."""
 
     def _write_note(self, note: dict[str, Any]) -> None:
-        """Writes a note, where the file has any. OSError where it cannot."""
+        """Writes a note, if the file has notes. Raises OSError if it cannot."""
 
     @abstractmethod
     def _summarize(self) -> None:
-        """Writes what the file says of itself, once a second."""
+        """Writes the file's summary, once a second."""
 
     @property
     @abstractmethod
     def written(self) -> int:
-        """Rows in the file."""
+        """Number of rows in the file."""
 
     def put(self, rows: NDArray[Any], patient: bool = False) -> None:
-        """Takes rows to be written. `patient`: waits for the disk if too many wait already."""
+        """Queues rows for writing. `patient`: waits for the disk if the backlog is full."""
         self._taken += len(rows)
         deadline = time.monotonic() + (_PATIENCE_S if patient else 0.0)
         while self._is_behind and time.monotonic() < deadline:
@@ -92,7 +92,7 @@ class BackgroundFile:
 
     @property
     def problem(self) -> str:
-        """How the file, once it is finished, is not as it was asked for, as a sentence; "" where it is."""
+        """A sentence about a finished file that is incomplete or missing; "" if it is complete."""
         if not self.failure:
             return ""
         missing = f"{self.unwritten} {self._unit}s are" if self.unwritten else f"no {self._unit} is"
@@ -102,7 +102,7 @@ class BackgroundFile:
 
     @property
     def unwritten(self) -> int:
-        """Rows that were put and are not in the file."""
+        """Number of rows that were put and are not in the file."""
         return self._taken - self.written
 
     def _warn(self, why: str) -> None:
@@ -128,15 +128,15 @@ class BackgroundFile:
                 if time.monotonic() - last_summary >= _SUMMARY_S and not self._is_broken:
                     self._summarize()
                     last_summary = time.monotonic()
-            except Exception as error:  # of the disk; or a defect, which must not end in rows without end in memory
+            except Exception as error:  # the disk, or a defect: rows must not pile up in memory
                 self._is_broken = True
                 self._warn(in_words(error))
             self._done_bytes += sum(rows.nbytes for rows in waiting)
 
 
 def lock(descriptor: int, path: Path, what: str) -> None:
-    """Locks the file until the descriptor is closed. UsageError where another run has; a system or a file system
-    without locks gives none."""
+    """Locks the file until the descriptor is closed. Raises UsageError if another run has locked it. Does nothing on a
+    system or file system without locks."""
     try:
         import fcntl
 
@@ -148,7 +148,7 @@ def lock(descriptor: int, path: Path, what: str) -> None:
 
 
 def require_writable(path: Path) -> None:
-    """UsageError where no file could be written there: better before the run than after it."""
+    """Raises UsageError if no file can be written to `path`. Call it before the run."""
     directory = path.resolve().parent
     if not directory.is_dir():
         raise UsageError(f"{path}: there is no directory {directory}")

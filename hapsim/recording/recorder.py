@@ -1,4 +1,4 @@
-"""The reader of the loop's ring: rows are kept for a trace in memory, or written to a file meanwhile."""
+"""The reader of the loop's ring: it keeps rows for a trace in memory, or writes them to a file during the run."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from hapsim.whole_file import whole_file
 
 
 class Recorder:
-    """The ring's reader. `keep`: False frees the rows without keeping them, but for the last `recent` ones or a few
-    more. Every `Stream` gets them too."""
+    """The ring's reader. `keep`: False frees all rows but the last `recent` ones or a few more. Every `Stream` gets the
+    rows, too."""
 
     def __init__(
         self, ring: Ring, keep: bool, recent: int = 1, notes: Callable[[], list[dict[str, Any]]] = list
     ) -> None:
-        """`notes()`: what happened beside the rows since the last call, for a file."""
+        """Makes a reader. `notes()`: returns the notes since the last call, for a file."""
         self._ring, self._keep, self._recent, self._notes = ring, keep, recent, notes
         self._lock = threading.Lock()
         self._kept: list[NDArray[Any]] = []
         self._last = deque([ring.drain()])
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self.file: RecordFile | None = None
-        """The file that is written meanwhile, if any."""
+        """The file that is written during the run, or None."""
 
     def collect(self) -> None:
         """Empties the ring; from any thread."""
@@ -60,7 +60,7 @@ class Recorder:
                 self.file.put(rows, patient=bool(self._ring.record.waits))
 
     def follow(self, stream: Stream, before: int = 0) -> None:
-        """Gives `stream` every row from now on, for as long as somebody has it, and first the last `before` ones."""
+        """Sends `stream` the last `before` rows and every later one, until the stream is deleted."""
         self.collect()
         with self._lock:
             rows = np.concatenate(list(self._last))[-before:] if before else self._last[0][:0]
@@ -76,19 +76,18 @@ class Recorder:
         return before
 
     def rows(self) -> NDArray[Any]:
-        """Everything kept."""
+        """Returns all kept rows."""
         return np.concatenate([self._last[0][:0], *self._kept])
 
     def last_rows(self, count: int | None = None) -> NDArray[Any]:
-        """The rows that came last, `count` or all `recent` ones."""
+        """Returns the last `count` rows, or all `recent` ones."""
         with self._lock:
             rows = list(self._last)
         return np.concatenate(rows)[-(count or self._recent) :]
 
 
 class RecordFile(BackgroundFile):
-    """A record that is being written. `path`: .trace, which is a stream itself; or .npz or .csv, beside which the
-    stream is FILE.part until the run has ended."""
+    """A record under way. A .trace is itself a stream; that of a .npz or .csv is FILE.part until the run ends."""
 
     def __init__(
         self,
@@ -97,7 +96,8 @@ class RecordFile(BackgroundFile):
         report_so_far: Callable[[], tuple[Report, Statistics]],
         on_warning: Callable[[str], None],
     ) -> None:
-        """`on_warning` is called if the disk fails, in the writing thread. UsageError where no file can be begun."""
+        """Opens the file. `on_warning` is called in the writing thread if the disk fails. Raises UsageError if the file
+        cannot be opened."""
         super().__init__(path, on_warning, "record", "row")
         self._summary = lambda: summary_document(*report_so_far(), False)
         try:
@@ -108,14 +108,14 @@ class RecordFile(BackgroundFile):
         self._start()
 
     def finish(self, report: Report, statistics: Statistics, notes: Iterable[dict[str, Any]] = ()) -> Report:
-        """The run is over: writes what waits, the last notes, the report and the histograms, and the file that was
-        asked for. Returns the report, with the count of rows that were not written."""
+        """Writes the backlog, the last notes, the report and the histograms, and makes the requested file. Returns the
+        report, with the number of rows that were not written."""
         self._join()
         report, notes = replace(report, unrecorded_rows=self.unwritten), list(notes)
         try:
             try:
                 self._write_end(report, statistics, notes)
-            except OSError:  # of a full disk: what tells of the rows is worth more than the last of them
+            except OSError:  # a full disk: the summary is worth more than the last rows
                 if not self._writer.drop_last_rows():
                     raise
                 report = replace(report, unrecorded_rows=self.unwritten)
@@ -136,7 +136,7 @@ class RecordFile(BackgroundFile):
 
     @property
     def path(self) -> Path:
-        """The file that was asked for."""
+        """The requested file."""
         return self._path
 
     @property
@@ -155,8 +155,8 @@ class RecordFile(BackgroundFile):
 
 
 def _open_free(path: Path) -> tuple[Path, int]:
-    """The file of the stream and its descriptor, empty and locked for this run. A part that a run left when it died
-    stays: the next is FILE.part2. UsageError where another run writes there."""
+    """Returns the stream's file and its descriptor, empty and locked for this run. The part of a killed run stays: the
+    next is FILE.part2. Raises UsageError if another run writes there."""
     flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0)
     if path.suffix != ".trace":  # a name that the user did not give, where anyone may have planted a link
         flags |= getattr(os, "O_NOFOLLOW", 0)
@@ -176,7 +176,7 @@ def _open_free(path: Path) -> tuple[Path, int]:
     raise AssertionError
 
 
-_WAIT_S = 0.1  # between two looks at whether the run is over
+_WAIT_S = 0.1  # interval between two checks whether the run is over
 
 
 @dataclass(frozen=True)
@@ -227,13 +227,13 @@ class Scales:
 
 
 class Stream:
-    """An iterator over the `Samples` of a run from now on, every one; it ends with the run.
+    """An iterator over all later `Samples` of a run; it ends with the run.
 
-    It keeps what was not taken yet. In real time it gives up `longest` rows behind: then `next` raises UsageError."""
+    It holds samples until they are taken. In real time, beyond `longest` rows, it drops them and `next` raises."""
 
     def __init__(self, scales: Scales, longest: int | None, is_over: Any, collect: Any) -> None:
-        """`longest`: None for no limit, in virtual time. `is_over()`: whether no more rows come. `collect()`: fetches
-        the newest ones."""
+        """Makes a stream. `longest`: None for no limit, in virtual time. `is_over()`: True once no more rows come.
+        `collect()`: fetches the newest ones."""
         self._scales, self._longest, self._is_over, self._collect = scales, longest, is_over, collect
         self._waiting: deque[NDArray[Any]] = deque()
         self._count, self._lost = 0, 0
@@ -265,8 +265,8 @@ class Stream:
                 self._news.wait_for(lambda: self._count > 0 or self._lost > 0, _WAIT_S)
 
     def take(self, most: int | None = None) -> Samples | None:
-        """Returns the samples since the last call, the first `most` of them, without waiting for more; None where there
-        are none. UsageError where some were lost."""
+        """Returns the samples since the last call, at most `most`, without waiting; None if there are none. Raises
+        UsageError if some were lost."""
         self._collect()
         with self._news:
             lost, self._lost = self._lost, 0

@@ -17,7 +17,7 @@ NO_RECORD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError
 """Exceptions that reading a foreign or damaged document raises."""
 
 NOT_FINISHED = "not finished"
-"""How the `ending` begins of a record that does not say how its run ended."""
+"""First words of the `ending` of a record whose run did not finish it."""
 
 
 @dataclass(frozen=True)
@@ -25,35 +25,35 @@ class Report(Counts):
     """A run in numbers."""
 
     ending: str
-    """Why it ended: done, stopped, …"""
+    """Cause of the end: done, stopped, …"""
     duration_s: float
-    """From the first position to the last: by the clock on the wall, or in virtual time."""
+    """Time from the first position to the last, s: wall-clock or virtual time."""
     rate_hz: float
     """Positions per second of that duration."""
     nominal_rate_hz: float
-    """What the scene asks for."""
+    """Rate of the scene."""
     lateness_s: Spread
-    """With the host's clock: of the loop's wake-up, after the tick was due. With the device's: of its position, after
-    the earliest recent arrivals, by its own count of samples. Nothing in virtual time."""
+    """Lateness, s. Host's clock: of the loop's wake-up, after the tick was due. Device's clock: of a position, relative
+    to the earliest recent arrivals, by the device's sample numbers. Empty in virtual time."""
     exchange_s: Spread
-    """From a position's arrival until its force has left; with the host's clock, from waking up for the tick until the
-    position has arrived, the force sent in between."""
+    """Time of an exchange, s: from a position's arrival until its force has left. With the host's clock: from the
+    wake-up for the tick, through sending the force, to the arrival of the position."""
     age_samples: Spread
-    """From the position that the acting force answers to the force's change: 1 in time; for a late force an upper
-    bound, since the device reports no more. No force acts for longer than its time to live and one sample more; that
-    the force may be zero already counts as two more."""
+    """Age of the acting force, samples: from its position to the force's change; 1 if in time. For a late force it is
+    an upper bound, because the device reports no more. A force acts for its time to live and one sample at most; one
+    that may be zero already counts as two more."""
     virtual_time: bool
     rejected_by_device: int | None = None
     """Frames of the host that the device rejected since it was armed (register 9); if it stopped by itself, the last
     one, which disarms, is among them. None if it did not say."""
     released: bool | None = None
-    """Whether the device confirmed, after the last force, that it released it; None if the record does not tell."""
+    """True if the device confirmed that it released the last force; None if unknown."""
     timed_by_device: bool = False
-    """Whether a timer of the device's own paced the positions: then their arrival shows its rate."""
+    """True if the device's own timer paced the positions: their arrival then shows its rate."""
     motion: tuple[Motion, ...] = ()
-    """Of each channel; () in a record of an earlier version: linear."""
+    """Kind of each channel's motion; () in a record of an earlier version: linear."""
     in_degrees: bool = False
-    """Whether the scene writes angles in degrees: people read them so."""
+    """True if the scene has angles in degrees: reports then show degrees."""
 
     def units_of(self, channel: int | None = None) -> Units:
         """Returns the units of a channel; None: of all together."""
@@ -61,7 +61,7 @@ class Report(Counts):
 
     @property
     def knows_ticks(self) -> bool:
-        """Whether `ticks` are the run's, and not just those that could be read of its record."""
+        """True if `ticks` counts the whole run, not only the readable part of its record."""
         return not self.ending.startswith(NOT_FINISHED)
 
 
@@ -76,7 +76,7 @@ class Statistics:
 
 @dataclass(frozen=True)
 class _Sparse:
-    """A histogram in a file: the bins in which there is a count, and the counts."""
+    """A histogram in a file: the bins with counts, and the counts."""
 
     unit: float
     maximum: float
@@ -88,7 +88,7 @@ _adapter = cache(TypeAdapter)
 
 
 def validated(kind: Any, value: Any) -> Any:
-    """Returns what JSON made of a `kind` as one again. ValueError, in one line, where it is none."""
+    """Returns a `kind` from its JSON value. Raises ValueError, in one line, if it is none."""
     try:
         return _adapter(kind).validate_python(value)
     except ValidationError as error:
@@ -100,13 +100,13 @@ def validated(kind: Any, value: Any) -> Any:
 
 
 def report_from(values: dict[str, Any]) -> Report:
-    """What `asdict` made of a report, after JSON. ValueError where it is none."""
+    """Returns the report from its JSON object. Raises ValueError if it is none."""
     report: Report = validated(Report, values)
     return report
 
 
 def summary_document(report: Report, statistics: Statistics, finished: bool) -> dict[str, Any]:
-    """What a stream holds of a run beside its rows, for JSON: of each histogram the bins in which there is a count."""
+    """Returns the summary of a run in a stream, for JSON: report and histograms (only bins with counts)."""
     return {
         "finished": finished,
         "report": asdict(report),
@@ -115,7 +115,7 @@ def summary_document(report: Report, statistics: Statistics, finished: bool) -> 
 
 
 def read_summary(document: dict[str, Any]) -> tuple[Report, Statistics]:
-    """What `summary_document` made a document of. An error of `NO_RECORD` where it is none."""
+    """Returns report and histograms of a summary. Raises an error of `NO_RECORD` if it is none."""
     histograms = {name: _whole(one) for name, one in document["histograms"].items()}
     return report_from(document["report"]), Statistics(**histograms)
 

@@ -55,8 +55,8 @@ class StopReport(NamedTuple):
 
 
 def default_directory() -> Path:
-    """Where the reports of runs on a port go: $XDG_STATE_HOME/hapsim/reports, by default under ~/.local/state. OSError
-    where the user has no home."""
+    """Returns the directory of the reports of runs on a port: $XDG_STATE_HOME/hapsim/reports, by default under
+    ~/.local/state. Raises OSError if the user has no home."""
     return state_directory() / "reports"
 
 
@@ -106,8 +106,8 @@ def write_report(
 
 
 def is_report(path: Path) -> bool:
-    """Whether the file is one. OSError where it cannot be read, UsageError where it is another zip, a damaged one, or
-    one that was cut short."""
+    """Returns True for a report file. Raises OSError if it cannot be read, UsageError for another zip, or one that is
+    damaged or cut short."""
     if is_without_end(path):
         raise UsageError(f"{path}: {ZIP_WITHOUT_END}")
     if not zipfile.is_zipfile(path):
@@ -126,7 +126,7 @@ def is_report(path: Path) -> bool:
 
 
 def read_report(path: Path) -> StopReport:
-    """UsageError where it is none."""
+    """Reads a report file. Raises UsageError if it is none."""
     try:
         with zipfile.ZipFile(path) as file:
             wire = WireBytes(file.read(_FROM_DEVICE), file.read(_TO_DEVICE))
@@ -140,8 +140,8 @@ def read_report(path: Path) -> StopReport:
 
 
 def last_frames(data: bytes) -> bytes:
-    """The last FRAMES stretches that end in a delimiter, and what follows them. Of more bytes than are kept, the
-    beginning may be within a frame."""
+    """Returns the last FRAMES frames and the bytes after them. If earlier bytes were dropped, the data may begin within
+    a frame."""
     first = 0 if len(data) < KEPT else data.find(b"\0") + 1
     at = len(data)
     for _ in range(FRAMES + 1):

@@ -1,4 +1,4 @@
-"""The file that a trace is written to while it runs; it can be read whatever became of its writer.
+"""The file format of a trace under way, readable even after its writer was killed.
 
     "hapsim trace\\r\\n\\x1a\\n"                          16 bytes
     a chunk: kind, 4 bytes; count, size and check, 4 bytes each, little-endian; payload, `size` bytes
@@ -36,7 +36,7 @@ MAGIC = b"hapsim trace\r\n\x1a\n"
 VERSION = 2
 _READ = (1, 2)  # 1 has no `run`, and no notes
 MOST_ROWS = 1 << 15
-"""In a chunk: what a reader has in memory at once."""
+"""Largest number of rows in a chunk, which a reader has in memory at once."""
 
 _LEAST_ROWS = 1 << 10  # of a chunk on a full disk: what is left has room for the summary, as a rule
 _CHUNK = struct.Struct("<4sIII")
@@ -50,7 +50,7 @@ _Scales = Annotated[list[_AboveZero], Field(min_length=1, max_length=schema.MAX_
 
 
 class Head(NamedTuple):
-    """What holds for the whole file."""
+    """Properties of the whole file."""
 
     rate_hz: _AboveZero
     position_scale: _Scales
@@ -58,15 +58,15 @@ class Head(NamedTuple):
     force_scale: _Scales
     """N per count, by channel."""
     scene: str = ""
-    """Its file, where it has one."""
+    """The scene's file, or ""."""
     begun: str = ""
     """UTC, ISO 8601."""
     velocity: bool = False
-    """Whether its rows have the velocities that the device sensed."""
+    """True if its rows have the velocities that the device sensed."""
     by_host: bool = False
-    """Whether the host paced, and its rows have when forces left."""
+    """True if the host paced the run; its rows then have the times at which forces left."""
     run: dict[str, Any] | None = None
-    """What was run (`hapsim.running.recorded_run`); None where the record cannot be replayed."""
+    """The run (`hapsim.running.recorded_run`); None if the record cannot be replayed."""
 
     @property
     def rows(self) -> np.dtype[Any]:
@@ -123,7 +123,7 @@ class StreamWriter:
         return True
 
     def write_note(self, note: dict[str, Any]) -> None:
-        """Writes what happened beside the rows. OSError where it cannot."""
+        """Writes a note. Raises OSError if it cannot."""
         self._write_chunk(_NOTE, 0, json.dumps(note).encode())
 
     def write_summary(self, summary: dict[str, Any]) -> None:
@@ -141,7 +141,7 @@ class StreamWriter:
         self._write(_CHUNK.pack(kind, count, len(payload), check) + payload)
 
     def _write(self, data: bytes) -> None:
-        """All of it, or else the file is as long as before."""
+        """Writes all of `data`, or restores the length of the file and raises OSError."""
         left = memoryview(data)
         try:
             while left:
@@ -158,16 +158,16 @@ class StreamWriter:
 
 
 class StreamReader:
-    """Reads such a file, from its beginning as often as wanted. UsageError where it is none."""
+    """Reads such a file, any number of times. Raises UsageError if it is none."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         with reading(path):
             self._read_head(path)
         self.notes: list[dict[str, Any]] = []
-        """What happened beside the rows, once they were read."""
+        """The notes, once the rows were read."""
         self.is_finished = False
-        """Whether the run came to its end and nothing of its record is missing, once the rows were read."""
+        """True if the run ended and its record is complete, once the rows were read."""
         self.count = 0
         """The number of its rows, once they were read."""
         self._end: int | None = None  # where reading stops in a file that still grows
@@ -197,7 +197,7 @@ class StreamReader:
         read_summary(self.summary)
 
     def rows(self) -> Iterator[NDArray[Any]]:
-        """The rows of every whole chunk up to the first that is not. UsageError where one is damaged."""
+        """Yields the rows of all chunks up to the first incomplete one. Raises UsageError for a damaged one."""
         with reading(self._path):
             yield from self._rows()
 
@@ -240,7 +240,7 @@ def open_record(path: Path) -> StreamReader:
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Raises UsageError where what is read within cannot be, or is not what hapsim writes."""
+    """Raises UsageError if the file read in this context is unreadable or damaged."""
     try:
         yield
     except OSError as error:
@@ -250,13 +250,13 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def is_stream(path: Path) -> bool:
-    """Whether the file begins as one. OSError where it cannot be read."""
+    """Returns True if the file begins as a stream. Raises OSError if it cannot be read."""
     with path.open("rb") as stream:
         return stream.read(len(MAGIC)) == MAGIC
 
 
 def _next_chunk(stream: BinaryIO) -> tuple[bytes, int, bytes] | None:
-    """(kind, count, payload); None where no whole one follows."""
+    """Returns kind, count and payload of the next chunk; None if no complete one follows."""
     head = stream.read(_CHUNK.size)
     if len(head) < _CHUNK.size:
         return None

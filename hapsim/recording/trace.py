@@ -1,4 +1,4 @@
-"""What happened in a run, tick by tick, and how it ended."""
+"""Trace: the samples of a run, tick by tick, with its report."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Trace:
     force_counts: NDArray[np.int32]
     """(N, C) the answer, as on the wire."""
     asked_force: NDArray[np.float64]
-    """(N, C) N, what the scene's modules asked for: before an excitation, the limit and the rounding to counts."""
+    """(N, C) N, the force of the scene's modules, before excitation, limit and rounding to counts."""
     position_scale: NDArray[np.float64]
     """(C,) m per count."""
     force_scale: NDArray[np.float64]
@@ -65,20 +65,20 @@ class Trace:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """(N, C) m."""
+        """Positions (N, C), m."""
         return self.position_counts * self.position_scale
 
     @property
     def force(self) -> NDArray[np.float64]:
-        """(N, C) N."""
+        """Sent forces (N, C), N."""
         return self.force_counts * self.force_scale
 
     def since(self, tick: int) -> Trace:
-        """Its rows from this tick on, with the same report."""
+        """Returns the rows from this tick on, with the same report."""
         return replace(self, **{name: getattr(self, name)[tick:] for name in ROWS})
 
     def save(self, path: str | Path) -> None:
-        """Writes a .npz or a .trace (every array as it is) or a .csv (SI units). UsageError where it cannot."""
+        """Writes a .npz or .trace (unchanged arrays) or a .csv (SI units). Raises UsageError if it cannot."""
         path = Path(path)
         require_writable_as_trace(path)
         try:
@@ -92,7 +92,7 @@ class Trace:
             raise UsageError(f"{path}: the trace cannot be written: {error.strerror or error}") from error
 
     def write_npz(self, file: Path | BinaryIO) -> None:
-        """OSError where it cannot be written."""
+        """Writes a .npz. Raises OSError if it cannot."""
         head, rows = self._head_and_rows
         _write_npz(file, head, lambda: rows, self.sample.size, summary_document(self.report, self.statistics, True))
 
@@ -116,7 +116,7 @@ class Trace:
 
 
 def columns_of(rows: NDArray[Any]) -> dict[str, Any]:
-    """The columns of rows of `row_type`, by their names in a trace."""
+    """Returns the columns of rows of `row_type`, by their names in a trace."""
     return {name: np.ascontiguousarray(rows[name]) for name in ROWS}
 
 
@@ -151,7 +151,7 @@ def _write_npz(
     count: int,
     summary: dict[str, Any],
 ) -> None:
-    """Column by column, so that each is written as it is read: `count` rows."""
+    """Writes `count` rows column by column, with a chunk of rows in memory at a time."""
     _, statistics = read_summary(summary)
     small: dict[str, Any] = {
         "position_scale": head.position_scale,
@@ -173,7 +173,7 @@ def _write_npz(
 
 
 def require_writable_as_trace(path: Path) -> None:
-    """UsageError where a trace could not be written there: better before the run than after it."""
+    """Raises UsageError if no trace can be written to `path`. Call it before the run."""
     if path.suffix not in _ENDINGS:
         raise UsageError(f"{path}: found the ending '{path.suffix}', expected {', '.join(_ENDINGS)}")
     require_writable(path)
@@ -213,14 +213,14 @@ def load_trace(path: str | Path) -> Trace:
 
 
 def is_without_end(path: Path) -> bool:
-    """Whether a file begins as a zip file, as a report file and a .npz do, and its directory, which stands at the end,
-    cannot be found. OSError where it cannot be read."""
+    """Returns True if a file begins as a zip file (report file, .npz), but the directory at its end is missing. Raises
+    OSError if it cannot be read."""
     with path.open("rb") as stream:
         return stream.read(4) == b"PK\x03\x04" and not zipfile.is_zipfile(stream)
 
 
 def _load_npz(stream: BinaryIO) -> Trace:
-    """Of a .npz, or of the one in a report file."""
+    """Reads a .npz, or the one in a report file."""
     if zipfile.is_zipfile(stream):
         with zipfile.ZipFile(stream) as report_file:
             if IN_REPORT in report_file.namelist():
@@ -235,7 +235,7 @@ def _load_npz(stream: BinaryIO) -> Trace:
 
 
 def _load_stream(path: Path) -> Trace:
-    """One that ends early is read up to its end. KeyError, TypeError or ValueError where it is no trace's."""
+    """Reads a stream, up to its end if it is cut short. Raises an error of `NO_RECORD` if it is no trace."""
     reader = StreamReader(path)
     rows = np.concatenate([np.empty(0, reader.head.rows), *reader.rows()])
     report, statistics = read_summary(reader.summary)
@@ -250,8 +250,8 @@ def _load_stream(path: Path) -> Trace:
 
 
 def _report_of_rows(report: Report, rows: NDArray[Any]) -> Report:
-    """The report of a record that does not come to its end: counted from the rows as far as possible, the rest as it
-    was written last, a second before or two."""
+    """Returns the report of an unfinished record: counted from the rows as far as possible, the rest as it was last
+    written, a second or two before the end."""
     ticks, elapsed = rows.size, 0.0
     if ticks:
         by_clock = float(rows["time_ns"][-1] - rows["time_ns"][0]) * 1e-9

@@ -1,1 +1,1 @@
-"""Recorded runs, run again without a device."""
+"""Replay and export of recorded runs."""

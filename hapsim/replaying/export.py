@@ -193,17 +193,17 @@ class Column(NamedTuple):
 
     name: str
     unit: str
-    """Of a linear channel; "1": a number."""
+    """Unit for a linear channel; "1" for a number."""
     description: str
     dtype: str
     by_channel: bool = False
 
 
 class Columns:
-    """The columns of a record, and what it has beside them."""
+    """The columns of a record, its scene, documents, changes and markers."""
 
     def __init__(self, path: Path) -> None:
-        """Reads it once. UsageError where it is no record, is damaged, or has no rows."""
+        """Reads the record once. Raises UsageError if it is none, is damaged, or has no rows."""
         self.path, self.reader = path, open_record(path)
         with reading(path):
             self._read()
@@ -217,11 +217,11 @@ class Columns:
         self.all = [column for column in _COLUMNS if self.has_velocity or column.name != "sensed_velocity"]
         notes = self.reader.notes
         self.markers = [(note["sample"], note["marker"]) for note in notes if "marker" in note]
-        """Of each marker: the sample at which it was set, and its text."""
+        """The sample and the text of each marker."""
         self.documents: dict[str, Any] = {"report": self.report}
-        """What the record says of its run, by name: the scene as YAML, the rest for JSON."""
+        """Documents about the run, by name: the scene as YAML, the rest for JSON."""
         self.changes: list[tuple[int, str]] = []
-        """Of each change of the scene: the first row with it, and what changed, as JSON."""
+        """The first row of each change of the scene, and the change as JSON."""
         self.scene: Scene | None = None
         """None in an older record, which has neither documents nor changes."""
         if (run := self.head.run) is not None:

@@ -1,5 +1,5 @@
-"""A recorded run again: its positions and changes through its scene, or another, in virtual time; or its positions from
-a device on a pseudo-terminal (`hapsim replay --device`)."""
+"""Replay of a recorded run: its positions and changes pass through its scene or another one, in virtual time; or a
+device on a pseudo-terminal sends its positions (`hapsim replay --device`)."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ Rows = NDArray[Any]
 
 @dataclass(frozen=True)
 class Difference:
-    """The first row of a replay that is not as it was recorded."""
+    """The first row of a replay that differs from the record."""
 
     tick: int
     sample: int
     what: str
-    """In words: the column, what was recorded, what came out."""
+    """Column, recorded value and replayed value, in words."""
 
 
 class Record:
     """A record that can be replayed."""
 
     def __init__(self, path: Path) -> None:
-        """Raises UsageError where it cannot be."""
+        """Opens a record. Raises UsageError if it cannot be replayed."""
         self.path, self.reader = path, open_record(path)
         run = self.reader.head.run
         if run is None:
@@ -68,15 +68,15 @@ class Record:
             self.scene = recorded_scene(run["scene"], str(path), in_degrees)
             self.description, self.options = self.run.description, options_of(self.run)
         self.notes = self.reader.notes
-        """Changes and markers, as they were noted."""
+        """Changes and markers, as recorded."""
 
     def rows(self) -> Iterator[Rows]:
-        """Its rows, in pieces."""
+        """Returns an iterator over the rows, in pieces."""
         return self.reader.rows()
 
     @property
     def lost_rows(self) -> int:
-        """Rows that are missing."""
+        """Number of missing rows."""
         return int(self.reader.summary["report"].get("dropped_rows", 0))
 
 
@@ -167,7 +167,7 @@ class Replay:
                 self.live.adopt(wanted.model_copy(update={"mock": self.live.scene.mock}), change["over"])
 
     def _words(self, piece: Rows, before: int) -> NDArray[np.int64]:
-        """Rows as `replay_rows` takes them."""
+        """Returns rows in the format of `replay_rows`."""
         channels, velocity = piece["position_counts"].shape[1], self.loop.wire.velocity
         words = np.zeros((len(piece), VALUES + channels * (1 + velocity)), np.int64)
         flags = piece["flags"].astype(np.int64)
@@ -189,11 +189,11 @@ class Comparison:
     difference: Difference | None
     """None where all rows are the same."""
     why: str
-    """What differs beside the rows, as a sentence that follows; "" where nothing is known."""
+    """Likely cause of the difference, as a sentence to append; "" if unknown."""
     rms_recorded: list[float]
     rms_replayed: list[float]
     rms_apart: list[float]
-    """By channel, of all samples."""
+    """Rms forces over all samples, by channel."""
     time_s: NDArray[np.float64]
     position: NDArray[np.float64]
     recorded: NDArray[np.float64]
@@ -229,7 +229,7 @@ def compare(record: Record, scene: Scene | None, sound_file: Path | None, with_c
 
 
 def _why(record: Record) -> str:
-    """What else is not as it was when a record was made."""
+    """Returns the likely cause of a difference: missing rows, or other versions than at the recording."""
     if record.lost_rows:
         return f". {record.lost_rows} rows are missing from the record: its reader was too slow"
     now = versions_of_now()

@@ -1,1 +1,1 @@
-"""What a running scene's sound becomes: loudspeakers (`play.py`, `resample.py`) and files (`wav.py`)."""
+"""Output of a scene's sound to loudspeakers (`play.py`, `resample.py`) and files (`wav.py`)."""

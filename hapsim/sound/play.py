@@ -31,7 +31,7 @@ _left_behind: list[Playback] = []
 
 
 class OutputDevice(NamedTuple):
-    """A sound card, or what else PortAudio can play on."""
+    """A sound card or another output of PortAudio."""
 
     number: int
     name: str
@@ -39,14 +39,14 @@ class OutputDevice(NamedTuple):
     """The sound system that it belongs to: ALSA, JACK Audio Connection Kit."""
     outputs: int
     rate_hz: float
-    """That it runs at if it is not asked for another."""
+    """Default rate, Hz."""
     latency_s: float
-    """The least that it promises."""
+    """Least latency that it declares, s."""
     is_default: bool
 
 
 def output_devices() -> list[OutputDevice]:
-    """Returns what PortAudio can play on now. UsageError where sounddevice or PortAudio is missing."""
+    """Returns the present outputs of PortAudio. Raises UsageError if sounddevice or PortAudio is missing."""
     portaudio = _portaudio()
     chosen = portaudio.default.device[1]
     keys = ("max_output_channels", "default_samplerate", "default_low_output_latency")
@@ -82,7 +82,7 @@ def choose_device(name: str) -> OutputDevice:
 
 
 def _portaudio() -> Any:
-    """The package sounddevice, which loads PortAudio. UsageError where one of them is missing."""
+    """Returns the package sounddevice, which loads PortAudio. Raises UsageError if one of them is missing."""
     try:
         import sounddevice
     except ImportError as error:
@@ -151,7 +151,7 @@ class Playback:
         self._seen, self._seen_at = -1, time.monotonic()
 
     def start(self) -> None:
-        """Plays from now on what the loop writes. UsageError where the card refuses."""
+        """Starts to play the loop's sound. Raises UsageError if the card refuses."""
         try:
             self._stream.start()
         except self._portaudio.PortAudioError as error:
@@ -170,7 +170,7 @@ class Playback:
             )
 
     def fade(self) -> None:
-        """Has the sound fade out; returns at once."""
+        """Starts a fade-out; returns at once."""
         self.record.quiet = 1
 
     def close(self) -> None:
@@ -198,7 +198,7 @@ class SoundOutput:
     """The readers of a ring. `file`, `playback`: set where there is one."""
 
     def __init__(self, ring: SoundRing, in_file: Sequence[int] | None = None) -> None:
-        """`in_file`: which pick-ups the file gets [default: all]."""
+        """Makes the readers. `in_file`: pick-ups of the file [default: all]."""
         self._ring, self._lock = ring, threading.Lock()
         self._in_file = slice(None) if in_file is None else list(in_file)
         self.file: WavFile | None = None
@@ -228,7 +228,7 @@ class SoundOutput:
         self._is_over = True
 
     def counts(self) -> dict[str, Any]:
-        """Returns what Progress and Report say of the sound, by the names of their fields."""
+        """Returns the counts of the sound for Progress and Report, by the names of their fields."""
         ring, lost = self._ring.record, 0
         if self.file is not None:
             lost = self._ring.lost + (self.file.unwritten if self._is_over else 0)

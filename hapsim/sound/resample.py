@@ -240,7 +240,7 @@ def _steer(player, ring, frames, output_s):
 
 @helper
 def _interrupt(player):
-    """There is nothing to play: the last values decay from here on."""
+    """Stops the playback for lack of frames: the last values decay from here on."""
     player.underruns += player.quiet == 0
     for c in range(np.uint64(player.channels)):
         player.held[c] = player.newest[c]
@@ -249,7 +249,7 @@ def _interrupt(player):
 
 @helper
 def _has_frames(player, ring, frames):
-    """Whether the ring has what these frames of the card need; counts what was overwritten."""
+    """Returns True if the ring has the input of these frames of the card; counts overwritten frames."""
     last = player.place + np.int64(player.part + player.ratio * (frames - 1)) + player.half + 1  # for rounding
     lost = ring.pushed + 1 - ring.capacity - (player.place - player.half + 1)
     if lost > 0:

@@ -27,7 +27,7 @@ _PCM_GUID = bytes.fromhex("0100000000001000800000aa00389b71")
 
 
 def require_writable_as_wav(path: Path, channels: int, step_rate_hz: float) -> None:
-    """UsageError where no sound could be written there: better before the run than after it."""
+    """Raises UsageError if no sound can be written to `path`. Call it before the run."""
     most_hz = ((1 << 32) - 1) // (channels * _BYTES)  # the header counts bytes a second in 32 bits
     if not 1 <= round(step_rate_hz) <= most_hz:
         steps = f"found {step_rate_hz:g} steps a second (rate times substeps)"
@@ -38,7 +38,7 @@ def require_writable_as_wav(path: Path, channels: int, step_rate_hz: float) -> N
 
 
 def header(channels: int, rate_hz: int, frames: int) -> bytes:
-    """Returns what stands before the frames. More than two channels take the extensible form."""
+    """Returns the header of the file. More than two channels need the extensible form."""
     frame = channels * _BYTES
     form = _PCM if channels <= 2 else _EXTENSIBLE
     described = struct.pack("<HHIIHH", form, channels, rate_hz, rate_hz * frame, frame, 8 * _BYTES)
@@ -83,7 +83,7 @@ class WavFile(BackgroundFile):
         return self._frames
 
     def finish(self) -> None:
-        """The run is over: writes what waits."""
+        """Writes the backlog at the end of the run, and closes the file."""
         self._join()
         os.close(self._descriptor)
         if not self.failure and not self._path.exists():

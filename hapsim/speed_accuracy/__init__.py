@@ -1,1 +1,1 @@
-"""What a simulated second costs, and how far from the continuous object it is: objects, methods, rates, precisions."""
+"""Comparison of cost and accuracy of a simulated second, over objects, methods, rates and precisions."""

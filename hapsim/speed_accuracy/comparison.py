@@ -1,7 +1,7 @@
-"""Every object by every method, precision and rate: run once, and timed round by round, in which all take turns.
+"""The comparison: every object, method, precision and rate runs once; then all are timed in turn, round by round.
 
-Timed is the processor time of a simulated second of a scene: compiled ticks in a compiled loop, with what a correction
-does around each.
+The cost is the processor time of a simulated second of a scene: compiled ticks in a compiled loop, with a correction's
+work around each.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _BLOCK = 1024  # samples of the hand's motion that are ready: few enough to stay
 
 
 class Running:
-    """A scene whose first hand moves as `hand_motion` says, the first samples of it over and over."""
+    """A scene whose first hand repeats the first samples of `hand_motion`."""
 
     def __init__(self, scene: Scene) -> None:
         rendering = rendered(scene)
@@ -55,7 +55,7 @@ class Running:
             self._calls = set_hooks(self._loop.hooks, self._kept.hooks)
 
     def advance(self, samples: int) -> None:
-        """Simulates samples."""
+        """Simulates this number of samples."""
         if self._loop is not None:
             corrected_ticks(self._loop, self._program.record, self._measured, samples)
         else:
@@ -75,7 +75,7 @@ class Clocks:
         self._timed.append(warm.result())
 
     def round(self) -> Iterator[float]:
-        """Seconds of processor time for a simulated second of each scene, one after the other."""
+        """Yields the processor time of a simulated second of each scene, s."""
         return (self._apart.submit(timed.round).result() for timed in self._timed)
 
     def close(self) -> None:
@@ -85,19 +85,19 @@ class Clocks:
 
 PRECISIONS = ("double", "single")
 RATES = (500.0, 1000.0, 2000.0, 5000.0, 10_000.0, 20_000.0, 50_000.0)
-"""Hz"""
+"""Sample rates, Hz."""
 
 Tell = Callable[[str], None]
 
 
 def objects_named(names: Iterable[str]) -> list[Object]:
-    """Those of these names, in their own order; all of them where there is no name. UsageError for another name."""
+    """Returns the objects with these names, in their own order; all for no name. Raises UsageError for another."""
     chosen = _named("--object", names, [one.name for one in OBJECTS])
     return [one for one in OBJECTS if not chosen or one.name in chosen]
 
 
 def schemes_named(names: Iterable[str]) -> list[str]:
-    """Those of these names, in their own order; none where there is no name. UsageError for another name."""
+    """Returns the schemes with these names, in their own order; none for no name. Raises UsageError for another."""
     return _named("--scheme", names, list(SCHEMES))
 
 
@@ -109,7 +109,7 @@ def _named(option: str, names: Iterable[str], known: list[str]) -> list[str]:
 
 
 class Case(NamedTuple):
-    """What is run once and timed in every round."""
+    """One combination, which is run once and timed in every round."""
 
     object: Object
     method: str
@@ -120,7 +120,7 @@ class Case(NamedTuple):
         return f"{self.object.title}: {self.method}, {self.precision}, {self.rate:g} Hz"
 
     def run(self) -> Found:
-        """What it is off by."""
+        """Returns the errors of the case."""
         try:
             return self.object.found(*self[1:])
         except UsageError as error:  # a scheme that rejects the scene
@@ -130,7 +130,7 @@ class Case(NamedTuple):
 class Comparison:
     """Cases that have run, and are timed round by round. Unstable ones are reported as such, and have no cost.
 
-    `schemes`: those alone, where an object has any to choose from. `tell` hears about progress.
+    `schemes`: the only ones to run, if an object has a choice. `tell`: called with each step of the progress.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class Comparison:
             costs.append(cost)
 
     def rows(self) -> list[Row]:
-        """A row for each case and quantity, in the order of the objects."""
+        """Returns a row for each case and quantity, in the order of the objects."""
         rows = []
         for case, found in self._found.items():
             one, method, precision, rate = case
@@ -185,7 +185,7 @@ def compare(
     tell: Tell = lambda _: None,
     schemes: Sequence[str] = (),
 ) -> list[Row]:
-    """The rows of a comparison of `rounds` rounds."""
+    """Returns the rows of a comparison with `rounds` rounds."""
     with contextlib.closing(Comparison(objects, rates, tell, schemes)) as comparison:
         for number in range(rounds):
             tell(f"timing, round {number + 1} of {rounds}")

@@ -65,7 +65,7 @@ _COARSER = 1e-9  # where the loop follows an estimate: it changes by more than a
 
 
 class OneSpring:
-    """Its methods are its delays."""
+    """A hand on one spring. Its methods are delays and corrections."""
 
     name = "spring"
     title = "a hand on one spring"
@@ -73,7 +73,7 @@ class OneSpring:
     methods: tuple[str, ...] = (ONE_SAMPLE, ONE_MILLISECOND, *CORRECTED)
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
-        """A flicked hand on a wall, with this delay; rate in Hz."""
+        """Returns a scene of a flicked hand on a wall, with this delay; rate in Hz."""
         correction = CORRECTED.get(method, "none")
         adaptive, numerics = correction == "adaptive", {"precision": precision}
         device = Device(
@@ -93,7 +93,7 @@ class OneSpring:
         return Scene(version=1, rate=rate, device=device, mock=mock, modules=modules, **numerics)  # type: ignore[arg-type]
 
     def found(self, method: str, precision: str, rate: float) -> Found:
-        """Measures what the hand feels, in virtual time: k and b, relative; why not, where it cannot."""
+        """Measures the felt k and b in virtual time. Returns their relative errors, or why there are none."""
         scene = self.scene(method, precision, rate)
         predicted = predict(scene, with_margins=False)
         felt = predicted.felt[0]
@@ -122,7 +122,7 @@ _SO_HEAVY = 1e9  # kg: it stays where it is
 
 
 class Contact:
-    """5 ms long, with a restitution of 0.9."""
+    """A mass that bounces on a buffer for 5 ms, with a restitution of 0.9."""
 
     name = "contact"
     title = "a mass thrown against a buffer"
@@ -130,7 +130,7 @@ class Contact:
     methods: tuple[str, ...] = tuple(SCHEMES)
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
-        """A mass so heavy that the buffer is touched in every sample, which is the dearer of its two cases."""
+        """Returns a scene with a mass so heavy that it always touches the buffer, the costlier of two cases."""
         return _ball_scene(method, precision, rate, Mass(mass=_SO_HEAVY, position=-1e-3))
 
     def found(self, method: str, precision: str, rate: float) -> Found:
@@ -209,7 +209,7 @@ _STEADY_IN_SINGLE = 1.0 + 1e-4
 
 
 class RingingString:
-    """A `string` and how it is called."""
+    """A string of masses, with its name and title."""
 
     quantities: tuple[str, ...] = ("frequency",)
     methods: tuple[str, ...] = tuple(SCHEMES)
@@ -222,7 +222,7 @@ class RingingString:
         return scene_of(self.string, method, precision, rate, *hand_link(self.string))
 
     def found(self, method: str, precision: str, rate: float) -> Found:
-        """Rings it in some of its modes: the frequency that is furthest off, relative."""
+        """Simulates free motions in several modes. Returns the largest relative error of a frequency."""
         steady = STEADY if precision == "double" else _STEADY_IN_SINGLE
         ring = partial(record, scene_of(self.string, method, precision, rate), self.string)
         rung = frequencies_of(ring, self.string, rate, MODES, steady=steady)
@@ -235,7 +235,7 @@ class RingingString:
 def scene_of(
     string: StringOfMasses, method: str, precision: str, rate: float, stiffness: float = 0.0, damping: float = 0.0
 ) -> Scene:
-    """The string as a scene; the hand's link in N/m and N·s/m."""
+    """Returns the string as a scene; the hand's link in N/m and N·s/m."""
     ends = ("hand", f"string.{held_mass(string)}")
     modules = {
         "hand": DevicePoint(channel=0),
@@ -246,7 +246,7 @@ def scene_of(
 
 
 def record(scene: Scene, string: StringOfMasses, shape: Vector, samples: int) -> Vector:
-    """The motion along `shape` (N,), sample by sample, once the scene's string was released in it; shape (samples,)."""
+    """Returns the motion (samples,) along `shape` (N,), after the scene's string was released in that shape."""
     program = compile_scene(scene)
     # It is kept as positions of its masses in the row whose turn it is; or, by the exact scheme, as how much there is
     # of each of its modes: sines, all of one norm, the slowest first.

@@ -1,4 +1,4 @@
-"""What a comparison consists of and gives: objects, rows, the front, a verdict."""
+"""Objects and results of a comparison: rows, the front, a verdict."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Object(Protocol):
     methods: tuple[str, ...]  # by what it is simulated
 
     def scene(self, method: str, precision: str, rate: float) -> Scene:
-        """What is timed: rate in Hz."""
+        """Returns the scene to time; rate in Hz."""
 
     def found(self, method: str, precision: str, rate: float) -> Found:
         """Runs it."""
@@ -66,17 +66,17 @@ class Row:
 
     @property
     def good(self) -> bool:
-        """Whether it has a place in a picture."""
+        """True if error and cost are finite."""
         return math.isfinite(self.error) and math.isfinite(self.cost)
 
     @property
     def ours(self) -> bool:
-        """Whether hapsim was measured, not another program."""
+        """True for a row of hapsim, not of another program."""
         return self.whose == OURS
 
 
 def row_of_document(document: Any) -> Row:
-    """The reverse of `documents.plain`. Raises TypeError or ValueError where it is none."""
+    """Returns a row from its JSON object. Raises TypeError or ValueError if it is none."""
     row = Row(**document)
     error = math.nan if row.error is None else float(row.error)
     return replace(row, error=error, rate_hz=float(row.rate_hz), costs=tuple(map(float, row.costs)))

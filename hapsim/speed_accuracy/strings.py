@@ -1,7 +1,7 @@
-"""What peers without hapsim's packages need, so numpy alone is imported: the string that is rung, and processor time.
+"""The string of a comparison, and the timing, for peers without hapsim's packages: only numpy is imported.
 
-The string has equal masses and visco-elastic links, fixed at both ends: where it rings in truth, and where a simulation
-of it does.
+The string has equal masses and visco-elastic links, and is fixed at both ends. Its eigenfrequencies are known exactly,
+and are identified in a simulation.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def frequencies_of(
 
 
 def project(rows: Vector, shape: Vector) -> Vector:
-    """How much of `shape` (N,) is in each of the displacements `rows` (..., N)."""
+    """Returns the amplitude of `shape` (N,) in each of the displacements `rows` (..., N)."""
     return np.asarray(rows @ shape / (shape @ shape))
 
 
@@ -173,7 +173,7 @@ class Timed:
         return self._took(self._samples) * self._rate / self._samples
 
     def _took(self, samples: int) -> float:
-        """Of the thread that asks, so that what shows progress beside it is not counted."""
+        """Returns the processor time of the calling thread, s: a progress display does not count."""
         begin = time.thread_time()
         self._advance(samples)
         return time.thread_time() - begin
