@@ -165,7 +165,7 @@ class WebView:
 
     # What viewers ask
 
-    async def beside(self, work: Callable[[], Any], is_prediction: bool = False) -> Any:
+    async def in_thread(self, work: Callable[[], Any], is_prediction: bool = False) -> Any:
         """Returns what `work` returns in another thread."""
         return await self._loop.run_in_executor(self._predictor if is_prediction else self._slow, work)
 
@@ -299,12 +299,12 @@ class Viewer:
             case Stop():
                 hub.stop()
             case Adopt():
-                await view.beside(lambda: hub.adopt(request.scene, request.over))
+                await view.in_thread(lambda: hub.adopt(request.scene, request.over))
             case Record():
-                file = await view.beside(lambda: hub.record(request.on))
+                file = await view.in_thread(lambda: hub.record(request.on))
             case Predict():
                 scene, parameters = hub.scene, hub.parameters
-                found = await view.beside(
+                found = await view.in_thread(
                     lambda: predicted(scene, parameters, request),
                     is_prediction=True,
                 )

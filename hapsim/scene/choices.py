@@ -33,15 +33,15 @@ def _each(meanings: Mapping[str, str]) -> str:
 
 
 _HOLDS = "; ".join(f"{hold.meaning} ({name})" for name, hold in HOLDS.items())
-HOLD = f"What the device makes of the forces that it receives: {_HOLDS}"
+HOLD = f"Conversion of received forces by the device: {_HOLDS}"
 
 MOTION = (
-    "How the device moves: along a line (linear: m, N, kg), or about an axis (rotary: rad, N·m, kg·m², and N·m/rad "
+    "Motion of the device: along a line (linear: m, N, kg), or about an axis (rotary: rad, N·m, kg·m², and N·m/rad "
     "for every N/m below)"
 )
 
 Sampling = Literal["ideal", "average"]
-SAMPLING = "How the device reads its position: at the instant (ideal), or as the mean over the period (average)"
+SAMPLING = "Position that the device reads: at the instant (ideal), or as the mean over the period (average)"
 
 Decimation = Literal["last", "mean"]
 DECIMATION = (
@@ -49,7 +49,7 @@ DECIMATION = (
     "weakens what vibrates faster than half the rate"
 )
 
-DAMPER = f"Where the damper's velocity comes from: {_each({name: one.meaning for name, one in DAMPERS.items()})}"
+DAMPER = f"Source of the damper's velocity: {_each({name: one.meaning for name, one in DAMPERS.items()})}"
 #: The dampers that have a cutoff, and those that read the device's own velocity sensor.
 WITH_CUTOFF = tuple(name for name, damper in DAMPERS.items() if damper.has_cutoff)
 WITH_SENSOR = tuple(name for name, damper in DAMPERS.items() if damper.senses)
@@ -62,7 +62,7 @@ DETENT_SHAPE = (
 #: The shapes of a detent that have a sharpness.
 WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
 
-SCHEME = f"How masses move from sample to sample: {_each(_SCHEMES)}"
+SCHEME = f"Integration of the masses from sample to sample: {_each(_SCHEMES)}"
 
 CorrectionName = Literal["none", "poles", "predictor", "adaptive"]
 CORRECTION = (

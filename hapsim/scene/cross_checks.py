@@ -42,7 +42,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
         yield from module.issues(name, around)
     kinds = around.kinds.values()
     if None not in kinds and DevicePoint not in kinds:
-        sentence = "found no module of type device, expected at least one: it is what the hand holds"
+        sentence = "found no module of type device, expected at least one for the hand to hold"
         yield Issue(("modules",), sentence, at_key=True)
     if scene.get("precision") == "single":
         yield from _beyond_single(around)
@@ -67,13 +67,13 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
     ):
         yield Issue(
             ("device", "correction"),
-            "found adaptive with a mass that is known, expected device.mass: {from: the least, to: the most}; "
-            "or write correction: predictor",
+            "found adaptive with a known mass; write device.mass: {from: the least, to: the most}, "
+            "or correction: predictor",
         )
     if device.get("travel_margin") is not None and device.get("travel") is None:
         yield Issue(
             ("device", "travel_margin"),
-            "found a margin without a travel, expected device.travel: [the least, the most] beside it; or omit it",
+            "found a margin without a travel; add device.travel: [the least, the most], or omit the margin",
             at_key=True,
         )
 

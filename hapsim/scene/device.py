@@ -41,28 +41,28 @@ from .quantity import (
 
 Clock = Literal["device", "host", "lockstep"]
 
-_MASS = "Moving part of the device and the hand that holds it"
+_MASS = "Mass of the device's moving part and of the hand that holds it"
 MASS = quantity(_MASS, "kg", above=0, per_channel=True)
 SPANNED_MASS = quantity(_MASS, "kg", above=0, per_channel=True, spans=True)
 FRICTION = quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
 STIFFNESS = quantity("Spring in the device itself, at rest at position 0", "N/m", least=0, per_channel=True)
 MASS_AT = quantity(
-    "Device's own position, on each channel, at which mass and friction are as stated: a linkage has others elsewhere",
+    "Position of the device, by its own coordinate, at which mass and friction hold: those of a linkage vary",
     "m",
     per_channel=True,
     left_out="they are the same everywhere",
 )
 DELAY = quantity(
-    "From sampling the position to the force's change, any real number", "sample periods", least=0, most=1000
+    "Delay from sampling the position to the change of the force; any real number", "sample periods", least=0, most=1000
 )
 SLEW_LIMIT = quantity(
-    "How fast the force may change from one sample to the next",
+    "Largest rate of change of the force",
     "N/s",
     above=0,
     left_out="behind a port force_limit in 1 ms, or in a sample period where that is longer; before the mock none",
 )
 SOFT_START = quantity(
-    "How long what the scene asks for in the very first sample takes to rise; 0: no time",
+    "Duration of the force's ramp from zero after arming; 0: none",
     "s",
     least=0,
     most=10,
@@ -74,9 +74,7 @@ ENERGY_LIMIT = quantity(
     above=0,
     left_out="behind a port, and in `hapsim run`, force_limit times 0.02 m, or 0.1 rad; before the mock none",
 )
-TRAVEL = interval(
-    "How far the device moves, by the scene's positions: outside the force fades to zero", "m", "no limit"
-)
+TRAVEL = interval("Range of the device, by the scene's positions; outside it the force fades to zero", "m", "no limit")
 TRAVEL_MARGIN = quantity(
     "Width of the band outside travel in which the force fades; a run ends beyond it",
     "m",
@@ -84,7 +82,7 @@ TRAVEL_MARGIN = quantity(
     left_out="a tenth of the travel",
 )
 ORIGIN = quantity(
-    "Which of the device's positions is the scene's position 0; here: the one at arming",
+    "Position of the device that is the scene's position 0; here: its position at arming",
     "m",
     per_channel=True,
     left_out="where the device powered up or homed",
@@ -105,7 +103,7 @@ class Device(Part):
     baud: Annotated[int, count("Speed of the serial link", 1, 100_000_000, "bit/s")] = 2_000_000
     clock: Clock = Field(
         default="device",
-        description="Who paces the loop; lockstep: the mock, in virtual time, as fast as it goes",
+        description="Clock of the loop; lockstep: the mock, in virtual time, as fast as possible",
     )
     motion: Annotated[Motion | tuple[Motion, ...], word_per_channel(MOTION, MOTIONS)] = "linear"
     mass: Annotated[SpanPerChannel, SPANNED_MASS]
@@ -115,7 +113,7 @@ class Device(Part):
     delay: Annotated[float, DELAY] = 1.0
     hold: Hold = Field(default="zoh", description=HOLD)
     sampling: Sampling = Field(default="ideal", description=SAMPLING)
-    force_limit: Annotated[float, quantity("Force that is never exceeded", "N", above=0)] = 10.0
+    force_limit: Annotated[float, quantity("Largest force", "N", above=0)] = 10.0
     slew_limit: Annotated[float | None, SLEW_LIMIT] = None
     soft_start: Annotated[float | None, SOFT_START] = None
     energy_limit: Annotated[float | None, ENERGY_LIMIT] = None
@@ -222,7 +220,7 @@ class Mock(Part):
     delay: Annotated[float | None, replace(DELAY, left_out=AS_DEVICE)] = None
     hold: Hold | None = Field(default=None, description=f"{HOLD}; without it: {AS_DEVICE}")
     sampling: Sampling | None = Field(default=None, description=f"{SAMPLING}; without it: {AS_DEVICE}")
-    initial: Initial = Field(default=Initial(), description="Where the moving parts are when the run starts")
+    initial: Initial = Field(default=Initial(), description="Initial state of the moving parts")
     hand: Hand = Field(default=Hand(), description="The hand that holds the moving parts")
     coulomb: Annotated[float, quantity("Dry friction", "N", least=0)] = 0.0
     quantum: Annotated[
@@ -240,7 +238,7 @@ class Mock(Part):
     ] = None
     turnaround: Annotated[
         float,
-        quantity("What the mock takes before a position's first byte and after a force's last", "s", least=0, most=1),
+        quantity("Time the mock needs before it sends a position and after it receives a force", "s", least=0, most=1),
     ] = 0.0
     misses: Annotated[
         float,
@@ -252,7 +250,7 @@ class Mock(Part):
             "The mass of every moving part and its hand from these times on: a hand that grips, or releases",
             "s",
             "kg",
-            left_out="it stays what it is",
+            left_out="it stays the same",
             fewest=1,
             above=0.0,
         ),

@@ -163,7 +163,7 @@ def quantity(
     number = _number(number_words, unit, gt=above, ge=least, le=most)
     kinds = {_NUMBER: number}
     if word:
-        kinds[_WORD] = _saying(core_schema.literal_schema([word]), words)
+        kinds[_WORD] = _with_message(core_schema.literal_schema([word]), words)
     if spans:
         kinds[_SPAN] = _mapping_of(number, "from", "to", _span)
         kinds[_KNOWN] = _mapping_of(number, "value", "uncertainty", _known)
@@ -206,13 +206,13 @@ def count(description: str, least: int, most: int, unit: str = "", left_out: str
     """A whole number from `least` to `most`, written without a decimal point."""
     words = f"a whole number from {least} to {most}" + (f" ({unit})" if unit else "")
     whole = core_schema.int_schema(strict=True, ge=least, le=most)
-    schema = _saying(core_schema.no_info_before_validator_function(_as_int, whole), words)
+    schema = _with_message(core_schema.no_info_before_validator_function(_as_int, whole), words)
     return Expectation(description, words, schema, unit, left_out)
 
 
 def words_of(description: str, words: tuple[str, ...], count: int) -> Expectation:
     """A list of `count` of these words."""
-    entry = _saying(core_schema.literal_schema(list(words)), " or ".join(words))
+    entry = _with_message(core_schema.literal_schema(list(words)), " or ".join(words))
     expected = f"a list of {count} words, each {' or '.join(words)}"
     return Expectation(description, expected, _list_of([entry], count, count, expected))
 
@@ -222,27 +222,27 @@ def word_per_channel(description: str, words: tuple[str, ...]) -> Expectation:
     either = " or ".join(words)
     expected = f"{either}, or a list with one per channel"
     literal = core_schema.literal_schema(list(words))
-    entries = _list_of([_saying(literal, either)], 1, MOST_CHANNELS, expected)
-    kinds = {_WORD: _saying(literal, expected), _LIST: entries}
+    entries = _list_of([_with_message(literal, either)], 1, MOST_CHANNELS, expected)
+    kinds = {_WORD: _with_message(literal, expected), _LIST: entries}
     return Expectation(description, expected, _choice(kinds, expected))
 
 
 def names(description: str, expected: str, entry: str, count: int) -> Expectation:
     """A list of `count` texts; `entry`: what an error calls one."""
-    text = _saying(core_schema.str_schema(strict=True), entry)
+    text = _with_message(core_schema.str_schema(strict=True), entry)
     return Expectation(description, expected, _list_of([text], count, count, expected))
 
 
 def text(description: str, expected: str, pattern: str, left_out: str = "") -> Expectation:
     """A text of a regular expression `pattern`."""
     schema = core_schema.str_schema(strict=True, pattern=f"^{pattern}$")
-    return Expectation(description, expected, _saying(schema, expected), left_out=left_out)
+    return Expectation(description, expected, _with_message(schema, expected), left_out=left_out)
 
 
 def version(number: int, format_name: str) -> Expectation:
     """The number of the format that this hapsim reads."""
     expected = f"{number}: this hapsim reads version {number} of the {format_name} format"
-    schema = _saying(core_schema.int_schema(strict=True, ge=number, le=number), expected)
+    schema = _with_message(core_schema.int_schema(strict=True, ge=number, le=number), expected)
     return Expectation(f"Version of the {format_name} format", expected, schema)
 
 
@@ -258,7 +258,7 @@ def _words(expected: str) -> Any:
     return {"custom_error_type": UNEXPECTED, "custom_error_message": message, "custom_error_context": context}
 
 
-def _saying(schema: Schema, expected: str) -> Schema:
+def _with_message(schema: Schema, expected: str) -> Schema:
     return core_schema.custom_error_schema(schema, **_words(expected))
 
 
@@ -295,7 +295,7 @@ def _number(expected: str, unit: str, **bounds: Any) -> Schema:
         return math.radians(float(angle[1])) if angle and (angle[4] or "") == per else _as_float(value)
 
     number = core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds)
-    return _saying(core_schema.no_info_before_validator_function(as_float, number), expected)
+    return _with_message(core_schema.no_info_before_validator_function(as_float, number), expected)
 
 
 def _as_float(value: object) -> object:

@@ -54,7 +54,7 @@ PickUpsByName = Annotated[
     Mapping[Annotated[str, NAME], PickUp],
     AfterValidator(Table),
     PlainSerializer(lambda sound: {name: one.model_dump() for name, one in sound.items()}),
-    Field(description="What is heard: the output channels, by name", json_schema_extra={"additionalProperties": False}),
+    Field(description="Output channels of the sound, by name", json_schema_extra={"additionalProperties": False}),
 ]
 
 
@@ -66,9 +66,9 @@ class Scene(Part):
     Attributes:
         version: of the format, 1.
         rate: of the device's samples, in Hz: one over the sample period.
-        substeps: how often the modules move between two samples.
-        device: what stands on the other side of the wire.
-        mock: where the mock device differs from it.
+        substeps: steps of the modules per sample.
+        device: the device that the hand holds.
+        mock: differences of the mock device from it.
         modules: by name, in the order of the file.
         sound: the pick-ups, by name, in the order of the output channels.
 
@@ -78,14 +78,14 @@ class Scene(Part):
 
     version: Annotated[int, format_version(VERSION, "scene")]
     rate: Annotated[float, quantity("Rate of the device's samples: one over the sample period", "Hz", above=0)]
-    substeps: Annotated[int, count("How often the modules move between two samples of the device", 1, 1000)] = 1
-    device: Device = Field(description="What stands on the other side of the wire")
+    substeps: Annotated[int, count("Steps of the modules per sample of the device", 1, 1000)] = 1
+    device: Device = Field(description="The device that the hand holds")
     mock: Mock | None = Field(
-        default=None, description="Only where the mock device differs from what `device` says, or adds to it"
+        default=None, description="Differences of the mock device from `device`, and additions to it"
     )
     precision: Literal["double", "single"] = Field(
         default="double",
-        description="How long the real values are that the scene is worked out in: 64 bits (double), or 32 (single)",
+        description="Precision of the real values in the scene's computation: 64 bits (double), or 32 (single)",
     )
     scheme: SchemeName = Field(default="cordis", description=SCHEME)
     modules: ModulesByName

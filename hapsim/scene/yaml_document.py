@@ -110,7 +110,7 @@ def number_hint(node: yaml.Node) -> str:
         return ""
     text = node.value.strip()
     if _PATTERNS[INTEGER].match(text) or _PATTERNS[FLOAT].match(text):
-        return "; leave out the quotes"
+        return "; remove the quotes"
     if re.match(r"[-+]?\.?[0-9]", text):
         return "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
     return ""
@@ -169,7 +169,7 @@ def _fault_at(place: Place, sentence: str) -> YamlSyntaxError:
 
 
 def _require_spaces(text: str) -> None:
-    """YamlSyntaxError at the first line `key:value`, if the text is a mapping with a space behind these colons."""
+    """Raises YamlSyntaxError at the first line `key:value`, if a space after these colons makes the text a mapping."""
     first = _UNSPACED.search(text)
     if first is None:
         return
@@ -185,7 +185,7 @@ def _require_spaces(text: str) -> None:
 def space_hint(text: object) -> str:
     """Returns the advice for a key, or a text in place of a mapping, without a space after its colon; else ""."""
     key, colon, value = text.partition(":") if isinstance(text, str) else ("", "", "")
-    return f"; a space belongs behind the colon: {quote(f'{key}: {value}')}" if colon and value[:1].strip() else ""
+    return f"; put a space after the colon: {quote(f'{key}: {value}')}" if colon and value[:1].strip() else ""
 
 
 def place_of(node: yaml.Node) -> Place:

@@ -1,5 +1,5 @@
-"""A file in YAML -> a `Document`, or an error with a line for each fault: for scenes, and for other files. What
-pydantic finds wrong in its parts is said in our own sentences: what was found, what was expected, what to do."""
+"""A file in YAML -> a `Document`, or an error with a line for each fault: for scenes, and for other files.
+pydantic's errors are reworded: found, expected, what to do."""
 
 import codecs
 import math
@@ -184,8 +184,8 @@ def findings_of(error: ValidationError, document: Document, layout: Layout, unit
     raws = [raw for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
     findings = [_Finding(raw, document, layout, units) for raw in raws]
     misspelt = {found.meant() for found in findings if found.kind == "extra_forbidden"}
-    heard = [found for found in findings if found.kind != "missing" or (*found.place, found.key) not in misspelt]
-    return [found.issue() for found in heard]
+    reported = [found for found in findings if found.kind != "missing" or (*found.place, found.key) not in misspelt]
+    return [found.issue() for found in reported]
 
 
 class _Finding:
@@ -210,7 +210,7 @@ class _Finding:
         issue = self._issue()
         is_emptied = issue.path == self.path and not issue.at_key and self._document.value(self.path) is None
         if is_emptied and self._may_be_omitted():
-            return replace(issue, sentence=f"{issue.sentence}; leave the key out for the default")
+            return replace(issue, sentence=f"{issue.sentence}; omit the key for the default")
         return issue
 
     def meant(self) -> Path:

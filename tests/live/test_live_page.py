@@ -271,7 +271,7 @@ def test_a_refused_value_is_shown_with_its_reason_beside_it_until_another_is_tri
     page.served.session.set({"touch": {"damping": 6.0}})
     later(page, 2.0)  # counters come once a second
     text = said(page, ROW)
-    assert f"{float(typed):.0f} N/m was refused, 2000 N/m stays" in text
+    assert f"{float(typed):.0f} N/m was rejected, the value is still 2000 N/m: " in text
     assert why in text
     assert page.value("touch.stiffness") == 2000.0
     box = page.part("set touch.stiffness").find_element("xpath", "../input[@type='number']")

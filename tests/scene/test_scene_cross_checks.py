@@ -42,18 +42,18 @@ def test_a_link_to_a_link_is_reported(only_fault: OnlyFault) -> None:
 
 def test_a_link_between_two_grounds_is_reported(faults: Faults, good: str) -> None:
     assert faults(good.replace("[hand, wall]", "[wall, floor]") + "  floor: {type: ground}\n") == [
-        "7:40: between: found 'wall' and 'floor', of which neither can move; expected one end that can"
+        "7:40: between: found 'wall' and 'floor', which cannot move; expected at least one end that can"
     ]
 
 
 def test_two_modules_on_one_channel_are_reported_at_the_second(faults: Faults, good: str) -> None:
     assert faults(good + "  left: {type: device, channel: 0}\n") == [
-        "8:33: channel: found 0, which 'hand' has already; expected a channel of its own"
+        "8:33: channel: found 0, which 'hand' already uses; expected an unused channel"
     ]
 
 
 def test_a_scene_without_a_hand_is_reported(faults: Faults, good: str) -> None:
-    without = "4:1: modules: found no module of type device, expected at least one: it is what the hand holds"
+    without = "4:1: modules: found no module of type device, expected at least one for the hand to hold"
     assert faults(good.replace("type: device, channel: 0", "type: mass, mass: 1")) == [without]
     assert faults(good[: good.index("modules")] + "modules: {}") == [without]
 

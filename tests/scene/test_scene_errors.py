@@ -30,7 +30,7 @@ NO_TAG = "expected a plain value without a tag"
     [
         ("-3", f"2:7: rate: found -3, {HZ}"),
         ("fast", f"2:7: rate: found 'fast' (text), {HZ}"),
-        ("'1000'", f"2:7: rate: found '1000' (text), {HZ}; leave out the quotes"),
+        ("'1000'", f"2:7: rate: found '1000' (text), {HZ}; remove the quotes"),
         ("1 kHz", f"2:7: rate: found '1 kHz' (text), {HZ}{DECIMALS}"),
         ("1_000", f"2:7: rate: found '1_000' (text), {HZ}{DECIMALS}"),
         ("12:30:45", f"2:7: rate: found '12:30:45' (text), {HZ}{DECIMALS}"),
@@ -99,8 +99,8 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
         ("{mass: 1, travel: [0, 1], travel_margin: 0}", "3:50: travel_margin: found 0, expected a number > 0 (m)"),
         (
             "{mass: 1, travel_margin: 0.01}",
-            "3:19: travel_margin: found a margin without a travel, expected device.travel: [the least, the most] "
-            "beside it; or omit it",
+            "3:19: travel_margin: found a margin without a travel; add device.travel: [the least, the most], or "
+            "omit the margin",
         ),
         (
             "{mass: 1, origin: there}",
@@ -250,7 +250,7 @@ def test_an_empty_optional_key_is_not_taken_for_its_default(faults: Faults, writ
             lines.insert(-1, f"    type: {path[1]}")
         found = f": {path[-1]}: found {written} (nothing), expected " if written else f": {path[-1]}: found nothing, "
         (told,) = [line for line in faults("\n".join(lines) + f" {written}\n") if found in line]
-        assert told.endswith("; leave the key out for the default")
+        assert told.endswith("; omit the key for the default")
 
 
 def test_nothing_under_a_key_that_has_to_be_there_is_not_to_be_left_out(only_fault: OnlyFault) -> None:

@@ -135,15 +135,15 @@ modules:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        (UNSPACED, "2:9: found 'version:1'; a space belongs behind the colon: 'version: 1'"),
-        ("version:1\nrate:1000 # Hz\n", "1:9: found 'version:1'; a space belongs behind the colon: 'version: 1'"),
+        (UNSPACED, "2:9: found 'version:1'; put a space after the colon: 'version: 1'"),
+        ("version:1\nrate:1000 # Hz\n", "1:9: found 'version:1'; put a space after the colon: 'version: 1'"),
         (
             "version: 1\nrate:1000 # Hz\ndevice: {mass: 1}\n",
-            "2:6: found 'rate:1000'; a space belongs behind the colon: 'rate: 1000'",
+            "2:6: found 'rate:1000'; put a space after the colon: 'rate: 1000'",
         ),
         (
             "device:\n  port:/dev/ttyACM0\n  mass: 1\n",
-            "2:8: found 'port:/dev/ttyACM0'; a space belongs behind the colon: 'port: /dev/ttyACM0'",
+            "2:8: found 'port:/dev/ttyACM0'; put a space after the colon: 'port: /dev/ttyACM0'",
         ),
     ],
 )
@@ -161,7 +161,7 @@ def test_a_colon_without_a_space_is_not_blamed_for_something_else(faults: Faults
 
 
 def test_a_colon_without_a_space_within_a_scene_is_told_with_what_to_do(faults: Faults, good: str) -> None:
-    remedy = "; a space belongs behind the colon: 'mass: 0.2'"
+    remedy = "; put a space after the colon: 'mass: 0.2'"
     assert faults(good.replace("{mass: 0.2}", "\n  mass:0.2")) == [
         f"4:3: device: found 'mass:0.2' (text), expected a mapping{remedy}"
     ]

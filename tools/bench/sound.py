@@ -82,7 +82,7 @@ def busy_thread() -> Iterator[None]:
     over.set()
 
 
-def told(report: Mapping[str, Any]) -> dict[str, object]:
+def figures_of(report: Mapping[str, Any]) -> dict[str, object]:
     """Returns the printed values of a report."""
     p50, p99 = report["sound_latency_s"] or (0.0, 0.0)
     return {
@@ -100,7 +100,7 @@ def of_hapsim(seconds: float, realtime: bool) -> dict[str, object]:
     options = {"duration": seconds, "transport": "terminal", "sound": True, "realtime": realtime, "keep": False}
     with hapsim.start(hapsim.parse_scene(_SCENE, "sound"), **options) as session:
         session.wait()
-    return told(vars(session.trace.report))
+    return figures_of(vars(session.trace.report))
 
 
 def of_long_run(seconds: float, directory: Path, realtime: bool) -> dict[str, object]:
@@ -124,7 +124,7 @@ def of_long_run(seconds: float, directory: Path, realtime: bool) -> dict[str, ob
         ]
         answer = subprocess.run([*run, "--sound", "--json", *scheduling], stdout=subprocess.PIPE, check=True)
     report = json.loads(answer.stdout)
-    return told(report) | {"reconnections": report["reconnections"]}
+    return figures_of(report) | {"reconnections": report["reconnections"]}
 
 
 def of_c(client: Path, seconds: float) -> dict[str, object]:

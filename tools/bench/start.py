@@ -107,7 +107,7 @@ class Listener:
 def measure_first(rounds: int) -> dict[str, Any]:
     found = []
     for number in range(rounds):
-        tell(f"first start {number + 1} of {rounds}")
+        log(f"first start {number + 1} of {rounds}")
         with tempfile.TemporaryDirectory() as empty:
             found.append(run_scene(SCENE, empty))
     return {"first": [asdict(took) for took in found]}
@@ -118,7 +118,7 @@ def measure_armed(rounds: int) -> dict[str, Any]:
     listener.seconds_to_armed()  # compiles, where that was never done, and is not counted
     found: dict[str, list[float]] = {"armed": [], "help": []}
     for number in range(rounds):
-        tell(f"later start {number + 1} of {rounds}")
+        log(f"later start {number + 1} of {rounds}")
         found["help"].append(run("hapsim", "--help").wall)
         found["armed"].append(listener.seconds_to_armed())
     return found
@@ -134,11 +134,11 @@ def measure_scenes(random: int) -> dict[str, Any]:
             paths[-1].write_text(text, encoding="utf-8")
         run_scene(SCENE, place)
         for number, path in enumerate(paths):
-            tell(f"scene {number + 1} of {len(paths)}")
+            log(f"scene {number + 1} of {len(paths)}")
             try:
                 first, second = run_scene(path, place), run_scene(path, place)
             except CommandFailed as error:  # on a busy machine a device may fall silent
-                tell(f"skipped: {error}")
+                log(f"skipped: {error}")
                 continue
             more = {"wall": first.wall - second.wall, "processor": first.processor - second.processor}
             row = {"scene": path.stem, "by_chance": path not in shipped, "more": more}
@@ -169,7 +169,7 @@ def spread(seconds: list[float]) -> str:
     return f"{statistics.median(seconds):.2f} s [{min(seconds):.2f}, {max(seconds):.2f}]"
 
 
-def tell(words: str) -> None:
+def log(words: str) -> None:
     """A sign of life."""
     print(words, file=sys.stderr, flush=True)
 

@@ -175,7 +175,7 @@ class Injector:
             self.passed[to_device].frames_in += piece.found is not None
             if not to_device:
                 self._count_samples(piece)
-                self.witness.hear(piece, time_s, self.samples)
+                self.witness.receive(piece, time_s, self.samples)
             passed += self.advance(time_s)
             passed += self._through([piece], 0, time_s)
         self._arrive(time_s)

@@ -80,7 +80,7 @@ class Witness:
         self._confirmed = False
         self._ended: tuple[str, float, int] | None = None  # by what, when, at which sample
 
-    def hear(self, piece: Piece, time_s: float, samples: int) -> None:
+    def receive(self, piece: Piece, time_s: float, samples: int) -> None:
         """Takes in a frame that the device sends, `samples` after its first."""
         self.samples = samples
         frame = piece.frame

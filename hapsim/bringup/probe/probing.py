@@ -1,6 +1,6 @@
 """A device that is being judged: its wire, one arming of it, the checks (`checks.yaml`), and what was found so far.
 
-Its wire is heard in every format, with everything that is no frame.
+Its wire is received in every format, with everything that is no frame.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class StoppedError(Exception):
 
 
 class Wire(Client):
-    """A device behind an open connection, heard in every format."""
+    """A device behind an open connection, received in every format."""
 
     def __init__(self, connection: Connection, clock: Any = time) -> None:
         """`clock`: of a `Client`."""

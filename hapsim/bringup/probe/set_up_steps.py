@@ -35,9 +35,9 @@ def probe_conversation(probing: Probing) -> bool:
     wire = probing.wire
     _describes(probing, (schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS))
     before, pieces = wire.received, len(wire.damaged)
-    heard = wire.receive_for(_QUIET_S)
+    frames = wire.receive_for(_QUIET_S)
     count, noise = wire.received - before, b" ".join(wire.damaged[pieces:])
-    sample = f", the first: {in_words(heard[0])}" if heard else f", such as {noise[:24]!r}" if noise else ""
+    sample = f", the first: {in_words(frames[0])}" if frames else f", such as {noise[:24]!r}" if noise else ""
     probing.judge("silence", count == 0, f"{count} bytes in {_QUIET_S:g} s{sample}")
     _ignores_damage(probing)
     _finds_back(probing)
@@ -92,8 +92,8 @@ def _only_the_second(wire: Wire, first: bytes) -> tuple[bool, Received | None]:
     question = wire.frame(schema.DESCRIBE, schema.REG_VERSION)
     for again in range(3):
         wire.send(question if again else first + question)
-        answer, heard = wire.wait_for(_is_version, ANSWER_S)
-        other = next((one for one in heard if not _is_version(one)), None)
+        answer, frames = wire.wait_for(_is_version, ANSWER_S)
+        other = next((one for one in frames if not _is_version(one)), None)
         if answer is not None or other is not None:
             return answer is not None, other
     return False, None
@@ -265,8 +265,8 @@ def _stays(probing: Probing, what: str, fault: int, answer: Received | None) -> 
         wire.release()
         look_at = "ARM is to be refused before anything is changed"
         return probing.judge("stays_idle", False, f"{what}: armed all the same", look_at)
-    read, heard = wire.ask(wire.frame(schema.DESCRIBE, schema.REG_FAULT), schema.DESCRIPTION, schema.REG_FAULT)
-    position = next((one for one in heard if one.kind in schema.POSITIONS), None)  # it armed, whatever it said
+    read, frames = wire.ask(wire.frame(schema.DESCRIBE, schema.REG_FAULT), schema.DESCRIPTION, schema.REG_FAULT)
+    position = next((one for one in frames if one.kind in schema.POSITIONS), None)  # it armed, whatever it said
     if position is None and read is not None and read.word == fault:
         found = "answers DESCRIBE after each refusal, sends no position; register 7 has the fault"
         return probing.judge("stays_idle", True, found)

@@ -24,7 +24,7 @@ export class Connection extends EventTarget {
       this.dispatchEvent(new CustomEvent("closed", { detail: event.reason }));
       setTimeout(() => this.open(), 2000);
     };
-    this.socket.onmessage = (event) => (typeof event.data === "string" ? this.hear(JSON.parse(event.data)) : this.take(event.data));
+    this.socket.onmessage = (event) => (typeof event.data === "string" ? this.receive(JSON.parse(event.data)) : this.take(event.data));
   }
 
   /** Sends a request. @param {object} request @returns {Promise<any>} its answer: one that rejects it where nobody answers */
@@ -38,7 +38,7 @@ export class Connection extends EventTarget {
   }
 
   /** @param {any} message */
-  hear(message) {
+  receive(message) {
     const answered = this.waiting.get(message.id);
     this.waiting.delete(message.id);
     if (answered) answered(message);

@@ -69,7 +69,7 @@ export function makeControls(place, parameters, plan, apply) {
     let now = one.value;
     const say = () => {
       const why = refused.get(one.name), written = (/** @type {any} */ value) => (typeof value === "number" ? `${Number((value * factor).toPrecision(12))} ${shownUnit}`.trim() : value);
-      refuseAt(row, why ? `${written(why.typed)} was refused, ${written(now)} stays: ${why.reason}` : "", () => refused.delete(one.name));
+      refuseAt(row, why ? `${written(why.typed)} was rejected, the value is still ${written(now)}: ${why.reason}` : "", () => refused.delete(one.name));
     };
     rows.set(one.name, { show: (value = now) => (inputs.show((now = value)), say()), say });
     rows.get(one.name)?.show();

@@ -41,7 +41,7 @@ connection.addEventListener("closed", () => status("not connected: the run has e
 connection.addEventListener("samples", (event) => samples.add(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("modules", (event) => samples.addModules(/** @type {CustomEvent} */ (event).detail));
 connection.addEventListener("counters", (event) => count(/** @type {CustomEvent} */ (event).detail));
-connection.addEventListener("event", (event) => hear(/** @type {CustomEvent} */ (event).detail));
+connection.addEventListener("event", (event) => receive(/** @type {CustomEvent} */ (event).detail));
 
 async function begin() {
   words = await (await fetch("counters.json")).json();
@@ -145,7 +145,7 @@ const noted = (counts) => Object.entries(words).map(([name, text]) => (counts[na
 function showScope() {
   part("freeze").setAttribute("aria-pressed", String(scope.isFrozen));
   const { mode, isRising } = scope.trigger;
-  part("freeze").textContent = scope.isFrozen ? (mode === "single" ? "Next one" : "Run on") : "Freeze";
+  part("freeze").textContent = scope.isFrozen ? (mode === "single" ? "Next trigger" : "Resume") : "Freeze";
   part("trigger-how").hidden = mode === "off";
   part("slope").textContent = isRising ? "↗" : "↘";
   const spans = [...part("span").options].map((one) => Number(one.value));
@@ -219,7 +219,7 @@ async function apply(values) {
 }
 
 /** @param {any} event */
-function hear(event) {
+function receive(event) {
   if (event.kind === "changed" && Object.keys(event.values).length) {
     controls?.show(event.values);
     if (!Object.keys(event.values).every((name) => name.startsWith("mock."))) predict({}, true);

@@ -43,8 +43,8 @@ export class Plane {
     const less = own ? ", less the device's own" : "";
     if (!hand) this.note.textContent = why.join("; ");
     else if (hand.K < 0) this.note.textContent = "In a snap K is below 0, outside this plane.";
-    else if (!now.plane) this.note.textContent = "With a correction, K and B are not what is simulated: no boundary of theirs is drawn.";
-    else this.note.textContent = `The area shows for which K and B the loop is stable. The marks on the axes are the k and b that are felt${less}: the area does not apply to them.`;
+    else if (!now.plane) this.note.textContent = "A correction simulates another K and B than the scene's: there is no boundary to draw.";
+    else this.note.textContent = `The loop is stable for K and B in the shaded area. The marks on the axes are the felt k and b${less}; the area does not apply to them.`;
     if (now.wire_delay) this.note.textContent += ` ${now.wire_delay}.`;
     this.draw();
   }

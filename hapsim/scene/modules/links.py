@@ -54,7 +54,7 @@ class Link(Module):
             yield Issue(("between",), f"found {quote(first)} at both ends, expected two different points")
         elif all(kind is not None and not kind.can_move for kind in kinds):
             ends = f"{quote(first)} and {quote(second)}"
-            yield Issue(("between",), f"found {ends}, of which neither can move; expected one end that can")
+            yield Issue(("between",), f"found {ends}, which cannot move; expected at least one end that can")
 
 
 def wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
@@ -73,7 +73,7 @@ def wrong_end(name: str, end: str, around: ModuleContext) -> str | None:
         return _wrong_place(end, holder, around) if around.knows(holder, *kind.counts) else None
     if holder != end:
         what = kind.model_fields["type"].default
-        return f"found {quote(end)}, but {quote(holder)} is a single {what}; leave out the dot and what follows"
+        return f"found {quote(end)}, but {quote(holder)} is a single {what}; remove the dot and the rest"
     if not kind.is_point:
         return f"found {quote(end)}, which is a link; expected a point"
     return None
@@ -327,9 +327,9 @@ class Click(Link):
     type: Literal["click"] = Field(
         default="click", description="A button that clicks: its first end is pressed down on its second"
     )
-    travel: Annotated[float, quantity("How far it is pressed where it meets the bottom", "m", above=0)]
+    travel: Annotated[float, quantity("Depth of the press at which it meets the bottom", "m", above=0)]
     peak: Annotated[float, quantity("Force at which it gives way", "N", above=0)]
-    drop: Annotated[float, quantity("How much less its force is then; more than the peak: it stays down", "N", least=0)]
+    drop: Annotated[float, quantity("Drop of its force then; if larger than the peak, it stays down", "N", least=0)]
     bottom: Annotated[float, quantity("Stiffness of the bottom", "N/m", above=0)]
     damping: Annotated[float, quantity("Viscosity while it is pressed", "N·s/m", least=0)] = 0.0
 
@@ -364,7 +364,7 @@ class PickUp(Part):
     type: ClassVar[str] = "pick-up"
 
     point: Annotated[str, POINT] = Field(alias="from")
-    of: Quantity = Field(description="What it hears: how fast the point moves, where it is, or what links pull it with")
+    of: Quantity = Field(description="Quantity of the point: its velocity, its position, or the force of its links")
     gain: Annotated[float, GAIN] = 1.0
     highpass: Annotated[float, HIGHPASS] = 0.0
 

@@ -27,7 +27,7 @@ class DevicePoint(Module):
         sound = [other for other in points if around.knows(other, "channel")]
         first = next(other for other in sound if points[other].channel == self.channel)
         if first != name:
-            sentence = f"found {self.channel}, which {quote(first)} has already; expected a channel of its own"
+            sentence = f"found {self.channel}, which {quote(first)} already uses; expected an unused channel"
             yield Issue(("channel",), sentence)
 
 
@@ -38,7 +38,7 @@ class Ground(Module):
     live: ClassVar[tuple[str, ...]] = ("position",)
 
     type: Literal["ground"] = Field(default="ground", description="A fixed point")
-    position: Annotated[float, quantity("Where it is", "m")] = 0.0
+    position: Annotated[float, quantity("Position", "m")] = 0.0
 
 
 class Held(NamedTuple):
@@ -91,7 +91,7 @@ class Cell(MaterialPoint):
     type: Literal["cell"] = Field(default="cell", description="A material point that is held where it rests")
     stiffness: Annotated[float, quantity("Stiffness of the spring that holds it", "N/m", least=0)]
     damping: Annotated[float, quantity("Viscosity of the damper that holds it", "N·s/m", least=0)] = 0.0
-    rest: Annotated[float, quantity("Where it rests", "m")] = 0.0
+    rest: Annotated[float, quantity("Rest position", "m")] = 0.0
     position: Annotated[float | None, quantity("Position at the start", "m", left_out="where it rests")] = None
     velocity: Annotated[float, quantity("Velocity at the start", "m/s")] = 0.0
 

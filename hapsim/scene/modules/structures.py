@@ -40,7 +40,7 @@ class Structure(Module):
     stiffness: Annotated[float, quantity("Stiffness of each link", "N/m", least=0)]
     damping: Annotated[float, quantity("Viscosity of each link", "N·s/m", least=0)] = 0.0
     friction: Annotated[float, quantity("Viscous friction of each mass in what is around it", "N·s/m", least=0)] = 0.0
-    position: Annotated[float, quantity("Where it is at rest, and begins", "m")] = 0.0
+    position: Annotated[float, quantity("Position at rest and at the start", "m")] = 0.0
 
     @abstractmethod
     def point_names(self) -> list[str]:
@@ -71,7 +71,7 @@ MOST_MASSES = 100_000
 #: fixed: a further link holds the end; clamped: it cannot turn there either, which only bending feels.
 StringEnd = Literal["fixed", "clamped", "free"]
 
-_ENDS = words_of("How each end is held", ("fixed", "clamped", "free"), 2)
+_ENDS = words_of("Support of each end", ("fixed", "clamped", "free"), 2)
 _BENDING = quantity(
     "Stiffness against bending: each mass is pulled to the middle of its neighbours, and they the other way",
     "N/m",
@@ -83,7 +83,7 @@ class Pluck(Part):
     """A string that is pulled aside before the run begins, and released at rest. SI units."""
 
     at: Annotated[int, count("Number of the mass that is pulled aside", 0, MOST_MASSES - 1)]
-    by: Annotated[float, quantity("How far it is pulled aside", "m")]
+    by: Annotated[float, quantity("Distance by which it is pulled aside", "m")]
 
 
 class String(Structure):
@@ -93,7 +93,7 @@ class String(Structure):
     initial: ClassVar[tuple[str, ...]] = ("pluck",)
 
     type: Literal["string"] = Field(default="string", description="Equal masses in a row, each linked to the next")
-    masses: Annotated[int, count("How many masses", 2, MOST_MASSES)]
+    masses: Annotated[int, count("Number of masses", 2, MOST_MASSES)]
     bending: Annotated[float, _BENDING] = 0.0
     ends: Annotated[tuple[StringEnd, StringEnd], _ENDS] = ("fixed", "fixed")
     pluck: Pluck | None = Field(
@@ -154,7 +154,7 @@ MOST_IN_A_ROW = 300
 
 MembraneEdge = Literal["fixed", "free"]
 
-_EDGES = words_of("How each edge is held, the top, the bottom, the left and the right one", ("fixed", "free"), 4)
+_EDGES = words_of("Support of the top, bottom, left and right edge", ("fixed", "free"), 4)
 
 
 class Membrane(Structure):
@@ -165,8 +165,8 @@ class Membrane(Structure):
     type: Literal["membrane"] = Field(
         default="membrane", description="Equal masses in rows and columns, each linked to its neighbours"
     )
-    rows: Annotated[int, count("How many rows", 2, MOST_IN_A_ROW)]
-    columns: Annotated[int, count("How many columns: masses in each row", 2, MOST_IN_A_ROW)]
+    rows: Annotated[int, count("Number of rows", 2, MOST_IN_A_ROW)]
+    columns: Annotated[int, count("Number of columns: masses in each row", 2, MOST_IN_A_ROW)]
     edges: Annotated[tuple[MembraneEdge, ...], _EDGES] = ("fixed",) * 4
 
     def point_names(self) -> list[str]:

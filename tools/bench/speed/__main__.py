@@ -74,19 +74,19 @@ def _measure(arguments: argparse.Namespace) -> dict[str, Any]:
         comparison, peers, ratios = None, None, None
         if "chart" in arguments.only:
             objects = objects_named(arguments.object)
-            comparison = Comparison(objects, rates, _tell)
+            comparison = Comparison(objects, rates, _log)
             open_ones.callback(comparison.close)
             peers = PeerRows(
-                [one for one in objects if isinstance(one, RingingString) and not one.string.bending], rates, _tell
+                [one for one in objects if isinstance(one, RingingString) and not one.string.bending], rates, _log
             )
             about["conditions"] += peers.skipped
         if "ratios" in arguments.only:
-            ratios = Ratios(_tell)
+            ratios = Ratios(_log)
             about["conditions"] += ratios.agreed
         for number in range(rounds):
             begin = time.monotonic()
             _round(number, comparison, peers, ratios, about, arguments.only)
-            _tell(f"round {number + 1} of {rounds} took {time.monotonic() - begin:.0f} s")
+            _log(f"round {number + 1} of {rounds} took {time.monotonic() - begin:.0f} s")
         rows: list[Row] = (comparison.rows() if comparison else []) + (peers.rows() if peers else [])
         about["rows"] = [plain(row) for row in rows]
         about["ratios"] = ratios.measured if ratios else {}
@@ -107,20 +107,20 @@ def _round(
     parts: list[str],
 ) -> None:
     if ratios is not None:
-        _tell(f"round {number + 1}: ratios")
+        _log(f"round {number + 1}: ratios")
         ratios.round()
     if comparison is not None:
-        _tell(f"round {number + 1}: hapsim")
+        _log(f"round {number + 1}: hapsim")
         comparison.round()
     if peers is not None:
-        peers.round(lambda words: _tell(f"round {number + 1}: {words}"))
+        peers.round(lambda words: _log(f"round {number + 1}: {words}"))
     if "first" in parts and number < _MOST_FIRST:
-        _tell(f"round {number + 1}: from a scene to its first tick")
+        _log(f"round {number + 1}: from a scene to its first tick")
         cold, warm = cold_and_warm()
         about["first_tick"].append({"cold": cold, "warm": warm})
 
 
-def _tell(words: str) -> None:
+def _log(words: str) -> None:
     """A sign of life."""
     print(words, file=sys.stderr, flush=True)
 

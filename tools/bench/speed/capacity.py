@@ -173,10 +173,10 @@ def peers(cells: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     Faust."""
     for cell in cells:
         if (cell["object"], cell["precision"]) == ("string", "double") and cell["fits"] <= _PIECE["string"]:
-            yield _beside("plain C", cell["fits"], _plain_c)
+            yield _reference("plain C", cell["fits"], _plain_c)
     if not FaustMi(hand=True).available():
         for masses in _FAUST_MASSES:
-            yield _beside("Faust mi.lib", masses, _faust)
+            yield _reference("Faust mi.lib", masses, _faust)
 
 
 def _plain_c(masses: int) -> tuple[Callable[[int], object] | None, str]:
@@ -193,7 +193,7 @@ def _faust(masses: int) -> tuple[Callable[[int], object] | None, str]:
     return (run.advance if run else None), peer.note
 
 
-def _beside(
+def _reference(
     who: str, masses: int, program: Callable[[int], tuple[Callable[[int], object] | None, str]]
 ) -> dict[str, Any]:
     """Five rounds in which it and hapsim take turns, both with a string of so many masses."""

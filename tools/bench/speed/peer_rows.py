@@ -19,7 +19,7 @@ from speed.peers.scipy_ivp import SciPy
 class PeerRows:
     """Peers by strings by rates. A peer that chooses its own steps runs at the lowest and the highest rate only."""
 
-    def __init__(self, strings: Sequence[RingingString], rates: Sequence[float], tell: Callable[[str], None]) -> None:
+    def __init__(self, strings: Sequence[RingingString], rates: Sequence[float], log: Callable[[str], None]) -> None:
         self._rows: list[tuple[Peer, RingingString, Row]] = []
         self._costs: list[list[float]] = []
         self.skipped: list[str] = []
@@ -30,15 +30,15 @@ class PeerRows:
             at = sorted({min(rates), max(rates)}) if isinstance(peer, SciPy) else rates
             for one in strings:
                 for rate in at:
-                    tell(f"{peer.name}, {one.title}, {rate:g} Hz")
+                    log(f"{peer.name}, {one.title}, {rate:g} Hz")
                     self._rows.append((peer, one, _row(peer, one, rate)))
                     self._costs.append([])
 
-    def round(self, tell: Callable[[str], None]) -> None:
+    def round(self, log: Callable[[str], None]) -> None:
         """Times everybody once who rings somewhere."""
         for (peer, one, row), costs in zip(self._rows, self._costs, strict=True):
             if math.isfinite(row.error):
-                tell(f"timing {peer.name}, {one.title}, {row.rate_hz:g} Hz")
+                log(f"timing {peer.name}, {one.title}, {row.rate_hz:g} Hz")
                 costs.extend(peer.cost(one.string, row.rate_hz, 1))
 
     def rows(self) -> list[Row]:

@@ -23,13 +23,13 @@ Measured = dict[str, dict[str, list[float]]]
 class Ratios:
     """Contests that were held to the same forces, to be timed round by round."""
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
+    def __init__(self, log: Callable[[str], None]) -> None:
         self.measured: Measured = {}
         self.agreed: list[str] = []
         for contest in contests():
-            tell(f"compiling {contest.what}")
+            log(f"compiling {contest.what}")
             self.agreed += _require_agreement(contest)
-        self._others = list(_others(tell))
+        self._others = list(_others(log))
 
     def round(self) -> None:
         """Everybody once, made anew: where its arrays happen to stand in memory decides too what a tick costs."""
@@ -62,7 +62,7 @@ def _require_agreement(contest: Contest) -> list[str]:
     return [f"{contest.what}: all forces agree within {worst:.0e} of the largest"]
 
 
-def _others(tell: Callable[[str], None]) -> Iterator[tuple[str, dict[str, Callable[[], float]]]]:
+def _others(log: Callable[[str], None]) -> Iterator[tuple[str, dict[str, Callable[[], float]]]]:
     """Peers that are no C programs of ours, each beside hapsim: ns a sample."""
     string = StringOfMasses.tuned(100)
     scene = scene_of(string, "cordis", "double", RATE, *hand_link(string))
@@ -72,7 +72,7 @@ def _others(tell: Callable[[str], None]) -> Iterator[tuple[str, dict[str, Callab
 
     for peer in (FaustMi(hand=True), MuJoCo("Euler"), MuJoCo("implicitfast"), MuJoCo("RK4")):
         if why := peer.available():
-            tell(f"{peer.name} is skipped: {why}")
+            log(f"{peer.name} is skipped: {why}")
             continue
 
         def theirs(peer: FaustMi | MuJoCo = peer) -> float:

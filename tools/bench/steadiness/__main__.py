@@ -87,10 +87,10 @@ def _measure_rounds(bench: Bench, parts: list[str], effort: Effort, fifo: bool, 
         try:
             measure_round(bench, number, parts, effort, fifo, records)
         except KeyboardInterrupt:
-            bench.tell("interrupted: here is what there is")
+            bench.log("interrupted: here is what there is")
             return
         left = (effort.rounds - number - 1) * (time.monotonic() - begin) / (number + 1)
-        bench.tell(f"    {left / 60.0:.0f} min to go")
+        bench.log(f"    {left / 60.0:.0f} min to go")
 
 
 def _conditions(bench: Bench, power: str, fifo: bool) -> list[str]:

@@ -16,20 +16,20 @@ def require_agreement(bench: Bench) -> list[str]:
     """Runs every peer once, which compiles what is not yet compiled. Raises PeerError where two of them differ. Which
     loops were compared, in sentences."""
     for amplitude in _AMPLITUDES:
-        bench.tell(f"the same answers in memory, {1e3 * amplitude:g} mm?")
-        told = {peer: bench.compute(peer, _EXCHANGES, amplitude) for peer in bench.peers(C, COMPILED)}
+        bench.log(f"the same answers in memory, {1e3 * amplitude:g} mm?")
+        answers = {peer: bench.compute(peer, _EXCHANGES, amplitude) for peer in bench.peers(C, COMPILED)}
         for what in ("frames_crc32", "answers_crc32", "limited"):
-            _require_one(f"in memory, {1e3 * amplitude:g} mm, {what}", {p: t[what] for p, t in told.items()})
-    told = {}
+            _require_one(f"in memory, {1e3 * amplitude:g} mm, {what}", {p: t[what] for p, t in answers.items()})
+    answers = {}
     for peer in bench.peers(C, COMPILED, PORTABLE):
-        bench.tell(f"the same forces against the same device? {peer}")
+        bench.log(f"the same forces against the same device? {peer}")
         with mock_device(bench.scenes["lockstep"], bench.device_cpus) as port:
-            told[peer] = bench.run(peer, "lockstep", port, NO_LOAD, ticks=_TICKS)
+            answers[peer] = bench.run(peer, "lockstep", port, NO_LOAD, ticks=_TICKS)
     for what in ("forces_crc32", "positions_crc32", "ticks"):
-        _require_one(f"on a port, {what}", {p: t[what] for p, t in told.items()})
+        _require_one(f"on a port, {what}", {p: t[what] for p, t in answers.items()})
     return [
         f"{', '.join(bench.peers(C, COMPILED))}: the same answers to {_EXCHANGES} positions in memory, byte for byte",
-        f"{', '.join(told)}: the same {_TICKS} forces in virtual time against the mock",
+        f"{', '.join(answers)}: the same {_TICKS} forces in virtual time against the mock",
     ]
 
 

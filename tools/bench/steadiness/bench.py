@@ -40,14 +40,14 @@ class Bench:
         if not has_cyclictest():
             self.without[CYCLICTEST] = "cyclictest is not installed (Debian: apt install rt-tests): it is not measured."
 
-    def tell(self, what: str) -> None:
+    def log(self, what: str) -> None:
         """A sign of life."""
         print(what, file=sys.stderr, flush=True)
 
     def leave_out(self, peer: str, why: str) -> None:
         """Excludes a peer from now on."""
         self.without[peer] = why
-        self.tell(why)
+        self.log(why)
 
     def peers(self, *wanted: str) -> list[str]:
         """Returns the peers that take part."""
@@ -64,10 +64,10 @@ class Bench:
         """Against a device, beside a load: for hapsim's loops in their own process, for the C loop in another one."""
         if peer == C:
             limit = ["--seconds", str(seconds)] if seconds else []
-            with self._load_beside(load) as summary:
+            with self._external_load(load) as summary:
                 command = [str(self.program), *limit, "port", port, str(ticks), clock]
-                told = json_of(command, seconds + _COMPILING_S, cpus=self.loop_cpus)
-            return told | summary
+                document = json_of(command, seconds + _COMPILING_S, cpus=self.loop_cpus)
+            return document | summary
         job = {"do": "run", "scene": str(self.scenes[clock]), "port": port, "load": load, "portable": peer == PORTABLE}
         command = python(job | {"ticks": ticks, "seconds": seconds})
         return json_of(command, seconds + _COMPILING_S, cpus=self.loop_cpus)
@@ -82,7 +82,7 @@ class Bench:
         return cyclictest_lateness(rate_hz, seconds, fifo, self.cpu, self.directory)
 
     @contextlib.contextmanager
-    def _load_beside(self, load: str) -> Iterator[dict[str, Any]]:
+    def _external_load(self, load: str) -> Iterator[dict[str, Any]]:
         """A load in a process of its own; its summary is filled in when the block is left."""
         summary: dict[str, Any] = {}
         if load == NO_LOAD:

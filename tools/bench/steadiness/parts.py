@@ -46,12 +46,12 @@ def measure_round(bench: Bench, number: int, parts: list[str], effort: Effort, f
     for part in parts:
         for case, peer, measure in _turns(bench, part, effort, fifo, number):
             setting = ", ".join(str(s) for s in (case.load, case.rate_hz or "", case.scheduling) if s)
-            bench.tell(f"round {number + 1} of {effort.rounds}, {part}: {peer} ({setting})")
+            bench.log(f"round {number + 1} of {effort.rounds}, {part}: {peer} ({setting})")
             try:
                 records.add(case, number, peer, measure())
             except PeerError as error:
                 # One that fails under a load is no reason to throw away an hour's figures.
-                bench.tell(f"    failed, and has no figure in this round: {error}")
+                bench.log(f"    failed, and has no figure in this round: {error}")
 
 
 def _turns(

@@ -35,15 +35,15 @@ def cyclictest_lateness(rate_hz: int, seconds: float, fifo: bool, cpu: int, dire
     Its options give it the conditions of its peers: it sleeps to an absolute time of the monotonic clock, holds
     /dev/cpu_dma_latency at 0, keeps its thread on one processor and locks no memory.
     """
-    told = directory / "cyclictest.json"
+    file = directory / "cyclictest.json"
     # It takes whole seconds only; so many wake-ups are as long as the time.
     command = ["cyclictest", "-q", "-t", "1", "-a", str(cpu), "-i", str(round(1e6 / rate_hz))]
-    command += ["-l", str(round(rate_hz * seconds)), "-h", str(_LONGEST_US), f"--json={told}"]
+    command += ["-l", str(round(rate_hz * seconds)), "-h", str(_LONGEST_US), f"--json={file}"]
     command += ["-p", str(PRIORITY)] if fifo else ["--policy=other"]
     answer_of(command, seconds)
-    thread = json.loads(told.read_text(encoding="utf-8"))["thread"]["0"]
+    thread = json.loads(file.read_text(encoding="utf-8"))["thread"]["0"]
     if not thread["cycles"]:
-        raise PeerError("cyclictest: it tells of no wake-up")
+        raise PeerError("cyclictest: it reports no wake-up")
     counts = {int(us): count for us, count in thread["histogram"].items()}
     return {f"p{share * 100:g}_us": _quantile(counts, share, thread) for share in (0.5, 0.99)} | {
         "max_us": float(thread["max"])

@@ -58,11 +58,11 @@ class FaustMi:
         except BuildError as error:
             self.preparation_s, self.note = None, str(error)
             return None
-        self.preparation_s, self.note = made.seconds, _told(made)
+        self.preparation_s, self.note = made.seconds, _note_on(made)
         return RunningFaust(made.built.load(), string, rate, drive)
 
 
-def _told(made: BuiltByFaust) -> str:
+def _note_on(made: BuiltByFaust) -> str:
     return f"faust took {made.faust_s:.2f} s, g++ {made.built.seconds:.2f} s"
 
 

@@ -38,7 +38,7 @@ K = {string.stiffness!r};
 Z = {string.damping!r} * ma.SR;
 HandK = {stiffness!r};
 HandZ = {damping!r} * ma.SR;
-process = (ToPoints : {_beside(points)}{_more(outputs)} : ToLinks : {_beside(pulls)}{_more(outputs)})
+process = (ToPoints : {_parallel(points)}{_more(outputs)} : ToLinks : {_parallel(pulls)}{_more(outputs)})
     ~ par(i, {forces}, _) : {kept}{_more(outputs)}
 with {{
     {_to_points(string, drive)};
@@ -96,7 +96,7 @@ def _kept(forces: int, hand: bool) -> str:
     return f"par(i, {forces - 2}, !), _, !" if hand else f"par(i, {forces}, !)"
 
 
-def _beside(parts: list[str]) -> str:
+def _parallel(parts: list[str]) -> str:
     return ", ".join(parts)
 
 
