@@ -48,7 +48,7 @@ def end_interrupted() -> int:
     default = "before anything was armed" if _ARMING & {*sys.argv} else f"before {words} was finished"
     sentence = f"hapsim: stopped {_Command.ended or default}"
     if _Command.armed:
-        sentence = "hapsim: stopped while no run was under way; nothing was printed of what it had found"
+        sentence = "hapsim: stopped while no run was under way; its results were not printed"
     print(sentence, file=sys.stderr)
     if "--json" in sys.argv:
         print(json.dumps({"error": sentence, "exit_status": INTERRUPTED}, indent=2))

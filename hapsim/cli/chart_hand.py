@@ -86,7 +86,7 @@ class HandOptions:
     def normalised(self, masses: list[float]) -> tuple[HandOptions, list[float]]:
         """Returns the options and masses in the paper's units: mass and rate are 1 where nothing gives them."""
         if len(masses) > 1:
-            raise UsageError("--normalised: the unit of the axes holds for one mass only, found several; leave it out")
+            raise UsageError("--normalised: found several masses, but the unit of the axes holds for one mass only")
         if self.scene is not None:
             return self, masses
         return replace(self, rate=1.0 if self.rate is None else self.rate), masses or [1.0]
@@ -153,7 +153,7 @@ def print_hands(drawn: list[Hand], others: list[Hand]) -> None:
         if hand.is_simulated:
             stdout().print(_felt_sentence(hand))
     for other in others:
-        print_line(f"{other.name} has a plane of its own: --channel {other.channel}")
+        print_line(f"{other.name} has its own plane: --channel {other.channel}")
 
 
 def _felt_sentence(hand: Hand) -> str:
@@ -273,7 +273,7 @@ def _tolerance(hand: HandOptions, over: str, others: list[Any], output: ChartOut
 
     given = {name: value for name, value in asdict(hand).items() if value is not None}
     if hand.scene is None or others != [None, None] or given.keys() - {"scene", "channel"}:
-        raise UsageError("--over: it is drawn for the hand of a SCENE as that is: name one, leave out what changes it")
+        raise UsageError("--over needs a SCENE, and no option that changes its hand")
     output.choose("tolerance.svg")
     chosen, _ = hand.hands(None, as_written=True)
     chart = tolerance_chart(load(hand.scene), chosen.name, over)
@@ -351,7 +351,7 @@ def transparency(
     else:
         chosen, _ = hand.hands(mass, simulated.pair)
         if not chosen.is_simulated:
-            raise UsageError("--simulated-stiffness is missing: without a SCENE, it says what is simulated")
+            raise UsageError("--simulated-stiffness is missing: without a SCENE, it is required")
         chart, summary = transparency_of(chosen), chosen.summary()
         units = output_units()
         pair = f"K = {units(chosen.stiffness, 'N/m', '.6g')}, B = {units(chosen.damping, 'N·s/m', '.6g')}"

@@ -75,7 +75,7 @@ def check(
         prediction = predict(loaded, at=position(at, loaded))
         on_wire = predict_on_wire(loaded)
         partials = partials_of(loaded, prediction) if loaded.sound else {}
-        _ = prediction.margins  # while that is said
+        _ = prediction.margins  # computed while the line above is shown
     explanation = _explanation(loaded) if explain else None
     peaks = _sound_peaks(loaded) if explain and loaded.sound else {}
     refused = slew_error(loaded)
@@ -131,7 +131,7 @@ def _show_verdict(out: Console, scene: str, stability: str, rate: float) -> None
     if len(scene) < out.width:
         out.print(title, verdict)
     else:
-        out.print(title, soft_wrap=True)  # a path stays whole: it is to be copied
+        out.print(title, soft_wrap=True)  # unbroken, so that it can be copied
         out.print(verdict)
 
 

@@ -348,10 +348,8 @@ def partials_sentences(partials: dict[str, tuple[float, ...]]) -> Iterator[str]:
     for name, pitches in partials.items():
         some = ", ".join(f"{one:.1f}" for one in pitches[:_PARTIALS])
         more = f" and {len(pitches) - _PARTIALS} more" if len(pitches) > _PARTIALS else ""
-        rings = (
-            f"rings at {some} Hz{more}, once contacts, plectra and friction release it" if pitches else "does not ring"
-        )
-        yield f"Sound: {name} {rings}."
+        rings = f"pitches when released: {some} Hz{more}" if pitches else "no pitch: nothing oscillates"
+        yield f"Sound: {name}, {rings}."
 
 
 def sound_sentences(scene: Scene, peaks: dict[str, float]) -> Iterator[str]:

@@ -223,7 +223,7 @@ def _about_hapsim(
 def run_command() -> int:
     """Runs the command in `sys.argv`, and returns the exit status."""
     if os.environ.get("COLUMNS", "").strip("0") == "":
-        os.environ.pop("COLUMNS", None)  # a terminal that does not know its width says 0: nothing would be printed
+        os.environ.pop("COLUMNS", None)  # a terminal of unknown width reports 0, at which nothing would be printed
     with resilient_streams():
         log_as_json(False)
         set_output_units(LINEAR)
@@ -251,7 +251,7 @@ def _run_app() -> int | OSError:
             return end_interrupted()
         # Typer has printed what is wrong with the command line; a command that ends by itself has printed all.
         if ending.code == UsageError.exit_status and not isinstance(ending.__context__, typer.Exit):
-            _print_failure("the command line was not understood; standard error says why", UsageError.exit_status)
+            _print_failure("the command line is wrong: see standard error", UsageError.exit_status)
         return int(ending.code or 0)
     except Exception as error:
         if was_interrupted():

@@ -80,7 +80,7 @@ def sound(json: Json = False) -> None:
         print_message("No sound card was found. `hapsim run SCENE --sound-file FILE.wav` writes a file without one.")
 
 
-_NOT_KNOWN = "n/a"  # as pyserial says it
+_NOT_KNOWN = "n/a"  # of pyserial
 
 
 def show_ports(out: Console, ports: Iterable[Mapping[str, str]]) -> None:

@@ -107,7 +107,7 @@ def show_examination(out: Console, examination: Examination) -> None:
     """Prints the machine, its wake-up latency, the rates that it keeps, and advice."""
     out.print(_machine(examination.machine))
     for grant in examination.grants or ():
-        # Why something was denied is said with what would help.
+        # The advice gives the reason of a denial.
         answer = f"[green]granted[/green], {escape(grant.detail)}" if grant.granted else "[yellow]denied[/yellow]"
         out.print(f"{escape(grant.privilege)}: {answer}")
     out.print("", _wakeups(out, examination.wakeups))
@@ -126,7 +126,7 @@ def show_examination(out: Console, examination: Examination) -> None:
 def _machine(machine: Machine) -> str:
     threads = " (two threads a core)" if machine.smt else ""
     facts = [
-        machine.cpu or "a processor that does not tell its name",
+        machine.cpu or "unknown processor",
         f"{machine.cores_allowed or '?'} of {machine.cores_online or '?'} cores{threads}",
         f"Linux {machine.kernel}, {'PREEMPT_RT' if machine.preempt_rt else 'not a real-time kernel'}",
         f"clock {machine.clock_source}" if machine.clock_source else "",
@@ -171,7 +171,7 @@ def _show_exchanges(out: Console, examination: Examination, clock: str, made: li
         kept = "none of these rates without gaps" if best is None else f"up to {frequency(best)}"
         conclusion = f"this machine keeps {kept}"
         if best is None and all(verdict.answer == "no verdict" for verdict in verdicts):
-            conclusion = "nothing can be said of any of these rates"
+            conclusion = "there is no verdict for any of these rates"
         out.print(f"[bold]With clock: {clock} {conclusion}.[/bold]")
     out.print(escape("; ".join(verdict.sentence for verdict in verdicts)) + ".")
 
@@ -182,7 +182,7 @@ def _fit_for(out: Console, *cells: str) -> list[str]:
 
 def _show_advice(out: Console, examination: Examination) -> None:
     if not examination.advice:
-        out.print("\nNothing was found that could be set better.")
+        out.print("\nNo setting of this machine needs a change.")
         return
     out.print("\n[bold]What would help[/bold]")
     for number, advice in enumerate(examination.advice, start=1):
@@ -190,7 +190,7 @@ def _show_advice(out: Console, examination: Examination) -> None:
             lines = textwrap.fill(text, max(out.width, 40), initial_indent=indent, subsequent_indent="    ")
             out.print(lines, markup=False, soft_wrap=True, style=style)
         for command in advice.commands:
-            # Whole, however long: it is to be copied.
+            # Unbroken, so that it can be copied.
             out.print(f"      {command}", markup=False, soft_wrap=True)
 
 

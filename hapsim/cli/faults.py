@@ -89,7 +89,7 @@ def _print_list(json: bool) -> None:
         print(document({"kinds": kinds, "scripts": scripts}))
     else:
         stdout().print(table("Faults", ("<kind", "<what happens"), kinds.items()))
-        stdout().print(f"Scripts that ship: {', '.join(scripts)}.")
+        stdout().print(f"Shipped scripts: {', '.join(scripts)}.")
 
 
 def _script(names: list[str]) -> Script:
@@ -108,7 +108,7 @@ def _script(names: list[str]) -> Script:
     except UsageError as error:
         if os.path.lexists(name):
             raise
-        raise UsageError(f"{error}. The scripts that ship: {', '.join(ship)}") from None
+        raise UsageError(f"{error}. Shipped scripts: {', '.join(ship)}") from None
 
 
 @contextlib.contextmanager
@@ -146,10 +146,7 @@ def show_faults(out: Console, injector: Injector, unread_bytes: int, passing: Pa
         out.print(f"{unread_bytes} bytes of the device were not read by any host.")
     if passing.count:
         median, most = (f"{1e3 * (passing.quantile_s(share) or 0.0):.2g} ms" for share in (0.5, 0.99))
-        out.print(
-            f"Passing a frame on took {median} in the median, and at most {most} for 99 % of them, beside what a fault "
-            "held up."
-        )
+        out.print(f"Latency of a frame, without the delays of faults: {median} in the median, at most {most} for 99 %.")
     happened = [(str(one.place), one.kind, one.when, f"{one.times} {one.counted}") for one in injector.happened]
     out.print(table("What was done to it", ("", "<fault", "<when", "<how often"), happened))
     for sentence in _at_the_device(injector):
@@ -176,8 +173,8 @@ def _at_the_device(injector: Injector) -> Iterator[str]:
         how = {
             "disarm": "by the host's DISARM",
             "device": "by the device itself",
-            "time to live": "when its time to live was over, where the device keeps PROTOCOL.md, section 6",
-            "lockstep": "when the simulated device has heard nothing for that long (PROTOCOL.md, section 7)",
+            "time to live": "when its time to live was over, if the device follows PROTOCOL.md, section 6",
+            "lockstep": "when the simulated device has received nothing for that long (PROTOCOL.md, section 7)",
         }[release.by]
         yield f"The last one ended after {1e3 * release.after_last_force_s:.3g} ms, {how}."
 

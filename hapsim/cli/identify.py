@@ -173,8 +173,12 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
             )
         )
     elif values is None:
-        why = "it was stopped before all was recorded" if write else "--write writes what was found into its `device`"
-        print_line(f"The file was not changed; {why}.")
+        why = (
+            "it was stopped before the recording was complete"
+            if write
+            else "--write writes these values into its `device`"
+        )
+        print_line(f"The file was not changed: {why}.")
     else:
         written = ", ".join(f"{name}: {value}" for name, value in values.items())
         stays = " The mass stays: the file gives a span for it, and this is one hand's." if least < most else ""
@@ -185,7 +189,7 @@ def _values_to_write(found: DeviceIdentification, declared: Mapping[str, float],
     """Returns what `--write` puts into the `device` section, with the digits that are known.
 
     The mass has its uncertainty; a spring is written if one was seen or is declared; nothing is below 0, as of no
-    device. `has_span`: the file gives a span for the mass, of which one hand's says nothing.
+    device. `has_span`: the file gives a span for the mass, which one hand does not determine.
     """
     values: dict[str, str | Known] = {}
     for name, said in declared.items():
@@ -233,7 +237,7 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
 def _sentences(found: DeviceIdentification) -> list[str]:
     units = output_units()
     pairs = ", ".join(f"({drive.stiffness:.3g}, {drive.damping:.2g})" for drive in found.drives)
-    stopped = "It was stopped before all was recorded. " if found.stopped else ""
+    stopped = "Stopped before the recording was complete. " if found.stopped else ""
     sentences = [
         f"{stopped}Read from {found.samples} samples at simulated (K, B) of {pairs}; it moved "
         f"{units(found.peak_m, 'mm', '.2g')} at most. The fit leaves {units(found.residual_m, 'm', '.2g')} rms."
@@ -258,7 +262,7 @@ def _sentences(found: DeviceIdentification) -> list[str]:
     if found.seen_rate is not None and found.seen_rate.differs_from(found.rate_hz):
         sentences.append(
             f"The device sampled at {found.seen_rate.rate_hz:.6g} Hz where it declares {found.rate_hz:g} Hz: mass, "
-            "friction and stiffness hold for the declared rate. Set its timer right first."
+            "friction and stiffness hold for the declared rate. Correct its timer first."
         )
     if found.misfit:
         sentences.append(

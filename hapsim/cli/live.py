@@ -274,11 +274,11 @@ class LiveOptions:
         """Returns the addresses of the page and of OSC; None if not served. Raises UsageError."""
         serves, answers_osc = self.serve or self.serve_at is not None, self.osc or self.osc_at is not None
         if self.record_dir is not None and not serves:
-            raise UsageError("--record-dir: found no --serve, from whose page records are begun; expected both")
+            raise UsageError("--record-dir needs --serve: records are started from its page")
         if self.record_dir is not None and not self.record_dir.is_dir():
-            raise UsageError(f"--record-dir {self.record_dir}: found no directory there, expected one")
+            raise UsageError(f"--record-dir {self.record_dir}: no such directory")
         if self.osc_from and not answers_osc:
-            raise UsageError("--osc-from: found no --osc, which takes their packets; expected both")
+            raise UsageError("--osc-from needs --osc")
         for one in names(self.osc_from):
             import ipaddress
 
@@ -293,7 +293,7 @@ class LiveOptions:
         page = address_of("--serve-at", self.serve_at, _PORT) if serves else None
         osc = address_of("--osc-at", self.osc_at, _OSC_PORT) if answers_osc else None
         if osc is not None and not osc.is_loopback and not self.osc_from:
-            raise UsageError(f"--osc-at {osc}: found no --osc-from, expected the addresses whose OSC is taken")
+            raise UsageError(f"--osc-at {osc}: --osc-from is missing: name the addresses whose OSC is accepted")
         return page, osc
 
 

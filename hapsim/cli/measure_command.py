@@ -94,9 +94,9 @@ def measure(
         measure_hands(device, excitation, picture, record, unstable, json)
         return
     if excitation.hand_stiffness is not None and not excitation.mass:
-        raise UsageError("--hand-stiffness goes with --mass: it is missing")
+        raise UsageError("--hand-stiffness needs --mass")
     if excitation.travel is not None or excitation.z_width:
-        raise UsageError("--travel and --z-width go with --impedance: it is missing")
+        raise UsageError("--travel and --z-width need --impedance")
     _measure_pair(device, excitation, picture, record, unstable, explain, json)
 
 
@@ -180,7 +180,7 @@ def _require_drawable(prediction: Prediction, hands: dict[int, str], channel: in
     if felt_on(prediction, channel) is None:
         raise UsageError(
             "a ring-down is drawn for a hand that is a spring and damper's alone; this one "
-            f"{prediction.coupled.get(hands.get(channel, ''), '')}: leave out --picture and --data"
+            f"{prediction.coupled.get(hands.get(channel, ''), '')}: omit --picture and --data"
         )
 
 

@@ -181,7 +181,7 @@ def table(
 def print_line(sentences: object, stream: TextIO | None = None, indent: str = _INDENT) -> None:
     """Prints sentences to `stream` [default: standard output], broken at words on a terminal.
 
-    rich would also break a long path, which has to stay whole to be copied.
+    rich would also break a long path, which could then not be copied.
     """
     stream = stream or sys.stdout
     print(fitted(str(sentences), _columns(stream), indent), file=stream)

@@ -52,9 +52,7 @@ def new(
         file.write_text(text, encoding="utf-8")
     print_line(f"Wrote {path}. Next:")
     for command in ("check", "measure"):
-        print(
-            f"  hapsim {command} {shlex.quote(as_argument(str(path)))}"
-        )  # on one line, however long: it is to be copied
+        print(f"  hapsim {command} {shlex.quote(as_argument(str(path)))}")  # unbroken, so that it can be copied
 
 
 def scenes(json: Json = False) -> None:
@@ -91,7 +89,7 @@ def files(json: Json = False) -> None:
         print(document({name.replace(" ", "_"): str(path) for name, path in places.items()}))
         return
     for name, path in places.items():
-        print(f"{name:12} {path}")  # on one line, however long: it is to be copied
+        print(f"{name:12} {path}")  # unbroken, so that it can be copied
 
 
 def schema() -> None:

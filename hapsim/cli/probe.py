@@ -77,7 +77,7 @@ def _leave(push: float | None, travel: float | None, mass: float | None, channel
     if channel < 0:
         raise UsageError(f"--channel: found {channel}, expected 0 or more")
     if push is None and mass is not None:
-        raise UsageError("--mass: found no --push, expected it too: only a push shows the mass")
+        raise UsageError("--mass needs --push: only a push shows the mass")
     return None if push is None else Leave(push, travel or 0.0, channel, mass)
 
 
@@ -130,9 +130,7 @@ def _conclusion(judgement: Judgement) -> str:
     if judgement.ended:
         sentences.append(f"It ended early: {judgement.ended}.")
     if not judgement.released:
-        sentences.append(
-            "The device did not say that it is idle: switch its power off before you trust its force to be zero."
-        )
+        sentences.append("The device did not confirm that it is idle. Switch off its power: its force may not be zero.")
     return " ".join(sentences)
 
 

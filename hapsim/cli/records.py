@@ -67,7 +67,7 @@ def _serve(record: Path, link: Path | None, json: bool, is_alone: bool) -> None:
     from hapsim.replaying.replay import device_of
 
     if not is_alone:
-        raise UsageError("--device serves the record alone: it goes with --link and --json, and --link goes with it")
+        raise UsageError("--device can be combined with --link and --json only, and --link needs --device")
     served = device_of(record)
     serve(served.assemble, link, False, json)
     print_message(f"{plural(served.forces, 'force')} taken since it was last armed", "served", "info")
@@ -82,7 +82,7 @@ def _draw(found: Comparison, pictures: PictureOptions, title: str) -> None:
 def _print(record: Record, scene: str | None, found: Comparison) -> None:
     ticks = f"{plural(found.ticks, 'sample')}, {plural(found.changes, 'change')}"
     if scene is None and found.difference is None:
-        print_line(f"{record.path}: {ticks}: every force is as it was, to the last bit")
+        print_line(f"{record.path}: {ticks}: all forces are identical, to the last bit")
     elif scene is None:
         first = found.difference
         assert first is not None
@@ -93,7 +93,7 @@ def _print(record: Record, scene: str | None, found: Comparison) -> None:
         print_line(f"{record.path}: {of_the_hand}{'; changes of its own scene are ignored' if has_changes else ''}")
         for c, rms in enumerate(zip(found.rms_recorded, found.rms_replayed, found.rms_apart, strict=True)):
             was, now, apart = (output_units(c)(one, "N") for one in rms)
-            print_line(f"Channel {c}: the force was {was} rms and would be {now} rms; they are {apart} rms apart")
+            print_line(f"Channel {c}: force {was} rms in the record, {now} rms in this scene; rms difference {apart}")
 
 
 def _document(found: Comparison, is_complete: bool) -> dict[str, Any]:
@@ -144,7 +144,7 @@ def _missing(columns: Columns) -> list[str]:
     """Returns the gaps of the record, as sentences."""
     dropped = int(columns.report["dropped_rows"])
     slow = f"{plural(dropped, 'row')} missing: the reader of the loop was too slow"
-    older = "an older hapsim recorded it: without its scene, changes and prediction"
+    older = "recorded by an older hapsim, without scene, changes and prediction"
     is_so = (not columns.reader.is_finished, dropped > 0, columns.scene is None)
     sentences = unfinished(columns.count), slow, older
     return [sentence for sentence, applies in zip(sentences, is_so, strict=True) if applies]
@@ -152,4 +152,4 @@ def _missing(columns: Columns) -> list[str]:
 
 def unfinished(rows: int) -> str:
     """Returns the sentence about a record without its end."""
-    return f"the run goes on, or the record is cut off or damaged: it has {plural(rows, 'row')}"
+    return f"incomplete record of {plural(rows, 'row')}: the run goes on, or the file is cut off or damaged"

@@ -115,7 +115,7 @@ class SoundOptions:
         """Returns the options of `start`. Raises UsageError where the file exists or --sound is missing."""
         names = ("--sound-device", self.sound_device), ("--volume", self.volume), ("--latency", self.latency)
         if given := [name for name, value in names if value is not None and not self.sound]:
-            raise UsageError(f"{given[0]}: found no --sound, which plays the scene's sound; expected both")
+            raise UsageError(f"{given[0]}: found no --sound, expected it too")
         if self.sound_file is not None:
             record.require_free(self.sound_file)
         values: dict[str, Any] = {
@@ -296,8 +296,8 @@ class _Reporter:
                 units = output_units()
                 places = units(", ".join(units.number(one, "m", ".6g") for one in progress.position), "m")
                 print_message(
-                    f"the device was armed outside device.travel (it is at {places}): there the force fades, and is "
-                    "zero beyond the band. Move it within, or say with device.origin where its zero is",
+                    f"the device was armed outside device.travel, at {places}. There the force fades, and is "
+                    "zero beyond the band. Move it inside, or set device.origin to its zero",
                     "outside",
                     "warning",
                 )
@@ -312,7 +312,7 @@ class _Reporter:
             if news is None:
                 continue
             if news.refused:
-                print_message(f"{news.refused}\nNothing was changed.", "refused", "warning")
+                print_message(f"{news.refused}\nThe scene runs on unchanged.", "refused", "warning")
             for change in news.changed:
                 print_message(f"changed: {change}", "changed", "info")
             if news.changed:

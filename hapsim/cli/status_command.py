@@ -42,7 +42,7 @@ def _path_of(where: str | None) -> Path:
         raise UsageError(
             f"no running hapsim was found that reports its status {what}: start it with `hapsim run --status auto`"
         )
-    raise UsageError(f"several report their status {what}: {', '.join(map(str, found))}: name one of them")
+    raise UsageError(f"several report their status {what}: {', '.join(map(str, found))}. Name one of them")
 
 
 def _document(path: Path, text: str) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def _document(path: Path, text: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         document = None
     if not isinstance(document, dict):
-        raise UsageError(f"{path}: what answers there is not a hapsim: found {text[:40]!r}")
+        raise UsageError(f"{path}: the answer is not from hapsim: found {text[:40]!r}")
     return document
 
 

@@ -43,7 +43,7 @@ class PointOptions:
         if self.points is None:
             return read_points(self.parameters or [], self.samples, self.method, self.seed)
         if self.parameters or self.samples is not None:
-            raise UsageError("--points: it names every point; leave out the parameters and --samples")
+            raise UsageError("--points names every point: omit the parameters and --samples")
         return table(self.points)
 
 
@@ -57,7 +57,7 @@ class QuantityOptions:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Their kinds. Raises UsageError where several are asked for."""
+        """Kinds of the quantities. Raises UsageError if several options are given."""
         if self.check + self.measure + self.impedance > 1:
             raise UsageError("--check, --measure and --impedance: found several, expected one of them or none")
         if self.impedance:

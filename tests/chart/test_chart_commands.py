@@ -190,7 +190,7 @@ def test_hands_that_are_alike_share_a_plane_and_others_are_named(chart: Chart, s
     together = chart("plane", scene_file("two_hands"), "--json")
     assert [hand["name"] for hand in together.document["hands"]] == ["hand", "other"]
     apart = chart("plane", scene_file("two_hands", mass=[0.2, 0.3]), "--channel", "1", "--data", "d.csv")
-    assert "hand has a plane of its own: --channel 0" in apart.out
+    assert "hand has its own plane: --channel 0" in apart.out
 
 
 @pytest.mark.parametrize(
@@ -239,8 +239,8 @@ def test_table1_is_corrected_as_asked_for(
         (["plane", "coupled"], "but hand also moves a mass of the scene"),
         (["transparency", "coupled", "--mass", "1"], "--mass: hand also moves a mass of the scene"),
         (["felt", "spring", "--over", "mass"], "--over: found mass, expected one of device.mass, device.friction"),
-        (["felt", "--over", "device.mass"], "--over: it is drawn for the hand of a SCENE as that is"),
-        (["felt", "spring", "--over", "device.mass", "--rate", "1"], "leave out what changes it"),
+        (["felt", "--over", "device.mass"], "--over needs a SCENE"),
+        (["felt", "spring", "--over", "device.mass", "--rate", "1"], "no option that changes its hand"),
         (["transparency", "--mass", "1", "--rate", "1"], "--simulated-stiffness is missing"),
         (["table1", "coupled"], "but hand also moves a mass of the scene"),
         (["table1", "damper"], "found no spring"),

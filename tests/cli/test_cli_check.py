@@ -471,7 +471,7 @@ def test_the_sound_is_rendered_and_each_gain_named(hapsim: Hapsim, scene_file: S
     path.write_text(path.read_text().replace("rate: 1000.0", f"rate: 1000.0\nsubsteps: 20\nsound:\n{pick_ups}"))
     told = unwrapped(hapsim("check", path, "--explain").out)
     assert "Sound: loud peaks at -20.0 dB in 2 s on the mock; gain: 2.51 makes it -6 dB." in told
-    assert "Sound: loud rings at 100.7 Hz, once contacts, plectra and friction release it." in told
+    assert "Sound: loud, pitches when released: 100.7 Hz." in told
     assert "Sound: still is silent for 2 s: nothing moves hand unless a hand does." in told
     assert ", 20 of them in a sample, " in told
     peaks = hapsim("check", path, "--explain", "--json").document["sound_peaks"]

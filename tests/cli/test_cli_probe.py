@@ -84,7 +84,7 @@ def test_a_silent_port_is_reported_within_seconds(hapsim: Hapsim) -> None:
         (("--push", "0"), "--push: found 0, expected"),
         (("--push", "nan"), "--push: found nan, expected"),
         (("--push", "1", "--travel", "-1"), "--travel: found -1, expected"),
-        (("--mass", "1"), "--mass: found no --push"),
+        (("--mass", "1"), "--mass needs --push"),
         (("--only", "arm"), "--only: found 'arm', expected one of conversation, registers"),
         (("--until", "end"), "--until: found 'end'"),
         (("--baud", "0"), "--baud: found 0"),
@@ -114,6 +114,6 @@ def test_an_interrupt_releases_the_device(port: str, hapsim: Hapsim) -> None:
         out, err = process.communicate()
     assert process.returncode == 130
     assert "It ended early: stopped by a signal." in out
-    assert "did not say that it is idle" not in out
+    assert "did not confirm that it is idle" not in out
     assert "Traceback" not in err
     assert hapsim("probe", port, *TO_REFUSALS).status == 0

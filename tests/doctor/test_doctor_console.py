@@ -102,12 +102,12 @@ def test_a_device_is_said_to_feel_no_force(examination: Examination) -> None:
     assert "on /dev/ttyACM0, sent zero force; clock: device" in text
     assert "this machine keeps" not in text
     assert "the mock" not in text
-    assert "Nothing was found that could be set better." in text
+    assert "No setting of this machine needs a change." in text
 
 
 def test_no_rate_is_refused_of_which_nothing_is_known(examination: Examination) -> None:
     text = alone(examination, Exchanges(1000.0, "host", MOCK, None, None, None, "the mock is gone"))
-    assert "With clock: host nothing can be said of any of these rates." in text
+    assert "With clock: host there is no verdict for any of these rates." in text
     assert "this machine keeps" not in text
 
 

@@ -63,7 +63,7 @@ def test_every_kind_is_listed_with_its_sentence_within_80_columns(
     [
         ([], "found no SCRIPT, expected one, or --list"),
         (["noisy_wire"], "found neither --port nor --scene, expected one of them"),
-        (["nosuch"], "The scripts that ship: bad_device, loose_plug, noisy_wire"),
+        (["nosuch"], "Shipped scripts: bad_device, loose_plug, noisy_wire"),
         (["noisy_wire", "bad_device", "--port", "/dev/x"], "expected one script at a time"),
         (["noisy_wire", "--port", "/dev/x", "--scene", "y"], "found both --port and --scene, expected one of them"),
         (["loose_plug", "--port", "/dev/x"], "--path: found none, expected a name for the port: replug puts it back"),
@@ -115,7 +115,7 @@ def test_two_faults_of_a_kind_are_told_apart_and_what_is_counted_is_said() -> No
     show_faults(console, injector, 0, times)
     told = console.export_text()
     assert "What was done to it\n" in told
-    assert "took 0.2 ms in the median, and at most 0.2 ms for 99 %" in told
+    assert "faults: 0.2 ms in the median, at most 0.2 ms for 99 %" in told
     cells = [
         [cell.strip() for cell in line.strip("│ \n").split("│")] for line in told.splitlines() if "silence" in line
     ]

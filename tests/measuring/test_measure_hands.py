@@ -198,7 +198,7 @@ def test_the_command_shows_both_sides(hapsim: Hapsim, tmp_path: Path) -> None:
         (["two_hands", "--impedance", "--hands"], "--hands does not go with --impedance"),
         (["two_hands", "--hands", "--channel", "7"], "channel 7: the scene has nothing there"),
         (["wall", "--mass", "--hand-stiffness", "3", "--channel", "7"], "channel 7: the scene has nothing there"),
-        (["wall", "--hand-stiffness", "3"], "--hand-stiffness goes with --mass"),
+        (["wall", "--hand-stiffness", "3"], "--hand-stiffness needs --mass"),
         (["wall", "--mass"], "--mass: no hand holds the mock; expected mock.hand.stiffness, or --hand-stiffness KH"),
         (["wall", "--mass", "--hand-stiffness", "-1"], "--hand-stiffness: found -1, expected a finite number"),
         (["wall", "--mass", "--port", "x"], "--mass: the stiffness of the hand that holds the device is missing"),

@@ -48,7 +48,7 @@ def test_a_record_comes_out_as_it_was(hapsim: Hapsim, tmp_path: Path) -> None:
     record = recorded(tmp_path / "a.trace", SCENE + SOUND, sound_file=tmp_path / "a.wav")
     answer = hapsim("replay", record, "--sound-file", tmp_path / "b.wav", "--picture", tmp_path / "p.svg")
     assert answer.status == 0
-    assert "300 samples, 0 changes: every force is as it was, to the last bit" in answer.out
+    assert "300 samples, 0 changes: all forces are identical, to the last bit" in answer.out
     assert (tmp_path / "a.wav").read_bytes() == (tmp_path / "b.wav").read_bytes()
     assert (tmp_path / "p.svg").read_bytes().startswith(b"<?xml")
     assert hapsim("replay", record, "--sound-file", tmp_path / "b.wav").status == 2, "it replaces nothing unasked"
@@ -117,8 +117,8 @@ def test_a_record_that_ends_early_is_replayed_up_to_there(hapsim: Hapsim, tmp_pa
     whole = record.read_bytes()
     record.write_bytes(whole[: whole.rindex(b"TOLD") + 30])
     answer = hapsim("replay", record)
-    assert "every force is as it was" in answer.out
-    assert "the run goes on, or the record is cut off or damaged" in " ".join(answer.err.split())
+    assert "all forces are identical" in answer.out
+    assert "the run goes on, or the file is cut off or damaged" in " ".join(answer.err.split())
     assert hapsim("replay", record, "--json").document["complete"] is False
     record.write_bytes(whole)
     assert not hapsim("replay", record).err

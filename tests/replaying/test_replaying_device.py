@@ -135,8 +135,8 @@ def test_what_cannot_be_served_is_refused_with_the_reason(hapsim: Hapsim, tmp_pa
     rewrite(older, lambda head: (head.pop("run"), head.update(version=1)))
     for words, why in (
         ((older, "--device"), "an older hapsim recorded it, without its device"),
-        ((path, "first_touch", "--device"), "--device serves the record alone"),
-        ((path, "--link", tmp_path / "l"), "--link goes with it"),
+        ((path, "first_touch", "--device"), "--device can be combined with --link and --json only"),
+        ((path, "--link", tmp_path / "l"), "--link needs --device"),
     ):
         answer = hapsim("replay", *words)
         assert answer.status == 2, words

@@ -183,7 +183,7 @@ def test_what_is_left_of_a_record_is_exported_with_a_warning(hapsim: Hapsim, tmp
     damaged.write_bytes(whole[: at + 100] + b"x" + whole[at + 101 :])
     for path, rows, why in (
         (part, 300, "the record is cut off or damaged: it has 300 rows"),
-        (older, 300, "an older hapsim recorded it: without its scene"),
+        (older, 300, "recorded by an older hapsim, without scene"),
     ):
         answer = hapsim("export", path, tmp_path / f"{path.name}.h5")
         assert answer.status == 0

@@ -252,4 +252,4 @@ def test_a_unit_that_serves_may_reach_the_network_and_write_records(
     assert found["PrivateNetwork"] == ["no"]
     assert "AF_INET6" in found["RestrictAddressFamilies"][0]
     assert found["ReadWritePaths"] == [str(tmp_path)]
-    assert "found no --osc-from" in hapsim("service", scene, "--osc-at", "0.0.0.0").sentence
+    assert "--osc-from is missing" in hapsim("service", scene, "--osc-at", "0.0.0.0").sentence

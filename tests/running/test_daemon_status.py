@@ -144,7 +144,7 @@ def test_what_is_no_document_is_told(tmp_path: Path, hapsim: Callable[..., Any])
     with _answering(tmp_path / "s", lambda connection: connection.sendall(b"[" * 100_000)):
         told = hapsim("status", tmp_path / "s")
     assert told.status == 2
-    assert "what answers there is not a hapsim" in told.sentence
+    assert "the answer is not from hapsim" in told.sentence
 
 
 def test_what_another_user_put_where_sockets_are_is_passed_over(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,4 +210,4 @@ def test_the_command_finds_it(
         with serve_status(tmp_path / "other", lambda: "\x1b[2J"):
             assert hapsim("status", tmp_path / "other").status == 2
         with serve_status(path_for(None), lambda: "{}"):
-            assert "name one of them" in hapsim("status").sentence
+            assert "Name one of them" in hapsim("status").sentence

@@ -124,7 +124,7 @@ def test_samples_and_tables_are_drawn_and_told_for_people(
         (("touch.stiffness=1,2", "--check", "--measure"), "found several"),
         (("touch.stiffness=1,2", "--out", "x.txt"), "expected .nc or .zarr"),
         (("touch.stiffness=1,2", "--channel", "3"), "channel 3"),
-        (("touch.stiffness=1,2", "--points", "missing.csv"), "leave out the parameters"),
+        (("touch.stiffness=1,2", "--points", "missing.csv"), "omit the parameters"),
         (("--points", "missing.csv"), "missing.csv: cannot be read"),
         (("touch.stiffness=1,2", "--picture", "x.bmp"), "x.bmp"),
         (("touch.stiffness=1,2", "--picture", "x.svg", "--over", "rate"), "expected touch.stiffness"),
