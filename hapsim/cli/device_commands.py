@@ -31,14 +31,16 @@ def mock(
     serve(partial(assemble_mock, load(scene)), link, realtime, json)
 
 
-def serve(assemble: Callable[[], Any], link: Path | None, realtime: bool, json: bool) -> None:
+def serve(
+    assemble: Callable[[], Any], link: Path | None, realtime: bool, json: bool, served: str = "the mock device"
+) -> None:
     """Serves the MOCK that `assemble` returns until Ctrl-C, and prints its path."""
     from hapsim.device.mock.terminal import serve_until_stopped
 
     def announce(path: str) -> None:
         print(document({"port": path}) if json else path, flush=True)
 
-    with live_line(stderr()) as show_progress:
+    with live_line(stderr(), served=served) as show_progress:
         serve_until_stopped(assemble, link, announce, show_progress, realtime)
 
 

@@ -36,11 +36,13 @@ _STEP_S = 5.0  # between two lines of a kind, where the output is no terminal
 
 
 @contextlib.contextmanager
-def live_line(error: Console, warn_not_cached: bool = True) -> Iterator[Callable[[Progress], None]]:
+def live_line(
+    error: Console, warn_not_cached: bool = True, served: str = "the mock device"
+) -> Iterator[Callable[[Progress], None]]:
     """Yields a function that shows a Progress: in place on a terminal, elsewhere now and then as a line or in the
     log. At the end, `warn_not_cached` warns if something was compiled that could not be kept, or not where the user
     wants it."""
-    words = _Words()
+    words = _Words(served)
     with _shown(error, words) as show_progress:
         yield show_progress
     if warn_not_cached and words.compiled and (problem := _kept().why_not_kept()):
@@ -155,8 +157,8 @@ class _Pace:
 class _Words:
     """A Progress in words. Counts the functions that were compiled, and since when."""
 
-    def __init__(self) -> None:
-        self._compiled, self._since = 0, 0.0
+    def __init__(self, served: str) -> None:
+        self._compiled, self._since, self._served = 0, 0.0, served
         self.compiled = False
         """True once anything was compiled."""
 
@@ -175,7 +177,7 @@ class _Words:
         if progress.phase == "waiting":
             return f"waiting for {progress.text} · Ctrl-C ends the run"
         if progress.phase == "serving":
-            return f"serving the mock device at {progress.text} · Ctrl-C stops it"
+            return f"serving {self._served} at {progress.text} · Ctrl-C stops it"
         return " · ".join(filter(None, _of_a_run(progress)))
 
 

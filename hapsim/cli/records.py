@@ -69,7 +69,7 @@ def _serve(record: Path, link: Path | None, json: bool, is_alone: bool) -> None:
     if not is_alone:
         raise UsageError("--device can be combined with --link and --json only, and --link needs --device")
     served = device_of(record)
-    serve(served.assemble, link, False, json)
+    serve(served.assemble, link, False, json, f"the record {record} as a device")
     print_message(f"{plural(served.forces, 'force')} taken since it was last armed", "served", "info")
 
 

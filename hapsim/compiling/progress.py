@@ -36,7 +36,7 @@ def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
 
 class Counted:
     """Counts functions as their compilation begins: `on_compilation(counted.add)`. `tell` receives each name, and the
-    share of all functions, 0 to 1, or None while the total is unknown."""
+    share of all functions, or None once their number reaches the expected one: the total is then unknown."""
 
     def __init__(self, tell: Callable[[str, float | None], None]) -> None:
         self._tell = tell
@@ -53,7 +53,7 @@ class Counted:
         """Counts a function, from any thread."""
         with self._adding:
             self.functions += 1
-            self._tell(name, min(self.functions / self._expected, 0.99) if self._expected else None)
+            self._tell(name, self.functions / self._expected if self.functions < self._expected else None)
 
 
 def compiling(function: Any, name: str) -> contextlib.AbstractContextManager[None]:

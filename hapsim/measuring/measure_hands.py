@@ -50,9 +50,10 @@ def measure_hands(
     scene = as_scene(scene)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("newton"), push=push)
-    traces, segments = [], list[Floats]()
     for channel in channels:
         require_device_point(scene, channel)
+    traces, segments = [], list[Floats]()
+    for channel in channels:
         seconds = _SECONDS if duration is None else duration
         every = int(seconds * scene.rate) // _PUSHES
         excitation = replace(pushes(scene, channel, seconds, push), start=0, every=every, first=False)

@@ -133,14 +133,15 @@ def convert(reader: StreamReader, file: Path, ending: str) -> None:
 def _write_csv(file: Path, head: Head, pieces: Iterable[NDArray[Any]]) -> None:
     """Writes rows as a table, in SI units."""
     each = range(head.channels)
-    names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each]
-    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels)
+    names = [f"{what}[{c}]" for what in ("position_m", "force_N", "asked_force_N") for c in each] + ["time_s"]
+    formats = ["%d", "%d", "%d"] + ["%.12g"] * (3 * head.channels + 1)
     with file.open("w", encoding="utf-8") as table:
         table.write(",".join(["sample", "time_ns", "flags", *names]) + "\n")
         for rows in pieces:
             position = rows["position_counts"] * np.array(head.position_scale)
             force = rows["force_counts"] * np.array(head.force_scale)
             columns = [rows["sample"], rows["time_ns"], rows["flags"], position, force, rows["asked_force"]]
+            columns.append(rows["sample"] / head.rate_hz)
             np.savetxt(table, np.column_stack(columns), fmt=formats, delimiter=",")
 
 

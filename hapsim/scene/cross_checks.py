@@ -110,9 +110,10 @@ def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], sourc
             continue
         for hand in (around.modules[end] for end in detent.between if around.knows(end, "channel")):
             if isinstance(hand, DevicePoint) and detent.width < _LEAST_COUNTS * (count := quantum(hand.channel)):
-                width = "" if detent.width == detent.pitch else f", a notch of {detent.width:g}"
-                found = f"found {detent.pitch:g}{width}: {detent.width / count:.3g} counts of the encoder"
-                sentence = f"{found} ({source}: {count:g}); expected {_LEAST_COUNTS} or more"
+                unit = around.units.si.name("m")
+                width = "" if detent.width == detent.pitch else f", a notch of {detent.width:g} {unit}"
+                found = f"found {detent.pitch:g} {unit}{width}: {detent.width / count:.3g} counts of the encoder"
+                sentence = f"{found} ({source}: {count:g} {unit}); expected {_LEAST_COUNTS} or more"
                 yield Issue(("modules", name, "pitch"), sentence)
 
 

@@ -153,7 +153,9 @@ def test_a_refused_change_is_in_the_units_of_the_scene() -> None:
 
 def test_counts_in_degrees_too_coarse_for_a_detent_are_refused_with_a_sentence() -> None:
     detent = "  notch: {type: detent, between: [knob, frame], pitch: 2 deg, depth: 0.03, damping: 0.002}\n"
-    with pytest.raises(SceneError, match=r"pitch: found 0.0349066: 2 counts of the encoder \(mock\.quantum"):
+    with pytest.raises(
+        SceneError, match=r"pitch: found 0.0349066 rad: 2 counts of the encoder \(mock\.quantum: 0\.0174533 rad"
+    ):
         parse_scene(KNOB.replace("mock: {", "mock: {quantum: 1 deg, ") + detent)
 
 

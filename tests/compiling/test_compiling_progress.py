@@ -231,3 +231,13 @@ def test_several_threads_may_count() -> None:
     for thread in threads:
         thread.join()
     assert heard == [i / 1000 for i in range(1, 801)]
+
+
+def test_a_percentage_moves_to_the_expected_end_and_is_none_beyond_it() -> None:
+    shares: list[float | None] = []
+    counted = Counted(lambda _name, share: shares.append(share))
+    counted.expect(4)
+    for name in "abcdef":
+        counted.add(name)
+    assert shares == [0.25, 0.5, 0.75, None, None, None]
+    assert counted.functions == 6

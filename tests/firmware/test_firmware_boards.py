@@ -8,7 +8,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -31,6 +33,8 @@ TIME_TO_LIVE = 20  # samples: what hapsim asks for at 1 kHz
 PERIOD_US = 1000
 PATIENCE_S = 30.0  # for a machine that hangs
 Start = Callable[..., Any]
+
+FIRMWARE = Path(__file__).parents[2] / "firmware_protocol" / "firmware"
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="boards stand on pseudo-terminals of Linux")
 
@@ -210,3 +214,11 @@ def test_a_tick_that_dies_ends_in_zero_force(
     if name in ("avr", "hapkit"):  # whose clock neither stops with its tick nor begins anew with its reset
         assert forces[-2][1] != 0
         assert forces[-1][0] - forces[-2][0] < 100 * PERIOD_US
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc (Debian: apt install gcc libc6-dev)")
+def test_the_build_names_the_files_that_it_wrote(tmp_path: Path) -> None:
+    (tmp_path / "older").touch()
+    built = subprocess.run([FIRMWARE / "build", tmp_path, "linux"], check=True, capture_output=True, text=True)
+    assert built.stdout.splitlines()[-1] == f"Wrote to {tmp_path}: linux"
+    assert (tmp_path / "linux").is_file()

@@ -90,7 +90,7 @@ def test_detents_that_the_devices_encoder_does_not_resolve_are_refused() -> None
     hand, wall = next(iter(scene.device_points)), next(iter(scene.grounds))
     detent = Detent(between=(hand, wall), pitch=3e-6, depth=0.1)
     there = scene.model_copy(update={"modules": Table(dict(scene.modules) | {"rests": detent})})
-    told = "rests.pitch: found 3e-06: 3 counts of the encoder (declared by the device: 1e-06); expected 4 or more"
+    told = "rests.pitch: found 3e-06 m: 3 counts of the encoder (declared by the device: 1e-06 m); expected 4 or more"
     assert told in refusal(UsageError, scene=there)
 
 

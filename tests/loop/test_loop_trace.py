@@ -65,12 +65,13 @@ def test_a_csv_has_a_header_and_si_units(trace: Trace, tmp_path: Path) -> None:
     assert len(rows) == 50
     assert list(rows[0]) == [
         *("sample", "time_ns", "flags", "position_m[0]", "position_m[1]"),
-        *("force_N[0]", "force_N[1]", "asked_force_N[0]", "asked_force_N[1]"),
+        *("force_N[0]", "force_N[1]", "asked_force_N[0]", "asked_force_N[1]", "time_s"),
     ]
     np.testing.assert_allclose([float(row["position_m[1]"]) for row in rows], trace.position[:, 1], rtol=1e-11)
     np.testing.assert_allclose([float(row["force_N[0]"]) for row in rows], trace.force[:, 0], rtol=1e-11)
     assert [int(row["sample"]) for row in rows] == list(range(50))
     assert [int(row["time_ns"]) for row in rows] == trace.time_ns.tolist()
+    np.testing.assert_allclose([float(row["time_s"]) for row in rows], trace.sample / trace.rate, rtol=1e-11)
 
 
 @pytest.mark.parametrize("name", ["t.txt", "t", "t.NPZ", "t.npz.gz", ".npz", "none/t.npz", "taken.npz"])

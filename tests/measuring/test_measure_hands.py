@@ -241,3 +241,8 @@ class TestWeight:
         assert load_scene(path).device.port is None
         told = " ".join(hapsim("measure", path, "--mass", "--hand-stiffness", "100").out.split())
         assert "it swings no slower than the device alone: what it moves feels like no mass" in told
+
+
+def test_a_channel_that_no_hand_is_on_is_named() -> None:
+    with pytest.raises(UsageError, match="channel 1: the scene has nothing there"):
+        measure_hands("first_touch", channels=(0, 1))

@@ -127,6 +127,8 @@ def test_the_command_prints_its_port_and_counts_forces(
     os.kill(process.pid, signal.SIGTERM)
     assert process.wait() == 0
     assert "100 forces taken since it was last armed" in process.err
+    assert f"serving the record {path} as a device at {tmp_path / 'device'}" in process.err
+    assert "serving the mock" not in process.err
 
 
 def test_what_cannot_be_served_is_refused_with_the_reason(hapsim: Hapsim, tmp_path: Path) -> None:

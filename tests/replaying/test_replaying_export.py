@@ -134,6 +134,7 @@ def test_tables_are_those_of_a_recorded_csv_and_npz(hapsim: Hapsim, record: Path
     assert np.array_equal(load_trace(tmp_path / "a.npz").force_counts, trace.force_counts)
     table = pandas.read_csv(tmp_path / "a.csv")
     assert np.allclose(table["force_N[1]"], trace.force[:, 1], rtol=1e-11)
+    assert np.allclose(table["time_s"], trace.sample / trace.rate, rtol=1e-11)
 
 
 def test_a_wav_has_one_column_at_a_stated_level(hapsim: Hapsim, record: Path, tmp_path: Path) -> None:

@@ -162,11 +162,12 @@ DETENT = "  it: {type: detent, between: [wall, hand], pitch: 1.0e-6, depth: 1"
 @pytest.mark.parametrize(
     ("detent", "mock", "told"),
     [
-        ("}", "4.0e-7", "found 1e-06: 2.5 counts of the encoder (mock.quantum: 4e-07); expected 4 or more"),
+        ("}", "4.0e-7", "found 1e-06 m: 2.5 counts of the encoder (mock.quantum: 4e-07 m); expected 4 or more"),
         (
             ", shape: notch, sharpness: 4}",
             "1.0e-7",
-            "found 1e-06, a notch of 2.5e-07: 2.5 counts of the encoder (mock.quantum: 1e-07); expected 4 or more",
+            "found 1e-06 m, a notch of 2.5e-07 m: 2.5 counts of the encoder (mock.quantum: 1e-07 m); expected 4 or "
+            "more",
         ),
         (", shape: snap, sharpness: 4}", "2.5e-7", ""),
         (", shape: notch, sharpness: 2.5}", "1.0e-7", ""),
