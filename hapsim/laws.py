@@ -188,11 +188,11 @@ class Law:
 
     def slope(self, d: float) -> float:
         """N/m at d, in m; on an edge the mean of those beside it, which is what a small swing about it meets."""
-        return sum(0.5 * piece.slope for piece in self._beside(d))
+        return sum(0.5 * piece.slope for piece in self._pieces_around(d))
 
     def damping(self, d: float) -> float:
         """N·s/m at d, as `slope`."""
-        return sum(0.5 * piece.damping for piece in self._beside(d))
+        return sum(0.5 * piece.damping for piece in self._pieces_around(d))
 
     def damping_along(self, d: Floats) -> Floats:
         """N·s/m at these distances in m; on an edge that of the piece beyond it, and where it may slide none."""
@@ -206,7 +206,7 @@ class Law:
 
     def state(self, d: float) -> str:
         """State of the link at d, in a word or two; "" if it is always the same."""
-        return self._beside(d)[1].state
+        return self._pieces_around(d)[1].state
 
     def linear(self, d: float | None = None) -> Linear:
         """The spring and damper that stand for the link about d, in m; None: about `taken_at`, as `assumption` says."""
@@ -228,7 +228,7 @@ class Law:
         pairs = pairwise(self._whole)
         return [(up - f) / (right - x) if right > x else 0.0 for (x, f), (right, up) in pairs]
 
-    def _beside(self, d: float) -> tuple[Piece, Piece]:
+    def _pieces_around(self, d: float) -> tuple[Piece, Piece]:
         """The pieces on both sides of d: the same one, unless d is on an edge."""
         first = 1 if self.period else 0  # there the first edge begins the first piece, below which is the last
         if self.period:
