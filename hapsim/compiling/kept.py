@@ -106,8 +106,7 @@ def directory_of_kept_code(*, found: bool = False) -> Path | None:
 
 
 class Kept:
-    """The machine code of a function for one signature. `classes`: named tuples in the signature, which numba does not
-    distinguish."""
+    """The machine code of a function for one signature. `classes`: of its named tuples, all alike to numba."""
 
     def __init__(self, function: Any, signature: Any, *classes: type) -> None:
         self._function = function

@@ -65,8 +65,7 @@ def live_columns(modules: Mapping[str, Any], rate: float) -> list[LiveColumn]:
 
 
 def knot_field(what: str, name: str, knot: int, of: int) -> tuple[str, str]:
-    """Returns the key of a knot's number in a LiveColumn: "edge 2 of 5". `name`: of the link; `of`: count of its
-    knots."""
+    """Returns the key of a knot's number in a LiveColumn: "edge 2 of 5". `name`: of the link; `of`: its knots."""
     return name, f"{what} {knot} of {of}"
 
 

@@ -149,8 +149,7 @@ class Explanation(NamedTuple):
 
 
 def explain(scene: Scene, on_part: Callable[[str], None] = lambda _: None) -> Explanation:
-    """Compiles `scene` and runs it with resting hands. Returns its parts and times. `on_part` receives each part's
-    name."""
+    """Compiles `scene` and runs it with resting hands. Returns its parts and times. `on_part` receives each name."""
     program = compile_scene(scene)
     on_part("the whole tick")
     whole = tick_seconds(program, scene.channels)
@@ -189,8 +188,7 @@ def _named_parts(scene: Scene, program: Program) -> Iterator[tuple[str, int, str
 
 
 def _part_seconds(program: Program, part: Part) -> float:
-    """Returns a part's time in a tick, s, called by itself at the program's own state; NaN if a tick does not call
-    it."""
+    """Returns a part's time in a tick, s, by itself at the program's own state; NaN if a tick does not call it."""
     seconds = []
     for name in ("add_forces", "integrate"):
         having = [one for one in program.parts if getattr(one, name) is not None]

@@ -76,8 +76,7 @@ class LiveValues:
         record.ramps = self._ramps.ctypes.data
 
     def post(self, values: Column, samples: int) -> None:
-        """Posts a whole set of targets, reached `samples` (>= 1) samples after the loop takes it. For one thread at a
-        time."""
+        """Posts targets, reached `samples` (>= 1) samples after the loop takes it. For one thread at a time."""
         self.record.move = move.address()
         post(self.record, values.astype(np.float64), samples)
 

@@ -116,8 +116,7 @@ def shift_lanes(_typing: Any, terms: Any, which: Any, by: Any) -> Any:
 
 @intrinsic
 def chosen(_typing: Any, lanes: Any, others: Any, first: Any, end: Any) -> Any:  # noqa: ARG001
-    """Returns `lanes` from lane `first` to before lane `end` (int64, perhaps beyond either side), `others`
-    elsewhere."""
+    """Returns `lanes` from lane `first` to before `end` (int64, perhaps beyond either side), `others` elsewhere."""
 
     def _generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         inside, outside, begin, stop = arguments

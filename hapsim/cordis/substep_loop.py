@@ -46,8 +46,7 @@ _call_cross_fade = function_at(CROSS_FADE)
 
 @inlined
 def move_scene(slot, io, samples):
-    """Moves the scene by `samples`, with the hands on straight lines. Writes the force that answers them to
-    `io.asked`."""
+    """Moves the scene by `samples`, with the hands on straight lines. Writes the scene's force to `io.asked`."""
     compact()
     steps = samples * slot.substeps
     for i in range(1, steps + 1):
@@ -71,8 +70,7 @@ def move_scene(slot, io, samples):
 
 @inlined
 def _take_mean(slot, io, number, is_last):
-    """Adds the forces of step `number` (from 1 on) of the last sample; after the last step, sets the force to the
-    mean."""
+    """Adds the forces of step `number` (from 1 on) of the last sample. The last step sets the force to the mean."""
     for c in range(np.uint64(io.channels)):
         if number == 1:
             slot.summed[c] = 0.0

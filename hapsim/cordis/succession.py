@@ -22,8 +22,7 @@ from hapsim.scene.modules import MaterialPoint, Structure
 
 
 class CarriedPoints(NamedTuple):
-    """Points of an older program, PROGRAM, by number there, `taken`, and here, `placed`. `rows`: (2, N) its positions,
-    m."""
+    """Points of an older program, PROGRAM, by number there, `taken`, and here, `placed`. `rows`: its (2, N) m."""
 
     older: Any
     rows: Column

@@ -73,7 +73,7 @@ class Connection(Client):
         """Sends a frame outside the loop. Raises DeviceError if the port does not take it."""
         self._written.append(frame)
         if self.transport.send(frame) != 0:
-            raise DeviceError(f"{self.name}: the port does not take what is written to it: is the device still there?")
+            raise DeviceError(f"{self.name}: the port does not accept data: is the device still connected?")
 
     def take_written(self) -> bytes:
         """Returns the bytes that `send` sent since the last call, at most 128 frames."""
@@ -96,8 +96,7 @@ class Connection(Client):
                 return []
 
     def receive_bytes(self, timeout_s: float) -> bytes:
-        """Returns the next raw bytes, without the inbox; b"" after the timeout. Raises DeviceError if the port is
-        gone."""
+        """Returns the next raw bytes, without the inbox; b"" after the timeout. Raises DeviceError if it hung up."""
         count = self._checked_count(self.transport.receive(self._buffer, round(timeout_s * 1e9)))
         return self._buffer[:count].tobytes()
 
@@ -157,8 +156,7 @@ def _require_same_protocol(connection: Connection, registers: Any) -> None:
     if version != schema.VERSION:
         side = "a newer hapsim" if version > schema.VERSION else "a newer firmware"
         error = (
-            f"the device speaks version {version} of the protocol, this hapsim speaks version {schema.VERSION}: "
-            f"it takes {side}"
+            f"the device uses version {version} of the protocol, this hapsim version {schema.VERSION}: install {side}"
         )
     elif schema_hash != schema.SCHEMA_HASH:
         error = (
@@ -166,7 +164,7 @@ def _require_same_protocol(connection: Connection, registers: Any) -> None:
             "build the firmware from the protocol description of this hapsim"
         )
     elif not 1 <= channels <= schema.MAX_CHANNELS:
-        error = f"the device says it has {channels} channels, where 1 to {schema.MAX_CHANNELS} can be"
+        error = f"the device declares {channels} channels, expected 1 to {schema.MAX_CHANNELS}"
     if error:
         raise DescriptionError(f"{connection.name}: {error}")
 
@@ -234,8 +232,7 @@ def disarm(connection: Connection, wire: Format) -> bool:
 
 
 def frames_rejected_by(connection: Connection) -> int | None:
-    """Returns the number of the host's frames that an unarmed device rejected since it was armed; None without an
-    answer."""
+    """Returns the count of host frames that an unarmed device rejected since arming; None without an answer."""
     try:
         return connection.register(schema.REG_REJECTED, tries=2)
     except DeviceError:

@@ -154,8 +154,7 @@ def _connection(port: Any, transport: PythonTransport) -> Connection:
 
 @contextlib.contextmanager
 def raw_port(path: str, baud: int) -> Iterator[int]:
-    """Yields the descriptor of an open port: raw, locked, non-blocking. Raises DeviceError, with the remedy, if that
-    fails."""
+    """Yields the descriptor of an open port: raw, locked, non-blocking. Raises DeviceError with the remedy."""
     with contextlib.closing(_open(path, baud)) as port:
         _make_raw(port.fileno())
         _set_low_latency(port)
@@ -248,8 +247,7 @@ def port_holders(path: str) -> str:
 
 
 def _lock_holders(port: os.stat_result) -> list[str]:
-    """Returns the processes with a lock on this file, from lines like `1: FLOCK  ADVISORY  WRITE 2461 00:1a:3 0
-    EOF`."""
+    """Returns the processes with a lock on this file, from lines like `1: FLOCK ADVISORY WRITE 2461 00:1a:3 0 EOF`."""
     where = f"{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}"
     with contextlib.suppress(OSError):
         lines = map(str.split, (_PROC / "locks").read_text("ascii", "replace").splitlines())

@@ -70,8 +70,7 @@ class Counts:
     dropped_rows: int = _counter("rows not recorded: too slow a reader", at="ring.dropped")
     """Rows missing from the trace because its reader was too slow; the force was not affected."""
     unrecorded_rows: int = _counter("rows not recorded: too slow a file")
-    """Rows missing from the recorded file, because it could not be written, or not fast enough. The force was not
-    affected."""
+    """Rows missing from the recorded file, which failed or was too slow; the force was not affected."""
     underruns: int = _counter("gaps in the sound (underruns)", "gaps in the sound")
     """Gaps in the played sound: times that the sound card got no frames, or got them too late."""
     lost_sound_frames: int = _counter("frames of the sound lost", "frames of it lost")

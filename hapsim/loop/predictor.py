@@ -135,8 +135,7 @@ def _advance(predictor, forces, numbers, c):
 
 @helper
 def _correct(predictor, numbers, c, position, velocity, gap):
-    """Corrects the state by the measurement. After lost positions velocity and push have the gains of the longer
-    period."""
+    """Corrects the state by the measurement; after lost positions with velocity and push gains of the longer period."""
     state, senses = predictor.state[c], predictor.readings == 2
     if predictor.begun == 0:
         state[POSITION], state[VELOCITY], state[PUSH] = position, velocity if senses else 0.0, 0.0

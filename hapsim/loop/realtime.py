@@ -343,7 +343,7 @@ def disable_idle_states(_thread_id: int) -> Iterator[str]:
     descriptor = os.open(_DEVICE, os.O_WRONLY)
     try:
         os.write(descriptor, struct.pack("=i", 0))
-        yield "0 µs of wake-up latency asked of every processor"
+        yield "0 µs of wake-up latency requested on all CPUs"
     finally:
         os.close(descriptor)
 
@@ -383,7 +383,7 @@ def realtime(thread_id: int) -> Iterator[list[PrivilegeResult]]:
     two loops in one process is denied all measures.
     """
     if not _IN_USE.acquire(blocking=False):
-        why = "another loop of this process has it, and gives it back for all when it ends"
+        why = "another loop of this process holds the privileges until it ends"
         yield [PrivilegeResult("real time", False, why)]
         return
     try:

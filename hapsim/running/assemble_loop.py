@@ -112,8 +112,7 @@ class LoopMemory:
         self.record.slot.program = program.address
 
     def crossfade_to(self, program: Program, steps: int, mailbox: Mailbox) -> None:
-        """Adds to the next change a crossfade to `program`, prepared by `take_over_from`, over `steps` (>= 1) of the
-        scene."""
+        """Adds to the next change a crossfade to `program`, prepared by `take_over_from`, over `steps` (>= 1)."""
         if self.is_replacing:
             raise ValueError("the crossfade before is not over")
         self._changes_before += sum(int(left.record.parameters.sets) for left in self._programs[:-1])

@@ -225,8 +225,8 @@ class LiveScene:
             raise UsageError(f"the device has {io.channels} channel(s), the scene uses {scene.channels}")
         if scene.sensed_links and not io.velocities:
             raise UsageError(
-                f"{scene.sensed_links[0]}: damper: sensed needs the device's velocities, which it was not asked for "
-                "when it was armed: stop the scene and start it anew, or write damper: backward"
+                f"{scene.sensed_links[0]}: damper: sensed needs the device's velocities, which were not requested "
+                "at arming: stop the scene and start it again, or write damper: backward"
             )
         if not self._unstable:
             require_not_less_stable(self.scene, scene)
@@ -273,8 +273,7 @@ def _is_equal(before: Any, after: Any) -> bool:
 
 
 def differs_in_live_parameters_alone(now: Scene, wanted: Scene) -> bool:
-    """Returns whether two scenes differ only in live parameters, and in points of tables for which the program has
-    room."""
+    """Returns whether two scenes differ only in live parameters, and in table points that fit the program."""
     if first_fixed_difference(now, wanted) or (now.precision, now.scheme) != (wanted.precision, wanted.scheme):
         return False
     fixed = fixed_modules(now)
@@ -320,8 +319,8 @@ def changed(scene: Scene, changes: Changes) -> Scene:
             )
         if name in fixed and parts[name].live:
             raise UsageError(
-                f"{name}: nothing of it can change while the scene runs, because it is in the matrix that scheme: "
-                f"{scene.scheme} makes once; under scheme: {one_of(without_matrices())} it can"
+                f"{name}: cannot change while the scene runs: scheme: {scene.scheme} compiles it into a matrix. "
+                f"It can under scheme: {one_of(without_matrices())}"
             )
         _require_sizes(name, values)
         parts[name] = _part_with(name, parts[name], values, scene.units_at(name))

@@ -65,8 +65,7 @@ class CompileUnit(NamedTuple):
             _compile_modules(self.modules)
 
     def is_kept(self) -> bool:
-        """Returns whether an earlier run left all machine code; False for modules, which load faster than they are
-        checked."""
+        """Returns whether an earlier run left all machine code; False for modules: a check is slower than loading."""
         return (
             not self.modules
             and all(native.is_kept() for native in self._resolved())
@@ -80,8 +79,7 @@ class CompileUnit(NamedTuple):
 
 
 def _entry(function: str, *arguments: Any) -> Callable[[], list[tuple[Any, ...]]]:
-    """Returns a function that finds an entry below hapsim by name, with its arguments; a name of a dtype stands for a
-    record."""
+    """Returns a function that finds an entry below hapsim by name, with its arguments; a dtype means a record."""
 
     def resolved(one: Any) -> Any:
         found = pkgutil.resolve_name(f"hapsim.{one}") if isinstance(one, str) else one

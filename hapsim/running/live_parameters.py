@@ -99,8 +99,7 @@ def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:
 
 
 def changes_from(values: Mapping[str, Any], parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
-    """Returns values by full name ("touch.stiffness") in the form of `Session.set`. Raises UsageError for an unknown
-    name."""
+    """Returns values by full name ("touch.stiffness") in `Session.set`'s form. UsageError for an unknown name."""
     changes: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
         if name not in parameters:

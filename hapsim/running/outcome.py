@@ -137,7 +137,7 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
     elif report.released:
         return None
     else:
-        kind, what = DeviceError, f"the run ended as asked after {report.ticks} ticks"
+        kind, what = DeviceError, f"the run ended normally after {report.ticks} ticks"
     if kind is GuardError and (hints := " ".join(unlikely(scene)).removesuffix(".")):
         advice = f"A likely mistake: {hints}"
     what = f"{what}. {advice}" if advice else what
@@ -156,7 +156,7 @@ def file_failure(failure: RunError | None, name: str, file: BackgroundFile | Non
         return failure
     if failure is not None:
         return with_sentence(failure, f". And {file.problem}")
-    ended = f"{name}: the run ended as asked after {trace.report.ticks} ticks, and {file.problem}"
+    ended = f"{name}: the run ended normally after {trace.report.ticks} ticks, but {file.problem}"
     return _with_trace(RecordError(ended), trace)
 
 
@@ -192,8 +192,7 @@ _FAILURES: dict[int, tuple[type[RunError], str | Callable[[LoopMemory, Report], 
         "reports what is stable",
     ),
 }
-"""Error class and sentence, without a full stop, or a function that returns it, by ending, if no guard ended the
-run."""
+"""Error class and sentence without a full stop, or a function that returns it, by ending without a guard."""
 
 
 def _useless_input(loop: LoopMemory, report: Report) -> str:

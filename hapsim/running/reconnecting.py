@@ -222,12 +222,12 @@ class _Reconnector:
                 self.short += 1
                 if str(error) != last_error:
                     last_error = str(error)
-                    self.observer.report("waiting", f"{last_error}. It is tried again until {self._port} answers")
+                    self.observer.report("waiting", f"{last_error}. hapsim retries until {self._port} answers")
         self._end_wait(came_back=False)
         if not self.stopped:
             return DeviceError(
-                f"{self._port}: the device was lost and did not come back within the duration of {self.duration:g} s. "
-                f"What had happened: {why}"
+                f"{self._port}: the device was lost and did not return within the duration of {self.duration:g} s. "
+                f"Cause of the loss: {why}"
             )
         last = self.runs[-1]
         self.runs[-1] = last._replace(report=replace(last.report, ending=endings.IN_WORDS[endings.STOPPED]))
@@ -285,7 +285,7 @@ class _Reconnector:
                 if self.lost_at is not None:
                     waited_s = self._end_wait(came_back=True)
                     reset = "The device restarted: its position 0 is where it powered up or homed"
-                    sentence = f"armed again after {waited_s:.1f} s; the scene goes on as it is now"
+                    sentence = f"armed again after {waited_s:.1f} s; the scene continues as it is now"
                     sentence += f". {reset}" if session.restarted else ""
                     self.observer.report("reconnected", f"{self._port}: {sentence}")
                 self.observer.started(session)

@@ -92,8 +92,7 @@ def service_access_problem(scene: str) -> str:
 
 
 def _closed_folder(file: str, user: int, groups: list[int]) -> Path | None:
-    """Returns the first directory above `file`, or above its link's target, that this user may not enter; None if
-    there is none."""
+    """Returns the first directory above `file` or its link's target that this user may not enter, if any."""
     ways = [Path(os.path.abspath(file)), Path(os.path.realpath(file))]
     for folder in (folder for way in ways for folder in reversed(way.parents)):
         try:

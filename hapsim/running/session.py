@@ -160,7 +160,7 @@ class Session(SessionView):
         """Trace of the session once it has ended. Raises UsageError before."""
         if self._trace is None:
             raise UsageError(
-                "the trace is there once the run is over: leave the with-block of `start` first, or call `close`"
+                "the trace exists once the run is over: leave the with-block of `start` first, or call `close`"
             )
         return self._trace
 
@@ -214,7 +214,7 @@ class Session(SessionView):
             except UsageError as error:
                 if not options.resumes:
                     raise
-                warn(f"{error}. The scene goes on without sound")
+                warn(f"{error}. The scene continues without sound")
 
     # Running
 

@@ -14,7 +14,7 @@ from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
 
 _OVER_S = 0.05  # the ramp of a change
-_NEXT_START = " (how it begins: felt at the next start)"
+_NEXT_START = " (initial state: takes effect at the next start)"
 _MOST_MISSES = 10  # checks of a missing file: an editor may be replacing it
 
 
@@ -47,7 +47,7 @@ class WatchedFile:
         self._missed = 0 if stamp else self._missed + 1
         if stamp is None and self._missed == _MOST_MISSES:
             self._stamp = None
-            return self._refuse(f"{self._path}: the file is gone; the scene goes on as it was")
+            return self._refuse(f"{self._path}: the file is gone; the scene continues unchanged")
         if stamp is None or stamp == self._stamp:
             return None
         seen, self._stamp = self._stamp, stamp
@@ -70,7 +70,7 @@ class WatchedFile:
         if not changed and not self._refused:
             return None
         self._refused = False
-        return EditResult(changed=changed or ("nothing: the file says what runs",))
+        return EditResult(changed=changed or ("nothing: the file matches the running scene",))
 
     def _refuse(self, why: str) -> EditResult:
         self._refused = True

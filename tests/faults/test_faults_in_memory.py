@@ -75,7 +75,7 @@ ENDS = {
         rf"the position of channel 0 leapt at tick 51: 0\.1 m away .* its force was not sent.*; {RELEASED}",
     ),
     "kind: unplug, after_samples: 50": (DeviceError, UNPLUGGED),
-    "kind: version": (DeviceError, "the device speaks version 2 of the protocol, this hapsim speaks version 1"),
+    "kind: version": (DeviceError, "the device uses version 2 of the protocol, this hapsim version 1"),
     "kind: nonsense, register: rate, what: nan": (
         DeviceError,
         rf"declares a rate of nan Hz \(register 4\), {NOT_ARMED}",
@@ -84,7 +84,7 @@ ENDS = {
         DeviceError,
         rf"a force limit of channel 0 of -1 N \(register 36\), {NOT_ARMED}",
     ),
-    "kind: nonsense, register: channels, what: huge": (DeviceError, "the device says it has 2147483647 channels"),
+    "kind: nonsense, register: channels, what: huge": (DeviceError, "the device declares 2147483647 channels"),
     "kind: reboot, after_samples: 50": (DeviceError, rf"the device was silent for 5 s after 50 ticks; {RELEASED}"),
 }
 

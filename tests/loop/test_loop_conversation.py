@@ -52,14 +52,14 @@ def test_a_description_arrives_as_the_device_says_it() -> None:
 @pytest.mark.parametrize(
     ("register", "value", "told"),
     [
-        (schema.REG_VERSION, 2, "speaks version 2 of the protocol, this hapsim speaks version 1: it takes a newer"),
-        (schema.REG_VERSION, 0, "it takes a newer firmware"),
+        (schema.REG_VERSION, 2, "uses version 2 of the protocol, this hapsim version 1: install a newer"),
+        (schema.REG_VERSION, 0, "install a newer firmware"),
         (
             schema.REG_SCHEMA,
             0xDEADBEEF,
             f"schema is deadbeef, this hapsim's is {schema.SCHEMA_HASH:08x}: build the firmware",
         ),
-        *((schema.REG_CHANNELS, n, f"says it has {n} channels, where 1 to 16 can be") for n in (0, 17, 2**32 - 1)),
+        *((schema.REG_CHANNELS, n, f"declares {n} channels, expected 1 to 16") for n in (0, 17, 2**32 - 1)),
     ],
 )
 def test_a_protocol_that_is_not_ours_is_refused_with_what_to_do(register: int, value: int, told: str) -> None:

@@ -189,7 +189,7 @@ def test_behind_a_cable_alone_a_device_keeps_its_zero(bench: Bench) -> None:
 
     lifetime = bench.keep(scene, unplug_once_it_has_forces, bench.stop, on_waiting=lambda: bench.plug_in(mock))
     assert (lifetime.failure, lifetime.reconnections) == (None, 1)
-    assert bench.sentences[-1].endswith("the scene goes on as it is now")
+    assert bench.sentences[-1].endswith("the scene continues as it is now")
 
 
 def test_what_a_guard_stopped_is_not_begun_again(bench: Bench) -> None:
@@ -233,7 +233,7 @@ def test_its_time_goes_on_during_the_wait(scene: Scene, bench: Bench, monkeypatc
     monkeypatch.setattr(reconnecting, "time", clock)
     lifetime = bench.keep(scene, bench.unplug, duration=1000.0)
     assert isinstance(lifetime.failure, DeviceError)
-    assert "was lost and did not come back within the duration of 1000 s" in str(lifetime.failure)
+    assert "was lost and did not return within the duration of 1000 s" in str(lifetime.failure)
     assert (lifetime.report.ending in LOST, lifetime.report.released, lifetime.reconnections) == (True, False, 0)
     assert 990.0 < lifetime.interruptions[0].waited_s + lifetime.report.duration_s < 1010.0
 
@@ -249,7 +249,7 @@ def test_the_time_of_every_wait_counts(scene: Scene, bench: Bench, monkeypatch: 
         now[0] += 600.0
 
     lifetime = bench.keep(scene, bench.unplug, bench.unplug, on_waiting=back_later, duration=1000.0)
-    assert "did not come back within the duration of 1000 s" in str(lifetime.failure)
+    assert "did not return within the duration of 1000 s" in str(lifetime.failure)
     assert (len(bench.sessions), lifetime.reconnections) == (2, 1)
 
 

@@ -187,7 +187,7 @@ def test_on_a_full_disk_the_run_goes_on_and_what_was_written_stays(
     assert report["ending"] == "done"
     assert report["ticks"] == ticks
     assert report["released"] is True
-    assert "the run ended as asked" in report["error"]
+    assert "the run ended normally" in report["error"]
     missing = report["unrecorded_rows"]
     assert 0 < missing < ticks
     assert f"{missing} rows are missing" in report["error"]

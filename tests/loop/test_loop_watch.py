@@ -93,7 +93,7 @@ def test_an_error_changes_nothing_and_is_reported_once(
     assert file.check(session) is None
     edit(path, new, old)
     back = file.check(session)
-    assert back.changed == ("nothing: the file says what runs",)
+    assert back.changed == ("nothing: the file matches the running scene",)
 
 
 def test_a_file_that_is_gone_for_a_moment_is_waited_for(path: Path, session: Session) -> None:

@@ -261,7 +261,9 @@ def test_what_is_in_a_matrix_changes_with_the_structure_only(monkeypatch: pytest
     scene = scene_of(IN_A_MATRIX, scheme)
     with running(scene, monkeypatch) as runner:
         runner.go()
-        with pytest.raises(UsageError, match=f"rest: nothing of it can change .* scheme: {scheme} makes once"):
+        with pytest.raises(
+            UsageError, match=f"rest: cannot change while .* scheme: {scheme} compiles it into a matrix"
+        ):
             runner.live.set({"rest": {"stiffness": 1.0}}, 0.0)
         assert runner.live.scene == scene
         runner.live.set({"touch": {"stiffness": 111.0}, "wall": {"position": 0.02}, "stop": {"distance": 0.003}}, 0.0)

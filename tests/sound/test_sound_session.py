@@ -60,7 +60,7 @@ def test_in_virtual_time_every_step_is_written_and_two_renders_are_the_same(tmp_
 def test_what_a_full_disk_leaves_is_kept_and_the_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wav, "_MOST_BYTES", 30_000)
     warnings: list[str] = []
-    with pytest.raises(RecordError, match="ended as asked after 2000 ticks, and the sound file is") as error:
+    with pytest.raises(RecordError, match="ended normally after 2000 ticks, but the sound file is") as error:
         run(scene_of(), duration=2.0, sound_file=tmp_path / "a.wav", on_warning=warnings.append)
     assert len(read(tmp_path / "a.wav")[1]) == 10_000
     assert error.value.trace.report.lost_sound_frames == 86_000
@@ -180,7 +180,7 @@ def test_a_card_that_is_gone_when_the_device_comes_back_does_not_end_the_run(wit
     warnings: list[str] = []
     run(scene_of("device"), duration=0.1, sound=True, resumes=True, on_warning=warnings.append)
     assert "no sound card" in warnings[0]
-    assert "The scene goes on without sound" in warnings[0]
+    assert "The scene continues without sound" in warnings[0]
 
 
 @pytest.mark.parametrize(

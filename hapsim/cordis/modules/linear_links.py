@@ -132,8 +132,7 @@ def damped_type(
     constant: Callable[[Any, float], float],
     initialize: NativeFunction | None = None,
 ) -> PartType:
-    """Returns the type of links with another damper. `constant`: of a link at a rate in Hz. With `initialize`, they
-    have a memory."""
+    """Returns the type of links with another damper. `constant`: of a link at a rate in Hz; `initialize`: a memory."""
     return link_type(
         ViscoElastic,
         DampedLinks if initialize else SensedLinks,

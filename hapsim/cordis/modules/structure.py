@@ -53,8 +53,7 @@ def structure_type(
     compiled_as: str,
     where: Callable[[Any], bool] = lambda _: True,
 ) -> PartType:
-    """Returns the type of the structures of a module type for which `where` holds. `numbers`: makes their part's
-    numbers."""
+    """Returns the type of a module type's structures for which `where` holds. `numbers`: makes their numbers."""
 
     def build(structures: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
         links = UniformLinks(context.mobility([one.mass for one in structures.values()]), *columns)

@@ -142,8 +142,7 @@ def _piece(links, k, end, at):
 
 
 def _columns(laws: Mapping[str, Law], rate: float, per: float, over: str) -> list[LiveColumn]:
-    """Returns the live columns of `TableLinks`. `per`: metres per unit of the laws' edges. `over`: prefix of field
-    names."""
+    """Returns the live columns of `TableLinks`. `per`: metres per unit of edges; `over`: prefix of the field names."""
 
     def of_knots(what: str, values: Callable[[Law], Sequence[float]]) -> LiveColumn:
         rows = {name: values(law)[-len(law.knots) :] for name, law in laws.items()}
@@ -172,8 +171,7 @@ def _table_type(
     per: Callable[[float], float] = lambda _: 1.0,
     over: str = "",
 ) -> PartType:
-    """Returns the type of links with this table. `per`: metres per unit of its edges, at a rate in Hz. `over`: of
-    `_columns`."""
+    """Returns the type of links with this table. `per`: metres per unit of edges, at a rate in Hz; `over`: prefix."""
 
     def tables(links: Mapping[str, Link]) -> dict[str, Law]:
         return {name: law for name, link in links.items() if (law := table(link)) is not None}

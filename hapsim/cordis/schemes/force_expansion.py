@@ -53,8 +53,7 @@ class WeightedLinksToRest(NamedTuple):
 
 
 def first_moved(scene: Scene) -> int:
-    """Returns the number of the first point that the scene moves; all later ones are masses, or borders of
-    structures."""
+    """Returns the number of the first point that the scene moves; later ones are masses or borders of structures."""
     return len(scene.device_points) + len(scene.grounds)
 
 

@@ -78,8 +78,7 @@ def _inner_links(scene: Scene) -> dict[str, Any]:
 
 
 def inside(scene: Scene) -> frozenset[str]:
-    """Returns the names of the modules in the subsystem, without points that pull themselves: only their mass is in
-    it."""
+    """Returns the names of the subsystem's modules, without points that pull themselves: only their mass is in it."""
     points = [name for name, point in scene.material_points.items() if not point.pulls_itself]
     return frozenset([*points, *scene.structures, *_inner_links(scene)])
 

@@ -194,8 +194,7 @@ def _take_sample(mock, now):
 
 @native(types.void, types.uint64, types.int64)
 def _check_watchdog(mock, now):
-    """Latches if the host is quiet for too many samples. A silent host makes no samples in lockstep: that waits in real
-    time."""
+    """Latches if the host is quiet for too many samples; in lockstep, where it makes them, for too long a time."""
     mock = mock_at(mock)
     board = mock.board
     quiet, most = board.n - board.accepted, board.watchdog

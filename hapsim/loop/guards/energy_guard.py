@@ -338,7 +338,7 @@ def _sentence(run: EndedRun) -> str:
     else:
         found = (
             f"by tick {report.ticks} {'late forces' if account == LATE else 'the scene'} had given the hand "
-            f"{rounded_up(energy.given[account])} J that it had not got from it, above the limit of "
+            f"{rounded_up(energy.given[account])} J more than it received, above the limit of "
             f"{rounded_down(energy.limit[account])} J"
         )
     return f"{found}; the last force was not sent{_late_advice(report) if account == LATE else ''}"
@@ -354,8 +354,7 @@ def _late_advice(report: Any) -> str:
 
 
 def _advice(run: EndedRun) -> str:
-    """Returns the remedy: first the slew limit, if it held the force back in many ticks. "" if late forces ended the
-    run."""
+    """Returns the remedy: first the slew limit, if it held the force back in many ticks. "" for late forces."""
     energy, report, slew = run.loop.energy_guard, run.report, run.loop.slew
     if int(energy.account) == LATE:
         return ""

@@ -53,8 +53,7 @@ _leap_at = record_at(LEAP)
 
 @hook
 def find_leap(leap, tick):
-    """Judges the position in `io.measured`: POSITION_LEAPT for a leap, else 0. The first two begin a motion of any
-    speed."""
+    """Judges the position in `io.measured`: POSITION_LEAPT or 0. The first two positions may have any speed."""
     leap, tick = _leap_at(leap), tick_at(tick)
     io = io_at(tick.io)
     periods = np.float64(tick.gap)
