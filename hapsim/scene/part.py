@@ -17,7 +17,7 @@ T = TypeVar("T")
 class Part(BaseModel):
     """A part of the scene file: frozen, strict about types, and closed to unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
 
 class Table(Mapping[str, T]):
@@ -80,7 +80,7 @@ class Module(Part):
     def issues(self, name: str, around: "ModuleContext") -> Iterator[Issue]:
         """Yields the faults that this module, called ``name``, has together with the others."""
         for kind in reversed(type(self).__mro__):
-            for check in vars(kind).values():
+            for check in tuple(vars(kind).values()):  # a model is built when it is first used
                 if hasattr(check, "fields") and around.knows(name, *check.fields):
                     for issue in check(self, name, around):
                         yield replace(issue, path=("modules", name, *issue.path))
