@@ -129,9 +129,8 @@ class Felt:
     @cached_property
     def passive(self) -> bool | None:
         """True if no hand can make it unstable (Colgate and Schenkel); None if the condition is not derived."""
-        with contextlib.suppress(ValueError):
-            return bool(self.formula.is_passive(self.stiffness, self.damping))
-        return None
+        needed = self.needed_friction
+        return None if math.isnan(needed) else self.stiffness >= 0.0 and self.formula.friction > needed
 
     @cached_property
     def needed_friction(self) -> float:

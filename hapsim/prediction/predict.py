@@ -93,7 +93,8 @@ class Prediction:
         position]."""
         around = (self._at or 0.0) if around is None else around
         hand = characteristic_of(self._rendering.desired, name, around, self._wherever)
-        simulated = characteristic_of(self._seen, name, wherever=self._wherever)
+        same = self._seen is self._rendering.desired and around == 0.0
+        simulated = hand if same else characteristic_of(self._seen, name, wherever=self._wherever)
         if hand is None or simulated is None:
             return ()
         pieces = [(piece, linear_at(simulated, self._linear, piece)) for piece in hand.pieces()]
@@ -220,17 +221,12 @@ class Prediction:
         """True if the scene is neither stable nor unstable: a motion drifts or oscillates with a constant amplitude."""
         return not self.stable and abs(self.spectral_radius - 1.0) < SURELY - 1.0
 
-    @property
-    def _by_formula(self) -> bool:
-        """True if the poles are those of each hand: a correction for another mass is not in the network."""
-        return self.is_lone and self._rendering.kind is not None
-
     @cached_property
     def spectral_radius(self) -> float:
         """Largest modulus of a pole, over all regions of the hands."""
         radius = (
             max(one.spectral_radius for one in self._lone)
-            if self._by_formula
+            if self.is_lone
             else self.judge.solved.solution.spectral_radius
         )
         grown = [one.growth for regions in self.judge.regions.values() for one in regions]
@@ -239,9 +235,10 @@ class Prediction:
     @cached_property
     def poles(self) -> tuple[complex, ...]:
         """Poles of the whole closed loop, by decreasing modulus, without those at zero; for a large scene only some."""
-        poles = self.judge.solved.solution.poles
-        if self._by_formula:
+        if self.is_lone:
             poles = sort_by_modulus(np.array([pole for one in self._lone for pole in one.poles], complex))
+        else:
+            poles = self.judge.solved.solution.poles
         return tuple(complex(pole) for pole in poles if abs(pole) > 1e-9)
 
     @property
