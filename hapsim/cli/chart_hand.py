@@ -211,10 +211,7 @@ def plane(
     alike = [other for other in others if other.configuration == chosen.configuration]
     drawn = [chosen.with_mass(mass) for mass in masses] if len(masses) > 1 else [chosen, *alike]
     scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
-    K_to, B_to = (
-        require_positive("--to-stiffness", to_stiffness),
-        require_positive("--to-damping", to_damping),
-    )
+    K_to, B_to = require_positive("--to-stiffness", to_stiffness), require_positive("--to-damping", to_damping)
     view = view_of(
         drawn,
         from_total=total_damping,
@@ -329,13 +326,7 @@ def force(
     output.close({"scene": scene, "name": name, "speed_m_s": speed, "regions": chart.regions})
 
 
-def transparency(
-    hand: HandOptions,
-    simulated: SimulatedOptions,
-    *,
-    mass: Mass = None,
-    output: ChartOutput,
-) -> None:
+def transparency(hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass = None, output: ChartOutput) -> None:
     """Draw rendered and desired impedance over frequency.
 
     This is Figure 2 of the paper, with k and b, the spring and damper of the same force. Options of the hand take

@@ -10,17 +10,8 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 
 from hapsim.cli import check_details as details
+from hapsim.cli import check_hands
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
-from hapsim.cli.check_hands import (
-    any_hand_sentences,
-    any_hands_document,
-    hand_ranges,
-    region_lines,
-    state_lines,
-    together_document,
-    together_lines,
-    worst_hand_sentences,
-)
 from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, position, print_next, scene_name
 from hapsim.cli.live import at_work
 from hapsim.cli.output import Line, document, show, stderr, stdout, table
@@ -68,7 +59,7 @@ def check(
     ),
 ) -> None:
     """Predict stability, felt stiffness and damping, gain margins and wire time. Nothing runs."""
-    loaded, hands = load(scene), hand_ranges(hand_mass, hand_stiffness)
+    loaded, hands = load(scene), check_hands.hand_ranges(hand_mass, hand_stiffness)
     if why := travel_error(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
@@ -88,7 +79,7 @@ def check(
         whole = {
             **{"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings},
             **prediction_document(prediction, on_wire=on_wire),
-            "any_hands": any_hands_document(prediction, hands),
+            "any_hands": check_hands.any_hands_document(prediction, hands),
             **{"force_bounds": run_bounds(loaded), "travel": travel_document(loaded)},
             **{name: one for name, one in some.items() if one},
         }
@@ -99,7 +90,7 @@ def check(
     out.print(_predicted_for(loaded))
     show(out, check_lines(loaded, prediction, on_wire, explanation, explain=explain, partials=partials, peaks=peaks))
     with at_work(stderr(), "trying hands"):
-        of_hands = [*worst_hand_sentences(prediction, hands)]
+        of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
     show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
     if math.isfinite(prediction.spectral_radius) and not is_surely_unstable(prediction) and not refused:
         print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
@@ -200,12 +191,12 @@ def check_lines(
         (BRIEF, _felt_summary(prediction)),
         (EXPLAIN, details.assumption_lines(prediction.assumptions)),
         (EXPLAIN, details.felt_lines(prediction)),
-        (BRIEF, together_lines(prediction)),
-        (BOTH, region_lines(scene, prediction)),
-        (BOTH, state_lines(prediction)),
+        (BRIEF, check_hands.together_lines(prediction)),
+        (BOTH, check_hands.region_lines(scene, prediction)),
+        (BOTH, check_hands.state_lines(prediction)),
         (EXPLAIN, correction_lines(prediction)),
-        (EXPLAIN, together_lines(prediction)),
-        (EXPLAIN, any_hand_sentences(prediction)),
+        (EXPLAIN, check_hands.together_lines(prediction)),
+        (EXPLAIN, check_hands.any_hand_sentences(prediction)),
         (EXPLAIN, details.mode_lines(prediction)),
         (BRIEF, [_margin_summary(prediction)]),
         (BOTH, [f"A large scene: {prediction.poles_method}."] if prediction.poles_method else []),
@@ -325,7 +316,7 @@ def prediction_document(
         **corrected,
         "device_points": _by_name(prediction.felt),
         "coupled_device_points": prediction.coupled,
-        "felt_together": together_document(prediction),
+        "felt_together": check_hands.together_document(prediction),
         "regions": prediction.regions,
         "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
         "contact_states": {
@@ -345,6 +336,5 @@ def _by_name(items: Iterable[Any]) -> dict[str, Any]:
 
 
 def felt_on(prediction: Prediction, channel: int | None) -> Felt | None:
-    """Returns the prediction for one channel (None: the scene's first), where the hand there is a system of its
-    own."""
+    """Returns the prediction for one channel (None: the first), if the hand there is a system of its own."""
     return next((felt for felt in prediction.felt if channel in (None, felt.channel)), None)

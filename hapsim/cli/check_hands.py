@@ -401,8 +401,7 @@ def _shaken(prediction: Prediction, one: AnyHand) -> str:
 
 
 def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | None) -> Iterator[str]:
-    """Yields for each part of the scene the stability with hands in these ranges of mass and stiffness, and the worst
-    hand."""
+    """Yields each part's stability with hands in these ranges of mass and stiffness, and the worst hand."""
     if ranges is None:
         return
     for one in prediction.any_hands:

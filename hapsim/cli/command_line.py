@@ -130,10 +130,7 @@ class Commands(_Commands):
         "probe": ("probe:probe", "Test a device's firmware against the protocol, check by check."),
         "replay": ("records:replay", "Replay a record through its scene or another one. No device is used."),
         "export": ("records:export", "Write a record for other programs: HDF5, MCAP, CSV, NumPy or sound."),
-        "sweep": (
-            "sweep_command:sweep",
-            "Predict and measure a scene at many points; the results are one dataset.",
-        ),
+        "sweep": ("sweep_command:sweep", "Predict and measure a scene at many points; the results are one dataset."),
         "frames": ("frames_command:frames", "Decode the frames of a capture, a report file or a serial port."),
         "faults": ("faults:faults", "Inject faults: relay between host and device and apply a script."),
         "mock": ("device_commands:mock", "Serve a scene's mock device on a pseudo-terminal."),
@@ -164,11 +161,7 @@ class ChartCommands(_Commands):
 _HELP_OPTIONS = {"help_option_names": ["-h", "--help"]}
 
 app = typer.Typer(
-    name="hapsim",
-    cls=Commands,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings=_HELP_OPTIONS,
+    name="hapsim", cls=Commands, no_args_is_help=True, pretty_exceptions_enable=False, context_settings=_HELP_OPTIONS
 )
 app.add_typer(
     typer.Typer(

@@ -12,18 +12,7 @@ import numpy as np
 import typer
 from rich.markup import escape
 
-from hapsim.cli.command_options import (
-    Json,
-    MockFlag,
-    PictureOptions,
-    Port,
-    Realtime,
-    argument,
-    load,
-    numbers,
-    option,
-    transport_kind,
-)
+from hapsim.cli import command_options
 from hapsim.cli.live import live_words
 from hapsim.cli.output import Table, document, fitted, print_message, stderr, stdout, table
 from hapsim.doctor.examine import RATES_HZ, examine
@@ -42,19 +31,19 @@ if TYPE_CHECKING:
 
 
 def doctor(
-    scene: str | None = argument("[SCENE]", "Scene whose device is tested [default: the mock]"),
-    port: Port = None,
-    mock: MockFlag = False,
-    seconds: float = option(
+    scene: str | None = command_options.argument("[SCENE]", "Scene whose device is tested [default: the mock]"),
+    port: command_options.Port = None,
+    mock: command_options.MockFlag = False,
+    seconds: float = command_options.option(
         "S", "Duration of each measurement in seconds. A longer one finds rarer gaps.", default=2.0
     ),
-    rates: list[str] | None = option(
+    rates: list[str] | None = command_options.option(
         "HZ,…", "Rates to test in Hz, a list [default: 1000,2000,4000,10000 and the scene's]"
     ),
-    realtime: Realtime = False,
+    realtime: command_options.Realtime = False,
     *,
-    picture: PictureOptions,
-    json: Json = False,
+    picture: command_options.PictureOptions,
+    json: command_options.Json = False,
 ) -> None:
     """Measure the wake-up latency of this machine, the rates that a haptic loop keeps on it, and advise.
 
@@ -65,11 +54,11 @@ def doctor(
     picture.require_writable()
     with live_words(stderr()) as show:
         found = examine(
-            None if scene is None else load(scene, port),
+            None if scene is None else command_options.load(scene, port),
             seconds=seconds,
-            rates=tuple(numbers("--rates", rates)) or RATES_HZ,
+            rates=tuple(command_options.numbers("--rates", rates)) or RATES_HZ,
             realtime=realtime,
-            transport=transport_kind(mock, None, port),
+            transport=command_options.transport_kind(mock, None, port),
             on_progress=lambda step: show(now(step)),
         )
     if found.stopped:
@@ -297,8 +286,7 @@ def _range(row: Row) -> str:
 
 
 def _bar(count: int, most: int, width: int, ascii_only: bool) -> str:
-    """Returns the bar of a count. One has the share 1 / (1 + lg most) of the width, and each ten times as many as much
-    more."""
+    """Returns the bar of a count. One has 1 / (1 + lg most) of the width, and each factor of ten as much more."""
     if count == 0:
         return ""
     eighths = max(round(8.0 * width * (1.0 + math.log10(count)) / (1.0 + math.log10(most))), 1)

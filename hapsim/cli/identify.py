@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from hapsim.cli import output
 from hapsim.cli.command_options import (
     DeviceOptions,
     Json,
@@ -16,17 +17,7 @@ from hapsim.cli.command_options import (
     seconds,
 )
 from hapsim.cli.live import live_line
-from hapsim.cli.output import (
-    Table,
-    document,
-    output_units,
-    print_line,
-    print_message,
-    stderr,
-    stdout,
-    table,
-    use_channel_units,
-)
+from hapsim.cli.output import output_units
 from hapsim.device.ports import is_first_use
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -87,10 +78,10 @@ def identify(
         require_rewritable(device.scene)
     if channel is None:
         channel = next(iter(scene.device_points.values())).channel
-    use_channel_units(channel)
+    output.use_channel_units(channel)
     scene, travel = _within_travel(scene, channel, travel)
-    print_message(_before_pushing(bounds_of(scene, channel, push, travel), channel, port, duration or SECONDS))
-    with live_line(stderr()) as show_progress:
+    output.print_message(_before_pushing(bounds_of(scene, channel, push, travel), channel, port, duration or SECONDS))
+    with live_line(output.stderr()) as show_progress:
         found = identify_device(
             scene,
             channel=channel,
@@ -160,15 +151,15 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
     }
     if not json:
         hand = next(name for name, point in scene.device_points.items() if point.channel == channel)
-        stdout().print("", _table(found, declared, hand))
+        output.stdout().print("", _table(found, declared, hand))
         for sentence in _sentences(found):
-            print_line(sentence)
+            output.print_line(sentence)
     values = _values_to_write(found, declared, has_span=least < most) if write and not found.stopped else None
     if values is not None:
         rewrite_device(path, values, channel)
     if json:
         print(
-            document(
+            output.document(
                 {"scene": path, "motion": device.motions(channels)} | _identification_document(found, declared, values)
             )
         )
@@ -178,11 +169,11 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
             if write
             else "--write writes these values into its `device`"
         )
-        print_line(f"The file was not changed: {why}.")
+        output.print_line(f"The file was not changed: {why}.")
     else:
         written = ", ".join(f"{name}: {value}" for name, value in values.items())
         stays = " The mass stays: the file gives a span for it, and this is one hand's." if least < most else ""
-        print_line(f"Wrote into `device` of {path}: {written}.{stays}")
+        output.print_line(f"Wrote into `device` of {path}: {written}.{stays}")
 
 
 def _values_to_write(found: DeviceIdentification, declared: Mapping[str, float], has_span: bool) -> Written:
@@ -211,7 +202,7 @@ def _rounded(estimate: Estimate) -> str:
     return rounded(estimate.value, estimate.uncertainty)
 
 
-def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str) -> Table:
+def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str) -> output.Table:
     """Returns the table of declared values and estimates."""
     rows = []
     for key, (what, unit) in _LABELS.items():
@@ -231,7 +222,7 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
             )
         )
     title = f"The device at {name}, channel {found.channel}"
-    return table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
+    return output.table(title, ("", "declared", "found", "uncertainty", "off by"), rows)
 
 
 def _sentences(found: DeviceIdentification) -> list[str]:

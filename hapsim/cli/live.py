@@ -20,8 +20,6 @@ from hapsim.stopping import note_work
 from hapsim.units import Units
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from rich.console import Console
 
     from hapsim.live.access import Address

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 from rich.markup import escape
 
+from hapsim.cli import measure_remarks as remarks
+from hapsim.cli import output
 from hapsim.cli.check import felt_on, prediction_document
 from hapsim.cli.check_details import assumption_lines, wire_lines
 from hapsim.cli.command_options import (
@@ -25,28 +27,7 @@ from hapsim.cli.command_options import (
     require_positive,
 )
 from hapsim.cli.live import live_line
-from hapsim.cli.measure_remarks import (
-    attempts,
-    dry_friction,
-    limits,
-    measured_weight,
-    other_device,
-    smaller_push,
-    weight_sentence,
-    with_hand,
-)
-from hapsim.cli.output import (
-    Table,
-    document,
-    failure_document,
-    output_units,
-    print_message,
-    show,
-    stderr,
-    stdout,
-    table,
-    use_channel_units,
-)
+from hapsim.cli.output import output_units
 from hapsim.cli.run_command import print_warnings, require_stable, show_report, show_run, with_mock
 from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
@@ -117,10 +98,10 @@ def _measure_pair(
     hands = {point.channel: name for name, point in scene.device_points.items()}
     channel = next(iter(hands)) if excitation.channel is None else excitation.channel
     if channel in hands:
-        use_channel_units(channel)
+        output.use_channel_units(channel)
     at = position(excitation.at, scene)
     if excitation.mass and channel in hands:
-        scene = with_hand(
+        scene = remarks.with_hand(
             scene,
             channel,
             require_positive("--hand-stiffness", excitation.hand_stiffness, scene.units_of(channel).name("N/m")),
@@ -132,7 +113,7 @@ def _measure_pair(
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
     try:
-        with live_line(stderr()) as show_progress:
+        with live_line(output.stderr()) as show_progress:
             options = excitation.for_runs(kind, unstable)
             measurement = measure_scene(scene, channel=channel, at=at, on_progress=show_progress, **options)
     except RunError as error:
@@ -144,23 +125,23 @@ def _measure_pair(
         measurement.trace.save(record.record)
     if picture.wanted:
         _draw(felt_on(prediction, channel), measurement, picture)
-    weight = measured_weight(scene, prediction, measurement, channel, excitation) if excitation.mass else None
+    weight = remarks.measured_weight(scene, prediction, measurement, channel, excitation) if excitation.mass else None
     if json:
         measured = measurement_document(prediction, measurement, channel, on_wire)
         measured |= {} if weight is None else {"felt_mass": weight}
-        print(document({"scene": device.scene, "warnings": warnings} | measured))
+        print(output.document({"scene": device.scene, "warnings": warnings} | measured))
     else:
-        show_measurement(stdout(), scene, prediction, measurement, channel, excitation.push)
+        show_measurement(output.stdout(), scene, prediction, measurement, channel, excitation.push)
         if weight is not None:
-            stdout().print(weight_sentence(weight, channel))
-        (show_report if explain else show_run)(stdout(), measurement.trace.report)
+            output.stdout().print(remarks.weight_sentence(weight, channel))
+        (show_report if explain else show_run)(output.stdout(), measurement.trace.report)
         if on_wire is not None or prediction.wire_delay:
-            show(stdout(), wire_lines(prediction, on_wire, explain=True))
+            output.show(output.stdout(), wire_lines(prediction, on_wire, explain=True))
         picture.print_written()
         print_written("Trace", record.record)
         _print_next(device, scene, prediction, measurement, channel, unstable)
     if measurement.failure is not None:
-        print_message(measurement.failure)
+        output.print_message(measurement.failure)
         raise typer.Exit(measurement.failure.exit_status)
 
 
@@ -191,11 +172,11 @@ def _end_failed(
     if record is not None:
         error.trace.save(record)
     if json:
-        print(document({"scene": scene} | _run_document(prediction, error.trace.report, channel, error)))
+        print(output.document({"scene": scene} | _run_document(prediction, error.trace.report, channel, error)))
     else:
-        show_report(stdout(), error.trace.report)
+        show_report(output.stdout(), error.trace.report)
         print_written("Trace", record)
-    print_message(error)
+    output.print_message(error)
     raise typer.Exit(error.exit_status)
 
 
@@ -246,12 +227,12 @@ def show_measurement(
     if felt is None:
         out.print(_of_coupled(prediction.coupled[hands[channel]], own))
     diagnosis = diagnose(prediction, measurement, channel)
-    reasons = () if measurement.left_region else other_device(diagnosis, measurement, of_mass)
+    reasons = () if measurement.left_region else remarks.other_device(diagnosis, measurement, of_mass)
     for sentence in (
-        *attempts(measurement),
-        *smaller_push(push, measurement),
-        *limits(measurement),
-        *dry_friction(scene, measurement, channel),
+        *remarks.attempts(measurement),
+        *remarks.smaller_push(push, measurement),
+        *remarks.limits(measurement),
+        *remarks.dry_friction(scene, measurement, channel),
         *reasons,
     ):
         out.print(sentence)
@@ -261,7 +242,7 @@ def show_measurement(
         f"Read from {measurement.samples} samples; the fit leaves {units(measurement.residual_m, 'm', '.2g')}, in "
         f"{measurement.order} poles."
     )
-    show(out, assumption_lines(prediction.assumptions))
+    output.show(out, assumption_lines(prediction.assumptions))
     if others := ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel):
         out.print(f"Other hands of this scene: {others}.")
 
@@ -286,7 +267,7 @@ def _plainly(reason: str) -> str:
 
 def _side_by_side(
     title: str, felt: Felt | OwnMotion | None, measurement: Measurement, of_mass: str, desired: Desired | None = None
-) -> Table:
+) -> output.Table:
     """Returns the table of prediction and measurement, to the digits that the uncertainty leaves."""
     rows: list[tuple[str, ...]] = []
     for label, key, uncertainty in (
@@ -310,7 +291,7 @@ def _side_by_side(
     mass = number(measurement.mass) if known is None else rounded(measurement.mass, known)
     unit, off = output_units().name("kg"), of_mass if known is None else number(known, 1)
     rows.append((f"mass  {unit}", "", "", mass, off, ""))
-    return table(title, ("", "desired", "predicted", "measured", "±", "off by"), rows)
+    return output.table(title, ("", "desired", "predicted", "measured", "±", "off by"), rows)
 
 
 def _to_digits(value: float, uncertainty: float) -> str:
@@ -349,4 +330,4 @@ def _run_document(
     """Returns the same without a measurement: of a run that failed before anything could be identified."""
     predicted = prediction_document(prediction, channel, on_wire) | {"measured": None}
     rates = {"rate_hz": prediction.rate, "kept_rate_hz": report.rate_hz}
-    return predicted | pick(report, "*") | rates | failure_document(failure)
+    return predicted | pick(report, "*") | rates | output.failure_document(failure)

@@ -223,8 +223,7 @@ def measured_width(measured: MeasuredImpedance, i: int, wall: MeasuredImpedance)
 
 
 def show_impedance(out: Console, predicted: PredictedImpedance, measured: MeasuredImpedance, shown: list[int]) -> None:
-    """Prints prediction beside measurement, two tables for each of the device points `shown`, by their place in the
-    scene."""
+    """Prints prediction beside measurement, two tables for each device point of `shown`, numbered as in the scene."""
     for i in shown:
         for name, words in (("rendered", "Rendered impedance"), ("closed_loop", "Closed loop's impedance")):
             out.print("", _table(predicted, measured, i, name, words))

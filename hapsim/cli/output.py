@@ -265,8 +265,7 @@ def json_log() -> JsonLog | None:
 
 
 def print_message(text: object, event: str = "failed", level: Level = "error", label: str = "", **fields: Any) -> None:
-    """Prints an error, a warning or an event on standard error. `label`: precedes the sentence. `fields`: for the
-    log."""
+    """Prints an error, a warning or an event on standard error, after its `label`. `fields`: for the log."""
     if _log is not None:
         _log.write(level, event, str(text), about=str(text), **fields)
     else:

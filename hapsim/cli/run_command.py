@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from hapsim.cli import output
 from hapsim.cli.command_options import (
     DeviceOptions,
     Json,
@@ -27,18 +28,7 @@ from hapsim.cli.command_options import (
     seconds,
 )
 from hapsim.cli.live import LiveOptions, live_line
-from hapsim.cli.output import (
-    document,
-    failure_document,
-    json_log,
-    log_as_json,
-    output_units,
-    print_message,
-    stderr,
-    stdout,
-    table,
-    warn,
-)
+from hapsim.cli.output import output_units
 from hapsim.device.ports import is_first_use
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -87,7 +77,7 @@ class ServiceOptions:
         """Sets the format of standard error. Raises UsageError for an unknown format."""
         if self.log not in ("text", "json"):
             raise UsageError(f"--log: found '{self.log}', expected text or json")
-        log_as_json(self.log == "json")
+        output.log_as_json(self.log == "json")
 
     def serving(
         self, state: RunState, port: str | None, idle_priority: bool
@@ -96,7 +86,7 @@ class ServiceOptions:
         if self.status is None:
             return contextlib.nullcontext()
         path = path_for(port) if self.status == AUTO else Path(self.status)
-        return serve_status(path, lambda: document(state.document()) + "\n", idle_priority=idle_priority)
+        return serve_status(path, lambda: output.document(state.document()) + "\n", idle_priority=idle_priority)
 
 
 @dataclass
@@ -161,7 +151,7 @@ def run(
         failures,
         status(state, port, idle_priority),
         served(scene, place, idle_priority) as hub,
-        live_line(stderr()) as show,
+        live_line(output.stderr()) as show,
     ):
         reporter = _Reporter(show, port or "", kind, WatchedFile(device.scene) if service.watch else None)
         lifetime = keep_running(
@@ -178,7 +168,7 @@ def run(
             unstable=unstable,
             judges_energy=True,
             on_progress=show,
-            on_warning=print_message,
+            on_warning=output.print_message,
             **playing,
             **(hub.options if hub else {}),
         )
@@ -188,7 +178,7 @@ def run(
     with undisturbed():
         _show(lifetime, reporter.grants, warnings, json)
         if lifetime.failure is not None:
-            print_message(lifetime.failure)
+            output.print_message(lifetime.failure)
             raise typer.Exit(lifetime.failure.exit_status)
 
 
@@ -219,12 +209,12 @@ def print_warnings(scene: Scene, prediction: Prediction) -> list[str]:
     """Prints the warnings of a prediction before the scene runs, and returns them."""
     warnings = warnings_about(scene, prediction)
     for warning in warnings:
-        warn(warning, "prediction")
+        output.warn(warning, "prediction")
     return warnings
 
 
 def _show(lifetime: Lifetime, grants: Sequence[PrivilegeResult], warnings: list[str], json: bool) -> None:
-    log, report = json_log(), lifetime.report
+    log, report = output.json_log(), lifetime.report
     if log is not None:
         ended = f"the run ended after {report.ticks} ticks: {report.ending}"
         about: dict[str, Any] = {
@@ -234,9 +224,9 @@ def _show(lifetime: Lifetime, grants: Sequence[PrivilegeResult], warnings: list[
         }
         log.write("info", "ended", ended, **about)
     if json:
-        print(document(lifetime_document(lifetime, grants) | {"warnings": warnings}))
+        print(output.document(lifetime_document(lifetime, grants) | {"warnings": warnings}))
         return
-    show_report(stdout(), report, lifetime.reconnections)
+    show_report(output.stdout(), report, lifetime.reconnections)
     for file in lifetime.records:
         print_written("Trace", file if file.exists() else None)
     for file in lifetime.sound_files:
@@ -261,13 +251,15 @@ class _Reporter:
             started=self._started,
             running=self._running,
             waiting=lambda: self._show(Progress("waiting", self._port)),
-            report=lambda event, text: print_message(text, event, "info" if event == "reconnected" else "warning"),
+            report=lambda event, text: output.print_message(
+                text, event, "info" if event == "reconnected" else "warning"
+            ),
         )
 
     def _meet(self) -> None:
         """Reports that the sign of a new device's motor is not tested yet."""
         if self._port and is_first_use(self._port):
-            print_message(
+            output.print_message(
                 f"First run at {self._port}: `hapsim probe {self._port} --push 0.5`, or `hapsim identify`, judges "
                 "whether its motor pushes the right way. Hold it loosely until then.",
                 "new device",
@@ -277,12 +269,12 @@ class _Reporter:
     def _started(self, session: Session) -> None:
         """The device is armed. From now on the file is followed, in a thread of its own."""
         self.grants, self._is_placed = session.grants, False
-        if (log := json_log()) is not None:
+        if (log := output.json_log()) is not None:
             log.write("info", "armed", f"the device is armed; {session.scene.path or 'the scene'} runs")
         for grant in session.grants:
             word = "granted" if grant.granted else "denied"
             sentence = f"{word} {grant.privilege}: {grant.detail}"
-            print_message(sentence, word, "info" if grant.granted else "warning", **vars(grant))
+            output.print_message(sentence, word, "info" if grant.granted else "warning", **vars(grant))
         if self._file is not None:
             file = self._file
             BackgroundWork(lambda: self._follow(file, session), session.idle_priority)
@@ -295,14 +287,14 @@ class _Reporter:
             if progress.faded_ticks == progress.ticks:
                 units = output_units()
                 places = units(", ".join(units.number(one, "m", ".6g") for one in progress.position), "m")
-                print_message(
+                output.print_message(
                     f"the device was armed outside device.travel, at {places}. There the force fades, and is "
                     "zero beyond the band. Move it inside, or set device.origin to its zero",
                     "outside",
                     "warning",
                 )
         if progress.frozen and not self._is_frozen:
-            print_message(progress.frozen, "frozen", "warning")
+            output.print_message(progress.frozen, "frozen", "warning")
         self._is_frozen = bool(progress.frozen)
         self._show(progress)
 
@@ -312,9 +304,9 @@ class _Reporter:
             if news is None:
                 continue
             if news.refused:
-                print_message(f"{news.refused}\nThe scene runs on unchanged.", "refused", "warning")
+                output.print_message(f"{news.refused}\nThe scene runs on unchanged.", "refused", "warning")
             for change in news.changed:
-                print_message(f"changed: {change}", "changed", "info")
+                output.print_message(f"changed: {change}", "changed", "info")
             if news.changed:
                 scene = with_mock(session.scene, self._kind)
                 print_warnings(scene, predict(scene, with_margins=False))
@@ -330,7 +322,7 @@ _OFF_RATE = 0.02  # of the rate, from which a hand feels another damping
 def show_report(out: Console, report: Report, reconnections: int = 0) -> None:
     """Prints the report of a run as a table. `reconnections`: of its device."""
     out.print()
-    out.print(table("The run", ("", "result"), _rows(report, reconnections), show_header=False))
+    out.print(output.table("The run", ("", "result"), _rows(report, reconnections), show_header=False))
     _warn_of_the_wire(out, report)
 
 
@@ -444,5 +436,5 @@ def lifetime_document(lifetime: Lifetime, grants: Sequence[PrivilegeResult] = ()
         **pick(lifetime.report, "*"),
         **({"realtime": grants} if grants else {}),
         **pick(lifetime, "reconnections interruptions records sound_files"),
-        **failure_document(lifetime.failure),
+        **output.failure_document(lifetime.failure),
     }

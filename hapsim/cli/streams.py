@@ -63,8 +63,7 @@ def output_ended() -> bool:
 
 
 def output_failure() -> OSError | None:
-    """Flushes both streams. Returns why standard output could not be written, as on a full disk; None where only its
-    reader went away."""
+    """Flushes both streams. Returns the error of standard output; None if only its reader went away."""
     sys.stderr.flush()
     sys.stdout.flush()
     failure = sys.stdout.failure if isinstance(sys.stdout, _Stream) else None

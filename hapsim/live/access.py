@@ -44,8 +44,7 @@ class Address(NamedTuple):
 
 
 def address_of(option: str, text: str | None, port: int) -> Address:
-    """Returns the address that HOST:PORT, HOST or :PORT names. `text`: None for loopback. `port`: the usual one. Raises
-    UsageError."""
+    """Returns the address of HOST:PORT, HOST or :PORT (None: loopback). `port`: the default. Raises UsageError."""
     try:
         parts = urlsplit(f"//{text or _LOOPBACK}")
         host, port = parts.hostname or _LOOPBACK, port if parts.port is None else parts.port

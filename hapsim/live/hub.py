@@ -52,8 +52,7 @@ class Hub:
     """The live model of a run. Its `observer` and `on_event` connect it to `keep_running`."""
 
     def __init__(self, scene: Scene, record_dir: Path | None = None, name: str = "") -> None:
-        """`name`: the scene's, where it has no path. `record_dir`: where records go that a view begins; None: none may
-        be begun."""
+        """`name`: the scene's, without a path. `record_dir`: for records that a view begins; None: no view may."""
         self._scene, self.record_dir = scene, record_dir
         self.name = Path(scene.path or name or "scene").name
         """The scene's, without its directory."""
@@ -145,8 +144,7 @@ class Hub:
         self._running().stop()
 
     def record(self, is_on: bool) -> Path | None:
-        """Begins a record, in the hub's directory and named by the time, or ends the one that is being written. Returns
-        its file."""
+        """Begins a record in the hub's directory, named by the time, or ends the present one. Returns its file."""
         session = self._running()
         if not is_on:
             return session.stop_recording()

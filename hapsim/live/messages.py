@@ -107,10 +107,7 @@ class Predict(_Request):
     plane: bool = Field(False, description="true or false")
 
 
-Request = Annotated[
-    Get | Set | Subscribe | Marker | Stop | Adopt | Record | Predict,
-    Field(discriminator="type"),
-]
+Request = Annotated[Get | Set | Subscribe | Marker | Stop | Adopt | Record | Predict, Field(discriminator="type")]
 
 
 class _Answer(BaseModel):

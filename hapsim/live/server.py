@@ -53,8 +53,7 @@ class Server:
     """Runs views in a thread of its own, from `start` to `close`."""
 
     def __init__(self, views: Sequence[View], report: Callable[[str], None], idle_priority: bool = True) -> None:
-        """`report` prints a warning. `idle_priority`: the thread has a lower priority than others; not beside a loop in
-        Python."""
+        """`report` prints a warning. `idle_priority`: of the thread; False beside a loop in Python."""
         self._views, self._report, self._idle_priority = views, report, idle_priority
         self._loop: asyncio.AbstractEventLoop
         self._stop: asyncio.Event

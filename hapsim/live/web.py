@@ -20,35 +20,9 @@ from websockets.http11 import Request, Response
 
 import hapsim
 from hapsim.errors import HapsimError, UsageError
+from hapsim.live import messages
 from hapsim.live.access import TOKEN_VARIABLE, Address, has_token, new_token, why_refused
 from hapsim.live.hub import Hub, predicted
-from hapsim.live.messages import (
-    LONGEST,
-    Adopt,
-    Counters,
-    Done,
-    EventMessage,
-    Get,
-    Marker,
-    Model,
-    Predict,
-    Predicted,
-    Record,
-    Rejected,
-    Set,
-    Stop,
-    Subscribe,
-    bins_of,
-    block_of,
-    channels_of,
-    event_message,
-    modules_block,
-    modules_of,
-    parameter_message,
-    request_of,
-    text_of,
-    thinned,
-)
 from hapsim.live.server import response, serve_at
 from hapsim.loop.counts import words_at
 from hapsim.recording.recorder import Stream
@@ -102,7 +76,9 @@ class WebView:
         """Begins to listen. Raises UsageError where the port is taken or the address is another machine's."""
         self._loop = loop
         self._server: Server
-        self._server, self.address = await serve_at(self.address, "--serve", self._process, self._serve, LONGEST)
+        self._server, self.address = await serve_at(
+            self.address, "--serve", self._process, self._serve, messages.LONGEST
+        )
         self._stop_listening = self.hub.listen(lambda event: self._call(self._receive, event))
 
     async def close(self) -> None:
@@ -139,7 +115,7 @@ class WebView:
         if is_live and "Upgrade" in headers:
             return None
         if path == "/counters.json":  # the page says of a counter what the live line does
-            return response(HTTPStatus.OK, text_of(dict(words_at("live"))), "application/json")
+            return response(HTTPStatus.OK, messages.text_of(dict(words_at("live"))), "application/json")
         file = self._files.get(path)
         if file is None:
             return response(HTTPStatus.NOT_FOUND, f"{path[:80]}: there is nothing here")
@@ -169,34 +145,34 @@ class WebView:
         """Returns what `work` returns in another thread."""
         return await self._loop.run_in_executor(self._predictor if is_prediction else self._slow, work)
 
-    def model(self, id: Any) -> Model:
+    def model(self, id: Any) -> messages.Model:
         """Returns the answer to `get`."""
         hub, scene, session = self.hub, self.hub.scene, self.hub.session
-        return Model(
+        return messages.Model(
             id=id,
             version=hapsim.__version__,
             scene=hub.name,
             title=Path(hub.name).stem.replace("_", " "),
             rate_hz=scene.rate,
             phase=hub.phase,
-            channels=channels_of(scene),
-            parameters=[parameter_message(one) for one in hub.parameters.values()],
-            modules=modules_of(session),
+            channels=messages.channels_of(scene),
+            parameters=[messages.parameter_message(one) for one in hub.parameters.values()],
+            modules=messages.modules_of(session),
             has_mock=session is not None and session.has_mock,
             can_record=hub.record_dir is not None,
             recording=None if session is None or session.recording is None else str(session.recording),
-            events=[event_message(one) for one in list(hub.events)[-100:]],
+            events=[messages.event_message(one) for one in list(hub.events)[-100:]],
         )
 
     def counters(self, session: Session) -> str:
         """Returns the message with the counters."""
         statistics = session.statistics()
-        return text_of(
-            Counters(
+        return messages.text_of(
+            messages.Counters(
                 progress=asdict(session.progress()),
-                exchange=bins_of(statistics.exchange),
-                lateness=bins_of(statistics.lateness),
-                age=bins_of(statistics.age),
+                exchange=messages.bins_of(statistics.exchange),
+                lateness=messages.bins_of(statistics.lateness),
+                age=messages.bins_of(statistics.age),
                 clients=len(self._viewers),
                 rejected=self.rejected,
             )
@@ -217,17 +193,19 @@ class WebView:
                 return
             self._rejected_at = self._loop.time()
         self._send_changed()
-        self._send_to_all(event_message(event))
+        self._send_to_all(messages.event_message(event))
 
     def _send_changed(self) -> None:
         if self._flush is not None:
             self._flush.cancel()
             self._flush, values, self._changed = None, self._changed, {}
             last = self._last_change
-            self._send_to_all(EventMessage(kind="changed", sentence="", values=values, sample=last.sample, at=last.at))
+            self._send_to_all(
+                messages.EventMessage(kind="changed", sentence="", values=values, sample=last.sample, at=last.at)
+            )
 
-    def _send_to_all(self, message: EventMessage) -> None:
-        text = text_of(message)
+    def _send_to_all(self, message: messages.EventMessage) -> None:
+        text = messages.text_of(message)
         for viewer in self._viewers:
             viewer.send(text)
 
@@ -273,47 +251,44 @@ class Viewer:
     async def _answer(self, text: str | bytes) -> BaseModel:
         id = None
         try:
-            request = request_of(text)
+            request = messages.request_of(text)
             id, before = request.id, self._adopting
-            if isinstance(request, Adopt):
+            if isinstance(request, messages.Adopt):
                 self._adopting = asyncio.current_task()
-            if before is not None and not isinstance(request, Stop):  # what follows a scene is meant for it
+            if before is not None and not isinstance(request, messages.Stop):  # what follows a scene is meant for it
                 await asyncio.wait([before])
             return await self._carried_out(request)
         except Exception as error:
             self._view.rejected += 1
             known = isinstance(error, HapsimError)
-            return Rejected(id=id, reason=str(error) if known else f"a defect of hapsim itself: {error!r}")
+            return messages.Rejected(id=id, reason=str(error) if known else f"a defect of hapsim itself: {error!r}")
 
     async def _carried_out(self, request: Any) -> BaseModel:
         hub, view, file = self._view.hub, self._view, None
         match request:
-            case Get():
+            case messages.Get():
                 return view.model(request.id)
-            case Set():
+            case messages.Set():
                 await asyncio.wrap_future(hub.set(request.values, request.over))
-            case Subscribe():
+            case messages.Subscribe():
                 await self._subscribe(request)
-            case Marker():
+            case messages.Marker():
                 hub.mark(request.text)
-            case Stop():
+            case messages.Stop():
                 hub.stop()
-            case Adopt():
+            case messages.Adopt():
                 await view.in_thread(lambda: hub.adopt(request.scene, request.over))
-            case Record():
+            case messages.Record():
                 file = await view.in_thread(lambda: hub.record(request.on))
-            case Predict():
+            case messages.Predict():
                 scene, parameters = hub.scene, hub.parameters
-                found = await view.in_thread(
-                    lambda: predicted(scene, parameters, request),
-                    is_prediction=True,
-                )
-                return Predicted(id=request.id, **found)
-        return Done(id=request.id, file=None if file is None else str(file))
+                found = await view.in_thread(lambda: predicted(scene, parameters, request), is_prediction=True)
+                return messages.Predicted(id=request.id, **found)
+        return messages.Done(id=request.id, file=None if file is None else str(file))
 
     async def _write_answers(self) -> None:
         while True:
-            await self._send(text_of(await (await self._answers.get())))
+            await self._send(messages.text_of(await (await self._answers.get())))
 
     async def _write_events(self) -> None:
         while (text := await self._events.get()) is not None:
@@ -335,7 +310,7 @@ class Viewer:
 
     # Samples
 
-    async def _subscribe(self, wanted: Subscribe) -> None:
+    async def _subscribe(self, wanted: messages.Subscribe) -> None:
         session = self._view.hub.session
         if session is not None:
             session.positions(wanted.modules)
@@ -351,7 +326,7 @@ class Viewer:
         if not feed.cancelled() and (error := feed.exception()) is not None:
             self._view.report(f"a client is sent nothing more for a defect of hapsim itself: {error!r}")
 
-    async def _stream(self, wanted: Subscribe) -> None:
+    async def _stream(self, wanted: messages.Subscribe) -> None:
         """Sends what was subscribed to, of every session that runs."""
         clock = asyncio.get_running_loop().time
         session: Session | None = None
@@ -371,7 +346,7 @@ class Viewer:
             due = max(due + 1.0 / wanted.rate, clock())
             await self._watch(session, wanted, due)
 
-    async def _send_samples(self, session: Session, stream: Stream, wanted: Subscribe, sent: int) -> int:
+    async def _send_samples(self, session: Session, stream: Stream, wanted: messages.Subscribe, sent: int) -> int:
         """Sends all samples that are there, in blocks; returns how many there were."""
         scene, count = session.scene, 0
         most = max(1, _BLOCK_VALUES // (2 + 3 * scene.channels))
@@ -382,15 +357,15 @@ class Viewer:
                 continue
             if samples is None:
                 return count
-            kept = thinned(samples, wanted.every, sent + count)
+            kept = messages.thinned(samples, wanted.every, sent + count)
             count += len(samples)
             if len(kept):
-                await self._send(block_of(kept, scene.period))
+                await self._send(messages.block_of(kept, scene.period))
             if len(samples) < most:
                 return count
             await asyncio.sleep(0)
 
-    async def _watch(self, session: Session | None, wanted: Subscribe, due: float) -> None:
+    async def _watch(self, session: Session | None, wanted: messages.Subscribe, due: float) -> None:
         """Waits until `due` or the end, and sends where watched modules were meanwhile."""
         clock, glances = asyncio.get_running_loop().time, list[Any]()
         is_over = False
@@ -404,7 +379,7 @@ class Viewer:
                     await self._ending.wait()
             is_over = self._ending.is_set() or clock() >= due
         if session is not None and glances:
-            await self._send(modules_block(glances, session.scene.channels, session.scene.period))
+            await self._send(messages.modules_block(glances, session.scene.channels, session.scene.period))
 
     # Sending
 

@@ -39,7 +39,7 @@ def test_it_says_what_it_will_do_and_tells_declared_beside_found(hapsim: Hapsim,
     assert "-25 %" in row
     assert re.search(r"It has dry friction, 0\.(0999|1000)\d* N", answer.out)
     assert "`mock.coulomb`" in answer.out
-    assert "The file was not changed; --write writes" in answer.out
+    assert "The file was not changed: --write writes" in answer.out
     assert wrong_scene.read_bytes() == before
 
 
