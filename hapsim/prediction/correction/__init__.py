@@ -3,15 +3,3 @@
 from hapsim.prediction.correction.element import Remedies, felt_error, remedies_for, stable_masses
 from hapsim.prediction.correction.kind import CORRECTIONS, CorrectionKind
 from hapsim.prediction.correction.rendering import Corrected, Rendering, rendered
-
-__all__ = [
-    "CORRECTIONS",
-    "Corrected",
-    "CorrectionKind",
-    "Remedies",
-    "Rendering",
-    "felt_error",
-    "remedies_for",
-    "rendered",
-    "stable_masses",
-]

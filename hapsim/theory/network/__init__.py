@@ -18,35 +18,3 @@ from hapsim.theory.network.modes import SURELY, Mode, Solution, poles_of
 from hapsim.theory.network.network import Network, part_of, part_of_each, proves_stability
 from hapsim.theory.sample import LARGE, is_large, loop, state_size, transition
 from hapsim.theory.schemes import NotWorkedOutError
-
-__all__ = [
-    "CARRIED",
-    "LARGE",
-    "SURELY",
-    "ContinuousMode",
-    "FeltPair",
-    "Margin",
-    "Margins",
-    "Mode",
-    "Network",
-    "NotWorkedOutError",
-    "Solution",
-    "Stabilizing",
-    "continuous_mass",
-    "continuous_modes",
-    "continuous_pair",
-    "felt_mass",
-    "felt_pair",
-    "is_large",
-    "loop",
-    "margins_of",
-    "no_pair",
-    "part_of",
-    "part_of_each",
-    "poles_of",
-    "proves_stability",
-    "solve",
-    "state_size",
-    "static_stiffness",
-    "transition",
-]
