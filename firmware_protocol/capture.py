@@ -81,8 +81,7 @@ class Registers(dict[int, int]):
 
 
 class Capture:
-    """Reads a capture piece by piece. `counters`: what was found so far, by name; `registers`: what the device said of
-    itself."""
+    """Reads a capture piece by piece. `counters`: of what was found, by name; `registers`: as the device sent them."""
 
     def __init__(self, senders: Sequence[bool] = (True, False)) -> None:
         """`senders`: whose frames to look for, True for the host's."""

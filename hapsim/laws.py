@@ -178,8 +178,7 @@ class Law:
         return np.interp(inside, edges, tensions) + self.below * below + self.beyond * beyond
 
     def pull(self, d: Floats, speed: Floats | float) -> Floats:
-        """N, which pulls the ends together, at these distances (m) while they part at these speeds (m/s); where it may
-        slide, none."""
+        """Pull, N, at these distances (m) and parting speeds (m/s) of the ends; undamped where it may slide."""
         import numpy as np
 
         if not self.speeds:

@@ -9,8 +9,7 @@ from typing import Any
 
 
 def one_thread(where: bool = True) -> AbstractContextManager[Any]:
-    """Returns a context in which numpy's and scipy's linear algebra uses one thread; an empty one where `where` is
-    False."""
+    """Returns a context in which numpy's and scipy's linear algebra uses one thread; empty if not `where`."""
     if not where:
         return nullcontext()
     libraries = _libraries("scipy.linalg" in sys.modules)

@@ -24,13 +24,11 @@ class Scale(NamedTuple):
     hand_force: float = 200.0
     """A hand pushes and pulls with less. On the rim."""
     hand_speed: float = 10.0
-    """A hand, or an obstacle, may reverse this speed within a sample: twice 5 m/s; fingers turn a shaft of 1 cm with
-    2 m/s."""
+    """A hand or an obstacle may reverse this speed within a sample: twice 5 m/s; fingers turn a 1 cm shaft at 2 m/s."""
     sensor: float = 0.005
     """The error of a position sensor, beside its noise; 3 degrees, of a magnet beside its sensor's axis."""
     sign_pull: float = 15.0
-    """Acceleration of the mass by the force limit. With less, the test may miss a motor that is wired the wrong way.
-    On the rim."""
+    """Acceleration of the mass by the force limit. With less, the test may miss a wrongly wired motor. On the rim."""
     kick: float = 0.1
     """The speed that a push of a measurement gives to what nothing holds: a fiftieth of a hand's 5 m/s or 60 rad/s."""
     travel: float = 0.005

@@ -41,8 +41,7 @@ def note_work(ended: str) -> None:
 
 
 def end_interrupted() -> int:
-    """Prints that the command was stopped while no run was under way, with --json as a document; returns the exit
-    status."""
+    """Prints that the command was stopped outside a run, with --json as a document; returns the exit status."""
     ignore_stops()
     words = " ".join(itertools.takewhile(lambda word: not word.startswith("-"), ["hapsim", *sys.argv[1:]]))
     default = "before anything was armed" if _ARMING & {*sys.argv} else f"before {words} was finished"
@@ -56,8 +55,7 @@ def end_interrupted() -> int:
 
 
 def was_interrupted() -> bool:
-    """Returns whether a KeyboardInterrupt was raised and not handled; a library may have changed it into another
-    exception."""
+    """Returns whether a KeyboardInterrupt was raised and not handled; a library may have replaced the exception."""
     return _Command.interrupted
 
 

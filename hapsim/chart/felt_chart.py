@@ -278,8 +278,7 @@ _MOST_PER_CENT = 30.0  # per cent that are drawn
 
 @dataclass(frozen=True)
 class ToleranceChart:
-    """Errors of k and b (n,), relative, over true values (n,) of one quantity of `OVER`, by correction; NaN where it is
-    unstable."""
+    """Relative errors of k and b (n,) over true values (n,) of a quantity of `OVER`, by correction; NaN if unstable."""
 
     over: str
     true: Floats  # of the mass as a share of the declared one

@@ -41,8 +41,7 @@ class ForceChart(NamedTuple):
 
 
 def force_chart(scene: Scene, name: str, speed: float) -> ForceChart:
-    """Returns the force over the position of the hand `name`, moved at `speed` m/s. UsageError where it moves masses or
-    other hands."""
+    """Returns the force over the position of the hand `name` at `speed` m/s. UsageError if it moves masses or hands."""
     prediction = predict(scene)
     if name in prediction.coupled:
         raise UsageError(
@@ -84,8 +83,7 @@ def _view(hand: Characteristic, regions: tuple[Region, ...]) -> tuple[float, flo
 
 
 def error_of(region: Region) -> float:
-    """Returns how far k and b are from what the scene asks for there, as `felt_error` counts it; NaN where nothing
-    holds."""
+    """Returns the `felt_error` of k and b against those that the scene asks for there; NaN where nothing holds."""
     if region.kind != "held":
         return math.nan
     felt, device = region.felt, region.felt.configuration

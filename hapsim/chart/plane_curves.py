@@ -192,8 +192,7 @@ class Sheet:
     scale: Scale
 
     def curve(self, kind: str, value: float, *columns: Floats) -> Curve:
-        """Returns a line from K, B and, if known, k and b in SI units. Points outside the view become a gap, invisible
-        detail is dropped."""
+        """Returns a line from K, B and, if known, k and b in SI units, with gaps outside the view."""
         seen = np.where(self.view.holds(*columns[:2]), columns, np.nan)
         return self.outline(kind, value, *seen[:, self._thinned(*seen[:2])])
 

@@ -48,8 +48,7 @@ def marked_rows(trace: Trace) -> dict[str, NDArray[np.intp]]:
 
 
 def columns_of(trace: Trace) -> dict[str, NDArray[Any]]:
-    """Returns what is drawn, row by row, by the names that a data file uses; `arrived_s` is by the host's clock, since
-    the first row."""
+    """Returns the rows drawn, by the names in a data file; `arrived_s` is by the host's clock, since the first row."""
     columns: dict[str, NDArray[Any]] = {
         "time_s": seconds_of(trace),
         "sample": trace.sample,

@@ -206,8 +206,7 @@ def _lock_advice(error: OSError) -> str:
 
 @measure("memory locked", _lock_advice)
 def lock_memory(_thread_id: int) -> Iterator[str]:
-    """Locks and reads in the mapped memory of the process. Undoing also unlocks memory that was locked before
-    (munlockall(2))."""
+    """Locks and reads in the process's memory. Undoing also unlocks memory that was locked before (munlockall(2))."""
     limit, needed = memory_limit(), _mapped_bytes()
     if limit < needed:  # the kernel would kill the process
         raise _GroupLimitError(

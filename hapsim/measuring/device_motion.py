@@ -176,8 +176,7 @@ class Swing(NamedTuple):
 
 
 def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float) -> Motion:
-    """Returns one channel of a trace as a motion. `most_delay`: sample periods; for so many rows after a gap, unknown
-    forces act."""
+    """Returns one channel of a trace as a motion. Unknown forces act for `most_delay` rows after a gap."""
     lead = math.ceil(most_delay) + 2
     runs = unbroken(trace, LATE_FORCE | BRIDGED | OFF_GRID)
     known = [(first + (lead if first > 0 else 0), last) for first, last in runs]  # before the first row no force acted

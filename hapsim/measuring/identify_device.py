@@ -13,6 +13,7 @@ import numpy as np
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.loop.guards import travel
+from hapsim.measuring import measurement_options
 from hapsim.measuring.converters import Converters
 from hapsim.measuring.device_diagnosis import (
     LOUD,
@@ -37,14 +38,6 @@ from hapsim.measuring.device_motion import (
     pieces_of,
     scene_of,
     swings_of,
-)
-from hapsim.measuring.measurement_options import (
-    SHARE_OF_LIMIT,
-    Run,
-    RunOptions,
-    force_limit,
-    require_above_zero,
-    require_device_point,
 )
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, silence, silence_words
 from hapsim.one_thread import one_thread
@@ -115,16 +108,16 @@ class DeviceIdentification(DeviceFit):
 def bounds_of(scene: Scene, channel: int, force: float | None = None, travel: float | None = None) -> Bounds:
     """Returns the limits of the pushes [default: a quarter of the scene's force limit, 5 mm or 0.2 rad to either side].
     Raises UsageError for a force above the limit."""
-    limit = force_limit(scene)
-    require_device_point(scene, channel)
+    limit = measurement_options.force_limit(scene)
+    measurement_options.require_device_point(scene, channel)
     units = scene.units_of(channel)
     if force is not None and not 0.0 < force <= limit:
         found, most = units(force, "N", "g"), units(limit, "N", "g")
         expected = f"expected above 0 {units.name('N')}, and at most the force_limit, {most}"
         raise UsageError(f"force: found {found}, {expected}")
-    require_above_zero(units.name("metres"), travel=travel)
+    measurement_options.require_above_zero(units.name("metres"), travel=travel)
     travel = scene.device.scales(scene.channels)[channel].travel if travel is None else travel
-    return Bounds(SHARE_OF_LIMIT * limit if force is None else force, travel)
+    return Bounds(measurement_options.SHARE_OF_LIMIT * limit if force is None else force, travel)
 
 
 def identify_device(
@@ -134,8 +127,8 @@ def identify_device(
     force: float | None = None,
     travel: float | None = None,
     duration: float | None = None,
-    run: Run = run_to_end,
-    **options: Unpack[RunOptions],
+    run: measurement_options.Run = run_to_end,
+    **options: Unpack[measurement_options.RunOptions],
 ) -> DeviceIdentification:
     """Pushes the device of `scene` on `channel`, without the scene's modules, and identifies it.
 
@@ -148,8 +141,8 @@ def identify_device(
     errors of `run`, GuardError if the device moves beyond `travel`, and UsageError if nothing can be identified.
     """
     scene = as_scene(scene)
-    require_device_point(scene, channel)
-    require_above_zero("seconds", duration=duration)
+    measurement_options.require_device_point(scene, channel)
+    measurement_options.require_above_zero("seconds", duration=duration)
     # unstable: the force may fade within a narrow band, but the device does not stay there for long
     pusher = _Pusher(
         scene, channel, bounds_of(scene, channel, force, travel), partial(run, **{**options, "unstable": True})
@@ -164,7 +157,7 @@ def identify_device(
 class _Pusher:
     """Pushes a device within bounds, run after run, and keeps the records."""
 
-    def __init__(self, scene: Scene, channel: int, bounds: Bounds, run: Run) -> None:
+    def __init__(self, scene: Scene, channel: int, bounds: Bounds, run: measurement_options.Run) -> None:
         self._scene, self._channel, self._bounds, self._run_scene = scene, channel, bounds, run
         self._converters = Converters(scene.device.hold, scene.device.sampling)
         self._most_delay = max(_LEAST_DELAY, _MOST_DECLARED * scene.device.delay + 1.0)
@@ -357,8 +350,7 @@ class _Pusher:
     def _run(
         self, drive: Drive | None, bounds: Bounds, duration: float, push: PeriodicExcitation | None = None
     ) -> Trace:
-        """Returns the trace of a run, ended by the loop at the first sample out of bounds. `push`: replaces the
-        drive's."""
+        """Returns the trace of a run, which ends at the first sample out of bounds. `push`: in place of the drive's."""
         home = self._home_counts * self._count_m
         excitation = push if drive is None or push is not None else drive.excitation(self._channel)
         scene = scene_of(self._scene, bounds, self._channel, drive, home)

@@ -9,13 +9,7 @@ from typing import Unpack
 
 from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
-from hapsim.measuring.measurement_options import (
-    Run,
-    RunOptions,
-    largest_push,
-    require_above_zero,
-    require_device_point,
-)
+from hapsim.measuring.measurement_options import Run, RunOptions, largest_push, require_above_zero, require_device_point
 from hapsim.measuring.place import Place, place_of
 from hapsim.measuring.trace_quality import silence
 from hapsim.recording.trace import Trace
@@ -168,12 +162,7 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
 
 
 def pushes(
-    scene: Scene,
-    channel: int,
-    duration: float,
-    push: float | None,
-    place: Place | None = None,
-    swing: float = math.inf,
+    scene: Scene, channel: int, duration: float, push: float | None, place: Place | None = None, swing: float = math.inf
 ) -> Excitation:
     """Returns pushes that move the hand clearly, within the device's force, range and travel. At a `place` they move it
     by `swing` m, and a push of `push` N lasts one radian of the spring's oscillation."""

@@ -118,8 +118,7 @@ class Measurement:
 
     @property
     def left_region(self) -> str:
-        """The links that changed when the hand left its region in the identified run, in words; "" if it stayed within
-        or was not led."""
+        """Links that changed when the hand left its region in the identified run, in words; "" if none, or not led."""
         return next((one.left for one in self.attempts if one.push_n == self.push_n), "")
 
     def felt_mass(self, hand_stiffness: float) -> tuple[float, float]:

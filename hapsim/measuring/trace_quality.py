@@ -107,9 +107,7 @@ def silence(trace: Trace, channel: int) -> str:
     if not acted or np.ptp(trace.position_counts[:, channel]):
         return ""
     return silence_words(
-        acted / trace.rate,
-        float(np.abs(trace.force[:, channel]).max()),
-        trace.report.units_of(channel),
+        acted / trace.rate, float(np.abs(trace.force[:, channel]).max()), trace.report.units_of(channel)
     )
 
 

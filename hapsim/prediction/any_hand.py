@@ -120,8 +120,7 @@ class AnyHand:
 
     @property
     def lasting(self) -> str:
-        """Module that moves most in a motion that does not decay while the hands are held; "" if every motion
-        decays."""
+        """Module that moves most in a motion that does not decay with the hands held; "" if every motion decays."""
         moved = self._passivity.lasting
         return self._points[int(np.argmax(moved))].partition(".")[0] if moved.size else ""
 
@@ -169,8 +168,7 @@ class AnyHand:
                 yield ShakingHand(self.names[at], share * mass, share * stiffness, hertz, abs(pole))
 
     def _taking(self, at: int) -> list[float]:
-        """Angles theta at which its resistance is negative, and least; for a peak that extends to rest, the half-value
-        point."""
+        """Angles theta of its least, negative resistance; of a peak that extends to rest, the half-value point."""
         theta = self._held.angles
         taken = self._taken(theta, at)
         found = []
@@ -278,7 +276,5 @@ def _alone(at: int, hands: Floats, low: Floats) -> Floats:
 
 def _with_hands(network: Network, masses: Floats, stiffnesses: Floats) -> Network:
     return replace(
-        network,
-        channel_mass=network.channel_mass + masses,
-        channel_stiffness=network.channel_stiffness + stiffnesses,
+        network, channel_mass=network.channel_mass + masses, channel_stiffness=network.channel_stiffness + stiffnesses
     )

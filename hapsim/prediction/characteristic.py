@@ -72,8 +72,7 @@ class Piece(NamedTuple):
 
     @property
     def within(self) -> tuple[float, float]:
-        """Ends of the piece, m, slightly inside, so that no link is in the next piece: a plectrum's force jumps at its
-        release."""
+        """Ends of the piece, m, slightly inside: at its release a plectrum's force jumps to the next piece."""
         return _inside(self.low, self.high)
 
 
@@ -106,8 +105,7 @@ class Characteristic:
         return any(link.is_regional for link in self.links.values())
 
     def force(self, x: Floats | float) -> Floats:
-        """Force, N, with which the hand, at rest at x (m), has to push towards larger x; sticking friction adds
-        none."""
+        """Force, N, with which the hand at rest at x (m) pushes towards larger x; sticking friction adds none."""
         pulls = [link.sign * link.law.tension(link.distance(x)) for link in self.links.values()]
         return np.sum([self.own_stiffness * np.asarray(x, float), *pulls], axis=0)
 
@@ -342,8 +340,7 @@ def places_of(scene: Scene) -> list[str]:
 
 
 def piece_at(one: Characteristic, name: str, at: float | None = None) -> Piece:
-    """Returns the piece of the hand `name` at `at` m, its place there; without `at` the piece that holds it. UsageError
-    beyond the travel."""
+    """Returns the piece of the hand `name` at `at` m [default: one that holds it]. UsageError beyond the travel."""
     pieces = one.pieces()
     if at is None:
         return one.held(pieces) or one.at(min(max(0.0, one.low), one.high), pieces)

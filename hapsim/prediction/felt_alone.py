@@ -272,8 +272,7 @@ class Desired(NamedTuple):
 
 
 def desired_of(rendering: Rendering, felt: Sequence[Felt], here: Mapping[str, Piece]) -> Iterator[Desired]:
-    """Yields one for each of these single hands that a correction acts on; `here`: the regions of those that have
-    some."""
+    """Yields one for each of these single hands with a correction; `here`: the regions of those that have some."""
     hands = {one.name: one for one in felt}
     if rendering.kind is None:
         return

@@ -53,8 +53,7 @@ class Weight(NamedTuple):
 
 
 class OwnMotion(NamedTuple):
-    """Own motion of one hand, to compare with a measurement: N/m, N·s/m, and the resulting frequency and ratio of its
-    mass."""
+    """Own motion of one hand, to compare with a measurement: N/m, N·s/m, and its mass's frequency and damping ratio."""
 
     k: float
     b: float
@@ -143,8 +142,7 @@ class FeltTogether:
 
     @cached_property
     def at_frequencies(self) -> tuple[Floats, Floats]:
-        """Stiffness and damping, each (n, 3), that each hand meets at `HAND_HZ`, with the others held; NaN from half
-        the rate on."""
+        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on."""
         rendered = np.diagonal(loop_impedance(self._network, HAND_HZ).rendered, axis1=1, axis2=2).T
         k, b = spring_and_damper(np.array(HAND_HZ), rendered)
         return self._network.channel_stiffness[:, None] + k, self._network.channel_friction[:, None] + b

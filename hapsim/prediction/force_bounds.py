@@ -98,8 +98,7 @@ def slew_warning(scene: Scene, prediction: Prediction) -> str:
 
 
 def sign_warning(scene: Scene, prediction: Prediction) -> str:
-    """Returns a warning if the guard may miss a motor that is wired the wrong way while `scene` runs; "" if it mostly
-    finds it."""
+    """Returns a warning if the guard may miss a wrongly wired motor while `scene` runs; "" if it mostly finds it."""
     spans, scales = scene.device.mass_spans(scene.channels), scene.device.scales(scene.channels)
     pulls = [(scene.device.force_limit / most, one.sign_pull) for (_, most), one in zip(spans, scales, strict=True)]
     channel = min(range(len(pulls)), key=lambda c: pulls[c][0] / pulls[c][1])
@@ -121,8 +120,7 @@ def sign_warning(scene: Scene, prediction: Prediction) -> str:
 
 
 def fastest_swing_hz(scene: Scene, prediction: Prediction) -> float:
-    """Highest eigenfrequency, Hz, below the Nyquist frequency, at which a hand oscillates on the simulated links; 0:
-    none."""
+    """Highest eigenfrequency, Hz, of a hand on the simulated links, below the Nyquist frequency; 0 if there is none."""
     still = {one.name for one in prediction.felt if one.stiffness == one.damping == 0.0}
     held = [i for i, name in enumerate(prediction.points) if name in scene.device_points and name not in still]
     hands = [one.frequency_hz for one in prediction.felt if one.name not in still]
@@ -135,8 +133,7 @@ def fastest_swing_hz(scene: Scene, prediction: Prediction) -> float:
 
 
 def travel_error(scene: Scene) -> str:
-    """Returns the error of a travel margin over which the force fades too steeply for the loop, without a full stop; ""
-    if there is none."""
+    """Returns the error, without a full stop, of a travel margin whose force fades too steeply for the loop, or ""."""
     device = scene.device
     if device.travel is None:
         return ""

@@ -120,8 +120,7 @@ def needs_network(scene: Scene, name: str) -> bool:
 
 
 def coupling_reason(scene: Scene, linear: LinearScene, name: str) -> str:
-    """Reason why the hand at this device point is no oscillator of its own, a phrase that follows its name; "" if it is
-    one."""
+    """Reason why the hand at this device point is no oscillator of its own, to follow its name; "" if it is one."""
     for link, module in links_of(linear, name).items():
         (other,) = set(module.between) - {name}
         if other in linear.masses:

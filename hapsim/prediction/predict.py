@@ -67,8 +67,7 @@ class Prediction:
         self.wire_time, self.wire_of = wire_time_of(scene), wire_of(scene)
         """Duration of an exchange, and the kind of wire."""
         self.wire_delay = wire_delay(scene)
-        """Sentence on the declared delay and the one on the wire, for which this prediction holds; "" if the wire adds
-        none."""
+        """Sentence on the declared and the wire's delay, which this prediction assumes; "" if the wire adds none."""
 
     def _take(self, instead: Mapping[str, Linear] | None = None) -> None:
         """Sets the linear form of the scene; `instead` replaces the forms of some links."""
@@ -109,8 +108,7 @@ class Prediction:
 
     @cached_property
     def regions(self) -> dict[str, tuple[Region, ...]]:
-        """Regions of each hand that feels different springs and dampers at different places; `felt` is that of one of
-        them."""
+        """Regions of each hand that feels other springs and dampers at other places; `felt` is that of one region."""
         return {name: found for name, found in self._every_region.items() if len(found) > 1}
 
     @cached_property
@@ -149,8 +147,7 @@ class Prediction:
         return network_of(self._rendering.desired, scene_at(self._rendering.desired))[0]
 
     def _parts(self, names: Collection[str]) -> Iterator[tuple[tuple[str, ...], tuple[int, ...], Indices]]:
-        """Yields, for each part of the scene with some of these device points, these points, their channels and all its
-        points."""
+        """Yields, per part of the scene with some of these device points, these, their channels and all its points."""
         part, number = part_of_each(self._network.ends, len(self.points)), self.points.index
         for its in dict.fromkeys(int(part[number(name)]) for name in names):
             own = tuple(name for name in names if part[number(name)] == its)
@@ -212,8 +209,7 @@ class Prediction:
 
     @property
     def trembles(self) -> tuple[str, ...]:
-        """Points that oscillate by themselves, by less than a count and with almost no force, if no hand is shaken
-        more."""
+        """Points that oscillate by themselves, by under a count and with hardly a force, if no hand is shaken more."""
         return () if self.judge.shaking else tuple(self.judge.swings)
 
     @property
@@ -411,8 +407,7 @@ def is_surely_unstable(prediction: Prediction) -> bool:
 
 
 def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
-    """Returns the prediction for a hand of this mass (kg) on one channel, once an adaptive correction has estimated
-    it."""
+    """Returns the prediction for a hand of this mass (kg) on a channel, after an adaptive correction estimated it."""
     rendering = prediction.rendering
     port = None if rendering is None else next((one for one in rendering.ports if one.channel == channel), None)
     if rendering is None or port is None or port.schedule is None:

@@ -83,8 +83,7 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
 
 
 def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
-    """Impedances (n, C, C) of single hands whose force answers a predicted state, once an estimated mass has
-    settled."""
+    """Impedances (n, C, C) of single hands whose force answers a predicted state; an estimated mass has settled."""
     scene = rendering.desired
     names = list(scene.device_points)
     found = np.zeros((frequency.size, len(names), len(names)), dtype=complex)

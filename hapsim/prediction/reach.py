@@ -153,8 +153,7 @@ class Reach:
 
 
 def start_stretches(scene: Scene, linear: LinearScene) -> Floats:
-    """Stretches at the start (L,), m, of the scene's links and of the elements of its structures and material
-    points."""
+    """Initial stretches (L,), m, of the scene's links and of the elements of its structures and material points."""
     begins, found = start_positions(scene), []
     for link in (*linear.links.values(), *linear.inner):
         first, second = ("" if end == STAYS else end for end in link.between)
@@ -301,8 +300,7 @@ def rest_in(
 
 
 def pressed_within(low: float, high: float, press: float, rise: float, most: float) -> tuple[float, float]:
-    """Returns the part of a range, m, in which a force of press + rise x does not exceed `most`, N; empty if there is
-    none."""
+    """Returns the part of a range, m, where the force press + rise x is at most `most`, N; empty if there is none."""
     if not rise:
         return (low, high) if abs(press) <= most else (math.inf, -math.inf)
     near, far = sorted((side * most - press) / rise for side in (-1.0, 1.0))

@@ -55,8 +55,7 @@ class Region:
 
     @cached_property
     def kind(self) -> RegionKind:
-        """Kind of region: `held` by a spring, `free` without one, or a `snap`, whose negative stiffness drives the hand
-        on."""
+        """Kind of region: `held` by a spring, `free` without one, or a `snap` of negative stiffness."""
         stiffness = self.felt.stiffness + self.felt.configuration.stiffness
         return "held" if stiffness > 0.0 else "snap" if stiffness < 0.0 else "free"
 
@@ -133,8 +132,7 @@ class Judge(NetworkVerdict):
 
     @cached_property
     def is_stable_as_taken(self) -> bool:
-        """True if every motion decays in the assumed states of the contacts, in every region of the hands, for the
-        computed poles."""
+        """True if all computed motions decay in the assumed states of the contacts, in every region of the hands."""
         shaken = any(region.growth for regions in self.regions.values() for region in regions)
         return not shaken and not self.loose and (self.is_lone or self.solved.solution.is_stable)
 
@@ -212,8 +210,7 @@ class Judge(NetworkVerdict):
 
     @cached_property
     def _shaken_hand(self) -> Shaking | None:
-        """First hand that is shaken in one of its regions; in a scene of single hands alone, the one that is shaken
-        most."""
+        """First hand that is shaken in one of its regions; of single hands alone, the one that is shaken most."""
         for name, regions in self._unstable.items():
             worst = max(regions, key=lambda region: region.growth)
             swing = self.swing_of(name)

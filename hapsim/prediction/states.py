@@ -108,8 +108,7 @@ class ContactStates:
         return f"in all {self.count} states of its contacts; bounces are not judged" if self.count > 1 else ""
 
     def instead(self) -> dict[str, Linear]:
-        """Links whose assumed state is impossible in the assumed states of the links before them, with their possible
-        states."""
+        """Links whose assumed state is impossible after those of the links before them, with their possible states."""
         found: dict[str, Linear] = {}
         for names in (part[0] for part in self.parts if part):
             apart = self._reach.apart

@@ -78,8 +78,7 @@ class Rest(NamedTuple):
 
 
 class Swinging(NamedTuple):
-    """Part of the scene that no link joins to another: one hand or none, masses and links; some of these have piecewise
-    laws."""
+    """Part of the scene that no link joins to another: at most one hand, masses and links, some with piecewise laws."""
 
     network: Network
     points: Sequence[str]

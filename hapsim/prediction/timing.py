@@ -1,5 +1,4 @@
-"""Timing: the duration of an exchange on the wire, the resulting delay, and the end of the force after the host's
-last."""
+"""Timing: the duration of an exchange on the wire, its delay, and the end of the force after the host's last."""
 
 from __future__ import annotations
 
@@ -127,8 +126,7 @@ def time_to_live_samples(rate: float) -> int:
 
 
 def watchdog_samples(rate: float, most: int = schema.MAX_WATCHDOG_SAMPLES) -> int:
-    """Time that the host may be silent, in samples, at `rate` Hz: a tenth of a second, at most the device's own
-    `most`."""
+    """Longest silence of the host at `rate` Hz, in samples: a tenth of a second, at most the device's own `most`."""
     return min(max(round(_WATCHDOG_S * rate), _LEAST_WATCHDOG), most)
 
 

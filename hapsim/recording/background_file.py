@@ -32,8 +32,7 @@ class BackgroundFile:
     """The writing thread and its backlog. A subclass opens `path`, calls `_start`, and implements the writing."""
 
     def __init__(self, path: Path, on_warning: Callable[[str], None], what: str, unit: str) -> None:
-        """`on_warning` is called if the disk fails, in the writing thread. `what`, `unit`: words for the file and for
-        one of its rows."""
+        """The writing thread calls `on_warning` if the disk fails. `what`, `unit`: words for the file and for a row."""
         self._path = self._part = path
         self._on_warning, self._what, self._unit = on_warning, what, unit
         self.failure = ""

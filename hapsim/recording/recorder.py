@@ -25,8 +25,7 @@ from hapsim.whole_file import whole_file
 
 
 class Recorder:
-    """The ring's reader. `keep`: False frees all rows but the last `recent` ones or a few more. Every `Stream` gets the
-    rows, too."""
+    """The ring's reader. `keep`: False frees all rows but about the last `recent`. Every `Stream` gets the rows."""
 
     def __init__(
         self, ring: Ring, keep: bool, recent: int = 1, notes: Callable[[], list[dict[str, Any]]] = list
@@ -96,8 +95,7 @@ class RecordFile(BackgroundFile):
         report_so_far: Callable[[], tuple[Report, Statistics]],
         on_warning: Callable[[str], None],
     ) -> None:
-        """Opens the file. `on_warning` is called in the writing thread if the disk fails. Raises UsageError if the file
-        cannot be opened."""
+        """Opens the file, or raises UsageError. The writing thread calls `on_warning` if the disk fails."""
         super().__init__(path, on_warning, "record", "row")
         self._summary = lambda: summary_document(*report_so_far(), False)
         try:

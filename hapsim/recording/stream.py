@@ -113,8 +113,7 @@ class StreamWriter:
             self._last, rows = before, rows[len(piece) :]
 
     def drop_last_rows(self) -> bool:
-        """Removes the rows that were written last, and what follows them, to make room. Returns whether there were
-        any."""
+        """Removes the rows written last, and what follows them, to make room. Returns whether there were any."""
         end, written = self._last
         if written == self.written:
             return False
@@ -127,8 +126,7 @@ class StreamWriter:
         self._write_chunk(_NOTE, 0, json.dumps(note).encode())
 
     def write_summary(self, summary: dict[str, Any]) -> None:
-        """Writes the report and the histograms so far, and has the system put the file on the disk. OSError where it
-        cannot."""
+        """Writes the report and the histograms so far, and flushes the file to the disk. OSError where it cannot."""
         self._write_chunk(_TOLD, 0, json.dumps(summary).encode())
         os.fsync(self._descriptor)
 

@@ -121,8 +121,7 @@ def columns_of(rows: NDArray[Any]) -> dict[str, Any]:
 
 
 def convert(reader: StreamReader, file: Path, ending: str) -> None:
-    """Writes a record as a .npz or .csv, with no more than a chunk of its rows in memory. OSError where it cannot be
-    written."""
+    """Writes a record as a .npz or .csv, with at most a chunk of its rows in memory. Raises OSError."""
     if ending == ".csv":
         _write_csv(file, reader.head, reader.rows())
     else:
@@ -146,11 +145,7 @@ def _write_csv(file: Path, head: Head, pieces: Iterable[NDArray[Any]]) -> None:
 
 
 def _write_npz(
-    file: Path | BinaryIO,
-    head: Head,
-    pieces: Callable[[], Iterable[NDArray[Any]]],
-    count: int,
-    summary: dict[str, Any],
+    file: Path | BinaryIO, head: Head, pieces: Callable[[], Iterable[NDArray[Any]]], count: int, summary: dict[str, Any]
 ) -> None:
     """Writes `count` rows column by column, with a chunk of rows in memory at a time."""
     _, statistics = read_summary(summary)

@@ -86,8 +86,7 @@ class Replay:
     def __init__(
         self, record: Record, scene: Scene | None = None, sound_file: Path | None = None, pick_up: str | None = None
     ) -> None:
-        """`pick_up`: the only one in the sound file [default: all]. Raises UsageError where `scene` cannot answer the
-        record's positions."""
+        """`pick_up`: the one in the sound file [default: all]. UsageError if `scene` cannot answer the positions."""
         self.record, self.is_same = record, scene is None
         self.scene = record.scene if scene is None else _as_recorded(record, scene)
         connection = Connection(None, str(record.path), lambda: None, behind_port=record.run.behind_port)  # type: ignore[arg-type]

@@ -42,11 +42,7 @@ _SCALES = (
     ("force_limit", "N", schema.REG_FORCE_LIMIT),
 )
 
-PACING = {
-    "device": schema.PACED_BY_DEVICE,
-    "host": schema.PACED_BY_HOST,
-    "lockstep": schema.LOCKSTEP,
-}
+PACING = {"device": schema.PACED_BY_DEVICE, "host": schema.PACED_BY_HOST, "lockstep": schema.LOCKSTEP}
 """Code of a scene's clock on the wire."""
 
 

@@ -161,10 +161,7 @@ class Notifier:
     """Notifies the service manager, if there is one. No failure here ends a run."""
 
     def __init__(
-        self,
-        reconnects: bool,
-        environ: Mapping[str, str] = os.environ,
-        clock: Callable[[], float] = time.monotonic,
+        self, reconnects: bool, environ: Mapping[str, str] = os.environ, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """`reconnects`: the run continues after the end of a session. `clock`: returns s."""
         address = environ.get("NOTIFY_SOCKET", "")

@@ -94,14 +94,7 @@ class Player:
     """The memory of the callback."""
 
     def __init__(
-        self,
-        ring: SoundRing,
-        hz: tuple[float, float],
-        *,
-        burst: int,
-        outputs: int,
-        latency_s: float,
-        volume: float,
+        self, ring: SoundRing, hz: tuple[float, float], *, burst: int, outputs: int, latency_s: float, volume: float
     ) -> None:
         """`hz`: of the ring and of the card; `burst`: frames that the ring gets at once; `latency_s`: from the arrival
         of a position to the loudspeaker, or what is needed if that is more."""

@@ -81,8 +81,7 @@ def held_mass(string: StringOfMasses) -> int:
 
 
 def hand_link(string: StringOfMasses) -> tuple[float, float]:
-    """K in N/m and B in N·s/m between a hand and the mass it holds: a hundredth of a link's, so that a string that is
-    stable stays so."""
+    """K (N/m) and B (N·s/m) between a hand and its mass: a hundredth of a link's, so that a stable string stays so."""
     return 0.01 * string.stiffness, 0.01 * string.damping
 
 

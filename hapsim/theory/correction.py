@@ -140,8 +140,7 @@ def _position_gains(moves: Floats, read: Floats, pole: float) -> Floats:
 
 
 def _velocity_gains(moves: Floats, read: Floats, pole: float) -> Floats:
-    """Gains (3, 2) that take position and velocity as read, given the push; it takes 1 - pole of the remaining
-    difference."""
+    """Gains (3, 2) that take position and velocity as read, and give the push 1 - pole of the remaining difference."""
     at_once = moves[:2, :2] @ np.linalg.inv(read[:, :2])
     left = read[:, :2] @ (moves[:2, 2] - at_once @ read[:, 2]) + read[:, 2]
     return np.vstack([at_once, (1.0 - pole) * left / (left @ left)])

@@ -97,8 +97,7 @@ def _at_begin(ages: int) -> Floats:
 
 
 def _moved(begin: Floats, segments: list[Piece], damping: float, stiffness: float) -> Floats:
-    """Returns the state of the mass, with friction and spring, after segments of a hold; the force is linear in
-    each."""
+    """Returns the state of the mass, with friction and spring, after segments of a hold, each with a linear force."""
     rate = np.zeros((7, 7))
     rate[POSITION, [VELOCITY, FIRST_VELOCITY]] = rate[VELOCITY, FORCE] = rate[TRAVEL, POSITION] = 1.0
     rate[FORCE, SLOPE] = 1.0

@@ -81,8 +81,7 @@ def hold_segments(hold: str, fraction: float) -> list[Piece]:
 
 
 def _weight(terms: tuple[Term, ...], order: int, time: float, start: float) -> float:
-    """Contribution at ``time`` of a force that acts from ``start`` on: an impulse, level or slope (``order`` 0, 1,
-    2)."""
+    """Contribution at ``time`` of a force from ``start`` on: an impulse, level or slope (``order`` 0, 1, 2)."""
     weight = 0.0
     for term in terms:
         since = time - (start + term.lag)
@@ -112,8 +111,7 @@ def damper_named(name: str, cutoff: float | None, rate: float) -> DamperModel:
 
 
 def damper_transfer(damper: DamperModel, z: Complexes, w: Complexes) -> Complexes:
-    """Transfer function v/y of a damper; its weights of positions add up to zero, which gives a factor 1 - 1/z =
-    w/z."""
+    """Transfer function v/y of a damper; its weights of positions add up to zero: a factor 1 - 1/z = w/z."""
     from_positions = np.polyval(np.cumsum(damper.of_positions)[-2::-1], 1.0 / z)
     return w / z * from_positions / (1.0 - np.polyval([*damper.of_velocities[::-1], 0.0], 1.0 / z))
 

@@ -63,8 +63,7 @@ class Sample:
         return out | same | {"force": 0.0 * read}
 
     def state_change(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
-        """Returns the change of the state over a whole sample whose steps are ``moved``; ``pushed``: other forces on
-        the channels, N."""
+        """Returns the change of the state over a sample of steps ``moved``; ``pushed``: other forces on channels, N."""
         network, x, v = self.network, state["position"], state["velocity"]
         unit, force = 1.0 / network.channel_mass / network.rate**2, moved["force"]
         acting = times(unit, force if pushed is None else force + pushed)

@@ -21,8 +21,7 @@ MOST_ENTRIES = 10_000_000  # in a sparse exponential; more would take over a min
 
 
 class NotWorkedOutError(Exception):
-    """Raised if the poles of a scene cannot be computed for its scheme; the message is the reason, to follow a
-    colon."""
+    """Raised if the poles of a scene cannot be computed for its scheme; the message is the reason, after a colon."""
 
 
 class LinkNature(NamedTuple):
@@ -114,8 +113,7 @@ def _trim(matrix: Any) -> Any:
 
 
 def _rk4(rates: Any, z: Any, held: Any) -> Any:
-    """Returns the Runge-Kutta step: every exp(s T) becomes 1 + z + z²/2 + z³/6 + z⁴/24 with z = s T. Arrays or
-    sparse."""
+    """Returns the Runge-Kutta step, dense or sparse: exp(s T) becomes 1 + z + z²/2 + z³/6 + z⁴/24 with z = s T."""
     rate = rates @ z + held
     return rate + rates @ (rate + rates @ (rate + rates @ rate / 4.0) / 3.0) / 2.0
 

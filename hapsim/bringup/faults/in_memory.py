@@ -19,8 +19,7 @@ from hapsim.loop.transport import PythonTransport
 
 
 def in_memory(injector: Injector, period_s: float) -> Callable[[PythonTransport], InMemory]:
-    """Returns a wrapper of the transport, for `hapsim.running.start(scene, between=…)`. `period_s`: of the device's
-    samples."""
+    """Returns a wrapper of the transport, for `hapsim.running.start(scene, between=…)`. `period_s`: sample period."""
     return lambda device: InMemory(device, injector, period_s)
 
 

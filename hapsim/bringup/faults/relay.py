@@ -97,8 +97,7 @@ class Relay:
             os.write(self._stop, b".")
 
     def run(self, duration_s: float | None = None, tell: Callable[[], None] = lambda: None) -> bool:
-        """Passes on until `stop`, or for this many seconds; returns False if the device went away. `tell` is called
-        twice a second."""
+        """Passes on until `stop` or for so many seconds; False if the device went away. Calls `tell` twice a second."""
         ends_s = math.inf if duration_s is None else time.monotonic() + duration_s
         reported_s = -math.inf
         while True:
@@ -189,8 +188,7 @@ class Relay:
     def _plug_in(self) -> None:
         free_name(self._path)
         near, far = open_pseudo_terminal(
-            "",
-            "In memory, with `clock: lockstep`, hapsim.bringup.faults.in_memory injects faults without one",
+            "", "In memory, with `clock: lockstep`, hapsim.bringup.faults.in_memory injects faults without one"
         )
         with contextlib.ExitStack() as stack:
             for end in (far, near):

@@ -150,8 +150,7 @@ class Witness:
             self._ended, self._confirmed = None, False
 
     def _is_over(self, last: _Last, time_s: float, samples: int) -> bool:
-        """Returns whether a force has no more time to live, by the device's samples or, if the host paces, its
-        clock."""
+        """Returns whether a force has expired, by the device's samples or, if the host paces, its clock."""
         if self._pacing == schema.PACED_BY_HOST:
             return time_s - last.time_s > (last.lives + 1) / self._rate()
         return samples - last.answered > last.lives + 1

@@ -69,8 +69,7 @@ class Judgement:
 
 
 def steps_of(only: tuple[str, ...], until: str | None) -> tuple[str, ...]:
-    """Returns the steps that are asked for, and those that every other needs. Raises UsageError if there is no such
-    step."""
+    """Returns the requested steps, and those that every other needs. Raises UsageError if there is no such step."""
     for option, names in (("--only", only), ("--until", (until,) if until else ())):
         for name in names:
             if name not in STEPS:

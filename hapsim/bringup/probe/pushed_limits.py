@@ -125,8 +125,7 @@ def _push_too_much(probing: Probing, pusher: Pusher) -> None:
 
 
 def _too_great(pusher: Pusher) -> tuple[int, int]:
-    """Returns how many forces were above the limit, and how many of them were in time, as the position after each
-    says."""
+    """Returns how many forces were above the limit, and how many of these acted in time, by the next position."""
     fresh = {sample.n: sample.fresh for sample in pusher.session.samples}
     asked = [n for n, force in pusher.forces.items() if abs(force) > pusher.limit]
     return len(asked), sum(fresh.get(n + 1, False) for n in asked)
@@ -211,8 +210,7 @@ def _comes_to_rest(pusher: Pusher, wait_s: float) -> bool:
 
 
 def _step(pusher: Pusher, force: float, wait_s: float, time_to_live: int) -> bool:
-    """Makes one sample paced by the host: it begins with the force, and the next step ends it. Returns whether a
-    position came."""
+    """Makes one sample paced by the host, from the force to the next step. Returns whether a position came."""
     session, count = pusher.session, len(pusher.session.samples)
     pusher.push(session.samples[-1], force, time_to_live)
     session.next_positions()

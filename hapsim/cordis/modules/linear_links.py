@@ -147,11 +147,7 @@ def damped_type(
 
 
 VISCOELASTIC = link_type(
-    ViscoElastic,
-    Links,
-    add_forces,
-    "visco-elastic links",
-    where=lambda link: link.damper == "backward",
+    ViscoElastic, Links, add_forces, "visco-elastic links", where=lambda link: link.damper == "backward"
 )
 CENTRED = damped_type("centred", "one remembered stretch each", add_centred_forces, lambda *_: 0.0, initialize_centred)
 FILTERED = damped_type(

@@ -26,13 +26,7 @@ from hapsim.compiling import fma, reassociated
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Column, Part, action
-from hapsim.cordis.schemes.linear_subsystem import (
-    LinearSubsystem,
-    Ties,
-    add_tie_forces,
-    matrix_scheme,
-    require_finite,
-)
+from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces, matrix_scheme, require_finite
 from hapsim.errors import UsageError
 
 MOST_MODES = 4000  # their shapes take some 15 s to compute

@@ -22,13 +22,7 @@ from hapsim.compiling import fma
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext
 from hapsim.cordis.dispatch import Column, Part, action
-from hapsim.cordis.schemes.linear_subsystem import (
-    LinearSubsystem,
-    Ties,
-    add_tie_forces,
-    matrix_scheme,
-    require_finite,
-)
+from hapsim.cordis.schemes.linear_subsystem import LinearSubsystem, Ties, add_tie_forces, matrix_scheme, require_finite
 from hapsim.errors import UsageError
 
 MOST_NUMBERS = 20_000_000  # in the factor: 160 MB, and some ten milliseconds a tick

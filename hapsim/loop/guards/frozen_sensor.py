@@ -203,9 +203,8 @@ def watch_sensor(
     travel: NDArray[np.float64],
     soft_start_s: float,
 ) -> None:
-    """Fills a FROZEN_SENSOR. Arrays have an entry for each channel, in SI units: the scale of its motion, the least
-    declared mass, the force limit, the position per count, and (2, channels) the ends of the travel without its
-    margins."""
+    """Fills a FROZEN_SENSOR. Arrays in SI units, by channel: the scale of its motion, the least declared mass, the
+    force limit, the position per count, and (2, channels) the ends of the travel without its margins."""
     used, one_sample = slice(len(scales)), rate_hz**-2 / mass
     way, far, place, hand = np.transpose([(one.jerk, one.runaway, one.grip, one.grip_force) for one in scales])
     sensor.moved[used], sensor.floor[used] = (

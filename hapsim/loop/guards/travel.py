@@ -97,12 +97,4 @@ def _sentence(run: EndedRun) -> str:
     )
 
 
-GUARD = Guard(
-    "travel",
-    TRAVEL,
-    {Stage.LOWER: fade},
-    _set_up,
-    OUT_OF_TRAVEL,
-    "out of travel",
-    _sentence,
-)
+GUARD = Guard("travel", TRAVEL, {Stage.LOWER: fade}, _set_up, OUT_OF_TRAVEL, "out of travel", _sentence)

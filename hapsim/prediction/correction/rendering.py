@@ -268,8 +268,7 @@ class _Correction:
         return [*([] if is_reached else [near]), *self.span_notes(ports, elements)]
 
     def span_notes(self, ports: list[Port], elements: dict[str, Element]) -> list[str]:
-        """Returns notes on hands that move more than themselves and whose mass is a span: they are placed for its
-        middle."""
+        """Returns notes on hands that move more than themselves and whose mass is a span: its middle is assumed."""
         open_ports = [port for port in ports if self.spans[port.channel][0] < self.spans[port.channel][1]]
         if not open_ports:
             return []

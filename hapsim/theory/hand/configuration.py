@@ -148,8 +148,7 @@ class Configuration:
 
     @broadcast_in_blocks
     def dominant(self, K: ArrayLike, B: ArrayLike) -> Bools:
-        """Returns whether the slowest poles are a complex pair or two positive real ones, and all others decay
-        faster."""
+        """Returns whether the slowest poles are a complex pair or positive and real, and all others decay faster."""
         return self._solved(K, B)[0].dominant
 
     @broadcast_in_blocks
@@ -311,8 +310,7 @@ class Configuration:
 
     @cached_property
     def _own_swing_is_seen(self) -> bool:
-        """True if mass and real spring oscillate below the Nyquist frequency; of a faster motion only an image is
-        sampled."""
+        """True if mass and real spring oscillate below the Nyquist frequency; only an image of others is sampled."""
         return bool(is_attainable(self.normalised_loop.damping, self.normalised_loop.stiffness))
 
     def _solved(self, K: ArrayLike, B: ArrayLike) -> tuple[LeadingPair, Complexes]:

@@ -141,8 +141,7 @@ def stable_interval(
 
 
 def _between(low: Floats, high: Floats) -> Floats:
-    """Returns the middle of each interval; beyond the last finite edge a value far outside, but in the range of
-    floats."""
+    """Returns the middle of each interval; beyond the last finite edge a far value in the range of floats."""
     scale = np.maximum(np.abs(np.where(np.isfinite(low), low, 0.0)), np.abs(np.where(np.isfinite(high), high, 0.0)))
     low = np.where(np.isfinite(low), low, -3.0 * scale - 1.0)
     high = np.where(np.isfinite(high), high, 3.0 * scale + 1.0)

@@ -136,8 +136,7 @@ def _newton_step(hand: LoneHand, element: tuple[Floats, Floats], p: Floats, q: F
 
 
 def all_within(coefficients: list[Floats], radius: Floats) -> Bools:
-    """Returns whether all roots of polynomials in z, highest power first, have a modulus below the radius (Jury's
-    test)."""
+    """Returns whether all roots of polynomials in z, highest power first, are within the radius (Jury's test)."""
     shrink = 1.0 / radius
     remaining, scale = [coefficients[0]], shrink
     for coefficient in coefficients[1:]:

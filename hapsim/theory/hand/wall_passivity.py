@@ -34,8 +34,7 @@ ROWS_AT_ONCE = 1024
 
 
 def needed_friction(elastic: Floats, viscous: Floats, delay: float, damper: DamperModel) -> Floats:
-    """Least upper bound, over theta, of the friction that each wall demands, (n,) N·s/m, for n walls K T and B in
-    N·s/m."""
+    """Least upper bound (n,), N·s/m, over theta, of the friction that each of n walls K T and B, N·s/m, demands."""
     parts = (slice(i, i + ROWS_AT_ONCE) for i in range(0, elastic.size, ROWS_AT_ONCE))
     found = [_upper_bound(elastic[rows, None], viscous[rows, None], delay, damper) for rows in parts]
     return np.concatenate(found) if found else np.empty(0)

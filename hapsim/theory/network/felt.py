@@ -101,8 +101,7 @@ FOLLOWS = "much of its movement follows the parts that it moves"
 
 
 class FeltPair(NamedTuple):
-    """Stiffness k (n, n) in N/m and damping b (n, n) in N·s/m that n hands feel, the device's own included; NaN if
-    none."""
+    """Stiffness k (n, n), N/m, and damping b (n, n), N·s/m, that n hands feel, with the device's own; NaN if none."""
 
     k: Floats
     b: Floats

@@ -42,8 +42,7 @@ def factorised(matrix: Any, **options: Any) -> Solve | None:
 
 
 class Implicit(NamedTuple):
-    """Equation of a scheme whose change is not sparse: numbers d with left d = rate state add ``by`` d to the
-    change."""
+    """Equation of a scheme without a sparse change: numbers d with left d = rate state add ``by`` d to the change."""
 
     by: Rows
     rate: Rows

@@ -72,8 +72,7 @@ class Margins(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """Search for margins: the largest number of links, from the first on; the method; the ranges of factors of a
-    link."""
+    """Search for margins: the largest number of links, from the first on; the method; a link's ranges of factors."""
 
     most: int
     method: str
@@ -144,8 +143,7 @@ def _along_circle(network: Network, links: Indices, count: int, poles: Complexes
 def _collected(
     network: Network, links: Indices, found: dict[tuple[int, int], tuple[Range, ...] | None], unstable: bool
 ) -> Margins:
-    """Returns the margins. ``links``: all links with margins; ``found``: their ranges, None where a factor changes
-    nothing."""
+    """Returns the margins. ``links``: all with margins; ``found``: their ranges, None if a factor changes nothing."""
     nothing = 0.0 if unstable else math.inf
     factors = np.full((len(network.ends), 2), nothing)
     factors[links] = math.nan

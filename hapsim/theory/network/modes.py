@@ -145,8 +145,7 @@ def snap_to_rest(network: Network, poles: Complexes) -> Complexes:
 
 
 def modes_of(network: Network, poles: Complexes, motions: NDArray, states: NDArray) -> list[Mode]:
-    """Returns the modes, the slowest to decay first, of poles with ``motions`` (C + M, n) and whole ``states`` (size,
-    n)."""
+    """Returns the modes, the slowest first, of poles with ``motions`` (C + M, n) and whole ``states`` (size, n)."""
     mass = np.concatenate([network.channel_mass, network.point_mass])
     order = np.lexsort((-poles.real, -np.abs(poles)))
     kept = [i for i in order if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]

@@ -156,8 +156,7 @@ def is_memoryless(damper: DamperModel) -> bool:
 
 
 def part_of_each(ends: Indices, points: int) -> Indices:
-    """Part of the scene of each point, (points,): equal numbers for points that links, (L, 2) ends, join. A ground (-1)
-    joins none."""
+    """Part of each point (points,): equal numbers for points joined by links, (L, 2) ends. A ground (-1) joins none."""
     parent = list(range(points))
 
     def part(point: int) -> int:

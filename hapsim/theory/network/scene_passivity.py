@@ -165,8 +165,7 @@ class HeldScene:
         return np.unique(np.clip(every, 1e-7, math.pi))
 
     def driving_impedance(self, theta: Floats, channel: int) -> Complexes:
-        """Impedance (n,), N·s/m, at theta, that a hand on this channel meets; it moves at no image, and the others are
-        free."""
+        """Impedance (n,), N·s/m, at theta, of a hand on this channel, which moves at no image; the others are free."""
         network, one = self.network, np.eye(self.network.channel_mass.size)
         s = 1j * theta[:, None] * network.rate
         device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
