@@ -108,57 +108,57 @@ _FIRMWARE = ("device.mock.firmware:FUNCTIONS", "device.mock.motion:move_gliding"
 
 UNITS: dict[str, CompileUnit] = {
     "loop": CompileUnit(
-        48,
+        69,
         ("loop.guards.leap:find_leap",),
         _entry("loop.compiled_loop:run_loop", "loop.exchange:LOOP"),
         calls_system=True,
     ),
     "port": CompileUnit(
-        3, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
+        6, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
     ),
     "guards": CompileUnit(  # a run compiles only those that its scene sets up
-        12, ("loop.guards:HOOKS", "loop.force_history:keep", "loop.guide:lead", "cordis.stored_energy:evaluate")
+        59, ("loop.guards:HOOKS", "loop.force_history:keep", "loop.guide:lead", "cordis.stored_energy:evaluate")
     ),
     "mock": CompileUnit(
-        45,
+        60,
         (*_FIRMWARE, "device.mock.wire:receive_at_once", "device.mock.wire:send_at_once"),
         _entry("device.mock.terminal:serve", "device.mock.firmware:MOCK", "device.mock.terminal:SERVICE"),
         in_second_process=True,
         calls_system=True,
     ),
     "loopback": CompileUnit(
-        39,
+        50,
         (*_FIRMWARE, "device.mock.wire:receive_in_memory", "device.mock.wire:send_in_memory"),
         in_second_process=True,
     ),
     "motion": CompileUnit(
-        16,
+        13,
         ("device.mock.motion:move_with_spring_or_friction", "device.mock.stand_ins:move_hand"),
         in_second_process=True,
     ),
     "wire": CompileUnit(
-        14,
+        20,
         ("device.mock.firmware:take_late_force", "device.mock.wire:receive_in_time", "device.mock.wire:send_in_time"),
         in_second_process=True,
         calls_system=True,
     ),
     "sound": CompileUnit(2, ("loop.sound:add_frame",)),
-    "playback": CompileUnit(17, ("sound.resample:play",), calls_system=True),
+    "playback": CompileUnit(14, ("sound.resample:play",), calls_system=True),
     "changes": CompileUnit(
-        8,
+        20,
         ("cordis.parameters:move", "loop.crossfade:cross_fade"),
         _entry("cordis.parameters:post", "cordis.parameters:PARAMETERS", np.zeros(0), 1),
     ),
     "replay": CompileUnit(
-        40,
+        51,
         entries=_entry(
             "loop.compiled_loop:replay_rows", "loop.exchange:LOOP", DECODER, np.zeros((0, 1), np.int64), True, True
         ),
         in_second_process=True,
     ),
     "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),
-    "modules": CompileUnit(150, modules="double"),
-    "modules in single precision": CompileUnit(148, modules="single", in_second_process=True),
+    "modules": CompileUnit(160, modules="double"),
+    "modules in single precision": CompileUnit(160, modules="single", in_second_process=True),
 }
 """Units that can be compiled ahead, by name."""
 
