@@ -182,7 +182,7 @@ def plane(
     simulated: SimulatedOptions,
     *,
     mass: list[str] | None = option(
-        "M", "Mass of hand and handle in kg. A list (0.1,0.2,0.4) draws one family of curves per mass."
+        "M", "Mass of hand and handle in kg. A list (0.1,0.2) draws one family per mass [default: the scene's]"
     ),
     normalised: bool = flag(
         "--normalised", "Use the paper's units, K T²/m and B T/m. --mass and --rate then default to 1."
@@ -194,7 +194,7 @@ def plane(
 ) -> None:
     """Draw the K,B plane: contours of the stiffness k and damping b that the hand feels.
 
-    These are Figures 7, 8 and 9 of the paper. Options of the hand take precedence over the scene's values.
+    These are Figures 7, 8 and 9 of Florens et al. (the paper). An option takes precedence over the scene's value.
     """
     from hapsim.chart.hand import described
     from hapsim.chart.plane import draw_plane

@@ -52,13 +52,13 @@ def check(
         "--explain", "Print every mode, margin and bound. Also compile the scene, and time its parts."
     ),
     hand_mass: str | None = option(
-        "LOW:HIGH", "Find the worst hand that adds a mass in this range, kg, such as 0.1:2.", "--hand-mass"
+        "LOW:HIGH", "Check stability in any hand that adds a mass in this range, kg, such as 0.1:2.", "--hand-mass"
     ),
     hand_stiffness: str | None = option(
-        "LOW:HIGH", "Range of the stiffness that these hands add, N/m, such as 0:500.", "--hand-stiffness"
+        "LOW:HIGH", "Range of the stiffness that such a hand adds, N/m, such as 0:500 [default: 0]", "--hand-stiffness"
     ),
 ) -> None:
-    """Predict stability, felt stiffness and damping, gain margins and wire time. Nothing runs."""
+    """Predict stability, gain margins, and the stiffness and damping that the hand feels. Nothing is run."""
     loaded, hands = load(scene), check_hands.hand_ranges(hand_mass, hand_stiffness)
     if why := travel_error(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")

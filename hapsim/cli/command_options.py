@@ -145,7 +145,7 @@ class DeviceOptions:
     port: Port = None
     mock: MockFlag = False
     transport: str | None = option(
-        "KIND", "Transport of the mock: loopback (in memory) or terminal [default: loopback for clock: lockstep]"
+        "KIND", "Mock transport: loopback (in memory) or terminal [default: loopback if clock: lockstep, else terminal]"
     )
 
     def load(self) -> Any:
@@ -177,7 +177,7 @@ class ExcitationOptions:
     at: At = None
     duration: float | None = seconds("Duration in seconds [default: about 2, or 8 per channel with --impedance]")
     push: float | None = push_option()
-    hands: bool = flag("--hands", "Measure all hands that are linked with this one, and what each feels of the others.")
+    hands: bool = flag("--hands", "Measure all linked hands: k and b of each, and of each pair.")
     mass: bool = flag("--mass", "Also measure the mass that the hand feels.")
     hand_stiffness: float | None = option(
         "KH", "With --mass: stiffness of the hand that holds the device, N/m [default: mock.hand.stiffness]"
@@ -186,7 +186,7 @@ class ExcitationOptions:
     travel: float | None = option(
         "M", "With --impedance: largest travel of the hand in m (approximate) [default: 0.001 m or 0.05 rad]"
     )
-    z_width: bool = flag("--z-width", "With --impedance: also measure the Z-width, with the stiffest passive wall.")
+    z_width: bool = flag("--z-width", "With --impedance: also measure the Z-width, against the stiffest passive wall.")
 
     def for_runs(self, transport: Any, unstable: bool) -> dict[str, Any]:
         """Returns the keyword arguments of every measurement. `transport`: the TransportKind."""

@@ -35,7 +35,7 @@ def doctor(
     port: command_options.Port = None,
     mock: command_options.MockFlag = False,
     seconds: float = command_options.option(
-        "S", "Duration of each measurement in seconds. A longer one finds rarer gaps.", default=2.0
+        "S", "Duration of each measurement in seconds. Longer ones find rarer delays.", default=2.0
     ),
     rates: list[str] | None = command_options.option(
         "HZ,…", "Rates to test in Hz, a list [default: 1000,2000,4000,10000 and the scene's]"
@@ -45,7 +45,7 @@ def doctor(
     picture: command_options.PictureOptions,
     json: command_options.Json = False,
 ) -> None:
-    """Measure the wake-up latency of this machine, the rates that a haptic loop keeps on it, and advise.
+    """Measure the wake-up latency and the possible loop rates of this machine, and print advice.
 
     Only zero force is sent: the scene runs without its links.
     """

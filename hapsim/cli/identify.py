@@ -58,7 +58,7 @@ def identify(
     picture: PictureOptions,
     json: Json = False,
 ) -> None:
-    """Push the device and identify its mass, friction, spring, delay and dry friction.
+    """Push the device, and identify its mass, spring, delay, viscous and dry friction.
 
     hapsim pushes the device to both sides, gently at first, against several simulated springs. It prints each value
     with its uncertainty, beside the value in the scene. Only the `device` section of the scene is used. The file

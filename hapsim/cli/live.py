@@ -213,7 +213,7 @@ class LiveOptions:
     serve_at: str | None = option(
         "HOST:PORT", "Address of page and WebSocket. Other machines need a token [default: 127.0.0.1:7470]"
     )
-    record_dir: Path | None = option("DIR", "Directory for records that are started from the page.")
+    record_dir: Path | None = option("DIR", "Directory for records started from the page [default: no recording]")
     osc: bool = flag("--osc", "Answer OSC over UDP and OSCQuery over TCP, for this machine only.")
     osc_at: str | None = option("HOST:PORT", "Address for OSC and OSCQuery [default: 127.0.0.1:7471]")
     osc_from: list[str] | None = option("IP,…", "Addresses whose OSC is accepted. Required if --osc-at is not local.")

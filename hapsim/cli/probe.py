@@ -31,16 +31,19 @@ def probe(
     travel: float | None = option(
         "M", "With --push: largest travel in m. Beyond it the push stops [default: 0.005 m or 0.2 rad]"
     ),
-    mass: float | None = option("KG", "With --push: moving mass in kg, hand included. Tests the scales."),
+    mass: float | None = option(
+        "KG", "With --push: moving mass in kg, with the hand. Tests force and position scales."
+    ),
     channel: int = option(None, "With --push: channel to push.", default=0),
     only: list[str] | None = option("STEP", "Run this step only. May be repeated."),
     until: str | None = option("STEP", "Run the steps up to this one [default: all steps]"),
     json: Json = False,
 ) -> None:
-    """Test the device at PORT against the protocol, check by check, in the order of bringing up a firmware.
+    """Test the device at PORT against the protocol, check by check.
 
-    Steps: conversation, registers, refusals, arming, forces, watchdog, blocked, host, push. Without --push, only zero
-    force is sent. The exit status is 3 if a check fails. A check that could not run does not count as a failure.
+    Steps, in order: conversation, registers, refusals, arming, forces, watchdog, blocked (the host stops reading), host
+    (the host paces the loop), push. Without --push, only zero force is sent. The exit status is 3 if a check fails. A
+    check that could not run does not count as a failure.
     """
     leave = _leave(push, travel, mass, channel)
     steps = steps_of(tuple(only or ()), until)

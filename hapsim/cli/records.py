@@ -110,7 +110,7 @@ def export(
     out: Path = argument("OUT", "Output file: .h5, .mcap, .csv, .npz or .wav.", default=...),
     *,
     column: str | None = option(
-        "NAME", "Column of a .wav: position.0, force.0, another column and channel, or a pick-up."
+        "NAME", "Signal of a .wav (required for one): column and channel, such as force.0, or a pick-up."
     ),
     overwrite: bool = flag("--overwrite", "Replace existing files."),
     json: Json = False,

@@ -66,11 +66,11 @@ class ServiceOptions:
     reports: Path | None = option(
         "DIR",
         "Directory for reports of runs that a guard or the device ended. The newest 20 are kept "
-        "[default: ~/.local/state/hapsim/reports, for a device on a port]",
+        "[default: ~/.local/state/hapsim/reports, or none with the mock]",
     )
     watch: Watch = False
     reconnect: bool = flag("--reconnect", "Wait for a lost device, and continue when it is back.")
-    status: str | None = option("PATH", "Unix socket for `hapsim status`. With auto, the port names it.")
+    status: str | None = option("PATH", "Unix socket for `hapsim status`, or auto: one named after the port.")
     log: str = option("FORM", "Format of standard error: text, or json with one line per event.", default="text")
 
     def choose_log(self) -> None:

@@ -29,7 +29,8 @@ class PointOptions:
     """The points of a sweep."""
 
     parameters: list[str] | None = argument(
-        "[PATH=VALUES …]", "touch.stiffness=log:200:5000:50, device.delay=0,0.5,1 or rate=lin:500:2000:4"
+        "[PATH=VALUES …]",
+        "Scene key and its values: a list (device.delay=0,0.5,1), or FROM:TO:COUNT (rate=lin:500:2000:4)",
     )
     samples: int | None = option("N", "Number of samples to draw from ranges such as lin:0:2 or log:200:5000.")
     method: str = option("KIND", "Sampling method: lhs (Latin hypercube), random or sobol.", default="lhs")
@@ -78,17 +79,17 @@ def sweep(
         "ADDRESS", "Use the workers of a dask.distributed scheduler, such as tcp://host:8786."
     ),
     draw: str | None = option(
-        "VARIABLE", "What --picture shows [default: what varies by more than its uncertainty: how far k is off, k or b]"
+        "VARIABLE", "Variable of the dataset that --picture shows [default: the error of k, or k]"
     ),
-    over: str | None = option("X,Y", "Over which parameters [default: the first two]"),
+    over: str | None = option("X,Y", "Parameters on the axes of the picture [default: the first two]"),
     pictures: PictureOptions,
     json: Json = False,
 ) -> None:
     """Predict and measure a scene at many points: every combination of values, or samples of ranges.
 
-    The results are one dataset for xarray. While it grows, each finished batch is kept in FILE.nc.parts: if the sweep
-    is interrupted or killed, the same command goes on with what is missing, and once it is finished draws another
-    picture. A point without a value has NaN, and the reason in the variable error.
+    The results are one dataset for xarray. Finished points are kept in FILE.nc.parts. After an interruption, run the
+    same command again to resume. After the end, run it with another --draw to draw another picture. A failed point is
+    NaN, and the variable `error` has the reason.
     """
     from hapsim.sweeping.sweep import sweep as run_sweep
 
