@@ -230,7 +230,7 @@ def _guards(scene: Scene, prediction: Prediction) -> Iterator[str]:
 
 
 def _felt_summary(prediction: Prediction) -> Iterator[Line]:
-    """Yields k, b and static stiffness of each hand, beside the requested values."""
+    """Yields k, b and static stiffness of each hand, beside the desired ones."""
     rows = []
     for felt in prediction.felt:
         k, b = prediction.asked_for(felt)
@@ -238,7 +238,7 @@ def _felt_summary(prediction: Prediction) -> Iterator[Line]:
         rows.append((f"{escape(felt.name)}: k", number(k), number(felt.k), static, units.name("N/m")))
         rows.append((f"{escape(felt.name)}: b", number(b), number(felt.b), "", units.name("N·s/m")))
     if rows:
-        yield table("", ("", "asked for", "felt", "static", ""), rows, box=None)
+        yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
     for felt in prediction.felt:
         if felt.reason:
             yield f"[bold]{escape(felt.name)}[/bold]: no spring and damper is equivalent: {felt.reason}"

@@ -146,7 +146,7 @@ def mode_lines(prediction: Prediction) -> Iterator[Line]:
 
 
 def _more(count: int) -> str:
-    return f"and {count - _ROWS} more; --json has them all" if count > _ROWS else ""
+    return f"and {count - _ROWS} more; --json lists all" if count > _ROWS else ""
 
 
 def tightest(prediction: Prediction) -> list[LinkMargin]:
@@ -171,15 +171,15 @@ def margin_lines(prediction: Prediction) -> Iterator[Line]:
     links = tightest(prediction)
     if prediction.stable_as_taken or prediction.at_limit:
         rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
-        title, others = "Gain margins: the scene becomes unstable where a link is multiplied by", "have larger margins"
+        title, others = "Gain margins: a link makes the scene unstable at", "have larger margins"
     else:
         rows = [(one.name, _ranges(one.stabilizing_stiffness), _ranges(one.stabilizing_damping)) for one in links]
-        signs = ((_NO_FACTOR, "no factor does it"), (_UNKNOWN, "not worked out"))
+        signs = ((_NO_FACTOR, "no factor"), (_UNKNOWN, "not computed"))
         legend = ", ".join(f"{sign}: {what}" for sign, what in signs if any(sign in row[1:] for row in rows))
         title = f"For the scene to be stable, multiply one link by{f' ({legend})' if legend else ''}"
         others = "need a larger change"
     left_out = len(prediction.margins) - len(links)
-    caption = f"and {left_out} links that were not worked out, or {others}; --json has all that are known"
+    caption = f"and {left_out} links that {others} or were not computed; --json lists all results"
     yield ""
     yield table(title, ("<link", "stiffness times", "damping times"), rows, caption if left_out else "")
     if prediction.margins_method:
@@ -233,10 +233,10 @@ def _delay(budget: WireTime) -> str:
         )
     rate = budget.highest_rate_hz
     if budget.fits and math.isinf(rate):
-        return "One sample of delay."
+        return "The delay is one sample."
     highest = f"{math.floor(rate) if rate >= 10.0 else rounded_down(rate, 3)} Hz"
     if budget.fits:
-        return f"One sample of delay, up to {highest}."
+        return f"The delay is one sample at rates up to {highest}."
     speed = "" if budget.least_baud is None or budget.baud is None else f" or above {math.ceil(budget.least_baud)} baud"
     return (
         f"Every force misses its deadline: {budget.delay_samples} samples of delay. One sample below {highest}{speed}."
@@ -262,20 +262,18 @@ def force_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     """Yields the bounds of the force after the host dies, and in `hapsim run`."""
     silence = host_silence(prediction.rate)
     yield (
-        f"If the host dies: the last force acts for at most {duration(silence.zero_force_after_s)} "
-        f"({silence.time_to_live_samples} samples' time to live, and one more); after "
+        f"If the host dies, the last force acts for at most {duration(silence.zero_force_after_s)} (its time to live "
+        f"of {silence.time_to_live_samples} samples, and one more). After "
         f"{duration(silence.latched_after_s)} (watchdog of {silence.watchdog_samples} samples, if the device allows "
         "it) the device latches: zero force until it is armed again. This holds for clock: device and clock: host."
     )
-    bounds, slew = run_bounds(scene), "as fast as the scene asks"
+    bounds, slew = run_bounds(scene), "without a slew limit"
     if math.isfinite(bounds.slew_limit):
-        slew = f"by at most {scene.units(bounds.slew_limit, 'N/s', 'g')}"
+        slew = f"with a slew limit of {scene.units(bounds.slew_limit, 'N/s', 'g')}"
     yield (
-        f"Force: at most {scene.units(scene.device.force_limit, 'N', 'g')}; it changes {slew}. The force that the "
-        "scene asks for in the "
-        f"very first sample comes {_soft_start(bounds.soft_start_s)}. A run ends where the scene gives the hand more "
-        f"than {bounds.energy_limit:g} J, or goes on swinging or shaking at the force limit (hapsim/STABILITY.md says "
-        "what counts as that)."
+        f"Force: at most {scene.units(scene.device.force_limit, 'N', 'g')}, {slew}. The force of the first sample "
+        f"{_soft_start(bounds.soft_start_s)}. A run ends if the scene gives the hand more than {bounds.energy_limit:g} "
+        "J, or keeps swinging or shaking at the force limit (as defined in hapsim/STABILITY.md)."
     )
 
 
@@ -284,8 +282,8 @@ def device_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
     if scene.device.port is None and scene.device.clock != "lockstep":
         bounds = force_bounds(scene, in_hand=True)
         yield (
-            f"These limits apply to the mock. With a device (`--port`) the force changes by at most "
-            f"{scene.units(bounds.slew_limit, 'N/s', 'g')}, and that of the very first sample comes "
+            f"These limits apply to the mock. With a device (`--port`), the slew limit is "
+            f"{scene.units(bounds.slew_limit, 'N/s', 'g')}, and the force of the first sample "
             f"{_soft_start(bounds.soft_start_s)}."
         )
     if hidden := sign_warning(scene, prediction):
@@ -293,7 +291,7 @@ def device_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
 
 
 def _soft_start(seconds: float) -> str:
-    return f"along a ramp of {duration(seconds)}; later ones come without a ramp" if seconds > 0.0 else "at once"
+    return f"ramps up over {duration(seconds)}; later changes act at once" if seconds > 0.0 else "acts at once"
 
 
 def travel_sentences(scene: Scene) -> Iterator[str]:
@@ -376,17 +374,16 @@ def explanation_lines(explanation: Explanation) -> Iterator[Line]:
         )
         for part in explanation.parts
     ]
-    headings = ("<part", "how many", "<as", "bytes", "ns alone")
+    headings = ("<part", "count", "<as", "bytes", "ns")
     yield ""
-    yield table("What the scene was compiled to", headings, rows)
-    steps = "" if explanation.substeps == 1 else f", {explanation.substeps} of them in a sample"
+    yield table("Compiled parts of the scene, each timed alone", headings, rows)
+    steps = "" if explanation.substeps == 1 else f", a sample {explanation.substeps} ticks"
     yield (
-        f"A tick takes {explanation.seconds * 1e9:.3g} ns{steps}, {explanation.share:.2g} of the "
-        f"sample period, here and now; {explanation.points} points, {explanation.bytes} bytes, "
-        f"{explanation.precision} precision."
+        f"A tick takes {explanation.seconds * 1e9:.3g} ns{steps}: {explanation.share:.2g} of the sample period on this "
+        f"machine. Size: {explanation.points} points, {explanation.bytes} bytes, {explanation.precision} precision."
     )
     most = explanation.most_substeps
     if explanation.substeps > max(most, 1):
         fits = f"at most {most} substeps fit" if most else "not even one fits"
         yield f"[red]That is too long[/red]: {fits} beside an exchange."
-    yield f"Of these the scene has none, and nothing was compiled: {', '.join(explanation.absent)}."
+    yield f"Not used, and so not compiled: {', '.join(explanation.absent)}."

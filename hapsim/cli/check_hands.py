@@ -91,7 +91,7 @@ def _narrow(regions: tuple[Region, ...]) -> str:
 
 def _table(names: str, rows: Sequence[tuple[str, ...]], units: Units) -> Table:
     headings = (f"<position  {units.name('mm')}", f"K  {units.name('N/m')}", "B", "felt k", "felt b", "<")
-    caption = "← where the table above holds" if any("←" in row[-1] for row in rows) else ""
+    caption = "← region of the table above" if any("←" in row[-1] for row in rows) else ""
     return table(f"By region, {escape(names)}", headings, rows, caption, box=None)
 
 
@@ -180,10 +180,10 @@ _FREQUENCIES = 5  # of a sentence
 
 
 def together_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields k, b and static stiffness of linked hands, beside the requested values, and sentences about them."""
+    """Yields k, b and static stiffness of linked hands, beside the desired ones, and sentences about them."""
     rows = [row for one in prediction.together for row in _pair_rows(one)]
     if rows:
-        yield table("", ("", "asked for", "felt", "static", ""), rows, box=None)
+        yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
     yield from _sentences(prediction)
 
 
@@ -209,13 +209,11 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
         whys = "; ".join(f"[bold]{escape(name)}[/bold] {escape(prediction.coupled[name])}" for name in one.names)
         felt = one.felt
         if not felt.reason:
-            held = " (of another hand: as of a spring and damper between them)" if len(one.names) > 1 else ""
-            yield (
-                f"{whys}. Felt are the spring and damper that it swings on{held}; asked for are the same without "
-                "sampling and delay"
-            )
+            pairs = " (of another hand: between them)" if len(one.names) > 1 else ""
+            yield f"{whys}. Felt: k and b of its own oscillation{pairs}. Desired: the same without sampling and delay"
         else:
-            yield f"{whys}: no single k and b say what it feels, for {felt.reason}{_modes(felt.frequencies_hz)}"
+            modes = _modes(felt.frequencies_hz)
+            yield f"{whys}: no single k and b describe what it feels, because {felt.reason}{modes}"
             yield from (_at_frequencies(one, i, output_units(channel)) for i, channel in enumerate(one.channels))
         if (weight := _weight_of(prediction, one)) is not None:
             yield _weight(weight)
@@ -324,23 +322,23 @@ def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
 
 def _passive(prediction: Prediction, one: AnyHand) -> str:
     is_taken = prediction.assumptions or any(name in prediction.regions for name in one.names)
-    taken = " (as it is taken)" if is_taken else ""
+    taken = " (as assumed)" if is_taken else ""
     if one.is_passive is None:
-        return f"whether it is passive is not known, for {one.not_derived or 'its numbers are out of range'}"
+        return f"passivity is unknown, because {one.not_derived or 'its numbers are out of range'}"
     if one.lasting:
         held = "the hands are" if len(one.names) > 1 else "the hand is"
         return (
-            f"not passive{taken}, whatever the friction, for while {held} held a motion of {escape(one.lasting)} at "
+            f"not passive{taken} at any friction: while {held} held, a motion of {escape(one.lasting)} at "
             f"{number(one.frequency_hz, 4)} Hz does not die out"
         )
     if one.pushes_away:
-        return f"not passive{taken}, whatever the friction: at rest the scene pushes the hand on"
+        return f"not passive{taken} at any friction: at rest, the scene pushes the hand away"
     friction = (
         f"{_needed(one, prediction.scene.units_of(one.channels[0]))} of friction (declared: {_numbers(one.friction)})"
     )
     if one.is_passive:
-        return f"passive{taken}, which is stable in any hands (Colgate and Schenkel): that needs {friction}"
-    return f"not passive{taken}: it is stable in any hands only with {friction}{_shaken(prediction, one)}"
+        return f"passive{taken}: stable in any hands (Colgate and Schenkel), which needs {friction}"
+    return f"not passive{taken}: stability in any hands needs {friction}{_shaken(prediction, one)}"
 
 
 def _ordinary(prediction: Prediction, one: AnyHand) -> str:
@@ -352,9 +350,9 @@ def _ordinary(prediction: Prediction, one: AnyHand) -> str:
     if worst is None:
         return ""
     if worst.is_stable:
-        return f". Hands of up to {_ORDINARY[0][1]:g} kg and {_ORDINARY[1][1]:g} N/m more do not shake it"
+        return f". It is stable with hands that add up to {_ORDINARY[0][1]:g} kg and {_ORDINARY[1][1]:g} N/m"
     units = prediction.scene.units_of(one.channels[0])
-    return f". [red]An ordinary hand shakes it[/red]: {_hands(one, worst, units)} more"
+    return f". [red]An ordinary hand makes it unstable[/red]: one that adds {_hands(one, worst, units)}"
 
 
 def _hands(one: AnyHand, worst: WorstHand, units: Units) -> str:
@@ -389,15 +387,15 @@ def _numbers(friction: Any) -> str:
 def _shaken(prediction: Prediction, one: AnyHand) -> str:
     """Returns the friction below which a single hand makes the scene oscillate, and that hand."""
     least, hand = one.needed_for_one, one.shaking if prediction.stable_as_taken else None
-    below = f"; below {rounded_down(least)} a mass or a spring shakes it" if least > 0.0 else ""
+    below = f"; below {rounded_down(least)}, a mass or a spring makes it oscillate" if least > 0.0 else ""
     if hand is None:
         return below
     units = prediction.scene.units_of(one.channels[0])
     holds = units(hand.mass, "kg", 3) if hand.mass else units(hand.stiffness, "N/m", 3)
-    holds = f"a clamp of {holds}" if hand.stiffness > _CLAMP else f"{holds} more"
+    holds = f"a clamp of {holds}" if hand.stiffness > _CLAMP else f"another {holds}"
     on = f" on [bold]{escape(hand.name)}[/bold]" if len(one.names) > 1 else ""
     growth, hertz = number(hand.growth, 7), number(hand.frequency_hz, 4)
-    return f"{below}; with {holds}{on} it grows {growth}-fold a sample, at {hertz} Hz"
+    return f"{below}; with {holds}{on} the oscillation grows {growth}-fold per sample, at {hertz} Hz"
 
 
 def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | None) -> Iterator[str]:
@@ -409,12 +407,10 @@ def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | N
         if worst is None:
             yield f"Hands on {_who(one)}: not worked out, because the loop has too many masses or too long a delay"
             continue
-        verdict = "[green]stable with all that were tried[/green]" if worst.is_stable else "[red]some are shaken[/red]"
-        of = f"{units(_low_to_high(ranges[0]), 'kg')} and {units(_low_to_high(ranges[1]), 'N/m')} more"
-        yield (
-            f"Hands on {_who(one)} of {of}: {verdict}; the worst, {_hands(one, worst, units)}, has a spectral radius "
-            f"of {number(worst.spectral_radius, 9)}"
-        )
+        verdict = "[green]all tested are stable[/green]" if worst.is_stable else "[red]some are unstable[/red]"
+        of = f"{units(_low_to_high(ranges[0]), 'kg')} and {units(_low_to_high(ranges[1]), 'N/m')} to {_who(one)}"
+        radius = number(worst.spectral_radius, 9)
+        yield f"Hands that add {of}: {verdict}. The worst adds {_hands(one, worst, units)} (spectral radius {radius})"
 
 
 def _low_to_high(values: Range) -> str:

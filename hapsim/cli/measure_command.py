@@ -239,8 +239,8 @@ def show_measurement(
     if not measurement.dominant:
         out.print(f"The motion is not that of a spring and damper: {_plainly(measurement.reason)}.")
     out.print(
-        f"Read from {measurement.samples} samples; the fit leaves {units(measurement.residual_m, 'm', '.2g')}, in "
-        f"{measurement.order} poles."
+        f"Fitted to {measurement.samples} samples with {measurement.order} poles; the residual is "
+        f"{units(measurement.residual_m, 'm', '.2g')}."
     )
     output.show(out, assumption_lines(prediction.assumptions))
     if others := ", ".join(f"--channel {c} for {name}" for c, name in hands.items() if c != channel):
@@ -249,10 +249,10 @@ def show_measurement(
 
 def _of_coupled(why: str, own: OwnMotion | None) -> str:
     """Returns the meaning of prediction and measurement for a hand that moves masses or another hand."""
-    what = "no single spring and damper is predicted for it" if own is None else "predicted is its own motion"
+    what = "no single spring and damper" if own is None else "its own oscillation"
     return (
-        f"This hand {why}: {what}. Measured is the mode that has nearly all of the energy, or else rings longest; k "
-        "and b would give the hand's mass alone that mode. `hapsim check --explain` lists the modes."
+        f"This hand {why}. Predicted: {what}. Measured: the mode with nearly all of the energy, or else the one that "
+        "decays slowest. k and b give the hand's mass alone the same mode. `hapsim check --explain` lists the modes."
     )
 
 

@@ -80,10 +80,12 @@ def measure_hands(
     stdout().print(table(title, ("", "predicted", "measured", "±", "off by"), rows))
     show(stdout(), assumption_lines(prediction.assumptions))
     if one.felt.reason:
-        stdout().print(f"No pair is predicted, for {one.felt.reason}; measured are the motions with most energy.")
+        stdout().print(
+            f"No k and b are predicted, because {one.felt.reason}. Measured: the motions with the most energy."
+        )
     stdout().print(
-        f"Read from {plural(found.samples, 'sample')} of free motion; other motions had "
-        f"{percent(found.others, 2)} of the energy. The uncertainty is without that of the masses."
+        f"Fitted to {plural(found.samples, 'sample')} of free motion. Other motions had "
+        f"{percent(found.others, 2)} of the energy. The uncertainty does not include that of the masses."
     )
     device.print_next_run(scene, unstable)
 

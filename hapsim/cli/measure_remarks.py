@@ -29,11 +29,11 @@ def attempts(measurement: Measurement) -> Iterator[str]:
     for one, following in pairwise(measurement.attempts):
         why = f"the hand left its region ({one.left})" if one.left else _unsure(one.uncertainty)
         most, next_most = output_units()(one.push_n, "N", 3), output_units()(following.push_n, "N", 3)
-        yield f"With pushes of {most} {why}; repeated with {next_most}."
+        yield f"With pushes of {most}, {why}; repeated with {next_most}."
     if measurement.left_region:
         push = output_units()(measurement.push_n or 0.0, "N", 3)
         yield (
-            f"[yellow]With pushes of {push} the hand left its region[/yellow] ({measurement.left_region}): k and b "
+            f"[yellow]With pushes of {push}, the hand left its region[/yellow] ({measurement.left_region}): k and b "
             "mix several slopes, and do not describe the device. Without --push, hapsim finds a push that stays in the "
             "region."
         )
@@ -48,7 +48,9 @@ def smaller_push(asked: float | None, measurement: Measurement) -> Iterator[str]
 
 
 def _unsure(share: float) -> str:
-    return f"k or b was uncertain by {percent(share, 2)}" if math.isfinite(share) else "nothing was clear of the noise"
+    return (
+        f"k or b was uncertain by {percent(share, 2)}" if math.isfinite(share) else "the motion was lost in the noise"
+    )
 
 
 def dry_friction(scene: Scene, measurement: Measurement, channel: int) -> Iterator[str]:
@@ -180,9 +182,9 @@ def weight_sentence(weight: MeasuredWeight, channel: int) -> str:
     units = output_units(channel)
     hand = f"a hand of {units(weight.hand_stiffness, 'N/m', 4)}"
     if not math.isfinite(weight.measured):
-        return f"Held by {hand} nothing was seen to swing: how heavy it feels is not known"
+        return f"Held by {hand}, nothing was seen to oscillate: its felt mass is unknown"
     if weight.measured <= 0.0:
-        return f"Held by {hand} it swings no slower than the device alone: what it moves feels like no mass"
+        return f"Held by {hand}, it oscillates no slower than the device alone: the felt mass is zero"
     off = weight.uncertainty
     known = f"{rounded(weight.measured, off)} ± {number(off, 1)}" if math.isfinite(off) else number(weight.measured, 4)
     told = f"Shaken by {hand}, what it moves feels like {units(known, 'kg')}"

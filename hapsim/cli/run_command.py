@@ -105,7 +105,7 @@ class SoundOptions:
         """Returns the options of `start`. Raises UsageError where the file exists or --sound is missing."""
         names = ("--sound-device", self.sound_device), ("--volume", self.volume), ("--latency", self.latency)
         if given := [name for name, value in names if value is not None and not self.sound]:
-            raise UsageError(f"{given[0]}: found no --sound, expected it too")
+            raise UsageError(f"{given[0]} needs --sound")
         if self.sound_file is not None:
             record.require_free(self.sound_file)
         values: dict[str, Any] = {

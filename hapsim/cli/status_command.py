@@ -67,7 +67,7 @@ _LABELS = {
     "released": "force released",
     "duration_s": "time  s",
     "rate_hz": "rate  Hz",
-    "nominal_rate_hz": "rate asked for  Hz",
+    "nominal_rate_hz": "nominal rate  Hz",
     "ticks": "ticks",
     "force_n": "force  ‹N›",
     "position_m": "position  ‹m›",

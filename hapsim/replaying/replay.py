@@ -56,7 +56,7 @@ class Record:
         self.path, self.reader = path, open_record(path)
         run = self.reader.head.run
         if run is None:
-            raise UsageError(f"{path}: an older hapsim recorded it, without its scene: it cannot be replayed")
+            raise UsageError(f"{path}: recorded by an older hapsim, without its scene: it cannot be replayed")
         if run.get("first_tick"):
             raise UsageError(
                 f"{path}: it was begun {run['first_tick']} samples after the run, and what the scene was like then is "
@@ -281,7 +281,7 @@ def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
 
     run, report = reader.head.run, reader.summary["report"]
     if run is None:
-        raise UsageError(f"{path}: an older hapsim recorded it, without its device: it cannot be served")
+        raise UsageError(f"{path}: recorded by an older hapsim, without its device: it cannot be served")
     samples, time_ns = (np.concatenate([piece[name] for piece in reader.rows()]) for name in ("sample", "time_ns"))
     has_velocity = VELOCITY in (reader.head.rows.names or ())
     words = ["position_counts", *[VELOCITY] * has_velocity]

@@ -119,11 +119,11 @@ def _stable_alternatives(scene: Scene, prediction: Prediction) -> str:
     for one in prediction.felt:
         least, most = one.stable_damping
         if 0.0 < one.stiffness_factor < 1.0:
-            ways.append(f"{one.name} with less than {rounded_down(one.stiffness_factor)} of its stiffness")
+            ways.append(f"{one.name} is stable below {rounded_down(one.stiffness_factor)} times its stiffness")
         if not one.stable and least < most:
             damping = f"{between(max(least, 0.0), most, ' and ')} {scene.units_of(one.channel).name('N·s/m')}"
-            ways.append(f"{one.name} with a damping between {damping}")
-    return f" Stable by itself: {'; or '.join(ways)}." if ways else ""
+            ways.append(f"{one.name} is stable with a damping between {damping}")
+    return f" Gain margin: {'; or '.join(ways)}." if ways else ""
 
 
 def require_compatible(scene: Scene, name: str, description: Description) -> None:

@@ -143,7 +143,7 @@ def test_where_no_factor_makes_a_scene_stable_there_is_a_dash(
 ) -> None:
     path = scene_file("spring", touch={"stiffness": 4000.0, "damping": 0.0})
     told = explained(path)
-    assert "(–: no factor does it)" in unwrapped(told)
+    assert "(–: no factor)" in unwrapped(told)
     assert [line.split("│")[-2].strip() for line in told.splitlines() if "or less │" in line] == ["–"]
     (margin,) = checked(path)["margins"].values()
     assert (margin["damping_factor"], margin["stabilizing_damping_factors"]) == (None, [])
@@ -279,7 +279,7 @@ def test_assumptions_that_differ_in_a_name_alone_are_one(hapsim: Hapsim, tmp_pat
     )
     told = " ".join(hapsim("check", path).out.split())
     assert told.count("Assumed:") == 1
-    assert "Assumed: pad0 is taken as touched all the time; " in told
+    assert "Assumed: pad0 touches all the time; " in told
     assert "The same holds for pad1, pad2." in told
 
 
@@ -312,7 +312,7 @@ def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
     assert f"b = {declared['predicted']['b']:.6g} N·s/m" in late["text"]
     assert (fits["wire_time"]["delay_samples"], fits["wire_time"]["predicted"]) == (1, None)
     assert "takes 1.997 ms for 11 + 12 bytes at 115200 baud and 0.05 ms for the host's work; " in fits["text"]
-    assert "fits. One sample of delay, up to 488 Hz" in fits["text"]
+    assert "fits. The delay is one sample at rates up to 488 Hz" in fits["text"]
     assert "This is counted for a UART" in fits["text"]
     queueing = wire(1100.0, 1.0)  # 12 bytes take 1.04 ms
     assert (queueing["wire_time"]["delay_samples"], queueing["wire_time"]["predicted"]) == (None, None)
@@ -326,17 +326,17 @@ def test_what_bounds_the_force_is_told_for_where_the_device_is(
     bounds = {"slew_limit": None, "soft_start_s": 0.0, "energy_limit": pytest.approx(0.2)}
     assert checked(path)["force_bounds"] == bounds
     told = unwrapped(explained(path))
-    assert "Force: at most 10 N; it changes as fast as the scene asks." in told
-    assert "in the very first sample comes at once." in told
-    assert "A run ends where the scene gives the hand more than 0.2 J, or goes on" in told
+    assert "Force: at most 10 N, without a slew limit." in told
+    assert "The force of the first sample acts at once." in told
+    assert "A run ends if the scene gives the hand more than 0.2 J, or keeps" in told
     assert "slew_limit" not in told
     told = unwrapped(explained(scene_file("spring", clock="device")))
-    assert "With a device (`--port`) the force changes by at most 10000 N/s, and" in told
-    assert "of the very first sample comes along a ramp of 64 ms;" in told
+    assert "With a device (`--port`), the slew limit is 10000 N/s, and" in told
+    assert "the force of the first sample ramps up over 64 ms;" in told
     told = unwrapped(explained(scene_file("spring", clock="device", port="/dev/ttyACM0")))
-    assert "it changes by at most 10000 N/s" in told
+    assert "with a slew limit of 10000 N/s" in told
     assert "With a device" not in told
-    assert "in the very first sample comes along a ramp of 64 ms; later ones" in told
+    assert "The force of the first sample ramps up over 64 ms; later changes" in told
     told = unwrapped(explained(scene_file("spring", clock="device", port="/dev/ttyACM0", slew_limit=5.0)))
     assert "found 5 N/s, with which the force takes 2 s from zero to the force limit of 10 N" in told
 
@@ -415,8 +415,8 @@ def test_what_bounds_the_force_of_a_dead_host_is_what_a_run_asks_the_device_for(
     assert [silence["time_to_live_samples"]] == asked == [20]
     assert (silence["zero_force_after_s"], silence["latched_after_s"]) == (0.021, 0.101)
     told = unwrapped(explained(path))
-    assert "at most 21 ms (20 samples' time to live, and one more)" in told
-    assert "after 101 ms (watchdog of 100 samples" in told
+    assert "at most 21 ms (its time to live of 20 samples, and one more)" in told
+    assert "After 101 ms (watchdog of 100 samples" in told
     assert "the device latches: zero force until it is armed again." in told
 
 
@@ -473,7 +473,7 @@ def test_the_sound_is_rendered_and_each_gain_named(hapsim: Hapsim, scene_file: S
     assert "Sound: loud peaks at -20.0 dB in 2 s on the mock; gain: 2.51 makes it -6 dB." in told
     assert "Sound: loud, pitches when released: 100.7 Hz." in told
     assert "Sound: still is silent for 2 s: nothing moves hand unless a hand does." in told
-    assert ", 20 of them in a sample, " in told
+    assert ", a sample 20 ticks: " in told
     peaks = hapsim("check", path, "--explain", "--json").document["sound_peaks"]
     assert peaks == {"loud": pytest.approx(0.1, rel=1e-3), "still": 0.0}
 

@@ -45,13 +45,12 @@ def test_what_friction_needs_and_which_hand_is_shaken_are_told(hapsim: Hapsim, s
     (one,) = predict(load_scene(path), with_margins=False).any_hands
     told = words(hapsim("check", path, "--explain").out)
     assert (
-        f"hand: not passive: it is stable in any hands only with {one.needed[0]:.4g} N·s/m of friction (declared: 1)"
-        in told
+        f"hand: not passive: stability in any hands needs {one.needed[0]:.4g} N·s/m of friction (declared: 1)" in told
     )
     hand = one.shaking
     assert hand is not None
-    grows = f"with a clamp of {hand.stiffness:.3g} N/m it grows {hand.growth:.7g}-fold a sample"
-    assert f"a mass or a spring shakes it; {grows}" in told
+    grows = f"with a clamp of {hand.stiffness:.3g} N/m the oscillation grows {hand.growth:.7g}-fold per sample"
+    assert f"a mass or a spring makes it oscillate; {grows}" in told
     (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
     assert document["needed_friction"] == one.needed.tolist()
     assert document["needed_friction_of_single_hands"] == one.needed_for_one
@@ -61,7 +60,7 @@ def test_what_friction_needs_and_which_hand_is_shaken_are_told(hapsim: Hapsim, s
 
 def test_of_a_passive_scene_no_hand_is_named(hapsim: Hapsim, scene: Callable[..., str]) -> None:
     path = scene(friction=30.0)
-    assert "hand: passive, which is stable in any hands" in words(hapsim("check", path, "--explain").out)
+    assert "hand: passive: stable in any hands" in words(hapsim("check", path, "--explain").out)
     (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
     assert (document["passive"], document["shaking_hand"]) == (True, None)
 
@@ -69,23 +68,23 @@ def test_of_a_passive_scene_no_hand_is_named(hapsim: Hapsim, scene: Callable[...
 def test_what_swings_for_ever_is_named(hapsim: Hapsim, scene: Callable[..., str]) -> None:
     path = scene(damping=0.0, friction=30.0)
     told = words(hapsim("check", path, "--explain").out)
-    assert "not passive, whatever the friction, for while the hand is held a motion of ball at 7.9" in told
+    assert "not passive at any friction: while the hand is held, a motion of ball at 7.9" in told
     (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
     assert (document["needed_friction"], document["lasting"]) == ([None], "ball")
 
 
 def test_it_is_not_told_where_it_is_not_derived(hapsim: Hapsim, scene: Callable[..., str]) -> None:
     told = words(hapsim("check", scene(more=", hold: impulse"), "--explain").out)
-    assert "hand: whether it is passive is not known, for the condition is derived only for a zero-order hold" in told
+    assert "hand: passivity is unknown, because the condition is derived only for a zero-order hold" in told
 
 
 class TestARange:
     def test_is_judged(self, hapsim: Hapsim, scene: Callable[..., str]) -> None:
         path = scene()
         told = words(hapsim("check", path, "--hand-mass", "0.1:2", "--hand-stiffness", "0:3000").out)
-        assert "Hands on hand of 0.1 to 2 kg and 0 to 3000 N/m more: stable with all that were tried" in told
+        assert "Hands that add 0.1 to 2 kg and 0 to 3000 N/m to hand: all tested are stable" in told
         shaken = words(hapsim("check", path, "--hand-stiffness", "3e5:5e5").out)
-        assert "Hands on hand of 0 kg and 300000 to 500000 N/m more: some are shaken; the worst, 0 kg" in shaken
+        assert "Hands that add 0 kg and 300000 to 500000 N/m to hand: some are unstable. The worst adds 0 kg" in shaken
         (document,) = json.loads(hapsim("check", path, "--hand-stiffness", "3e5:5e5", "--json").out)["any_hands"]
         assert document["worst_hand"]["stable"] is False
         assert 3e5 <= document["worst_hand"]["stiffnesses"][0] <= 5e5
@@ -118,8 +117,8 @@ def test_ordinary_hands_are_judged_without_being_asked_for(hapsim: Hapsim, tmp_p
     worst = one.worst_hand((0.0, 2.0), (0.0, 3000.0))
     assert worst is not None
     told = words(hapsim("check", path, "--explain").out)
-    assert ("Hands of up to 2 kg and 3000 N/m more do not shake it" in told) == worst.is_stable
+    assert ("It is stable with hands that add up to 2 kg and 3000 N/m" in told) == worst.is_stable
     assert not worst.is_stable
-    assert f"An ordinary hand shakes it: {worst.masses[0]:.3g} kg, 0 N/m more" in told
+    assert f"An ordinary hand makes it unstable: one that adds {worst.masses[0]:.3g} kg, 0 N/m" in told
     path.write_text(f"{text}  {wall % (500, 2)}\n".replace("friction: 29.5", "friction: 1.0"))
-    assert "Hands of up to 2 kg and 3000 N/m more do not shake it" in words(hapsim("check", path, "--explain").out)
+    assert "It is stable with hands that add up to 2 kg and 3000 N/m" in words(hapsim("check", path, "--explain").out)

@@ -41,7 +41,7 @@ def test_of_a_hand_with_a_motion_of_its_own_the_pair_is_shown_everywhere(hapsim:
     assert own is not None
     out = words(hapsim("check", "configs/held_string.yaml").out)
     assert f"hand: k {one.asked_for.k[0, 0]:.6g} {own.k:.6g} {one.static_stiffness[0, 0]:.6g} N/m" in out
-    assert "Felt are the spring and damper that it swings on; asked for are the same without sampling and delay" in out
+    assert "Felt: k and b of its own oscillation. Desired: the same without sampling and delay" in out
     (document,) = json.loads(hapsim("check", "configs/held_string.yaml", "--json").out)["felt_together"]
     assert (document["k"], document["b"], document["reason"]) == ([[own.k]], [[own.b]], "")
     task = Task(scene.model_dump(mode="json"), ("predicted",))
@@ -55,7 +55,7 @@ def test_it_is_what_measure_finds(hapsim: Hapsim) -> None:
     out = hapsim("measure", "configs/held_string.yaml").out
     ((_, predicted_k, measured_k, *_),) = [row.split("│")[1:-1] for row in out.splitlines() if "k  N/m" in row]
     assert float(measured_k) == pytest.approx(float(predicted_k), rel=1e-4)
-    assert "predicted is its own motion" in words(out)
+    assert "Predicted: its own oscillation." in words(out)
 
 
 def test_of_two_hands_it_is_shown_what_each_feels_of_the_other(hapsim: Hapsim) -> None:
@@ -70,7 +70,7 @@ def test_of_a_hand_without_a_motion_of_its_own_its_modes_are_named(hapsim: Hapsi
     file.write_text(FREE, encoding="utf-8")
     out = words(hapsim("check", str(file)).out)
     words_of_modes = "it oscillates together with the parts that it moves (modes of 3.66, 8.8 and 18.1 Hz)"
-    assert f"no single k and b say what it feels, for {words_of_modes}" in out
+    assert f"no single k and b describe what it feels, because {words_of_modes}" in out
     assert "A steady push meets 666.7 N/m; moved to and fro, the hand meets at 2 Hz" in out
     (document,) = json.loads(hapsim("check", str(file), "--json").out)["felt_together"]
     assert (document["k"], document["continuous"]["k"]) == (None, None)

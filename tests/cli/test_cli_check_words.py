@@ -125,7 +125,7 @@ def test_what_a_count_is_worth_is_said_where_it_matters(told: Callable[..., str]
 def test_searched_margins_say_up_to_where_and_how_finely(told: Callable[..., str]) -> None:
     links = {"touch": link(500, 2, between=["hand", "m"]), "back": link(300, 1, between=["m", "wall"])}
     document = scene_of({"m": {"type": "mass", "mass": 0.01}} | links)
-    how = "(searched up to 5e+09 times, in steps of 10 %, beyond tenfold of a factor of 2)"
+    how = "(searched up to 5e+09 times, in steps of 10 %, above 10 times of a factor 2)"
     assert how not in told(document)
     assert how in told(document | {"substeps": 4})
 

@@ -101,7 +101,7 @@ def test_what_cannot_be_replayed_is_refused_with_the_reason(hapsim: Hapsim, tmp_
         ((tmp_path / "a.npz",), "not a trace that hapsim wrote; expected a .trace"),
         ((tmp_path / "none.trace",), "found no file"),
         ((late,), "it was begun"),
-        ((older,), "an older hapsim recorded it"),
+        ((older,), "recorded by an older hapsim"),
         ((damaged,), "the record is damaged: found no description, expected one"),
         ((cut,), "cut off, or damaged, before its first row"),
         ((whole, slow), "found rate 500 Hz, expected the record's, 1000 Hz"),

@@ -136,7 +136,7 @@ def test_what_cannot_be_served_is_refused_with_the_reason(hapsim: Hapsim, tmp_pa
     older.write_bytes(path.read_bytes())
     rewrite(older, lambda head: (head.pop("run"), head.update(version=1)))
     for words, why in (
-        ((older, "--device"), "an older hapsim recorded it, without its device"),
+        ((older, "--device"), "recorded by an older hapsim, without its device"),
         ((path, "first_touch", "--device"), "--device can be combined with --link and --json only"),
         ((path, "--link", tmp_path / "l"), "--link needs --device"),
     ):

@@ -87,7 +87,7 @@ def test_people_read_words_and_units(released: bool | None, told: str) -> None:
     show_status(console, document)
     rows = dict(row.rsplit("  ", 1) for row in console.export_text().splitlines())
     rows = {label.strip(): value for label, value in rows.items()}
-    assert (rows["force released"], rows["force  N"], rows["rate asked for  Hz"]) == (told, "0", "1000")
+    assert (rows["force released"], rows["force  N"], rows["nominal rate  Hz"]) == (told, "0", "1000")
     assert rows["later"] == "1"
     assert not rows.keys() & {"estimated mass  kg", "news", "device lost", "position  m", "released", "force_n"}
 

@@ -227,7 +227,7 @@ def test_the_command_lists_cards_and_writes_files(
     assert "24000" in answer.out
     assert "the file exists; --overwrite replaces it" in hapsim(*command).sentence
     assert json.loads(hapsim(*command, "--overwrite", "--json").out)["sound_files"] == [str(file)]
-    assert "--volume: found no --sound" in hapsim(*command, "--volume", "-6").sentence
+    assert "--volume needs --sound" in hapsim(*command, "--volume", "-6").sentence
 
 
 JACK = {"JACK_DEFAULT_SERVER": "hapsim_test", "JACK_NO_START_SERVER": "1"}

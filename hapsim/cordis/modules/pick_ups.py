@@ -54,4 +54,4 @@ def _build(pick_ups: Mapping[str, Any], columns: Sequence[Column], context: Buil
     )
 
 
-PICK_UP = PartType(lambda scene: scene.sound, _build, name="pick-ups", compiled_as="gain times what they hear")
+PICK_UP = PartType(lambda scene: scene.sound, _build, name="pick-ups", compiled_as="gain times the signal")

@@ -98,9 +98,7 @@ def _cells(cells: Mapping[str, Any], columns: Sequence[Column], context: BuildCo
     return Part(numbers, add_forces=add_forces, memory=Memory(tuple(cells), (before,)))
 
 
-GROUND = PartType(
-    all_of(Ground), _grounds, name="grounds", compiled_as="points that nothing moves; a tick does not ask for them"
-)
+GROUND = PartType(all_of(Ground), _grounds, name="grounds", compiled_as="fixed points; a tick does not read them")
 MASS = PartType(
     lambda scene: scene.material_points,
     _masses,

@@ -60,7 +60,7 @@ def structure_type(
         own = numbers(structures, links, _loaded_points_of(structures, context), context)
         return Part(own, initialize=initialize, integrate=integrate)
 
-    words = f"{compiled_as}, many masses at once; links ask only those that they hold"
+    words = f"{compiled_as}, many masses at once; a link reads only the masses at its ends"
     return PartType(all_of(module, where), build, layout=layout, name=name, compiled_as=words, moves_points=True)
 
 

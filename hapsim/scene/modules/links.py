@@ -173,7 +173,7 @@ class Buffer(Link):
     distance: Annotated[float, quantity("First end minus second, below which they touch", "m")] = 0.0
 
     def law(self) -> Law:
-        taken = "is taken as touched all the time; while its ends are apart, the hand does not feel it"
+        taken = "touches all the time; while its ends are apart, the hand does not feel it"
         knots, dampings, states = ((self.distance, 0.0),), (self.damping, 0.0), ("touched", "apart")
         return Law(knots, dampings, states, self.stiffness, pushes=True, taken_at=-math.inf, assumption=taken)
 
@@ -235,7 +235,7 @@ class Friction(Link):
             yield Issue(("static",), f"found {self.static:g}, less than the force while it slides; {expected}")
 
     def law(self) -> Law:
-        taken = "is taken as stuck, a spring; while it slides, its force is constant and adds no stiffness"
+        taken = "sticks, as a spring; while it slides, its force is constant and adds no stiffness"
         reach, force = self.break_away / self.stiffness, self.force
         more = {"states": ("stuck",), "reach": reach, "slides_at": force, "memoryless": False, "assumption": taken}
         return line(self.stiffness, self.damping, **more)
@@ -254,7 +254,7 @@ class Plectrum(Link):
     release: Annotated[float, quantity("Distance of its ends beyond which it releases", "m", above=0)]
 
     def law(self) -> Law:
-        taken = "is taken as gripping all the time; once released, the hand does not feel it"
+        taken = "grips all the time; once released, the hand does not feel it"
         knots = tuple((d, self.stiffness * d) for d in (-self.release, self.release))
         dampings, states = (0.0, self.damping, 0.0), ("released", "gripping", "released")
         return GrippingLaw(knots, dampings, states, assumption=taken, stiffness=self.stiffness)

@@ -36,7 +36,7 @@ STEPS = 10.0 ** np.concatenate([np.arange(0.04, 1.0, 0.04), np.arange(1.0, 10.0,
 
 Range = tuple[float, float]
 """Range of factors: (from, to)."""
-SEARCHED = f"searched up to {STEPS[-1]:.0e} times, in steps of 10 %, beyond tenfold of a factor of 2"
+SEARCHED = f"searched up to {STEPS[-1]:.0e} times, in steps of 10 %, above 10 times of a factor 2"
 """Range and resolution of the search for margins under other schemes, and with substeps."""
 
 
