@@ -103,8 +103,7 @@ def _counts_of_mock(per_channel: Fields) -> Callable[[int], float]:
 
 
 def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], source: str) -> Iterator[Issue]:
-    """Yields the detents at a device point that its encoder does not resolve. `quantum`: of a channel, m; `source`: who
-    says so."""
+    """Yields detents at a device point that its encoder does not resolve. `quantum`: m per count, from `source`."""
     for name, detent in around.modules.items():
         if not isinstance(detent, Detent) or not around.knows(name, "between", "pitch", "shape", "sharpness"):
             continue
@@ -128,8 +127,7 @@ def _dampers_across_steps(around: ModuleContext) -> Iterator[Issue]:
 
 
 def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
-    """The motion of the hands, and of each point and link that hangs on one; grounds are of any. `motions`: of the
-    channels, in a list."""
+    """Motion of each hand, and of the points and links that hang on it, except grounds; `motions`: by channel."""
     neighbours: defaultdict[str, list[str]] = defaultdict(list)
     for name, link in around.modules.items():
         if isinstance(link, Link) and around.knows(name, "between"):

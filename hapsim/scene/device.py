@@ -9,17 +9,7 @@ from pydantic import Field
 from hapsim.scales import Scale, scale_of
 from hapsim.units import MOTIONS, Motion
 
-from .choices import (
-    CORRECTION,
-    DECIMATION,
-    HOLD,
-    MOTION,
-    SAMPLING,
-    CorrectionName,
-    Decimation,
-    Hold,
-    Sampling,
-)
+from .choices import CORRECTION, DECIMATION, HOLD, MOTION, SAMPLING, CorrectionName, Decimation, Hold, Sampling
 from .part import Part
 from .quantity import (
     Curve,
@@ -90,7 +80,6 @@ ORIGIN = quantity(
 )
 _MARGIN_SHARE = 0.1  # of the travel
 
-
 PORT = text(
     "Serial port, such as /dev/ttyACM0", "the name of a serial port, such as /dev/ttyACM0", ".+", "the embedded mock"
 )
@@ -102,8 +91,7 @@ class Device(Part):
     port: Annotated[str | None, PORT] = None
     baud: Annotated[int, count("Speed of the serial link", 1, 100_000_000, "bit/s")] = 2_000_000
     clock: Clock = Field(
-        default="device",
-        description="Clock of the loop; lockstep: the mock, in virtual time, as fast as possible",
+        default="device", description="Clock of the loop; lockstep: the mock, in virtual time, as fast as possible"
     )
     motion: Annotated[Motion | tuple[Motion, ...], word_per_channel(MOTION, MOTIONS)] = "linear"
     mass: Annotated[SpanPerChannel, SPANNED_MASS]
@@ -129,9 +117,7 @@ class Device(Part):
 
     def scales(self, channels: int) -> tuple[Scale, ...]:
         """Returns the default scale of each of ``channels`` channels."""
-        each = zip(
-            self.motions(channels), self.mass_spans(channels), self.travels(channels), strict=False
-        )  # lists stay
+        each = zip(self.motions(channels), self.mass_spans(channels), self.travels(channels), strict=False)
         return tuple(scale_of(motion, mass, high - low) for motion, (mass, _), (low, high) in each)
 
     def masses(self, channels: int) -> tuple[float, ...]:
@@ -152,8 +138,7 @@ class Device(Part):
         return per_channel(self.friction, channels)
 
     def travels(self, channels: int) -> tuple[Limits, ...]:
-        """The least and the most position of each of ``channels`` channels, in m, as the scene counts; infinite where
-        the scene names no travel."""
+        """Least and most position of each of ``channels`` channels, m, from the scene's 0; infinite without travel."""
         if self.travel is None:
             return ((-math.inf, math.inf),) * channels
         pairs = tuple(one for one in self.travel if isinstance(one, tuple))
@@ -165,8 +150,7 @@ class Device(Part):
         return tuple(_MARGIN_SHARE * (most - least) if own is None else own for least, most in self.travels(channels))
 
     def origins(self, channels: int) -> tuple[float | None, ...]:
-        """Returns each channel's origin: the device position in m that is the scene's 0, or None for the position at
-        arming."""
+        """Returns each channel's origin: the device position in m that is the scene's 0; None: that at arming."""
         origin = self.origin if isinstance(self.origin, tuple) else (self.origin or 0.0,) * channels
         return tuple(None if isinstance(one, str) else one for one in origin)
 
@@ -181,8 +165,7 @@ class Device(Part):
 AS_DEVICE = "as `device` says"
 
 MOST_FORCE = 1e6
-"""N, that the mock gives at most, whatever the scene allows: its 32 bits divide what it can give, and a force that a
-hand would feel has to be many of these steps."""
+"""Largest force of the mock, N, whatever the scene allows: a force that a hand feels is then many of 2**32 steps."""
 
 FORCE_COUNTS = 2.0**31  # the limit in N lies at the end of the counts' range: the finest step that 32 bits give
 

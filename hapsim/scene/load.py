@@ -21,10 +21,7 @@ from .yaml_document import Document
 from .yaml_file import MOST_BYTES, Layout, YamlFile, findings_of
 
 _FILE = YamlFile(
-    SceneError,
-    "a scene in YAML",
-    "found nothing, expected a scene; `hapsim new` writes a first one",
-    shipped_scenes,
+    SceneError, "a scene in YAML", "found nothing, expected a scene; `hapsim new` writes a first one", shipped_scenes
 )
 _LAYOUT = Layout(
     Scene,
@@ -49,9 +46,8 @@ def as_scene(source: SceneSource) -> Scene:
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
-    """The scene of a file, or the shipped scene of this name where no file has it (which then has no `path`: nothing
-    rewrites what ships). Raises SceneError: the file cannot be read or is not a scene; one line for each fault, in the
-    file's order."""
+    """The scene of a file; if there is none, the shipped scene of this name, without a `path`. Raises SceneError: the
+    file cannot be read or is not a scene; one line for each fault, in the file's order."""
     name = os.fsdecode(path)
     if not os.path.exists(name) and (shipped := shipped_scene_path(name)):
         return parse_scene(shipped_scene(name), str(shipped))
@@ -91,8 +87,7 @@ def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
 
 
 def recorded_scene(document: dict[str, Any], name: str, in_degrees: bool) -> Scene:
-    """The scene that `Scene.model_dump` made a record's document of. `in_degrees`: as of the scene then. Raises
-    SceneError as `parse_scene`."""
+    """The scene of a record's document, as `Scene.model_dump` wrote it. Raises SceneError as `parse_scene`."""
     scene = parse_scene(json.dumps(document), name)
     scene._in_degrees = in_degrees
     return scene
@@ -171,8 +166,8 @@ def _sound_fields(data: dict[str, Any], issues: Iterable[Issue]) -> dict[Path, d
 
 
 def scene_schema() -> dict[str, Any]:
-    """The JSON schema (draft 2020-12) of a scene file. It holds what one value by itself has to be, with units and
-    defaults. What takes more than one value, such as a name that has to exist, only `parse_scene` checks."""
+    """JSON schema (draft 2020-12) of a scene file: its values one by one, with units and defaults. Only `parse_scene`
+    checks values together, such as a name that has to exist."""
     described = Scene.model_json_schema() | {
         "title": f"hapsim scene, version {VERSION}",
         "description": "A scene for hapsim: the device that the hand holds, and what it feels. SI units.",

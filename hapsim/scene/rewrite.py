@@ -1,7 +1,7 @@
 """Other values for the device of a scene's file, and nothing else of the file changed: not a comment, not a space.
 
-The YAML nodes tell where each value stands, and only there the text is replaced. (A writer of YAML would write the
-whole file anew, and align nothing.) Whether the new text says what was meant is then read from it.
+Text is replaced only where a YAML node has a value; a YAML writer would lay out the whole file anew. The new text is
+parsed and compared with the intended scene.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 from hapsim.units import Units
 
 from .choices import SCHEME, WITH_SENSOR, SchemeName
-from .cross_checks import cross_check_issues, has_angles, motions_of
+from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, has_angles, motions_of
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
@@ -48,7 +48,6 @@ ModulesByName = Annotated[
         json_schema_extra={"minProperties": 1, "additionalProperties": False},
     ),
 ]
-
 
 PickUpsByName = Annotated[
     Mapping[Annotated[str, NAME], PickUp],
@@ -134,8 +133,7 @@ class Scene(Part):
 
     @property
     def channels(self) -> int:
-        """Number of channels of the device: one more than the highest that a module holds. A list per channel has
-        exactly this length; channels below the highest that no module holds count."""
+        """Number of channels of the device: one more than the highest that a module holds; lists have this length."""
         return 1 + max(one.channel for one in self.modules.values() if isinstance(one, DevicePoint))
 
     @property
@@ -179,8 +177,7 @@ class Scene(Part):
     @property
     def structures(self) -> dict[str, Structure]:
         """Many masses under one name each, in the order of the file."""
-        modules = self.modules.items()
-        return {name: module for name, module in modules if isinstance(module, Structure)}
+        return {name: module for name, module in self.modules.items() if isinstance(module, Structure)}
 
     @property
     def links(self) -> dict[str, Link]:
@@ -199,12 +196,8 @@ class Scene(Part):
 
     def _per_channel(self) -> dict[Path, dict[str, object]]:
         mock = self.mock or Mock()
-        return {
-            ("device",): dict(self.device),
-            ("mock",): dict(mock),
-            ("mock", "initial"): dict(mock.initial),
-            ("mock", "hand"): dict(mock.hand),
-        }
+        parts = (self.device, mock, mock.initial, mock.hand)
+        return {path: dict(part) for path, part in zip(PER_CHANNEL_PARTS, parts, strict=True)}
 
     def _of(self, kind: type[M]) -> dict[str, M]:
         return {name: module for name, module in self.modules.items() if isinstance(module, kind)}

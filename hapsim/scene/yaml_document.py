@@ -1,12 +1,11 @@
 """YAML text -> plain values that know where they stand in the file, or the errors of the text.
 
-The YAML is version 1.2 in how plain words become numbers. YAML 1.1, which PyYAML reads by itself, takes ``1e-9`` for
-text, ``yes`` for true, ``010`` for eight and ``12:30:45`` for 45045. Here ``1e-9`` is a number; ``yes``, ``on``,
-``010``, ``0o17``, ``0x1F``, ``1_000``, ``12:30:45`` and dates are text, so that where a number is meant they are
-reported rather than guessed at.
+Plain words become numbers as in YAML 1.2: ``1e-9`` is a number; ``yes``, ``on``, ``010``, ``0o17``, ``0x1F``,
+``1_000``, ``12:30:45`` and dates are text, and an error in place of a number. PyYAML by itself reads YAML 1.1: there
+``1e-9`` is text, ``yes`` is true, ``010`` is eight and ``12:30:45`` is 45045.
 
-The text is composed to YAML nodes and these are read here, rather than by PyYAML's constructor: that one keeps no
-positions, and lets the last of two equal keys win without a word.
+The text is composed to YAML nodes, which are read here: PyYAML's constructor keeps no positions, and lets the last of
+two equal keys win silently.
 """
 
 import re
@@ -40,8 +39,10 @@ _WORDS = {
 }
 _PATTERNS = {tag: re.compile(rf"(?:{pattern})\Z") for tag, (pattern, _) in _WORDS.items()}
 
-_CUT_OFF = re.compile(r"[0-9]+(\.[0-9]*)?\Z")  # behind a comma
-_NO_COMMA = "expected a number without a comma: leave out one for thousands, write a point for decimals"
+# What a comma cuts off a number in braces, and numbers with a comma.
+_CUT_OFF = re.compile(r"[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?( ?(deg|°)(/s)?)?\Z")
+_THOUSANDS = re.compile(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+(\.[0-9]*)?\Z")
+_DECIMAL = re.compile(r"[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?( ?(deg|°)(/s)?)?\Z")
 
 
 class SceneLoader(yaml.SafeLoader):
@@ -66,8 +67,7 @@ for _tag, (_, _starts) in _WORDS.items():
 
 
 def scalar_value(node: yaml.Node) -> str | float | bool | None:
-    """The value of a scalar node. Raises ValueError: the node carries a tag that a scene has no use for, or one that
-    its text does not fit."""
+    """The value of a scalar node. Raises ValueError: its tag has no use in a scene, or does not fit its text."""
     tag, text = node.tag, node.value
     if tag == STRING:
         return text
@@ -105,15 +105,36 @@ def describe(node: yaml.Node) -> str:
 
 
 def number_hint(node: yaml.Node) -> str:
-    """Returns the advice for a text in place of a number: the end of a sentence, or ""."""
+    """Returns the advice for a list, or a text in place of a number: the end of a sentence, or ""."""
+    if isinstance(node, yaml.SequenceNode):
+        return _list_hint(node)
     if not isinstance(node, yaml.ScalarNode) or node.tag != STRING:
         return ""
     text = node.value.strip()
+    if hint := _comma_hint(text):
+        return hint
     if _PATTERNS[INTEGER].match(text) or _PATTERNS[FLOAT].match(text):
         return "; remove the quotes"
     if re.match(r"[-+]?\.?[0-9]", text):
         return "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
     return ""
+
+
+def _comma_hint(text: str) -> str:
+    """Returns the advice for a number with a comma; else ""."""
+    whole = [text.replace(",", "")] if _THOUSANDS.match(text) else []
+    decimal = ["a decimal point: " + text.replace(",", ".")] if _DECIMAL.match(text) else []
+    return f"; write {', or '.join(whole + decimal)}" if whole or decimal else ""
+
+
+def _list_hint(node: yaml.SequenceNode) -> str:
+    """Returns the advice for a list in which a comma parts a number, or an indentation joins items; else ""."""
+    text = str(node.start_mark.buffer)[node.start_mark.pointer : node.end_mark.pointer]
+    if node.flow_style and re.search(r"[0-9],[0-9]", text):
+        meant = re.sub(r"([0-9]),([0-9]+)", r"\1.\2", " ".join(text.split()))
+        return f"; a comma separates entries, and a decimal has a point: {quote(meant)[1:-1]}"
+    is_joined = not node.flow_style and any(" - " in str(entry.value) for entry in node.value)
+    return "; the items of a list must be indented alike" if is_joined else ""
 
 
 # What PyYAML says, and what we say in its place,
@@ -127,45 +148,40 @@ _SENTENCES = {
 _ADVICE = {
     "mapping values are not allowed": "; is a line broken or indented too far, or are quotes missing?",
     "could not find expected ':'": "; is a colon missing, or the space after it?",
-    "<block end>": "; do the lines of one mapping start in one column?",
+    "<block end>": "; remove what follows the value, or indent the keys of a mapping alike",
     "'<stream end>'": "; is a bracket or a quote left open?",
     "unexpected end of stream": "; is a bracket or a quote left open?",
     "cannot start any token": "; put the text in quotes",
 }
-
 
 # `key:value` at the beginning of a line.
 _UNSPACED = re.compile(r"^[ ]*(?:- )?([A-Za-z_][A-Za-z0-9_-]*):(?=[^\s:])(?!//)", re.MULTILINE)
 
 
 class YamlSyntaxError(Exception):
-    """The text is not YAML; its argument, a `LocatedIssue`, says where and why."""
+    """The text is not YAML; its arguments say where and why: a `Place` and a sentence."""
 
 
 def compose(text: str) -> yaml.Node | None:
-    """Returns the top node of the text; None where the text holds nothing. Raises YamlSyntaxError: the text is not
-    YAML."""
-    loader = None
+    """Returns the top node of the text; None if it is empty. Raises YamlSyntaxError: the text is not YAML."""
     try:
         loader = SceneLoader(text)
         root = loader.get_single_node()
     except yaml.reader.ReaderError as error:
         found = f"found the character U+{ord(text[error.position]):04X}"
-        raise _fault_at(place_in(text, error.position), f"{found}, expected printable text") from None
+        raise YamlSyntaxError(place_in(text, error.position), f"{found}, expected printable text") from None
     except yaml.MarkedYAMLError as error:
         _require_spaces(text)
         mark = error.problem_mark or error.context_mark
-        raise _fault_at(_place_of_mark(mark) if mark else Place(1, 1), _sentence(error)) from None
+        if mark and re.search("<block end>|<document start>|mapping values", error.problem or ""):
+            _require_alike_columns(text, mark.index)
+        raise YamlSyntaxError(_place_of_mark(mark) if mark else Place(1, 1), _sentence(error)) from None
     except (ValueError, OverflowError):  # PyYAML on \U followed by digits beyond Unicode
-        place = _place_of_mark(loader.get_mark()) if loader else Place(1, 1)
-        raise _fault_at(place, "not YAML: found an escape such as \\U… that names no character") from None
+        place = _place_of_mark(loader.get_mark())
+        raise YamlSyntaxError(place, "not YAML: found an escape such as \\U… that names no character") from None
     if isinstance(root, yaml.ScalarNode) and root.tag == STRING and root.style is None:
         _require_spaces(text)
     return root
-
-
-def _fault_at(place: Place, sentence: str) -> YamlSyntaxError:
-    return YamlSyntaxError(LocatedIssue(place, sentence))
 
 
 def _require_spaces(text: str) -> None:
@@ -179,7 +195,24 @@ def _require_spaces(text: str) -> None:
         return
     if isinstance(root, yaml.MappingNode):
         entry = text[first.start(1) :].splitlines()[0].split(" #")[0].rstrip()
-        raise _fault_at(place_in(text, first.end()), f"found {quote(entry)}{space_hint(entry)}")
+        raise YamlSyntaxError(place_in(text, first.end()), f"found {quote(entry)}{space_hint(entry)}")
+
+
+def _require_alike_columns(text: str, index: int) -> None:
+    """Raises YamlSyntaxError if the line at ``index`` begins there, and not in the column of the last key or item."""
+    start = text.rfind("\n", 0, index) + 1
+    line = text[start:].partition("\n")[0]
+    rule, begins = "the keys of a mapping", r"[^\s#{[-].*:(\s|$)"
+    if line.lstrip().startswith("-"):
+        rule, begins = "the items of a list", r"-(\s|$)"
+    above = [*re.finditer(rf"(?<![,[{{]\n)^( *){begins}", text[:start], re.MULTILINE)]  # none within brackets
+    width = len(line) - len(line.lstrip())
+    if above and width != len(above[-1][1]) and re.fullmatch(r" *[^\s:]*", text[start:index]):
+        alike = dict.fromkeys([above[-1], *[one for one in above if len(one[1]) < width][-1:]])
+        places = [place_in(text, one.end(1)) for one in alike]
+        expected = " or ".join(f"column {place.column} as in line {place.line}" for place in places)
+        found = f"found {quote(line.strip())} in column {width + 1}, expected {expected}"
+        raise YamlSyntaxError(place_in(text, start + width), f"{found}: {rule} must be indented alike")
 
 
 def space_hint(text: object) -> str:
@@ -218,9 +251,8 @@ def _sentence(error: yaml.MarkedYAMLError) -> str:
 
 Entries = dict[str, tuple[yaml.Node, yaml.Node]]
 
-#: What stands under a key with nothing behind it, or ``null``: a value that no field takes. None would do for a field
-#: that may be omitted, and an emptied limit would be the default without a word. (pydantic looks for the fields of a
-#: part in an object of any class but the built-in ones.)
+#: The value of a key with nothing behind it, or ``null``: no field accepts it. None would become the default silently.
+#: (pydantic looks for the fields of a part in an object of any class but the built-in ones.)
 NOTHING = ...
 
 _UNFINISHED = object()  # a node that is being read: an alias to it leads in a circle
@@ -259,8 +291,10 @@ class Document:
         return list(self._entries_at(self._nodes(path)[1]))
 
     def number_hint(self, path: Path) -> str:
-        """Returns what to do about the value at ``path`` if it is a text and a number is meant."""
-        return number_hint(self._nodes(path)[1])
+        """Returns what to do about the value at ``path`` if a number is meant."""
+        node = self._nodes(path)[1]
+        is_part = path and isinstance(path[-1], int) and str(node.value).startswith("0")  # of 0,05
+        return (number_hint(self._nodes(path[:-1])[1]) if is_part else "") or number_hint(node)
 
     def _entries_at(self, node: yaml.Node) -> Entries:
         entries: Entries = self._read.get((id(node), True)) or {}
@@ -327,17 +361,16 @@ class Document:
 
     def _without_cut_numbers(self, node: yaml.MappingNode) -> Iterator[tuple[yaml.Node, yaml.Node]]:
         """The entries, without what a comma cuts off a number: ``{stiffness: 2,000}`` has a key ``000``."""
-        number: yaml.Node | None = None  # that the next key may be cut off
-        end = -1
+        numbers: list[list[yaml.Node]] = [[]]  # each with the keys cut off it
         for key, value in node.value:
-            if value.value or key.start_mark.index != end + 1 or not _CUT_OFF.match(str(key.value)):
+            end = numbers[-1][-1].end_mark.index if numbers[-1] else None
+            if end and key.start_mark.index == end + 1 and not value.value and _CUT_OFF.match(str(key.value)):
+                numbers[-1].append(key)
+            else:
                 yield key, value
-                number = value if value.tag in (INTEGER, FLOAT) else None
-                end = value.end_mark.index if number else -1
-                continue
-            if number is not None:
-                self._fault(number, f"found {quote(f'{number.value},{key.value}')}, {_NO_COMMA}")
-            number, end = None, key.end_mark.index  # the second comma of 1,000,000 is no further fault
+                numbers.append([value] if value.tag in (INTEGER, FLOAT) else [])
+        for first, text in ((one[0], ",".join(str(part.value) for part in one)) for one in numbers if one[1:]):
+            self._fault(first, f"found {quote(text)}, expected a number without a comma{_comma_hint(text)}")
 
     def _merged(self, node: yaml.Node, depth: int) -> Entries:
         """Returns the entries merged by ``<<``: of one mapping, or of a list of them, where earlier ones win."""

@@ -75,7 +75,7 @@ class YamlFile:
         try:
             root = compose(text)
         except YamlSyntaxError as error:
-            raise self.failure(name, [error.args[0]]) from None
+            raise self.failure(name, [LocatedIssue(*error.args)]) from None
         document = Document(root) if root else None
         if document and (document.data is not None or document.faults):
             return document
@@ -93,10 +93,8 @@ class YamlFile:
 
     def failure(self, name: str, faults: Iterable[LocatedIssue]) -> UsageError:
         """One line for each fault; one that an anchor brings to several places is reported once."""
-        lines = [
-            f"{name}:{fault.place.line}:{fault.place.column}: {fault.sentence}"
-            for fault in sorted(dict.fromkeys(faults), key=lambda fault: fault.place)
-        ]
+        in_order = sorted(dict.fromkeys(faults), key=lambda fault: fault.place)
+        lines = [f"{name}:{one.place.line}:{one.place.column}: {one.sentence}" for one in in_order]
         return self.error("\n".join(lines))
 
     def _unreadable(self, name: str, error: OSError | ValueError) -> str:
@@ -250,7 +248,7 @@ class _Finding:
         value = document.value(path)
         if isinstance(value, float) and not math.isfinite(value):
             expected = expected.replace("a number", "a finite number", 1)
-        hint = document.number_hint(path) if "number" in expected else ""
+        hint = document.number_hint(path) if "number" in expected or isinstance(value, list) else ""
         if "or such as" in expected and "plain decimals" in hint:
             hint = ""
         hint = space_hint(value) if "mapping" in expected and not hint else hint

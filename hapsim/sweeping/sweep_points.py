@@ -252,7 +252,7 @@ class Varied:
         field = self._fields[path]
         try:
             adapter: TypeAdapter[Any] = TypeAdapter(Annotated[field.annotation, path, *field.metadata])  # type: ignore[arg-type]
-            adapter.validate_python(value, strict=True)
+            adapter.validate_python(value)
         except ValidationError as error:
             fault = error.errors(include_url=False)[0]
             if fault["type"] == UNEXPECTED:

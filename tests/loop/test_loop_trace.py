@@ -74,6 +74,13 @@ def test_a_csv_has_a_header_and_si_units(trace: Trace, tmp_path: Path) -> None:
     np.testing.assert_allclose([float(row["time_s"]) for row in rows], trace.sample / trace.rate, rtol=1e-11)
 
 
+def test_the_time_in_a_csv_counts_sample_periods(tmp_path: Path) -> None:
+    run(scene_of(2).model_copy(update={"rate": 800.0}), duration=0.05).save(tmp_path / "t.csv")
+    with (tmp_path / "t.csv").open(encoding="utf-8") as table:
+        times = [float(row["time_s"]) for row in csv.DictReader(table)]
+    np.testing.assert_allclose(times, np.arange(40) / 800.0, rtol=1e-11)
+
+
 @pytest.mark.parametrize("name", ["t.txt", "t", "t.NPZ", "t.npz.gz", ".npz", "none/t.npz", "taken.npz"])
 def test_a_place_where_no_trace_can_be_written_is_refused(trace: Trace, tmp_path: Path, name: str) -> None:
     (tmp_path / "taken.npz").mkdir()

@@ -243,6 +243,6 @@ class TestWeight:
         assert "it swings no slower than the device alone: what it moves feels like no mass" in told
 
 
-def test_a_channel_that_no_hand_is_on_is_named() -> None:
+def test_a_channel_that_no_hand_is_on_is_named_before_any_hand_is_pushed() -> None:
     with pytest.raises(UsageError, match="channel 1: the scene has nothing there"):
-        measure_hands("first_touch", channels=(0, 1))
+        measure_hands("first_touch", channels=(0, 1), run=lambda *_, **__: pytest.fail("a hand is pushed"))

@@ -90,8 +90,8 @@ def test_a_reference_that_leads_nowhere_is_reported(faults: Faults, good: str, e
     [
         ("rate:\n\tx: 1\n", "2:1: found a tab, expected spaces: YAML is indented with spaces only"),
         (
-            "rate: 1\n device: 2\n",
-            "2:8: not YAML: mapping values are not allowed here; "
+            "rate: 1 device: 2\n",
+            "1:15: not YAML: mapping values are not allowed here; "
             "is a line broken or indented too far, or are quotes missing?",
         ),
         (
@@ -170,13 +170,118 @@ def test_a_colon_without_a_space_within_a_scene_is_told_with_what_to_do(faults: 
     assert told.endswith(remedy)
 
 
+POINT = "a decimal point: "
+AS_LIST = "a comma separates entries, and a decimal has a point: "
+
+
 @pytest.mark.parametrize(
-    ("written", "found"), [("2,000", "2,000"), ("1,000,000", "1,000"), ("0,5", "0,5"), ("2,500.5", "2,500.5")]
+    ("written", "remedy"),
+    [
+        ("0,2", f"{POINT}0.2"),
+        ("-1000,5", f"{POINT}-1000.5"),
+        ("2,5e-1", f"{POINT}2.5e-1"),
+        ("0,500", f"{POINT}0.500"),
+        ("7,5 deg", f"{POINT}7.5 deg"),
+        ("2,000", f"2000, or {POINT}2.000"),
+        ("1,000,000", "1000000"),
+        ("2,500.5", "2500.5"),
+    ],
 )
-def test_a_comma_in_a_number_is_told_as_that(faults: Faults, good: str, written: str, found: str) -> None:
-    remedy = "expected a number without a comma: leave out one for thousands, write a point for decimals"
-    assert faults(good.replace("2000", written)) == [f"7:65: found '{found}', {remedy}"]
-    assert faults(good.replace("2000}", f"{written}, damping: 2}}")) == [f"7:65: found '{found}', {remedy}"]
+def test_a_comma_in_a_number_is_reported_with_the_number_to_write(faults: Faults, written: str, remedy: str) -> None:
+    text = f"rate: {written}\nmock:\n  mass: {written}\nmodules:\n  m:\n    type: mass\n    mass: {written}\n"
+    told = [line.partition(": ") for line in faults(text) if "(text)" in line]
+    assert [place for place, _, _ in told] == ["1:7", "3:9", "7:11"]
+    for _, _, sentence in told:
+        assert f": found '{written}' (text), expected a number > 0 (" in sentence
+        assert sentence.endswith(f"; write {remedy}")
+
+
+@pytest.mark.parametrize(
+    ("written", "remedy"),
+    [
+        ("2,000", f"2000, or {POINT}2.000"),
+        ("1,000,000", "1000000"),
+        ("0,5", f"{POINT}0.5"),
+        ("-0,05", f"{POINT}-0.05"),
+        ("0,5e3", f"{POINT}0.5e3"),
+        ("7,5 deg", f"{POINT}7.5 deg"),
+        ("2,500.5", "2500.5"),
+    ],
+)
+def test_a_comma_in_a_number_in_braces_is_reported_once(faults: Faults, good: str, written: str, remedy: str) -> None:
+    told = [f"7:65: found '{written}', expected a number without a comma; write {remedy}"]
+    assert faults(good.replace("2000", written)) == told
+    assert faults(good.replace("2000}", f"{written}, damping: 2}}")) == told
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("0.2", "0.2, travel: [-0,05, 0,05]", f"[the least, the most] (m); {AS_LIST}[-0.05, 0.05]"),
+        ("0.2", "0.2, travel: [-1,5,\n  1,5]", f"[the least, the most] (m); {AS_LIST}[-1.5, 1.5]"),
+        ("0.2", "0.2, travel: [-0,05]", f"a number (m); {AS_LIST}[-0.05]"),
+        ("0.2", "[0,2]", f"a number > 0 (kg); {AS_LIST}[0.2]"),
+        ("1000", "[1000,5]", f"a number > 0 (Hz); {AS_LIST}[1000.5]"),
+        (
+            "viscoelastic, between: [hand, wall], stiffness: 2000}",
+            "nonlinear, between: [hand, wall], force_over_distance: [[0, 0], [0,05, 1]]}",
+            f"a point [m, N], two numbers; {AS_LIST}[0.05, 1]",
+        ),
+    ],
+)
+def test_a_comma_in_a_number_of_a_list_is_reported_with_the_list_to_write(
+    only_fault: Callable[[str, str], str], old: str, new: str, told: str
+) -> None:
+    assert only_fault(old, new).split(", expected ")[1].split(", or ")[0] == told
+
+
+def test_a_comma_in_an_item_on_its_own_line_is_reported_there(only_fault: Callable[[str, str], str]) -> None:
+    told = only_fault("{mass: 0.2}", "\n  mass: 0.2\n  travel:\n  - -0.05\n  - 0,05")
+    assert told == f"7:5: travel[1]: found '0,05' (text), expected a number (m); write {POINT}0.05"
+
+
+def test_a_list_that_is_wrong_for_another_reason_is_not_blamed_on_commas(only_fault: Callable[[str, str], str]) -> None:
+    assert only_fault("0.2", "0.2, travel: [1, 2, 3]").endswith("expected [the least, the most] (m)")
+    assert only_fault("0.2", "[0, 2]").endswith("mass[0]: found 0, expected a number > 0 (kg)")
+
+
+DEVICE = "version: 1\nrate: 1000\ndevice:\n  delay: 1\n  mass: 0.2\n  travel:\n    - -0.05\n    - 0.05\nmock: {}\n"
+KEYS, ITEMS = "the keys of a mapping must be indented alike", "the items of a list must be indented alike"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("  mass", "   mass", f"5:4: found 'mass: 0.2' in column 4, expected column 3 as in line 4: {KEYS}"),
+        ("  mass", "mass", f"6:3: found 'travel:' in column 3, expected column 1 as in line 5: {KEYS}"),
+        (
+            "  mass",
+            " mass",
+            f"5:2: found 'mass: 0.2' in column 2, expected column 3 as in line 4 or column 1 as in line 3: {KEYS}",
+        ),
+        ("  delay", "    delay", "5:3: found 'mass: 0.2' in column 3, expected column 5 as in line 4 or column 1"),
+        ("rate", " rate", f"2:2: found 'rate: 1000' in column 2, expected column 1 as in line 1: {KEYS}"),
+        ("version", " version", f"2:1: found 'rate: 1000' in column 1, expected column 2 as in line 1: {KEYS}"),
+        ("mock", " mock", "9:2: found 'mock: {}' in column 2, expected column 3 as in line 6 or column 1 as in line 3"),
+        (
+            "delay: 1\n  mass",
+            "mass: {from: 1,\n      to: 2}\n   delay",
+            f"6:4: found 'delay: 0.2' in column 4, expected column 3 as in line 4: {KEYS}",
+        ),
+        ("    - 0.05", "   - 0.05", f"8:4: found '- 0.05' in column 4, expected column 5 as in line 7: {ITEMS}"),
+        ("    - 0.05", "- 0.05", f"8:1: found '- 0.05' in column 1, expected column 5 as in line 7: {ITEMS}"),
+        ("    - 0.05", "     - 0.05", f"7:5: travel: found a list, expected [the least, the most] (m); {ITEMS}"),
+        ("  mass", "\tmass", "5:1: found a tab, expected spaces: YAML is indented with spaces only"),
+        ("  mass", "  \tmass", "5:3: found a tab, expected spaces: YAML is indented with spaces only"),
+        ("  delay", "\tdelay", "4:1: found a tab, expected spaces: YAML is indented with spaces only"),
+        ("{}", "'a' b", "9:11: not YAML: expected <block end>, but found '<scalar>' (while parsing a block mapping, "),
+    ],
+)
+def test_a_wrong_indentation_is_reported_with_the_column_to_begin_in(
+    faults: Faults, old: str, new: str, told: str
+) -> None:
+    assert DEVICE.count(old) == 1
+    assert any(line.startswith(told) for line in faults(DEVICE.replace(old, new))), faults(DEVICE.replace(old, new))
 
 
 def test_a_number_behind_a_comma_and_a_space_is_a_key(faults: Faults, good: str) -> None:

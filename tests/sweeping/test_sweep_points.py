@@ -171,6 +171,13 @@ def test_a_value_that_its_parameter_never_takes_is_refused(path: str, values: li
     assert said in str(caught.value)
 
 
+def test_a_refused_value_of_an_axis_has_the_units_of_the_axis_and_a_whole_number_passes() -> None:
+    varied = Varied(load_scene("knob_24"))
+    with pytest.raises(UsageError, match=r"device\.mass: found -1, expected a number > 0 \(kg·m²\)"):
+        varied.require_values(grid({"device.mass": [-1.0]}))
+    varied.require_values(grid({"substeps": [2.0]}))
+
+
 def test_parameters_have_the_units_of_the_scene() -> None:
     linear, rotary = Varied(load_scene("first_touch")), Varied(load_scene("knob_24"))
     assert [linear.unit(path) for path in ("touch.stiffness", "device.delay", "rate", "scheme")] == [
@@ -180,3 +187,4 @@ def test_parameters_have_the_units_of_the_scene() -> None:
         "",
     ]
     assert rotary.unit("device.mass") == "kg·m²"
+    assert rotary.unit("detent.sharpness") == ""
