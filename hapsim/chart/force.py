@@ -147,7 +147,7 @@ def draw_force(chart: ForceChart, path: Path) -> None:
         figure.colorbar(
             colours,
             ax=axes,
-            label="felt k or b, off what is asked for",
+            label="error of felt k or b",
             extend="both",
             format=lambda value, _: f"{100.0 * value:g} %",
         )

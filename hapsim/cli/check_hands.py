@@ -251,7 +251,7 @@ def _weight(weight: Weight) -> str:
     """Returns the mass that a linear hand feels, in sentences."""
     from hapsim.prediction import HAND_STIFFNESS
 
-    told = f"The free masses weigh {number(weight.mass, 4)} kg. Shaken by a hand of {HAND_STIFFNESS:g} N/m they feel "
+    told = f"The free masses weigh {number(weight.mass, 4)} kg. Moved by a hand of {HAND_STIFFNESS:g} N/m, they feel "
     told += f"like {number(weight.felt, 4)} kg (without sampling and delay: {number(weight.continuous, 4)} kg)"
     if math.isfinite(weight.within_10_percent_hz):
         told += f". Up to {number(weight.within_10_percent_hz, 2)} Hz they feel like themselves, within 10 %"

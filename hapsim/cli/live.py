@@ -211,7 +211,7 @@ class LiveOptions:
 
     serve: bool = flag("--serve", "Serve a page for browsers and a WebSocket, to this machine only.")
     serve_at: str | None = option(
-        "HOST:PORT", "Address of page and WebSocket. Other machines need a token [default: 127.0.0.1:7470]"
+        "HOST:PORT", "Address of page and WebSocket. Other machines need the printed token [default: 127.0.0.1:7470]"
     )
     record_dir: Path | None = option("DIR", "Directory for records started from the page [default: no recording]")
     osc: bool = flag("--osc", "Answer OSC over UDP and OSCQuery over TCP, for this machine only.")

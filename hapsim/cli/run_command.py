@@ -427,7 +427,7 @@ def _off_rate(report: Report) -> str:
 def _spread_in_us(spread: Spread) -> str:
     if spread.p50 is None or spread.p99 is None or spread.max is None:
         return "–"
-    return f"{spread.p50 * 1e6:.0f} median, {spread.p99 * 1e6:.0f} in 99 %, {spread.max * 1e6:.0f} at most"
+    return f"{spread.p50 * 1e6:.0f} median, {spread.p99 * 1e6:.0f} at 99 %, {spread.max * 1e6:.0f} maximum"
 
 
 def lifetime_document(lifetime: Lifetime, grants: Sequence[PrivilegeResult] = ()) -> dict[str, Any]:

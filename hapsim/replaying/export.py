@@ -45,8 +45,8 @@ def require_exportable(out: Path, column: str | None) -> None:
         raise UsageError(f"{out}: found no Python package {package}, expected it: pip install 'hapsim[record]'")
     if (column is None) == (out.suffix == ".wav"):
         raise UsageError(
-            f"{out}: a .wav has one column, and other files have all: --column goes with a .wav, as in "
-            "--column position.0, or the name of a pick-up"
+            f"{out}: a .wav needs --column, such as --column position.0 or the name of a pick-up; other files have all "
+            "columns, and take no --column"
         )
     require_writable(out)
 

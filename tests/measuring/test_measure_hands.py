@@ -233,14 +233,14 @@ class TestWeight:
         path = tmp_path / "free.yaml"
         path.write_text(text_of(self.FREE, 1, rate=4000, device={"mass": 0.4}, mock={"hand": {"stiffness": 300.0}}))
         told = " ".join(hapsim("measure", path, "--mass").out.split())
-        assert "Shaken by a hand of 300 N/m, what it moves feels like 3.2" in told
+        assert "Moved to and fro by a hand of 300 N/m, it feels like 3.2" in told
         assert "kg (predicted: 3.20017; without sampling and delay 3.19996)" in told
 
     def test_of_a_wall_is_none(self, hapsim: Hapsim) -> None:
         path = "configs/paper_6_3_real_damping.yaml"
         assert load_scene(path).device.port is None
         told = " ".join(hapsim("measure", path, "--mass", "--hand-stiffness", "100").out.split())
-        assert "it swings no slower than the device alone: what it moves feels like no mass" in told
+        assert "it oscillates no slower than the device alone: the felt mass is zero" in told
 
 
 def test_a_channel_that_no_hand_is_on_is_named_before_any_hand_is_pushed() -> None:

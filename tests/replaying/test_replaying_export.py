@@ -183,7 +183,7 @@ def test_what_is_left_of_a_record_is_exported_with_a_warning(hapsim: Hapsim, tmp
     at = whole.index(b"ROWS")
     damaged.write_bytes(whole[: at + 100] + b"x" + whole[at + 101 :])
     for path, rows, why in (
-        (part, 300, "the record is cut off or damaged: it has 300 rows"),
+        (part, 300, "incomplete record of 300 rows: the run goes on, or the file is cut off or damaged"),
         (older, 300, "recorded by an older hapsim, without scene"),
     ):
         answer = hapsim("export", path, tmp_path / f"{path.name}.h5")
@@ -222,8 +222,8 @@ def test_what_cannot_be_exported_is_refused_with_the_reason(
         ((whole, "a.txt"), "found the ending '.txt', expected .h5, .csv, .npz, .wav or .mcap"),
         ((whole, "no/a.h5"), "there is no directory"),
         ((whole, "there.h5"), "the file exists; --overwrite replaces it"),
-        ((whole, "a.wav"), "--column goes with a .wav"),
-        ((whole, "a.h5", "--column", "force.0"), "--column goes with a .wav"),
+        ((whole, "a.wav"), "a .wav needs --column"),
+        ((whole, "a.h5", "--column", "force.0"), "a .wav needs --column"),
         ((whole, "a.wav", "--column", "force.1"), "found 'force.1', expected position.0, velocity.0, force.0,"),
         ((whole, "a.wav", "--column", "gut"), "asked_force.0 or air"),
     ):
