@@ -164,8 +164,7 @@ def _springs(hand: Hand, as_scene: bool, corrected: bool) -> tuple[Configuration
     if not (math.isfinite(k) and math.isfinite(K)):
         raise UsageError(
             f"{hand.name}: no real and simulated spring swing alike here; K is "
-            f"{hand.units(hand.stiffness, 'N/m', 'g')}, m/T² is "
-            f"{hand.units(own.stiffness_unit, 'N/m', 'g')}"
+            f"{hand.units(hand.stiffness, 'N/m', 'g')}, m/T² is {hand.units(own.stiffness_unit, 'N/m', 'g')}"
         )
     return loop, K, B, k, b if as_scene else 0.0
 

@@ -10,16 +10,7 @@ from rich.markup import escape
 
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
-from hapsim.prediction import (
-    Desired,
-    Felt,
-    LinkMargin,
-    Prediction,
-    WireTime,
-    correction_for,
-    host_silence,
-    robustness_of,
-)
+from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
 from hapsim.prediction.timing import wire_parts, wire_remedies
 from hapsim.theory.interface import damper_named
@@ -27,6 +18,7 @@ from hapsim.theory.network import SURELY
 
 if TYPE_CHECKING:
     from hapsim.cordis.offline import Explanation
+    from hapsim.prediction import Desired, Felt, LinkMargin, Prediction, WireTime
     from hapsim.scene import Scene
 
 _ROWS = 12  # of a table
@@ -304,9 +296,8 @@ def travel_sentences(scene: Scene) -> Iterator[str]:
             (least, most), stiffness = limits[c], device.force_limit / margins[c]
             yield (
                 f"Travel{where}: {units.number(least, 'm', 'g')} to {units(most, 'm', 'g')}. Outside, the force fades "
-                "to "
-                f"zero within {units(margins[c], 'm', 'g')} (a stiffness of up to {units(stiffness, 'N/m', '.4g')}); a "
-                "device that goes farther ends the run."
+                f"to zero within {units(margins[c], 'm', 'g')} (a stiffness of up to "
+                f"{units(stiffness, 'N/m', '.4g')}); a device that goes farther ends the run."
             )
         if device.origin is not None:
             zero = "the device is when it is armed" if origin is None else f"the device says {units(origin, 'm', 'g')}"

@@ -207,8 +207,7 @@ def show_measurement(
         whose = "the estimated mass" if of_mass == "estimated" else "the middle of the span"
         out.print(
             f"k and b are those of a hand of {units(measurement.mass, 'kg', '.6g')}, {whose} of {least:g} to "
-            f"{units(most, 'kg', 'g')}; they grow "
-            "with the mass."
+            f"{units(most, 'kg', 'g')}; they grow with the mass."
         )
     where = "" if measurement.at_m is None else f", at {units(measurement.at_m, 'm')}"
     title = f"What the hand feels at {escape(hands[channel])}, channel {channel}{where}"

@@ -286,9 +286,8 @@ def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> li
             continue
         apart = abs(getattr(measured, name).value[worst] - getattr(predicted, name)[worst])
         found.append(
-            f"[yellow]The {words} impedance: prediction and measurement do not agree: at "
-            f"{frequency[worst[0]]:.4g} Hz {output_units()(apart, 'N·s/m', '.3g')}, {off[worst]:.2g} times the "
-            "uncertainty.[/yellow]"
+            f"[yellow]The {words} impedance: prediction and measurement do not agree: at {frequency[worst[0]]:.4g} Hz "
+            f"{output_units()(apart, 'N·s/m', '.3g')}, {off[worst]:.2g} times the uncertainty.[/yellow]"
         )
     found.append(
         "± is the radius of the circle about a measured value that holds the true one, all of them together with "
@@ -297,8 +296,7 @@ def _sentences(predicted: PredictedImpedance, measured: MeasuredImpedance) -> li
     )
     found += [
         f"Channel {channel} was excited with up to {output_units(channel)(force, 'N', '.3g')}, which moved it by "
-        f"{output_units(channel)(travel, 'mm', '.3g')}; "
-        f"{periods + 1} periods of {measured.period_s:.3g} s count."
+        f"{output_units(channel)(travel, 'mm', '.3g')}; {periods + 1} periods of {measured.period_s:.3g} s count."
         for channel, force, travel, periods in zip(
             measured.channels, measured.peak_force, measured.travel, measured.periods, strict=True
         )

@@ -117,11 +117,10 @@ def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -
         share = mass.factor
         yield (
             f"[yellow]The mass is probably {share:.3g} times the {of_mass} one[/yellow], "
-            f"{output_units()(mass.mass, 'kg', '.4g')}: with it "
-            "the prediction has the eigenfrequency and the damping ratio that were measured, and the hand feels "
-            f"k = {output_units()(share * measurement.k, 'N/m', '.6g')}, b = "
-            f"{output_units()(share * measurement.b, 'N·s/m', '.6g')}. `hapsim identify --write` "
-            "measures and stores it."
+            f"{output_units()(mass.mass, 'kg', '.4g')}: with it the prediction has the eigenfrequency and the damping "
+            f"ratio that were measured, and the hand feels k = {output_units()(share * measurement.k, 'N/m', '.6g')}, "
+            f"b = {output_units()(share * measurement.b, 'N·s/m', '.6g')}. `hapsim identify --write` measures and "
+            "stores it."
         )
     elif diagnosis.is_another_device:
         yield (

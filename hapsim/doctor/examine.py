@@ -11,31 +11,8 @@ from typing import TYPE_CHECKING
 
 from hapsim.device.connection import describe
 from hapsim.device.open_connection import TransportKind, open_connection
-from hapsim.doctor.advice import (
-    Advice,
-    Load,
-    Machine,
-    Situation,
-    SystemFiles,
-    advice_on,
-    cpu_times,
-    load_between,
-    machine_of,
-)
-from hapsim.doctor.exchanges import (
-    MOCK,
-    Exchanges,
-    Run,
-    Tell,
-    Trial,
-    Verdict,
-    best_rate,
-    exchanges,
-    require_measurable,
-    trials,
-    verdict_on,
-    wake_up_latency,
-)
+from hapsim.doctor.advice import Situation, SystemFiles, advice_on, cpu_times, load_between, machine_of
+from hapsim.doctor.exchanges import MOCK, best_rate, exchanges, require_measurable, trials, verdict_on, wake_up_latency
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
 from hapsim.loop.system import require_linux
@@ -44,6 +21,8 @@ from hapsim.running.requirements import require_compatible
 from hapsim.scene import Scene, parse_scene
 
 if TYPE_CHECKING:
+    from hapsim.doctor.advice import Advice, Load, Machine
+    from hapsim.doctor.exchanges import Exchanges, Run, Tell, Trial, Verdict
     from hapsim.loop.realtime import PrivilegeResult
 
 RATES_HZ = (1000.0, 2000.0, 4000.0, 10000.0)

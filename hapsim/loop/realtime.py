@@ -136,11 +136,7 @@ _MCL_CURRENT = 1
 _STATUS = Path("/proc/self/status")
 
 
-def _collector_advice(error: OSError) -> str:
-    return f"the garbage collector failed ({error.strerror})"
-
-
-@measure("garbage collector frozen", _collector_advice, everywhere=True)
+@measure("garbage collector frozen", lambda error: f"the garbage collector failed ({error.strerror})", everywhere=True)
 def freeze_collector(_thread_id: int) -> Iterator[str]:
     """Collects garbage once, freezes the other objects, disables collection. Reference counts still free memory."""
     was_enabled, was_frozen = gc.isenabled(), gc.get_freeze_count() > 0

@@ -235,10 +235,9 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
         units = trace.report.units_of(channel)
         way = units(moved * float(trace.position_scale[channel]), "m", ".3g")
         raise UsageError(
-            f"the hand moved by {way}, but of {rows} samples {late} had "
-            f"their force too late and {lost} followed lost ones ({limited} were at the force limit): at no delay that "
-            "stays the same a spring and damper is identified. `hapsim doctor` shows which rates are kept; a slower "
-            "rate, or a faster port, leaves more time"
+            f"the hand moved by {way}, but of {rows} samples {late} had their force too late and {lost} followed lost "
+            f"ones ({limited} were at the force limit): at no delay that stays the same a spring and damper is "
+            "identified. `hapsim doctor` shows which rates are kept; a slower rate, or a faster port, leaves more time"
         )
     raise UsageError(
         "too little motion was recorded to identify a spring and damper: record longer, or push harder (--push)"

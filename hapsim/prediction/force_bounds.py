@@ -146,11 +146,10 @@ def travel_error(scene: Scene) -> str:
             least = rounded_up(units.scaled(device.force_limit / stable, "m"))
             return (
                 f"device.travel_margin: the force of up to {units(device.force_limit, 'N', 'g')} fades over "
-                f"{units(margin, 'm', 'g')}{where}, a stiffness of "
-                f"{units(device.force_limit / margin, 'N/m', '.4g')} that shakes the hand: with only the hand's "
-                f"{units(damping, 'N·s/m', 'g')} and the device's friction as dampers, this loop is stable up to "
-                f"{units(stable, 'N/m', '.4g')}; expected at least {units(least, 'm')}, or a lower "
-                f"device.force_limit{hints}"
+                f"{units(margin, 'm', 'g')}{where}, a stiffness of {units(device.force_limit / margin, 'N/m', '.4g')} "
+                f"that shakes the hand: with only the hand's {units(damping, 'N·s/m', 'g')} and the device's friction "
+                f"as dampers, this loop is stable up to {units(stable, 'N/m', '.4g')}; expected at least "
+                f"{units(least, 'm')}, or a lower device.force_limit{hints}"
             )
     return ""
 

@@ -99,10 +99,6 @@ class Sample:
         return f"{'POSITION' if self.fresh else 'POSITION_HELD'} {self.n}"
 
 
-def _is_idle(one: Received) -> bool:
-    return one.kind == schema.STATUS and one.state == schema.IDLE
-
-
 @dataclass
 class Session:
     """An armed device. `samples`: every position since arming, in order."""
@@ -177,7 +173,9 @@ class Session:
         """Sends DISARM in the armed format; returns the STATUS that answers. Without one it releases the device in any
         format, and returns None. Every position before it is taken."""
         self.wire.send(self.wire.frame(schema.DISARM, 0, armed=True))
-        answer, heard = self.wire.wait_for(_is_idle, 4 * ANSWER_S)
+        answer, heard = self.wire.wait_for(
+            lambda one: one.kind == schema.STATUS and one.state == schema.IDLE, 4 * ANSWER_S
+        )
         self.take(heard)
         if answer is None:
             self.wire.release()
