@@ -23,7 +23,6 @@ from hapsim.prediction import (
     Felt,
     Prediction,
     host_silence,
-    is_surely_unstable,
     partials_of,
     predict,
     predict_on_wire,
@@ -92,7 +91,7 @@ def check(
     with at_work(stderr(), "trying hands"):
         of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
     show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
-    if math.isfinite(prediction.spectral_radius) and not is_surely_unstable(prediction) and not refused:
+    if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and not refused:
         print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
     elif not explain:
         print_next("check", scene, "--explain")

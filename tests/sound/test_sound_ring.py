@@ -9,7 +9,7 @@ import pytest
 
 from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
-from hapsim.loop.sound import SOUND_RING, SoundRing, hear, publish, push
+from hapsim.loop.sound import SOUND_RING, SoundRing, add_frame, publish, push
 
 CHANNELS, CAPACITY = 2, 8
 
@@ -47,11 +47,11 @@ def test_a_reader_sees_the_frames_of_a_sample_together_with_its_time(ring: Sound
 
 def test_a_scene_that_diverges_leaves_numbers(ring: SoundRing) -> None:
     """A high-pass adds what is finite to more than a number holds."""
-    hear_step = ctypes.CFUNCTYPE(None, *[ctypes.c_uint64] * 3, ctypes.c_double)(hear.address())
+    add = ctypes.CFUNCTYPE(None, *[ctypes.c_uint64] * 3, ctypes.c_double)(add_frame.address())
     ring.record.keeps[:CHANNELS] = 0.999
     for value in (1.7e308, -1.7e308, -1.7e308, np.inf, np.nan, 0.0):
         heard = np.array([value, 0.0])
-        hear_step(ring.record.address, heard.ctypes.data, 0, 0.0)
+        add(ring.record.address, heard.ctypes.data, 0, 0.0)
     publish_frames(ring.record, 0)
     assert np.isfinite(ring.drain()).all()
     assert np.isfinite(ring.record.peak).all()
