@@ -219,6 +219,7 @@ def test_a_comma_in_a_number_in_braces_is_reported_once(faults: Faults, good: st
     [
         ("0.2", "0.2, travel: [-0,05, 0,05]", f"[the least, the most] (m); {AS_LIST}[-0.05, 0.05]"),
         ("0.2", "0.2, travel: [-1,5,\n  1,5]", f"[the least, the most] (m); {AS_LIST}[-1.5, 1.5]"),
+        ("0.2", "0.2, travel: [-0,05,0,05]", f"[the least, the most] (m); {AS_LIST}[-0.05,0.05]"),
         ("0.2", "0.2, travel: [-0,05]", f"a number (m); {AS_LIST}[-0.05]"),
         ("0.2", "[0,2]", f"a number > 0 (kg); {AS_LIST}[0.2]"),
         ("1000", "[1000,5]", f"a number > 0 (Hz); {AS_LIST}[1000.5]"),
