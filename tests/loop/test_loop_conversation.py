@@ -85,13 +85,15 @@ def test_another_rate_is_refused_with_what_to_write() -> None:
     assert "samples at 2000 Hz, the scene says 1000 Hz: write rate: 2000 into the scene" in text
 
 
-def test_detents_that_the_devices_encoder_does_not_resolve_are_refused() -> None:
+@pytest.mark.parametrize(("motion", "unit"), [("linear", "m"), ("rotary", "rad")])
+def test_detents_that_the_devices_encoder_does_not_resolve_are_refused(motion: str, unit: str) -> None:
     scene = scene_of()
     hand, wall = next(iter(scene.device_points)), next(iter(scene.grounds))
-    detent = Detent(between=(hand, wall), pitch=3e-6, depth=0.1)
-    there = scene.model_copy(update={"modules": Table(dict(scene.modules) | {"rests": detent})})
-    told = "rests.pitch: found 3e-06 m: 3 counts of the encoder (declared by the device: 1e-06 m); expected 4 or more"
-    assert told in refusal(UsageError, scene=there)
+    modules = Table(dict(scene.modules) | {"rests": Detent(between=(hand, wall), pitch=3e-6, depth=0.1)})
+    device = scene.device.model_copy(update={"motion": motion})
+    there = scene.model_copy(update={"modules": modules, "device": device})
+    told = f"found 3e-06 {unit}: 3 counts of the encoder (declared by the device: 1e-06 {unit}); expected 4 or more"
+    assert f"rests.pitch: {told}" in refusal(UsageError, scene=there)
 
 
 @pytest.mark.parametrize("rate", [np.nan, np.inf, 0.0, -1000.0])
