@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ import pytest
 import xarray
 
 import hapsim as package
+from hapsim.number_format import share_in_percent
 
 KILLS = int(os.environ.get("HAPSIM_POINTS", "2"))  # HAPSIM_POINTS=10 in half a minute
 WORDS = ("touch.stiffness=log:100:4000:25", "device.delay=0,0.5,1", "--duration", "0.5")
@@ -191,14 +193,18 @@ def test_progress_in_a_pipe_ends_with_all_points(hapsim: Callable[..., Any], sce
 def test_what_is_stable_or_passive_is_counted_and_drawn_as_a_share(
     hapsim: Callable[..., Any], scene: Path, tmp_path: Path
 ) -> None:
-    words = ("touch.stiffness=100,1000,90000", "device.delay=0,1", "touch.damping=1,5", "--check", "--draw", "stable")
+    words = ("touch.stiffness=100,1000,90000", "device.delay=0,1", "touch.damping=0,5", "--check", "--draw", "stable")
     files = ("--out", tmp_path / "a.nc", "--data", tmp_path / "a.csv", "--picture", tmp_path / "a.svg")
     answer = hapsim("sweep", scene, *words, *files)
-    stable = results(tmp_path / "a.nc")["stable"]
-    assert f"{int(stable.sum())} of 12 points (" in answer.out
-    assert ") are predicted stable" in answer.out
+    stable, passive = (results(tmp_path / "a.nc")[name] for name in ("stable", "passive"))
+    for flags, said in ((stable, "predicted stable"), (passive, "passive: no hand makes them unstable")):
+        share = share_in_percent(float(flags.mean()))
+        assert f"{int(flags.sum())} of 12 points ({share}) are {said}" in answer.out
+    assert not re.search(r"(stable|passive) +[│|]", answer.out), "in the table"
     rows = [row.split(",") for row in (tmp_path / "a.csv").read_text("utf-8").splitlines()[1:]]
     shares = {(float(x), float(y)): float(share) for x, y, share in rows}
+    assert {*shares.values()} > {0.5}
+    assert "<!-- share of the points that are stable -->" in (tmp_path / "a.svg").read_text("utf-8")
     for (x, y), share in shares.items():
         assert share == float(stable.sel({"touch.stiffness": x, "device.delay": y}).mean())
 
