@@ -313,16 +313,16 @@ class _Session:
         """One step of sessions.json."""
         self.wire = wire or self.wire
         if "arm" in action:
-            bytes_of_host, said = self._arm(**action.pop("arm"))
+            bytes_of_host, answered = self._arm(**action.pop("arm"))
             force, state, action = [0] * self.channels, "armed", {"bytes": bytes_of_host.hex()}
         else:
             if "host" in action:
                 action = {"bytes": self._bytes(action["host"]).hex()}
-            said = self._bytes(out or [])
+            answered = self._bytes(out or [])
         self.positions = action.get("position", self.positions)
         self.velocities = action.get("velocity", self.velocities)
         self.force, self.state = force or self.force, state or self.state
-        expected: Entry = {"out": said.hex(), "force": self.force, "state": self.state}
+        expected: Entry = {"out": answered.hex(), "force": self.force, "state": self.state}
         if registers is not None:
             expected["registers"] = {str(getattr(schema, f"REG_{name.upper()}")): registers[name] for name in registers}
         return action | expected

@@ -161,8 +161,8 @@ def ring_down(trace: Trace, felt: Felt, *, led: bool = False) -> dict[str, Float
 def _first_free_motion(trace: Trace, channel: int, led: bool) -> tuple[int, int]:
     """Returns the rows up to the first push, or if it comes at once, those up to the next one. A hand that was `led`
     to a place is held there by a constant force, which is no push."""
-    beside = (trace.force - trace.asked_force)[:, channel]
-    pushed = np.abs(beside - np.median(beside) if led else beside) > _PUSH
+    added = (trace.force - trace.asked_force)[:, channel]
+    pushed = np.abs(added - np.median(added) if led else added) > _PUSH
     edges = np.flatnonzero(np.diff(~pushed, prepend=False, append=False)).reshape(-1, 2)
     free = [(int(first), int(last)) for first, last in edges if first or last > _SHORTEST]
     return free[0] if free else (pushed.size, pushed.size)

@@ -183,13 +183,13 @@ def _values_to_write(found: DeviceIdentification, declared: Mapping[str, float],
     device. `has_span`: the file gives a span for the mass, which one hand does not determine.
     """
     values: dict[str, str | Known] = {}
-    for name, said in declared.items():
+    for name, declared_value in declared.items():
         estimate: Estimate = getattr(found, name)
         if name == "mass":
             uncertainty = float(f"{estimate.uncertainty:.1e}")
             if not has_span:
                 values[name] = Known(value=float(rounded(estimate.value, uncertainty)), uncertainty=uncertainty)
-        elif name != "stiffness" or _is_seen(estimate) or said != 0.0:
+        elif name != "stiffness" or _is_seen(estimate) or declared_value != 0.0:
             values[name] = rounded(max(estimate.value, 0.0), estimate.uncertainty)
     return values
 
@@ -207,15 +207,15 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
     rows = []
     for key, (what, unit) in _LABELS.items():
         estimate: Estimate = getattr(found, key)
-        said, off = declared.get(key), ""
-        if said is not None and abs(estimate.value - said) < _OFF * estimate.uncertainty:
+        declared_value, off = declared.get(key), ""
+        if declared_value is not None and abs(estimate.value - declared_value) < _OFF * estimate.uncertainty:
             off = "agrees"
-        elif said is not None:
-            off = relative_difference(estimate.value, said) if said else f"{estimate.value:+.2g}"
+        elif declared_value is not None:
+            off = relative_difference(estimate.value, declared_value) if declared_value else f"{estimate.value:+.2g}"
         rows.append(
             (
                 f"{what}  {output_units().name(unit)}",
-                "–" if said is None else f"{said:g}",
+                "–" if declared_value is None else f"{declared_value:g}",
                 _rounded(estimate),
                 f"{estimate.uncertainty:.1g}",
                 off,

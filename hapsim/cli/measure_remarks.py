@@ -186,9 +186,9 @@ def weight_sentence(weight: MeasuredWeight, channel: int) -> str:
         return f"Held by {hand}, it oscillates no slower than the device alone: the felt mass is zero"
     off = weight.uncertainty
     known = f"{rounded(weight.measured, off)} ± {number(off, 1)}" if math.isfinite(off) else number(weight.measured, 4)
-    told = f"Moved to and fro by {hand}, it feels like {units(known, 'kg')}"
+    sentence = f"Moved to and fro by {hand}, it feels like {units(known, 'kg')}"
     if weight.predicted is not None and weight.continuous is not None and math.isfinite(weight.predicted):
-        told += f" (predicted: {number(weight.predicted)}; without sampling and delay {number(weight.continuous)})"
+        sentence += f" (predicted: {number(weight.predicted)}; without sampling and delay {number(weight.continuous)})"
     elif weight.predicted is None:
-        told += " (not predicted: that is done for one hand and a loop of at most a hundred numbers)"
-    return told
+        sentence += " (not predicted: that is done for one hand and a loop of at most a hundred numbers)"
+    return sentence

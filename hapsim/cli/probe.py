@@ -59,7 +59,7 @@ def probe(
                 leave=leave,
                 steps=steps,
                 on_step=lambda step, number, of: show(f"{step}: step {number} of {of}"),
-                say=print_message,
+                announce=print_message,
             )
     if any(check.name == "sign" and check.result in ("pass", "FAIL") for check in judgement.checks):
         is_first_use(port)  # from now on not

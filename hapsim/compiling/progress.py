@@ -14,8 +14,8 @@ from hapsim.stopping import STOPS
 
 
 @contextlib.contextmanager
-def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
-    """Calls `tell(name)`, while open, as the compilation of each function begins, never for kept code.
+def on_compilation(report: Callable[[str], None]) -> Iterator[None]:
+    """Calls `report(name)`, while open, as the compilation of each function begins, never for kept code.
 
     An interrupt (Ctrl-C, or another signal of `STOPS` that has a handler) during a compilation is raised before the
     next function: in the middle of one it would leave the compiler in an invalid state.
@@ -25,7 +25,7 @@ def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
     class Listener(event.Listener):
         def on_start(self, event: Any) -> None:
             _pause.begin()
-            tell(str(event.data.get("name") or event.data["dispatcher"].py_func.__name__))
+            report(str(event.data.get("name") or event.data["dispatcher"].py_func.__name__))
 
         def on_end(self, event: Any) -> None:  # noqa: ARG002
             _pause.end()
@@ -35,11 +35,11 @@ def on_compilation(tell: Callable[[str], None]) -> Iterator[None]:
 
 
 class Counted:
-    """Counts functions as their compilation begins: `on_compilation(counted.add)`. `tell` receives each name, and the
+    """Counts functions as their compilation begins: `on_compilation(counted.add)`. `report` receives each name, and the
     share of all functions, or None once their number reaches the expected one: the total is then unknown."""
 
-    def __init__(self, tell: Callable[[str, float | None], None]) -> None:
-        self._tell = tell
+    def __init__(self, report: Callable[[str, float | None], None]) -> None:
+        self._report = report
         self._expected = 0
         self.functions = 0
         """Number of functions whose compilation has begun."""
@@ -53,7 +53,7 @@ class Counted:
         """Counts a function, from any thread."""
         with self._adding:
             self.functions += 1
-            self._tell(name, self.functions / self._expected if self.functions < self._expected else None)
+            self._report(name, self.functions / self._expected if self.functions < self._expected else None)
 
 
 def compiling(function: Any, name: str) -> contextlib.AbstractContextManager[None]:

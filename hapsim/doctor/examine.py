@@ -22,7 +22,7 @@ from hapsim.scene import Scene, parse_scene
 
 if TYPE_CHECKING:
     from hapsim.doctor.advice import Advice, Load, Machine
-    from hapsim.doctor.exchanges import Exchanges, Run, Tell, Trial, Verdict
+    from hapsim.doctor.exchanges import Exchanges, OnProgress, Run, Trial, Verdict
     from hapsim.loop.realtime import PrivilegeResult
 
 RATES_HZ = (1000.0, 2000.0, 4000.0, 10000.0)
@@ -105,11 +105,11 @@ def examine(
     """
     from hapsim.running.run import run_to_end
 
-    tree, run, tell = tree or SystemFiles(), run or run_to_end, on_progress or (lambda _: None)
+    tree, run, report = tree or SystemFiles(), run or run_to_end, on_progress or (lambda _: None)
     examined, rates, to_run = _to_measure(scene, seconds, rates, transport)
     (ask or _ask)(to_run[0])
     before = cpu_times(tree)
-    wakeups, grants, made = _measure(rates, to_run, seconds, realtime, run, tell)
+    wakeups, grants, made = _measure(rates, to_run, seconds, realtime, run, report)
     steps, done, granted = len(rates) + len(to_run), len(wakeups) + len(made), tuple(grants) if realtime else None
     verdicts, machine = tuple(map(verdict_on, made)), machine_of(tree)
     case = Situation(
@@ -162,15 +162,15 @@ def _measure(
     seconds: float,
     realtime: bool,
     run: Run,
-    tell: Callable[[Step], None],
+    report: Callable[[Step], None],
 ) -> tuple[dict[float, Histogram], list[PrivilegeResult], list[Exchanges]]:
     """Returns (wake-up latencies by rate, the newest grants, runs), some of them if it is interrupted. Raises
     KeyboardInterrupt before the first result."""
     steps, numbers = len(rates) + len(to_run), itertools.count(1)
 
-    def begin(what: str) -> Tell:
+    def begin(what: str) -> OnProgress:
         number = next(numbers)
-        return lambda elapsed, compiling: tell(Step(number, steps, what, elapsed, seconds, compiling))
+        return lambda elapsed, compiling: report(Step(number, steps, what, elapsed, seconds, compiling))
 
     wakeups: dict[float, Histogram] = {}
     grants: list[list[PrivilegeResult]] = [[]]

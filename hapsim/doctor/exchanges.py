@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hapsim.loop.realtime import PrivilegeResult
     from hapsim.recording.trace import Report, Trace
 
-Tell = Callable[[float, str], None]
+OnProgress = Callable[[float, str], None]
 """Called with the time (s) since a measurement began, and the function that is being compiled for it, or ""."""
 
 _LOOK_S = 0.05
@@ -50,7 +50,7 @@ def require_measurable(rate_hz: float, seconds: float, named: str = "--rates") -
 def wake_up_latency(
     rate_hz: float,
     seconds: float,
-    on_progress: Tell = lambda _elapsed, _compiling: None,
+    on_progress: OnProgress = lambda _elapsed, _compiling: None,
     *,
     realtime: bool = False,
     on_grants: Callable[[list[PrivilegeResult]], None] = lambda _grants: None,
@@ -204,11 +204,11 @@ def _changed(scene: Scene, rate: float, **device: Any) -> Scene:
     return scene.model_copy(update={"rate": rate, "device": scene.device.model_copy(update=device)})
 
 
-def exchanges(trial: Trial, seconds: float, tell: Tell, run: Run, *, realtime: bool) -> Exchanges:
+def exchanges(trial: Trial, seconds: float, on_progress: OnProgress, run: Run, *, realtime: bool) -> Exchanges:
     """Makes one run. A failure while it runs is part of the answer; UsageError and SceneError are raised."""
 
     def pass_on(progress: Progress) -> None:
-        tell(progress.elapsed_s, progress.text if progress.phase == "compiling" else "")
+        on_progress(progress.elapsed_s, progress.text if progress.phase == "compiling" else "")
 
     options = {"duration": seconds, "transport": trial.transport, "keep": False, "realtime": realtime}
     failure, exit_status = "", 0

@@ -105,8 +105,8 @@ def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: Dev
     except UsageError as nothing:
         if failure is not None:
             raise failure from nothing
-        if said := silence(trace, channel):
-            raise UsageError(said) from nothing
+        if reason := silence(trace, channel):
+            raise UsageError(reason) from nothing
         raise
     return replace(found, failure=failure, push_n=excitation.force, at_m=None if guide is None else guide.target)
 

@@ -200,14 +200,14 @@ def _excite_each(rig: _Rig, periods: int, may_repeat: bool) -> list[_Run]:
         soft = rig.excite(channel, rig.soft_forces(channel), _SOFT_PERIODS)
         if soft.stopped:
             raise StoppedError(done, enough_s)
-        said = silence(soft.trace, channel)
+        reason = silence(soft.trace, channel)
         # an error only if the soft forces would move the mass alone by clearly more than a count
-        if said and 0.5 * _SOFT * rig.travel[channel] > _FEW_COUNTS * soft.trace.position_scale[channel]:
-            raise UsageError(said)
-        forces = rig.soft_forces(channel, share=1.0) if said else rig.forces(soft.periods, place)
+        if reason and 0.5 * _SOFT * rig.travel[channel] > _FEW_COUNTS * soft.trace.position_scale[channel]:
+            raise UsageError(reason)
+        forces = rig.soft_forces(channel, share=1.0) if reason else rig.forces(soft.periods, place)
         one, is_last = rig.excite(channel, forces, periods), channel == rig.channels[-1]
-        if said := silence(one.trace, channel):
-            raise UsageError(said)
+        if reason := silence(one.trace, channel):
+            raise UsageError(reason)
         if one.stopped and not (is_last and one.periods.pairs >= LEAST_PERIODS):
             raise StoppedError([*done, one], enough_s)
         travel = _travel(one.trace, rig.lines, channel, one.peak_force, rig.scene.units_of(channel))

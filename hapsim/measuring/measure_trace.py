@@ -404,5 +404,5 @@ def _fits(
             break
         order += 1
     criterion = regression.criterion[:, order]
-    beside = (at for at in np.argsort(criterion) if criterion[at] < least + _UNDECIDED)
-    return [(fit, regression.fit(order + 1, at)) for at in beside if (fit := regression.fit(order, at))]
+    undecided = (at for at in np.argsort(criterion) if criterion[at] < least + _UNDECIDED)
+    return [(fit, regression.fit(order + 1, at)) for at in undecided if (fit := regression.fit(order, at))]

@@ -440,6 +440,8 @@ def partials_of(scene: Scene, prediction: Prediction | None = None) -> dict[str,
     found = {}
     for name, pick_up in scene.sound.items():
         shares = np.array([one.participation[number[pick_up.point]] for one in rings])
-        heard = shares > _LEAST_SHARE * shares.max(initial=0.0)
-        found[name] = tuple(sorted(one.frequency_hz for one, is_heard in zip(rings, heard, strict=True) if is_heard))
+        audible = shares > _LEAST_SHARE * shares.max(initial=0.0)
+        found[name] = tuple(
+            sorted(one.frequency_hz for one, is_audible in zip(rings, audible, strict=True) if is_audible)
+        )
     return found

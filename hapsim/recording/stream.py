@@ -40,7 +40,7 @@ MOST_ROWS = 1 << 15
 
 _LEAST_ROWS = 1 << 10  # of a chunk on a full disk: what is left has room for the summary, as a rule
 _CHUNK = struct.Struct("<4sIII")
-_HEAD, _ROWS, _NOTE, _TOLD = b"HEAD", b"ROWS", b"NOTE", b"TOLD"
+_HEAD, _ROWS, _NOTE, _SUMMARY = b"HEAD", b"ROWS", b"NOTE", b"TOLD"
 _MOST_BYTES = 1 << 26  # of a chunk; one that says it is longer is damaged
 
 
@@ -127,7 +127,7 @@ class StreamWriter:
 
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Writes the report and the histograms so far, and flushes the file to the disk. OSError where it cannot."""
-        self._write_chunk(_TOLD, 0, json.dumps(summary).encode())
+        self._write_chunk(_SUMMARY, 0, json.dumps(summary).encode())
         os.fsync(self._descriptor)
 
     def close(self) -> None:
@@ -214,13 +214,13 @@ class StreamReader:
                     self.on_rows(self.count)
                 elif kind == _NOTE:
                     self.notes.append(validated(dict[str, Any], json.loads(payload)))
-                elif kind == _TOLD:
+                elif kind == _SUMMARY:
                     self.summary = json.loads(payload)
                 end = stream.tell()
             is_all = end == stream.seek(0, os.SEEK_END)
             self._end = end
         read_summary(self.summary)
-        self.is_finished = bool(self.summary["finished"]) and kind == _TOLD and is_all
+        self.is_finished = bool(self.summary["finished"]) and kind == _SUMMARY and is_all
 
 
 def open_record(path: Path) -> StreamReader:

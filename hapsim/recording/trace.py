@@ -183,8 +183,8 @@ def load_trace(path: str | Path) -> Trace:
     """
     path = Path(path)
     if not path.exists():
-        beside = path.with_name(f"{path.name}.part")
-        left = f". {beside} is there, which a run left that did not come to its end" if beside.is_file() else ""
+        part = path.with_name(f"{path.name}.part")
+        left = f". {part} is there, which a run left that did not come to its end" if part.is_file() else ""
         raise UsageError(f"{path}: there is no such file{left}")
     if path.suffix == ".csv":
         raise UsageError(f"{path}: a .csv is for other programs, and is not read back: record a .npz or a .trace")

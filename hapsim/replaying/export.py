@@ -51,13 +51,13 @@ def require_exportable(out: Path, column: str | None) -> None:
     require_writable(out)
 
 
-def export(columns: Columns, out: Path, column: str | None, tell: Callable[[float], None]) -> tuple[float, str]:
+def export(columns: Columns, out: Path, column: str | None, on_share: Callable[[float], None]) -> tuple[float, str]:
     """Writes a record as `out`, in constant memory. Returns what a .wav has at full scale, and its unit.
 
-    `column`: of a .wav, such as position.0, or a pick-up. `tell`: is called with the share of the rows that were read.
+    `column`: of a .wav, such as position.0, or a pick-up. `on_share`: called with the share of rows read.
     Raises UsageError.
     """
-    columns.reader.on_rows = lambda rows: tell(rows / columns.count)
+    columns.reader.on_rows = lambda rows: on_share(rows / columns.count)
     with whole_file(out) as file:
         if column is not None:
             return _write_sound(file, columns, column)

@@ -149,11 +149,11 @@ class Replay:
             return None
         if self.loop.sound is None:
             raise UsageError(f"{file}: found no pick-up in the scene, expected a part `sound`")
-        heard = [name for name in self.scene.sound if pick_up in (None, name)]
-        require_writable_as_wav(file, len(heard), self.scene.step_rate)
+        pick_ups = [name for name in self.scene.sound if pick_up in (None, name)]
+        require_writable_as_wav(file, len(pick_ups), self.scene.step_rate)
         self._most_heard = int(self.loop.sound.record.capacity) // (4 * self.scene.substeps)
-        output = SoundOutput(self.loop.sound, [list(self.scene.sound).index(name) for name in heard])
-        output.file = WavFile(file, len(heard), round(self.scene.step_rate), lambda _: None)
+        output = SoundOutput(self.loop.sound, [list(self.scene.sound).index(name) for name in pick_ups])
+        output.file = WavFile(file, len(pick_ups), round(self.scene.step_rate), lambda _: None)
         return output
 
     def _change(self, change: dict[str, Any]) -> None:

@@ -193,7 +193,7 @@ _loaded: set[str] = set()
 
 
 @contextlib.contextmanager
-def _second_process(names: Sequence[str], heard: Callable[[str], None]) -> Iterator[Callable[[], None]]:
+def _second_process(names: Sequence[str], on_line: Callable[[str], None]) -> Iterator[Callable[[], None]]:
     """Compiles units in another process while open, if there is a second processor. Yields a function that waits for
     it. If it fails, this process compiles the units."""
     process = _start_compiling(names) if names and (os.cpu_count() or 1) > 1 else None
@@ -203,7 +203,7 @@ def _second_process(names: Sequence[str], heard: Callable[[str], None]) -> Itera
 
     def listen(lines: Iterable[str]) -> None:
         for line in lines:
-            heard(line.strip())
+            on_line(line.strip())
 
     with process:
         listener = threading.Thread(target=listen, args=(process.stdout,), name="second process")

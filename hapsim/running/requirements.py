@@ -203,15 +203,15 @@ def _require_numbers(scene: Scene, name: str, description: Description) -> None:
 
 def _require_motion(scene: Scene, name: str, description: Description) -> None:
     """Raises UsageError if the device declares another motion than the scene. A device may declare none."""
-    declared, said = description.motions[: scene.channels], scene.device.motions(scene.channels)
-    if not description.rotary or declared == said:
+    declared, scene_motions = description.motions[: scene.channels], scene.device.motions(scene.channels)
+    if not description.rotary or declared == scene_motions:
         return
-    channel = next(c for c in range(scene.channels) if declared[c] != said[c])
+    channel = next(c for c in range(scene.channels) if declared[c] != scene_motions[c])
     alike = declared[0] if len(set(declared)) == 1 else f"[{', '.join(declared)}]"
     raise UsageError(
         f"{name}: channel {channel} of the device is {declared[channel]} (its register {schema.REG_ROTARY}), the scene "
-        f"has motion: {said[channel]} there. Write motion: {alike} under device, and every value in the units of that "
-        "motion"
+        f"has motion: {scene_motions[channel]} there. Write motion: {alike} under device, and every value in the units "
+        "of that motion"
     )
 
 

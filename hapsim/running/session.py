@@ -316,8 +316,8 @@ class Session(SessionView):
             # The loop has usually disarmed already. This covers other ways out, and reads the device's confirmation.
             released = disarm(self._connection, self._loop.wire)
         rejected = frames_rejected_by(self._connection) if released else None
-        said = released or bool(trace.report.released)
-        self._trace = replace(trace, report=replace(trace.report, released=said, rejected_by_device=rejected))
+        is_released = released or bool(trace.report.released)
+        self._trace = replace(trace, report=replace(trace.report, released=is_released, rejected_by_device=rejected))
         return ending
 
     def _finish_record(self) -> None:

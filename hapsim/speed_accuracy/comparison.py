@@ -87,7 +87,7 @@ PRECISIONS = ("double", "single")
 RATES = (500.0, 1000.0, 2000.0, 5000.0, 10_000.0, 20_000.0, 50_000.0)
 """Sample rates, Hz."""
 
-Tell = Callable[[str], None]
+OnStep = Callable[[str], None]
 
 
 def objects_named(names: Iterable[str]) -> list[Object]:
@@ -130,14 +130,14 @@ class Case(NamedTuple):
 class Comparison:
     """Cases that have run, and are timed round by round. Unstable ones are reported as such, and have no cost.
 
-    `schemes`: the only ones to run, if an object has a choice. `tell`: called with each step of the progress.
+    `schemes`: the only ones to run, if an object has a choice. `on_step`: called with each step of the progress.
     """
 
     def __init__(
         self,
         objects: Sequence[Object],
         rates: Sequence[float],
-        tell: Tell = lambda _: None,
+        on_step: OnStep = lambda _: None,
         schemes: Sequence[str] = (),
     ) -> None:
         skipped = set(SCHEMES) - set(schemes) if schemes else set()
@@ -149,12 +149,12 @@ class Comparison:
         ]
         self._found: dict[Case, Found] = {}
         for i, case in enumerate(cases):
-            tell(f"running {i + 1} of {len(cases)}: {case}")
+            on_step(f"running {i + 1} of {len(cases)}: {case}")
             self._found[case] = case.run()
         self._costs: dict[Case, list[float]] = {case: [] for case, found in self._found.items() if found.errors}
         self._clocks = Clocks()
         for i, case in enumerate(self._costs):
-            tell(f"warming up {i + 1} of {len(self._costs)}: {case}")
+            on_step(f"warming up {i + 1} of {len(self._costs)}: {case}")
             self._clocks.add(case.object.scene(*case[1:]))
 
     def round(self) -> None:
@@ -182,12 +182,12 @@ def compare(
     objects: Sequence[Object],
     rates: Sequence[float],
     rounds: int,
-    tell: Tell = lambda _: None,
+    on_step: OnStep = lambda _: None,
     schemes: Sequence[str] = (),
 ) -> list[Row]:
     """Returns the rows of a comparison with `rounds` rounds."""
-    with contextlib.closing(Comparison(objects, rates, tell, schemes)) as comparison:
+    with contextlib.closing(Comparison(objects, rates, on_step, schemes)) as comparison:
         for number in range(rounds):
-            tell(f"timing, round {number + 1} of {rounds}")
+            on_step(f"timing, round {number + 1} of {rounds}")
             comparison.round()
         return comparison.rows()

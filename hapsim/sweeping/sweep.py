@@ -343,15 +343,15 @@ def _attributes(task: Task, points: Points) -> dict[str, str]:
 
 def write(dataset: xarray.Dataset, out: Path) -> None:
     """Writes a Dataset, completely or not at all. Raises UsageError if it cannot be written."""
-    beside = out.with_name(f"{out.name}.parts") / f"{os.urandom(8).hex()}{out.suffix}"
+    unfinished = out.with_name(f"{out.name}.parts") / f"{os.urandom(8).hex()}{out.suffix}"
     try:
         if out.suffix == ".zarr":
-            dataset.to_zarr(beside, mode="w", consolidated=False)
+            dataset.to_zarr(unfinished, mode="w", consolidated=False)
         else:
-            with file_for_hdf5(beside) as place:
+            with file_for_hdf5(unfinished) as place:
                 dataset.to_netcdf(place, engine="h5netcdf")
-        beside.replace(out)
+        unfinished.replace(out)
     except OSError as error:
         raise UsageError(
-            f"{out}: cannot be written: {error.strerror or error}. The results are in {beside.parent}"
+            f"{out}: cannot be written: {error.strerror or error}. The results are in {unfinished.parent}"
         ) from error

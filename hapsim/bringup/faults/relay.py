@@ -96,8 +96,8 @@ class Relay:
         with contextlib.suppress(OSError):
             os.write(self._stop, b".")
 
-    def run(self, duration_s: float | None = None, tell: Callable[[], None] = lambda: None) -> bool:
-        """Passes on until `stop` or for so many seconds; False if the device went away. Calls `tell` twice a second."""
+    def run(self, duration_s: float | None = None, report: Callable[[], None] = lambda: None) -> bool:
+        """Passes on until `stop` or for so many seconds; False if the device went away. Reports twice a second."""
         ends_s = math.inf if duration_s is None else time.monotonic() + duration_s
         reported_s = -math.inf
         while True:
@@ -110,7 +110,7 @@ class Relay:
             self._send_due(now_s)
             if now_s - reported_s >= _REPORT_S:
                 reported_s = now_s
-                tell()
+                report()
             if now_s >= ends_s:
                 return True
             ready, writable = self._wait(now_s, ends_s)

@@ -92,16 +92,16 @@ def judge(
     leave: Leave | None = None,
     steps: tuple[str, ...] = STEPS,
     on_step: OnStep = lambda _step, _number, _of: None,
-    say: Callable[[str], None] = lambda _sentence: None,
+    announce: Callable[[str], None] = lambda _sentence: None,
 ) -> Judgement:
     """Judges a device against PROTOCOL.md, and releases it. Without `leave` no force but zero is sent.
 
-    `say` is called with what will be done before the device is pushed. The wire's `stop` ends it.
+    `announce` is called with what will be done before the device is pushed. The wire's `stop` ends it.
     """
     probing = Probing(wire, leave)
     ended, interrupted, released = "", False, False
     try:
-        _run(probing, steps, on_step, say)
+        _run(probing, steps, on_step, announce)
     except StoppedError:
         interrupted, ended = True, "stopped by a signal"
     except DeviceError as error:
@@ -115,7 +115,7 @@ def judge(
     return Judgement(wire.name, probing.description, checks, released, ended, interrupted)
 
 
-def _run(probing: Probing, steps: tuple[str, ...], on_step: OnStep, say: Callable[[str], None]) -> None:
+def _run(probing: Probing, steps: tuple[str, ...], on_step: OnStep, announce: Callable[[str], None]) -> None:
     for step, run in _PROBES:
         if step not in steps:
             continue
@@ -127,7 +127,7 @@ def _run(probing: Probing, steps: tuple[str, ...], on_step: OnStep, say: Callabl
                 raise UsageError(f"--channel: found {channel}, expected {expected}")
             usual = SCALES[probing.device.motions[channel]].travel
             probing.leave = replace(probing.leave, travel=probing.leave.travel or usual)
-            say(what_will_be_done(probing, probing.leave))
+            announce(what_will_be_done(probing, probing.leave))
         try:
             goes_on = run(probing) is not False
         except DeviceError as error:

@@ -233,8 +233,8 @@ def _judge_counters(probing: Probing, session: Session) -> None:
     probing.judge("accepted", accepted == session.sent - late, found)
     kept = rejected is not None and _DAMAGED <= rejected <= _DAMAGED + 2
     probing.judge("rejected", kept, f"{rejected}; {_DAMAGED} were sent damaged")
-    said = sum(not sample.fresh for sample in session.samples)
+    held_samples = sum(not sample.fresh for sample in session.samples)
     missing = session.samples[-1].n + 1 - len(session.samples)
-    kept = held is not None and said <= held <= said + missing
-    probing.judge("held", kept, f"{held}; {said} POSITION_HELD came")
+    kept = held is not None and held_samples <= held <= held_samples + missing
+    probing.judge("held", kept, f"{held}; {held_samples} POSITION_HELD came")
     probing.judge("not_limited", limited == 0, f"{limited}")

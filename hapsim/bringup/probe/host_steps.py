@@ -25,15 +25,15 @@ def probe_watchdog(probing: Probing) -> None:
     if session is None:
         return
     session.run(watchdog + _TOO_LATE + 1, None)
-    _judge_latched(probing, session, watchdog, heard=-1)
+    _judge_latched(probing, session, watchdog, last_force=-1)
     if session.ended is None:
         probing.wire.release()
         probing.leave_out("watchdog", "the device did not latch")
         return
     _judge_ignores(probing, session.samples[-1].n if session.samples else 0)
     answer, _ = probing.wire.ask(probing.wire.frame(schema.DISARM, 0), schema.STATUS)
-    said = answer and (answer.wire, answer.state, answer.fault)
-    probing.judge("disarm_latched", said == (SETUP, schema.IDLE, schema.HOST_QUIET), in_words(answer))
+    answered = answer and (answer.wire, answer.state, answer.fault)
+    probing.judge("disarm_latched", answered == (SETUP, schema.IDLE, schema.HOST_QUIET), in_words(answer))
     _judge_rearming(probing, watchdog)
 
 
@@ -41,11 +41,11 @@ def _has_latched(status: Received) -> bool:
     return (status.state, status.fault) == (schema.LATCHED, schema.HOST_QUIET)
 
 
-def _judge_latched(probing: Probing, session: Session, watchdog: int, heard: int) -> None:
-    """`heard`: the sample in which the last force came."""
+def _judge_latched(probing: Probing, session: Session, watchdog: int, last_force: int) -> None:
+    """`last_force`: the sample in which the last force came."""
     last = session.newest.n if session.newest else 0
-    due = heard + watchdog + 1
-    found = f"no FORCE since {'arming' if heard < 0 else f'sample {heard}'}, watchdog {watchdog}: "
+    due = last_force + watchdog + 1
+    found = f"no FORCE since {'arming' if last_force < 0 else f'sample {last_force}'}, watchdog {watchdog}: "
     if session.ended is None:
         probing.judge("latches", False, f"{found}still armed at sample {last}, without a STATUS")
         return
@@ -64,11 +64,11 @@ def _judge_ignores(probing: Probing, n: int) -> None:
     accepted = wire.register(schema.REG_ACCEPTED)
     for armed in (True, False):
         wire.send(wire.frame(schema.FORCE, n, schema.MAX_TIME_TO_LIVE_SAMPLES, armed=armed))
-    answer, heard = wire.ask(wire.frame(schema.DESCRIBE, schema.REG_FAULT), schema.DESCRIPTION)
-    others = [one for one in heard if one.kind != schema.DESCRIPTION]
+    answer, frames = wire.ask(wire.frame(schema.DESCRIBE, schema.REG_FAULT), schema.DESCRIPTION)
+    others = [one for one in frames if one.kind != schema.DESCRIPTION]
     after = wire.register(schema.REG_ACCEPTED)
-    said = answer and (answer.wire, answer.word)
-    kept = said == (SETUP, schema.HOST_QUIET) and not others and spoke == 0 and accepted == after
+    answered = answer and (answer.wire, answer.word)
+    kept = answered == (SETUP, schema.HOST_QUIET) and not others and spoke == 0 and accepted == after
     found = f"{spoke} bytes after STATUS; {in_words(answer)}, after two FORCE; register 8 read {accepted}, then {after}"
     probing.judge("latched_ignores", kept, found + "".join(f"; {in_words(one)}" for one in others[:1]))
 
@@ -83,7 +83,7 @@ def _judge_rearming(probing: Probing, watchdog: int) -> None:
     session.run(watchdog + _TOO_LATE + 20, None)
     in_time = last >= 0 and any(sample.n == last + 1 and sample.fresh for sample in session.samples)
     if in_time or session.ended is None:  # a late force came in an unknown sample
-        _judge_latched(probing, session, watchdog, heard=last)
+        _judge_latched(probing, session, watchdog, last_force=last)
     if session.ended is None:
         probing.wire.release()
         return

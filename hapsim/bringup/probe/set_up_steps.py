@@ -60,8 +60,8 @@ def _answers(probing: Probing) -> bool:
     answer, _ = wire.ask(frame, schema.DESCRIPTION, tries=FIRST_TRIES, after_quiet=release)
     if answer is not None:
         after = f"{in_words(answer)}, {1e3 * (answer.at_s - begun):.3g} ms after the port opened"
-        beside = f"; before it {len(wire.damaged)} pieces that are no frame" if wire.damaged else ""
-        return probing.judge("answers", True, after + beside)
+        remainder = f"; before it {len(wire.damaged)} pieces that are no frame" if wire.damaged else ""
+        return probing.judge("answers", True, after + remainder)
     found, look_at = "not one byte", ""
     if frame[:-1] in wire.damaged:
         found = "what is written comes back, and nothing else"
@@ -253,8 +253,8 @@ def _judge_refused(probing: Probing, name: str, frames: dict[str, bytes], fault:
     for what, frame in frames.items():
         answer, _ = probing.wire.ask(frame, schema.STATUS)
         _stays(probing, what, fault, answer)
-        said = answer and (answer.wire, answer.number, answer.state, answer.fault)
-        if said != (SETUP, 0, schema.IDLE, fault):
+        state = answer and (answer.wire, answer.number, answer.state, answer.fault)
+        if state != (SETUP, 0, schema.IDLE, fault):
             return probing.judge(name, False, f"{what}: {in_words(answer)}")
     return probing.judge(name, True, ", ".join(frames))
 

@@ -279,8 +279,8 @@ def _highest_motion(network: Network) -> tuple[complex, Floats | None] | None:
     beta = float(network.damping[links] @ stretched) / rate
     # No motion is faster than one in which neighbours move against each other with equal amplitudes.
     bound = float(abs(springs).sum(axis=1).max()) / rate**2 * (1.0 + OFFSET_FROM_ONE)
-    beside = bound < EDGE * kappa
-    if beside:
+    is_near_edge = bound < EDGE * kappa
+    if is_near_edge:
         kappa, beta = bound, beta * bound / kappa
     scheme = SCHEMES[network.scheme]
     # z² - (2 - kappa - beta) z + 1 - beta = 0: the centred mass on its spring and its backward damper
@@ -290,7 +290,7 @@ def _highest_motion(network: Network) -> tuple[complex, Floats | None] | None:
     poles = np.linalg.eigvals(step)
     pole = complex(poles[np.argmin(poles.real)]) ** network.substeps
     shift = complex(pole.real, abs(pole.imag)) * (1.0 + OFFSET_FROM_ONE)
-    return shift, None if beside else np.concatenate([np.zeros(channels), motion / np.sqrt(network.point_mass)])
+    return shift, None if is_near_edge else np.concatenate([np.zeros(channels), motion / np.sqrt(network.point_mass)])
 
 
 def refined(network: Network, poles: Complexes, motions: NDArray) -> Complexes:
