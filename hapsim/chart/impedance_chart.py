@@ -192,7 +192,7 @@ class Transparency:
             found |= {f"{name}_k_N_per_m": k, f"{name}_b_Ns_per_m": b}
         return found
 
-    def gives_energy(self) -> list[tuple[float, float]]:
+    def active_bands_hz(self) -> list[tuple[float, float]]:
         """Returns bands (from, to) in Hz in which the scene gives the hand energy instead of taking it: Re Z < 0."""
         power, f = self.rendered.real, self.frequency
         edges = np.flatnonzero(np.diff(power < 0.0, prepend=False, append=False))

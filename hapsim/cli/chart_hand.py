@@ -350,7 +350,7 @@ def transparency(hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass =
         if not output.json:
             print_hands([chosen], [])
     output.write(chart.columns, lambda path: draw_transparency(chart, title, path))
-    bands = chart.gives_energy()
+    bands = chart.active_bands_hz()
     if not output.json:
         words = ", ".join(_band(low, high, chart.frequency[0], chart.frequency[-1]) for low, high in bands)
         stdout().print(

@@ -145,10 +145,10 @@ def test_far_below_the_eigenfrequency_the_desired_spring_is_rendered() -> None:
 
 def test_the_scene_gives_energy_where_the_real_part_is_negative() -> None:
     data = transparency(Hand("hand", 0, DEVICE, 2000.0, 5.0))
-    ((low, high), *_) = data.gives_energy()
+    ((low, high), *_) = data.active_bands_hz()
     at = np.array([0.999 * low, 1.001 * low, 0.999 * high, 1.001 * high])
     assert (SCENE_ALONE.impedance(2000.0, 5.0, at).real < 0.0).tolist() == [False, True, True, False]
-    assert transparency(Hand("hand", 0, replace(DEVICE, delay=0.0, hold="impulse"), 100.0, 1.0)).gives_energy() == []
+    assert transparency(Hand("hand", 0, replace(DEVICE, delay=0.0, hold="impulse"), 100.0, 1.0)).active_bands_hz() == []
 
 
 def test_without_an_equivalent_there_is_no_eigenfrequency() -> None:

@@ -12,7 +12,23 @@ ROOT = Path(__file__).parents[2]
 FIRST_WORDS = "What|Where|How|Whether|By|Of|Who|Whom|Whose|Why|Which|That|Those|Such|Its|Beside"
 CLAUSE = re.compile(rf"({FIRST_WORDS})\b")
 
-NO_FIELD_WORD = {"hear", "tell", "told", "complain", "complains", "office", "beside", "followed", "keeper"}
+NO_FIELD_WORD = {
+    "hear",
+    "heard",
+    "tell",
+    "told",
+    "say",
+    "says",
+    "said",
+    "speak",
+    "spoken",
+    "complain",
+    "complains",
+    "office",
+    "beside",
+    "followed",
+    "keeper",
+}
 
 AREAS = ["firmware_protocol", "hapsim", "tests", "tools"]
 

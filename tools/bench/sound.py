@@ -146,21 +146,21 @@ def main() -> None:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         stack.enter_context(sound_server(realtime))
 
-        def say(what: str, found: dict[str, object]) -> None:
+        def show(what: str, found: dict[str, object]) -> None:
             print(f"{what:<40}{found}, load {os.getloadavg()[0]:.1f}", flush=True)
 
         if arguments.minutes:
-            say(f"{arguments.minutes:g} minutes", of_long_run(60.0 * arguments.minutes, directory, realtime))
+            show(f"{arguments.minutes:g} minutes", of_long_run(60.0 * arguments.minutes, directory, realtime))
             return
         client = directory / "client"
         subprocess.run(["cc", "-O2", _HERE / "sound_client.c", "-lportaudio", "-lm", "-o", client], check=True)
         for _ in range(arguments.rounds):
-            say("C", of_c(client, arguments.seconds))
+            show("C", of_c(client, arguments.seconds))
             with running(sys.executable, "-c", _BUSY):
-                say("C, beside busy Python", of_c(client, arguments.seconds))
-            say("hapsim", of_hapsim(arguments.seconds, realtime))
+                show("C, beside busy Python", of_c(client, arguments.seconds))
+            show("hapsim", of_hapsim(arguments.seconds, realtime))
             with busy_thread():
-                say("hapsim, beside a busy Python thread", of_hapsim(arguments.seconds, realtime))
+                show("hapsim, beside a busy Python thread", of_hapsim(arguments.seconds, realtime))
 
 
 if __name__ == "__main__":
