@@ -199,7 +199,7 @@ def test_what_is_looked_for_is_found(every_compiled: list[Any]) -> None:
         ("native", "linear_links.py", "add_forces"),
         ("native", "crossfade.py", "cross_fade"),
         ("piece", "frames.py", "crc_of"),
-        ("piece", "structure.py", "moved"),
+        ("piece", "structure.py", "next_position"),
         ("overload", "structure.py", "_choose_update"),
         ("overload", "system.py", "_compiled_now_ns"),
         ("intrinsic", "native.py", "value_of"),

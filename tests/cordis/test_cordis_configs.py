@@ -123,7 +123,7 @@ def test_the_four_keys_come_back_and_click_on_their_way() -> None:
         return float(force[np.searchsorted(-press, depth), 0])
 
     assert at(0.003) - at(0.0036) > slow - 0.15
-    assert "1 N more up to 3 mm, which is gone at 3.5 mm" in comment
+    assert "1 N more up to 3 mm, and none from 3.5 mm on" in comment
     assert at(0.0118) > at(0.0098) + 3.0  # the bottom
 
 

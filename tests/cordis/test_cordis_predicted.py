@@ -89,9 +89,9 @@ def state_of(sample: Sample, reduced: np.ndarray) -> np.ndarray:
     now, way, velocity = reduced[:points], reduced[:points] - reduced[points:-1], reduced[-1:]
     mass_step = way[1:] / sample.network.substeps
     moved = sample.tick.stretches @ np.append(0.0, mass_step)
-    parts = {"position": now[:1], "mass": now[1:], "velocity": velocity, "way": way[:1], "mass_step": mass_step}
-    parts |= {"turn": velocity, "held": np.zeros(sample.sizes["held"])}
-    for name, lists in (("older", sample.tick.older), ("past", sample.tick.past)):
+    parts = {"position": now[:1], "mass": now[1:], "velocity": velocity, "last_step": way[:1], "mass_step": mass_step}
+    parts |= {"sensed_change": velocity, "held": np.zeros(sample.sizes["held"])}
+    for name, lists in (("old_steps", sample.tick.old_steps), ("old_rates", sample.tick.old_rates)):
         parts[name] = np.concatenate([np.zeros(0), *(moved[links] for links in lists)])
     return np.concatenate([parts[name] for name, size in sample.sizes.items() if size])
 
@@ -99,13 +99,13 @@ def state_of(sample: Sample, reduced: np.ndarray) -> np.ndarray:
 def played(sample: Sample, state: np.ndarray) -> tuple[float, np.ndarray]:
     """The force on the hand, and the state at the next sample: the rows of the theory as one column of numbers."""
     parts = cut(state[:, None], sample.sizes)
-    begun = sample.begun(parts)
+    begun = sample.start(parts)
     step = begun
     for _ in range(sample.network.substeps):
         more = sample.tick.step(step)
         step = {name: step[name] + more[name] for name in step}
     moved = {name: step[name] - begun[name] for name in step}
-    return float(moved["force"][0, 0]), state + sample.ended(parts, moved)[:, 0]
+    return float(moved["force"][0, 0]), state + sample.state_change(parts, moved)[:, 0]
 
 
 def ticked(scheme: str, seed: int, reduced: np.ndarray, steps: Steps) -> np.ndarray:

@@ -176,5 +176,5 @@ def test_the_masses_at_which_it_is_stable_are_where_it_turns_unstable() -> None:
 
 
 def test_an_adaptive_correction_needs_a_span() -> None:
-    with pytest.raises(SceneError, match=r"expected device\.mass: \{from"):
+    with pytest.raises(SceneError, match=r"write device\.mass: \{from"):
         scene_of({"touch": link(("hand", "wall"), 2000.0, 5.0)}, correction="adaptive")

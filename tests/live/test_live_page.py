@@ -291,7 +291,7 @@ def test_a_refusal_stays_when_the_controls_are_made_anew_and_goes_when_it_is_clo
     page.until(lambda: said(page, ROW))
     page.served.hub.publish("changed")  # the scene may be another: all is asked for again
     later(page, 0.5)
-    assert "was refused" in said(page, ROW)
+    assert "was rejected" in said(page, ROW)
     page.browser.find_element("xpath", f"{ROW}/p/button").click()
     assert said(page, ROW) == ""
 

@@ -139,7 +139,7 @@ def test_a_full_disk_is_told_in_a_sentence_and_leaves_nothing(record: Path, tmp_
     """HDF5 crashed, or printed its own words, where a write failed."""
     pytest.importorskip({"h5": "h5py", "mcap": "mcap"}.get(ending, "numpy"))
     out = tmp_path / f"out.{ending}"
-    command = [sys.executable, "-c", FULL, str(record), str(out), "3000"]
+    command = [sys.executable, "-B", "-c", FULL, str(record), str(out), "3000"]  # -B: no cut-off code is kept
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == f"{out}: the file cannot be written: File too large\n"

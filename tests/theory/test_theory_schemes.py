@@ -102,5 +102,5 @@ def test_what_is_not_worked_out_is_said() -> None:
     assert not predicted.by_its_scheme
     assert "under exact" in predicted.assumptions[0]
     assert "too fast for the rate" in predicted.assumptions[0]
-    assert "not for exact" in warnings_about(stiff, predicted)[-1]
+    assert "the scene runs with scheme: exact" in warnings_about(stiff, predicted)[-1]
     assert surely_shaken_by(stiff) is None
