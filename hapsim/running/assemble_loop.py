@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from hapsim.device.mock.stand_ins import LiveHand
 
 _RING_ROWS = 1 << 16
-_ROWS_IN_VIRTUAL_TIME = 1 << 12  # there the loop waits for the reader, and a short run touches less memory
 _SOUND_S, _LEAST_FRAMES = 1.0, 4096  # least size of the ring of sound
 _CLOCK = {"device": DEVICE_CLOCK, "host": HOST_CLOCK, "lockstep": NO_CLOCK}
 _FOREVER_NS = 1 << 62
@@ -57,8 +56,7 @@ class LoopMemory:
         self.wire = armed_format(description.channels, velocity)
         """Format of an armed device's frames."""
         rows = row_type(description.channels, velocity, clock == "host")
-        waits = clock == "lockstep"
-        self.ring = Ring(self.record.ring, rows, _ROWS_IN_VIRTUAL_TIME if waits else _RING_ROWS, waits)
+        self.ring = Ring(self.record.ring, rows, _RING_ROWS, waits=clock == "lockstep")
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)
         tick = self.record.tick

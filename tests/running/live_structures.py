@@ -87,7 +87,7 @@ class Runner:
 
 @contextlib.contextmanager
 def running(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> Iterator[Runner]:
-    monkeypatch.setattr("hapsim.running.assemble_loop._ROWS_IN_VIRTUAL_TIME", 128)
+    monkeypatch.setattr("hapsim.running.assemble_loop._RING_ROWS", 128)
     with open_connection(scene, "loopback") as connection:
         description: Description = describe(connection)
         loop = assemble_loop(scene, connection, description)
