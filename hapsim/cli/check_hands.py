@@ -96,8 +96,8 @@ def _table(names: str, rows: Sequence[tuple[str, ...]], units: Units) -> Table:
 
 
 def _rows(regions: tuple[Region, ...], here: Region | None = None) -> tuple[list[_Row], str]:
-    """Returns all regions if they fit, else the region of each kind nearest to position 0, with the number of its kind.
-    If even these do not fit, returns the least stable ones, and a sentence about the others."""
+    """Returns all regions if they fit; otherwise of each kind the one nearest to position 0, and how many there are. If
+    even these do not fit, returns the least stable ones, and a sentence about the others."""
     if len(regions) <= _ROWS:
         return [_Row(one, 1, one is here) for one in regions], ""
     alike: dict[tuple[object, ...], list[Region]] = {}

@@ -69,7 +69,7 @@ class Region:
         """Factor by which the hand's motion grows in a sample; 0 if nothing shakes it."""
         if self.kind == "held" and self.felt.stable:
             return 0.0
-        # The largest real pole is left out: it belongs to a snap or a free hand itself.
+        # The largest real pole does not count: it belongs to a snap or a free hand itself.
         grows = max(map(abs, drop_real_poles(self.felt.poles, int(self.kind != "held"))), default=0.0)
         return 0.0 if self.kind != "held" and grows < SURELY else grows
 

@@ -97,7 +97,7 @@ class Relay:
             os.write(self._stop, b".")
 
     def run(self, duration_s: float | None = None, report: Callable[[], None] = lambda: None) -> bool:
-        """Passes on until `stop` or for so many seconds; False if the device went away. Reports twice a second."""
+        """Relays for `duration_s`, else until `stop`. Calls `report` twice a second. False if the device went away."""
         ends_s = math.inf if duration_s is None else time.monotonic() + duration_s
         reported_s = -math.inf
         while True:

@@ -45,7 +45,7 @@ class LiveHand:
         self._record.values.straight = 1
 
     def retarget(self, scene: Scene, samples: int) -> None:
-        """Moves the hand to its place in `scene` in so many samples, at least 4 ms. For one thread at a time."""
+        """Moves the hand to its place in `scene` within `samples`, but at least 4 ms. For one thread at a time."""
         mock, values = self._mock, hand_values(scene)
         if values[1].any():
             mock.called.move = move_with_spring_or_friction.address()

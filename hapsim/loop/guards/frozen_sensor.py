@@ -46,7 +46,7 @@ from hapsim.scene import Scene
 STAIRCASE = -23
 TRUST, MOST_TRUST = 2.0, 8.0  # a hand that keeps pressing at one place is tested less often
 COUNTS = 4  # a hand that holds still at the edge of a count moves by one or two
-STILL_FACTOR = 3.0  # a trembling hand seldom stands still for so many times longer than before
+STILL_FACTOR = 3.0  # a trembling hand seldom stands still three times longer than before
 MOST_WAIT_S = 0.5  # in less, a weak force takes no handle too far
 RAMP_SHARE, LEAST_RAMP_S, MOST_RAMP_S = 0.7, 0.005, 0.15  # with 0.5, counts of 0.1 mm fade three times as often
 LEAST_RETURN_S = 0.01  # a faster step of the force feels like a click

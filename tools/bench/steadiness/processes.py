@@ -65,7 +65,7 @@ def answer_of(
     environment: Mapping[str, str] | None = None,
     cpus: Iterable[int] = (),
 ) -> str:
-    """Returns the output of a program that takes so many `seconds`. Raises PeerError if it fails or does not end."""
+    """Returns the output of a program that runs for `seconds`. Raises PeerError if it fails or does not end."""
     with running(command, environment, cpus) as process:
         try:
             out, err = process.communicate(timeout=seconds + _PATIENCE_S)
