@@ -3,11 +3,9 @@
 `entry` is for a function that Python calls; its machine code is kept (`code_cache.py`). `inlined` is for its pieces:
 each is woven into the compiled functions that call it, and called from Python it runs as plain Python. `helper` lets
 the compiler choose between weaving and calling: for what several places call and is not small. `fma` and `reassociated`
-are `inlined` for arithmetic.
+are `inlined` for arithmetic on many numbers.
 
-Numbers are passed as records, one pointer each, and records hold records: little is compiled for each call. Depth costs
-more than length: numba makes an executable of every function that another one calls, so what stands ten calls deep is
-compiled ten times.
+Numbers are passed as records, one pointer each, and records hold records: little is compiled for each call.
 
 Nothing is allocated in the hot path, and no array in it outlives the call that brought it. So numba's counting of
 references is off (`_nrt`): an atomic addition for every array at every step was most of an exchange's time. What
@@ -29,6 +27,7 @@ import numpy as np
 from numba import extending, types
 
 from firmware_protocol.code_cache import directory_for, numba_cache_in, read_only_directories_for
+from firmware_protocol.lean_compiler import BulkPiece, Piece, PieceType, Whole
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -38,25 +37,36 @@ OPTIONS: dict[str, Any] = {
     "no_cfunc_wrapper": True,
     "no_rewrites": True,  # of array expressions, of which there are none
     "_nrt": False,
+    "pipeline_class": Whole,
 }
-_INLINED = OPTIONS | {"no_cpython_wrapper": True, "forceinline": True}
-_HELPER = _INLINED | {"forceinline": False}  # explicit: else numba passes on the caller's
+_HELPER = OPTIONS | {"no_cpython_wrapper": True, "forceinline": False, "fastmath": False, "pipeline_class": Piece}
+_INLINED = _HELPER | {"forceinline": True}
 
-inlined: Callable[[Function], Function] = extending.register_jitable(**_INLINED)
-helper: Callable[[Function], Function] = extending.register_jitable(**_HELPER)
 
-fma: Callable[[Function], Function] = extending.register_jitable(**_INLINED, fastmath={"contract"})
+def _piece(options: dict[str, Any], **others: Any) -> Callable[[Function], Function]:
+    """Returns a decorator. The options are explicit: numba gives those that are left out the caller's values."""
+
+    def decorate(function: Function) -> Function:
+        PieceType(function, numba.njit(**options | others)(function))
+        return function
+
+    return decorate
+
+
+inlined = _piece(_INLINED)
+helper = _piece(_HELPER)
+
+fma = _piece(_INLINED, pipeline_class=BulkPiece, fastmath={"contract"})
 """A product and the sum that it goes into may be rounded once instead of twice. A NaN stays one."""
 
-reassociated: Callable[[Function], Function] = extending.register_jitable(
-    **_INLINED, fastmath={"contract", "reassoc", "nsz"}
-)
+reassociated = _piece(_INLINED, pipeline_class=BulkPiece, fastmath={"contract", "reassoc", "nsz"})
 """Like `fma`, for long sums: their terms may be added in any order, many at once. A NaN stays one."""
 
 
 def overload(function: Callable[..., Any]) -> Callable[[Function], Function]:
-    """numba's `overload` of `function`; the code that it chooses is inlined."""
-    chosen: Callable[[Function], Function] = extending.overload(function, jit_options=_INLINED)
+    """numba's `overload` of `function`; the code that it chooses is inlined, with its caller's `fastmath`."""
+    options = {name: value for name, value in _INLINED.items() if name != "fastmath"}
+    chosen: Callable[[Function], Function] = extending.overload(function, jit_options=options)
     return chosen
 
 
@@ -116,11 +126,3 @@ def emits(write: Callable[[Any], object]) -> Callable[[Function], Function]:
         return function
 
     return decorate
-
-
-@emits(lambda builder: builder.function.attributes.add("optsize"))
-def compact() -> None:
-    """Compiles the loops of the compiled function that calls it, at its beginning, as written: they are short.
-
-    Else the compiler turns a loop over channels into a dozen loops: in the loop's eighty functions that made 16 MB of
-    intermediate code."""

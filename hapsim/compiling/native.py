@@ -23,6 +23,7 @@ from numba.np.arrayobj import populate_array
 
 from firmware_protocol.code_cache import numba_cache_in
 from firmware_protocol.compiled import OPTIONS
+from firmware_protocol.lean_compiler import BulkWhole, Whole
 from hapsim.compiling.kept import Kept, note_unkept, require_compiler
 from hapsim.compiling.progress import compiling
 
@@ -30,7 +31,7 @@ ir = cgutils.ir
 types: Any = numba.types  # numba's own annotations omit some of them
 
 _WORD = ir.IntType(64)
-_CFUNC_OPTIONS = {key: OPTIONS[key] for key in ("error_model", "no_rewrites", "_nrt")}
+_CFUNC_OPTIONS = {key: OPTIONS[key] for key in ("error_model", "no_rewrites", "_nrt")} | {"pipeline_class": BulkWhole}
 
 
 class Behind:
@@ -176,12 +177,12 @@ class NativeFunction:
     """A function that compiled code calls by its address.
 
     Its arguments are values behind addresses, which it reads first: `links = value_of(links)`. It is compiled for each
-    choice of their types on first use, and kept.
+    choice of their types on first use, and kept. Its loops are compiled for many numbers.
     """
 
     def __init__(self, function: Callable[..., Any], returns: Any = types.void, **options: Any) -> None:
         self.function = function
-        self._returns, self._options = returns, options
+        self._returns, self._options = returns, _CFUNC_OPTIONS | options
         self._compiled: dict[Any, Any] = {}
 
     def call_on(self, *values: Behind) -> tuple[int, ...]:
@@ -200,9 +201,8 @@ class NativeFunction:
         name = f"{self.function.__module__.rpartition('.')[2]}.{self.function.__name__}"
 
         def _compile_in(directory: Path | None) -> Any:
-            options = {"cache": directory is not None, **_CFUNC_OPTIONS, **self._options}
             with numba_cache_in(directory):
-                return numba.cfunc(signature, **options)(self.function)
+                return numba.cfunc(signature, cache=directory is not None, **self._options)(self.function)
 
         def _compile_or_load() -> Any:
             with contextlib.nullcontext() if kept.is_whole else compiling(self.function, name):
@@ -216,10 +216,11 @@ class NativeFunction:
 
 
 class PlainNative(NativeFunction):
-    """A native function whose arguments are numbers, addresses among them. Python may call it too."""
+    """A native function whose arguments are numbers, addresses among them. Python may call it too. `bulk`: its loops
+    run over many numbers."""
 
-    def __init__(self, function: Callable[..., Any], signature: Any) -> None:
-        super().__init__(function, signature.return_type)
+    def __init__(self, function: Callable[..., Any], signature: Any, bulk: bool = False) -> None:
+        super().__init__(function, signature.return_type, pipeline_class=BulkWhole if bulk else Whole)
         self._signature = signature
         self._callable: Any = None
 
@@ -238,9 +239,9 @@ class PlainNative(NativeFunction):
         return self._callable(*arguments)
 
 
-def native(returns: Any, *arguments: Any) -> Callable[[Callable[..., Any]], PlainNative]:
+def native(returns: Any, *arguments: Any, bulk: bool = False) -> Callable[[Callable[..., Any]], PlainNative]:
     """Decorates a native function with these numba types: int64, float64, or uint64 for an address."""
-    return lambda function: PlainNative(function, returns(*arguments))
+    return lambda function: PlainNative(function, returns(*arguments), bulk)
 
 
 _CTYPES: dict[Any, Any] = {

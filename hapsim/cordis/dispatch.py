@@ -13,7 +13,7 @@ import numpy as np
 from numba.core import types
 from numpy.typing import NDArray
 
-from firmware_protocol.compiled import ONE, compact
+from firmware_protocol.compiled import ONE
 from hapsim.compiling import inlined
 from hapsim.compiling.native import Behind, NativeFunction, array_at, function_at
 
@@ -103,7 +103,6 @@ call_add_frame = function_at(ADD_FRAME)
 @inlined
 def call_all(calls, state):
     """Makes all calls of a list, in order. `state`: the address of a TickState."""
-    compact()
     pairs = _words_at(calls.pairs, 2 * calls.count)
     for i in range(np.uint64(calls.count)):
         _call(pairs[i + i], (pairs[i + i + ONE], state))

@@ -13,7 +13,6 @@ import numpy as np
 from numba import types
 
 from firmware_protocol import schema
-from firmware_protocol.compiled import compact
 from hapsim.compiling import inlined
 from hapsim.compiling.native import function_at
 from hapsim.cordis.dispatch import call_add_frame
@@ -47,7 +46,6 @@ _call_cross_fade = function_at(CROSS_FADE)
 @inlined
 def move_scene(slot, io, samples):
     """Moves the scene by `samples`, with the hands on straight lines. Writes the scene's force to `io.asked`."""
-    compact()
     steps = samples * slot.substeps
     for i in range(1, steps + 1):
         position, velocity = io.measured, io.velocity

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.compiled import ONE, compact
+from firmware_protocol.compiled import ONE
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at, record_at
 from hapsim.cordis.dispatch import CALLS, call_all
@@ -47,7 +47,6 @@ _doubles_at = array_at(np.float64)
 def start(program, measured):
     """Puts the device points at the hands, at rest, so that the first tick has no jump. `measured`: m, one value per
     channel of the device."""
-    compact()
     _set_at_rest(program, measured)
     call_all(program.initialize, program.states[np.uint64(program.turn)])
 
@@ -71,7 +70,6 @@ def take_over(older, program, measured):
 def tick(program, measured, velocity, force):
     """Moves the scene by one sample. `measured`: the device's positions in m, one per channel. `velocity`: its sensed
     velocities in m/s, else 0. `force`: receives the force in N on each channel that the scene uses."""
-    compact()
     turn = np.uint64(program.turn)
     program.turn = ONE - turn
     state = program.states[turn]
@@ -109,7 +107,6 @@ def set_hands(program, measured):
 def update_parameters(program):
     """Moves live parameters, and points that depend on them, by one sample. Call it before the tick. With the next
     sample these points are at rest again."""
-    compact()
     parameters, moved = program.parameters, 0
     if parameters.posted != parameters.taken or parameters.left > 0:
         moved = call_move(parameters.move, (parameters.address, *_rows(program)))
@@ -131,7 +128,6 @@ def stored_energy(program, measured):
 
 @inlined
 def _set_positions(program, row, measured):
-    compact()
     for h in range(program.hands):
         put_number(row, h, program.single, measured[program.channel[np.uint64(h)]])
 
@@ -139,7 +135,6 @@ def _set_positions(program, row, measured):
 @inlined
 def _read_forces(program, force):
     """Reads the force on each device point and sets it to zero."""
-    compact()
     for h in range(program.hands):
         force[program.channel[np.uint64(h)]] = number_at(program.force, h, program.single)
         put_number(program.force, h, program.single, 0.0)

@@ -7,7 +7,6 @@ priority that moves a terminal's bytes.
 from __future__ import annotations
 
 from firmware_protocol import schema
-from firmware_protocol.compiled import compact
 from firmware_protocol.decoder import next_frame
 from hapsim.compiling import entry, inlined
 from hapsim.loop.buffers import AT_ONCE, inbox_at, next_place
@@ -80,7 +79,6 @@ def _take_newest_position(loop, begun, timeout_ns):
 
     Returns RECEIVED, TIMED_OUT, or a code that ends the loop. Bytes without a position do not prolong the wait.
     """
-    compact()
     inbox, last_pass = inbox_at(loop.inbox), False
     arrived, give_up = begun, begun + timeout_ns
     while True:

@@ -18,7 +18,6 @@ import math
 import numpy as np
 
 from firmware_protocol import schema
-from firmware_protocol.compiled import compact
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
@@ -148,7 +147,6 @@ def take_frame(loop, decoder, now):
     Returns RECEIVED, TIMED_OUT for a frame that is ignored, or a code of endings.py that ends the loop. A position that
     comes twice or after a newer one is counted and ignored, since the scene never goes back in time.
     """
-    compact()
     state, io, tick = loop.state, loop.io, loop.tick
     if decoder.type == schema.STATUS:
         state.fault = (decoder.counts[0] >> 8) & 0xFF
@@ -228,7 +226,6 @@ def _read_position(io, decoder, is_first):
 def _answer(loop):
     """Turns the scene's force into the guarded force, and counts the tick. Returns RECEIVED, or the code that ends the
     loop before that force is sent."""
-    compact()
     state, io, tick = loop.state, loop.io, loop.tick
     is_finite, limited = _set_force(io, loop.control, state, tick.push)
     if tick.withheld:
@@ -251,7 +248,6 @@ def _answer(loop):
 @inlined
 def compose_frame(loop, disarm):
     """Writes the frame with the newest force, or the one that disarms, into the outbox. Returns where it ends."""
-    compact()
     io = loop.io
     state, control = loop.state, loop.control
     kind, number, argument = schema.FORCE, state.sample & _MODULUS_MASK, control.time_to_live
@@ -364,7 +360,6 @@ def _excitation(control, state):
 def _set_force(io, control, state, guided):
     """Adds excitation and the guide's force (N), limits the force, converts it to counts. Returns (whether it is
     finite, whether it was clipped)."""
-    compact()
     excitation = _excitation(control, state) + guided
     io.excitation[np.uint64(control.pulse_channel)] = excitation
     if control.periodic_length > 0:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numba import types
 
-from firmware_protocol.compiled import ONE, compact
+from firmware_protocol.compiled import ONE
 from firmware_protocol.description import Description
 from hapsim.compiling import inlined
 from hapsim.compiling.native import PlainNative, address_of, array_at, function_at, native, record_at
@@ -86,7 +86,6 @@ HOOKS = np.dtype([(name, CALLS) for name in _LISTS], align=True)
 @inlined
 def call_hooks(calls, tick):
     """Calls the hooks of a list, in order. If several end the run, the code nearest to 0 counts."""
-    compact()
     pairs = _words_at(calls.pairs, 2 * calls.count)
     for i in range(np.uint64(calls.count)):
         code = call_hook(pairs[i + i], (pairs[i + i + ONE], tick.address))

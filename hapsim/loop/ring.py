@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.compiled import compact
 from hapsim.compiling import fence, inlined
 from hapsim.compiling.native import array_at
 
@@ -102,7 +101,6 @@ class Ring:
 @inlined
 def push(ring, state, time_ns, flags, io):
     """Writes a row of `io` and the loop's `state`, invisible to the reader before `publish`."""
-    compact()
     at = ring.head + ring.unpublished
     if at - ring.tail >= ring.capacity:
         ring.dropped += 1

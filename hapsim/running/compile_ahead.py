@@ -117,22 +117,22 @@ UNITS: dict[str, CompileUnit] = {
         6, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
     ),
     "guards": CompileUnit(  # a run compiles only those that its scene sets up
-        59, ("loop.guards:HOOKS", "loop.force_history:keep", "loop.guide:lead", "cordis.stored_energy:evaluate")
+        51, ("loop.guards:HOOKS", "loop.force_history:keep", "loop.guide:lead", "cordis.stored_energy:evaluate")
     ),
     "mock": CompileUnit(
-        60,
+        54,
         (*_FIRMWARE, "device.mock.wire:receive_at_once", "device.mock.wire:send_at_once"),
         _entry("device.mock.terminal:serve", "device.mock.firmware:MOCK", "device.mock.terminal:SERVICE"),
         in_second_process=True,
         calls_system=True,
     ),
     "loopback": CompileUnit(
-        50,
+        41,
         (*_FIRMWARE, "device.mock.wire:receive_in_memory", "device.mock.wire:send_in_memory"),
         in_second_process=True,
     ),
     "motion": CompileUnit(
-        13,
+        10,
         ("device.mock.motion:move_with_spring_or_friction", "device.mock.stand_ins:move_hand"),
         in_second_process=True,
     ),
@@ -143,9 +143,9 @@ UNITS: dict[str, CompileUnit] = {
         calls_system=True,
     ),
     "sound": CompileUnit(2, ("loop.sound:add_frame",)),
-    "playback": CompileUnit(14, ("sound.resample:play",), calls_system=True),
+    "playback": CompileUnit(11, ("sound.resample:play",), calls_system=True),
     "changes": CompileUnit(
-        20,
+        15,
         ("cordis.parameters:move", "loop.crossfade:cross_fade"),
         _entry("cordis.parameters:post", "cordis.parameters:PARAMETERS", np.zeros(0), 1),
     ),
@@ -157,8 +157,8 @@ UNITS: dict[str, CompileUnit] = {
         in_second_process=True,
     ),
     "portable": CompileUnit(40, entries=_portable_loop, in_second_process=True),
-    "modules": CompileUnit(160, modules="double"),
-    "modules in single precision": CompileUnit(160, modules="single", in_second_process=True),
+    "modules": CompileUnit(144, modules="double"),
+    "modules in single precision": CompileUnit(149, modules="single", in_second_process=True),
 }
 """Units that can be compiled ahead, by name."""
 

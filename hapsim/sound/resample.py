@@ -134,7 +134,7 @@ def filter_table(ratio: float) -> np.ndarray:
     return (rows / rows.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-@native(types.int64, *[types.uint64] * 6)
+@native(types.int64, *[types.uint64] * 6, bulk=True)
 def play(_unused, output, count, times, flags, player):
     """PortAudio's callback: fills `count` frames of `output`. `player`: address of a PLAYER."""
     player = _player_at(player)

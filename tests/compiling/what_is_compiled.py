@@ -25,6 +25,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 from numba.core.typing import templates
 
+from firmware_protocol.lean_compiler import PieceType
 from hapsim.compiling.native import NativeFunction
 
 FOLDERS = [Path(argument).resolve() for argument in sys.argv[1:]]
@@ -47,25 +48,24 @@ def modules_in(folder: Path) -> Iterator[str]:
 
 
 def choosers() -> Iterator[tuple[Any, FunctionType]]:
-    """Yields each target of numba's `overload` with the function that chooses its code; for an inlined function
-    itself."""
+    """Yields each target of numba's `overload` with the function that chooses its code."""
     for template in templates.builtin_registry.functions:
         chooser = getattr(template, "_overload_func", None)
         if chooser is not None:
-            of_piece = chooser.__qualname__.startswith("register_jitable.")
-            yield template.key, template.key if of_piece else chooser
+            yield template.key, chooser
 
 
 def compiled() -> Iterator[tuple[str, Any]]:
+    pieces = {id(kind.dispatcher) for _, kind in templates.builtin_registry.globals if isinstance(kind, PieceType)}
     for one in gc.get_objects():
         if isinstance(one, Dispatcher):
-            yield "entry", one.py_func
+            yield "piece" if id(one) in pieces else "entry", one.py_func
         elif isinstance(one, NativeFunction):
             yield "native", one.function
         elif isinstance(one, _Intrinsic):
             yield "intrinsic", one._defn
-    for function, chooser in choosers():
-        yield "piece" if function is chooser else "overload", chooser
+    for _, chooser in choosers():
+        yield "overload", chooser
     for lowering, *_ in imputils.builtin_registry.functions:
         yield "lowering", inspect.unwrap(lowering)
 
@@ -120,7 +120,7 @@ def reached_from(root: FunctionType) -> set[str]:
         files.add(file)
         if not isinstance(one, FunctionType):
             continue
-        if chosen.get(id(one), one) is not one:
+        if id(one) in chosen:
             ahead.append(chosen[id(one)])
         names = names_in(one.__code__)
         ahead += [cell.cell_contents for cell in one.__closure__ or ()]
