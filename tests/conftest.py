@@ -42,7 +42,7 @@ RUNNERS = {
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _signals_are_heard() -> None:
+def _signals_are_not_ignored() -> None:
     """A shell that starts pytest in the background has it ignore SIGINT, nohup SIGHUP, and so would every program that
     a test starts."""
     for number, default in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):

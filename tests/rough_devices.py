@@ -35,7 +35,7 @@ class RoughDevice(NamedTuple):
         return self.scene.mock_device.coulomb > 0.0
 
 
-class Said(NamedTuple):
+class Measured(NamedTuple):
     """Report of `measure` on a rough device."""
 
     apart: float
@@ -106,13 +106,13 @@ def _as_it_is(document: dict[str, Any]) -> dict[str, Any]:
     return document | {"device": document["device"] | real}
 
 
-def measured(device: RoughDevice) -> Said:
+def measured(device: RoughDevice) -> Measured:
     """Measures it, and reads what `hapsim measure` prints."""
     scene, prediction = device.scene, hapsim.predict(device.scene, with_margins=False)
     try:
         found = hapsim.measure(scene)
     except UsageError:
-        return Said(math.nan, math.nan, ("nothing",), "")
+        return Measured(math.nan, math.nan, ("nothing",), "")
     out = Console(file=StringIO(), width=10_000, force_terminal=False)
     show_measurement(out, scene, prediction, found)
     text = out.file.getvalue()  # type: ignore[attr-defined]
@@ -135,4 +135,4 @@ def measured(device: RoughDevice) -> Said:
     }
     apart = abs(found.k - device.k) / found.k_uncertainty if found.dominant else math.nan
     words = tuple(name for name, said in says.items() if said)
-    return Said(apart, found.k / device.k - 1.0, words, ", ".join(name for name, is_so in wrong.items() if is_so))
+    return Measured(apart, found.k / device.k - 1.0, words, ", ".join(name for name, is_so in wrong.items() if is_so))

@@ -147,7 +147,7 @@ def test_the_numbers_of_a_plane_are_those_of_the_theory_to_the_last_digit(chart:
     assert np.array_equal(B[drawn], expected[1][drawn])
 
 
-def test_the_summary_of_a_plane_tells_what_is_felt_and_what_is_stable(chart: Chart, scene_file: SceneFile) -> None:
+def test_the_summary_of_a_plane_names_what_is_felt_and_what_is_stable(chart: Chart, scene_file: SceneFile) -> None:
     answer = chart("plane", scene_file("spring"), "--json", "--picture", "p.png")
     (hand,) = answer.document["hands"]
     device = Configuration(mass=0.2, rate=1000.0, friction=1.0)
@@ -158,7 +158,7 @@ def test_the_summary_of_a_plane_tells_what_is_felt_and_what_is_stable(chart: Cha
     assert Path("p.png").exists()
 
 
-def test_a_family_tells_what_each_mass_feels(chart: Chart, scene_file: SceneFile) -> None:
+def test_a_family_states_what_each_mass_feels(chart: Chart, scene_file: SceneFile) -> None:
     """The chart has one family per mass, for a list or for the span of a scene; --mass replaces the span."""
     given = chart("plane", scene_file("spring"), "--mass", "0.4", "--mass", "0.1,0.2", "--json")
     span = scene_file("spring", mass={"from": 0.1, "to": 0.4})
@@ -171,7 +171,7 @@ def test_a_family_tells_what_each_mass_feels(chart: Chart, scene_file: SceneFile
     assert alone["mass"] == 0.3
 
 
-def test_the_options_are_in_place_of_what_the_scene_says(chart: Chart, scene_file: SceneFile) -> None:
+def test_the_options_replace_the_values_of_the_scene(chart: Chart, scene_file: SceneFile) -> None:
     words = ["--delay", "0", "--hold", "impulse", "--simulated-damping", "7", "--json"]
     (hand,) = chart("plane", scene_file("spring"), *words).document["hands"]
     configuration = Configuration(mass=0.2, rate=1000.0, friction=1.0, delay=0.0, hold="impulse")

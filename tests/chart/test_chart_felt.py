@@ -29,7 +29,7 @@ def usual() -> Any:
     return felt_chart(Hand("hand", None, DEVICE, math.nan, math.nan))
 
 
-def test_none_is_felt_as_the_configuration_says() -> None:
+def test_none_is_felt_as_the_configuration_predicts() -> None:
     felt = felt_by("none", DEVICE, DEVICE, SMALL)
     for (i, j), error in np.ndenumerate(felt.error):
         k = SMALL.kappa[i]

@@ -45,7 +45,7 @@ def require_agreement(data: Table1, expected: dict[str, float], within: float) -
 
 
 @pytest.mark.parametrize("K", [0.1, 100.0, 900.0])
-def test_the_mock_swings_as_the_closed_forms_say(K: float) -> None:
+def test_the_mock_swings_as_in_the_closed_forms(K: float) -> None:
     hand = Hand("hand", 0, Configuration(MASS, RATE, friction=0.3, delay=1.0), K, 0.2)
     data = table1(hand, as_scene=False)
     require_agreement(data, by_closed_forms(MASS, RATE, K), 1e-6)
@@ -106,7 +106,7 @@ def test_what_cannot_be_coupled_is_reported(stiffness: float, damping: float, as
         table1(hand, as_scene=as_scene)
 
 
-def test_a_measurement_whose_run_failed_is_told_and_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_measurement_whose_run_failed_is_reported_and_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*arguments: Any, **options: Any) -> Any:
         return replace(measure(*arguments, **options), failure=DeviceError("the mock went away"))
 

@@ -42,7 +42,9 @@ def test_a_record_is_drawn_and_its_numbers_are_those_recorded(
         np.testing.assert_allclose([float(row[name]) for row in rows_of("d.csv")], expected, rtol, atol)
 
 
-def test_a_last_second_is_drawn_over_the_time_since_arming_and_the_axis_says_so(trace: Trace, tmp_path: Path) -> None:
+def test_a_last_second_is_drawn_over_the_time_since_arming_and_the_axis_is_named_so(
+    trace: Trace, tmp_path: Path
+) -> None:
     last = trace.since(1500)
     np.testing.assert_allclose(trace_chart.seconds_of(last), last.sample / 1000.0)
     trace_chart.draw_trace(last, "the last", tmp_path / "p.svg")
@@ -69,7 +71,7 @@ def test_a_withheld_force_is_marked_as_such_and_not_as_one_at_its_limit(trace: T
     assert "at its limit: 3" in picture
 
 
-def test_of_how_many_ticks_is_said_only_where_it_is_known(
+def test_the_number_of_ticks_is_printed_only_where_it_is_known(
     chart: Chart, trace: Trace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stream, "MOST_ROWS", 500)

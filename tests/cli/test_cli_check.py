@@ -171,7 +171,7 @@ def test_a_bar_that_nothing_keeps_from_turning_is_not_called_unstable(
 
 
 @pytest.mark.parametrize("name", ["mass", "mass_on_channel_2", "hand_in_hand"])
-def test_a_scene_with_masses_lists_modes_and_says_that_there_is_no_single_k_and_b(
+def test_a_scene_with_masses_lists_modes_and_states_that_there_is_no_single_k_and_b(
     scene_file: SceneFile, checked: Checked, explained: Explained, name: str
 ) -> None:
     told = unwrapped(explained(scene_file(name)))
@@ -208,7 +208,7 @@ def chain(tmp_path: Path, masses: int, mass: float, damping: float, grown: float
     return path
 
 
-def test_a_large_scene_is_judged_by_some_of_its_poles_and_says_by_which(
+def test_a_large_scene_is_judged_by_some_of_its_poles_and_names_them(
     hapsim: Hapsim, checked: Checked, tmp_path: Path
 ) -> None:
     path = chain(tmp_path, 600, 0.1, 0.5)
@@ -224,7 +224,7 @@ def test_a_large_scene_is_judged_by_some_of_its_poles_and_says_by_which(
     assert diverging["spectral_radius"] > 1.0
 
 
-def test_a_gain_margin_is_said_once(scene_file: SceneFile, checked: Checked, explained: Explained) -> None:
+def test_a_gain_margin_is_printed_once(scene_file: SceneFile, checked: Checked, explained: Explained) -> None:
     told = explained(scene_file("spring"))
     factor = checked(scene_file("spring"))["margins"]["touch"]["stiffness_factor"]
     assert f" {factor:.4g} " in told
@@ -319,7 +319,7 @@ def test_a_wire_that_costs_a_sample_is_predicted_at_the_delay_that_results(
     assert "frames queue up" in queueing["text"]
 
 
-def test_what_bounds_the_force_is_told_for_where_the_device_is(
+def test_the_bound_of_the_force_is_stated_for_the_position_of_the_device(
     scene_file: SceneFile, checked: Checked, explained: Explained
 ) -> None:
     path = scene_file("spring")
@@ -364,7 +364,7 @@ def test_a_slew_limit_that_a_run_refuses_is_warned_of_and_not_called_stable(
     assert checked(scene_file("spring"))["warnings"] == []
 
 
-def test_run_tells_its_warnings_in_json_too(hapsim: Hapsim, scene_file: SceneFile, checked: Checked) -> None:
+def test_run_reports_its_warnings_in_json_too(hapsim: Hapsim, scene_file: SceneFile, checked: Checked) -> None:
     path = scene_file("spring", slew_limit=5.0)
     answer = hapsim("run", path, "--duration", "0.01", "--json")
     document = checked(path)
@@ -394,7 +394,7 @@ def test_run_tells_its_warnings_in_json_too(hapsim: Hapsim, scene_file: SceneFil
         ("two_hands", {"mass": [0.2, 0.3]}, "channel 0: 0.2 kg, friction 1 N·s/m; channel 1: 0.3 kg"),
     ],
 )
-def test_the_hand_and_device_of_a_prediction_are_told(
+def test_the_hand_and_device_of_a_prediction_are_stated(
     hapsim: Hapsim, scene_file: SceneFile, name: str, device: dict[str, Any], told: str
 ) -> None:
     assert told in unwrapped(hapsim("check", scene_file(name, **device)).out).partition("for a hand of ")[2]
@@ -439,7 +439,7 @@ def test_a_device_beyond_all_numbers_is_a_sentence(hapsim: Hapsim, scene_file: S
         ),
     ],
 )
-def test_how_far_a_correction_comes_is_said(
+def test_the_reach_of_a_correction_is_stated(
     explained: Explained,
     scene_file: SceneFile,
     correction: str,
@@ -453,7 +453,7 @@ def test_how_far_a_correction_comes_is_said(
 
 
 @pytest.mark.parametrize(("velocity", "limited"), [(0.01, False), (0.1, True)])
-def test_measure_says_where_the_force_was_limited(
+def test_measure_reports_where_the_force_was_limited(
     hapsim: Hapsim, scene_file: SceneFile, velocity: float, limited: bool
 ) -> None:
     path = scene_file("spring", force_limit=1.0)
@@ -478,7 +478,7 @@ def test_the_sound_is_rendered_and_each_gain_named(hapsim: Hapsim, scene_file: S
     assert peaks == {"loud": pytest.approx(0.1, rel=1e-3), "still": 0.0}
 
 
-def test_a_linkage_s_figures_are_said_to_hold_near_its_pose(hapsim: Hapsim, checked: Checked, tmp_path: Path) -> None:
+def test_a_linkage_s_figures_are_stated_to_hold_near_its_pose(hapsim: Hapsim, checked: Checked, tmp_path: Path) -> None:
     path = tmp_path / "linkage.yaml"
     text = (CONFIGS / "boards" / "haply.yaml").read_text("utf-8")
     path.write_text(text, "utf-8")

@@ -40,7 +40,9 @@ def scene(tmp_path: Path) -> Callable[..., str]:
     return write
 
 
-def test_what_friction_needs_and_which_hand_is_shaken_are_told(hapsim: Hapsim, scene: Callable[..., str]) -> None:
+def test_the_friction_needed_and_the_hand_that_oscillates_are_reported(
+    hapsim: Hapsim, scene: Callable[..., str]
+) -> None:
     path = scene()
     (one,) = predict(load_scene(path), with_margins=False).any_hands
     told = words(hapsim("check", path, "--explain").out)
@@ -73,7 +75,7 @@ def test_what_swings_for_ever_is_named(hapsim: Hapsim, scene: Callable[..., str]
     assert (document["needed_friction"], document["lasting"]) == ([None], "ball")
 
 
-def test_it_is_not_told_where_it_is_not_derived(hapsim: Hapsim, scene: Callable[..., str]) -> None:
+def test_passivity_is_not_reported_where_it_is_not_derived(hapsim: Hapsim, scene: Callable[..., str]) -> None:
     told = words(hapsim("check", scene(more=", hold: impulse"), "--explain").out)
     assert "hand: passivity is unknown, because the condition is derived only for a zero-order hold" in told
 

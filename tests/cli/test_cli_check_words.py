@@ -34,7 +34,7 @@ def link(stiffness: float, damping: float, **more: Any) -> dict[str, Any]:
 
 
 @pytest.fixture
-def told(hapsim: Hapsim, tmp_path: Path) -> Callable[[dict[str, Any]], str]:
+def printed(hapsim: Hapsim, tmp_path: Path) -> Callable[[dict[str, Any]], str]:
     def check(document: dict[str, Any]) -> str:
         path = tmp_path / "scene.yaml"
         path.write_text(json.dumps(document))
@@ -43,18 +43,18 @@ def told(hapsim: Hapsim, tmp_path: Path) -> Callable[[dict[str, Any]], str]:
     return check
 
 
-def test_beside_an_idle_port_the_unstable_hand_alone_is_advised(told: Callable[..., str]) -> None:
-    words = told(scene_of({"touch": link(4000, 5), "other": {"type": "device", "channel": 1}}))
+def test_with_an_idle_port_only_the_unstable_hand_gets_advice(printed: Callable[..., str]) -> None:
+    words = printed(scene_of({"touch": link(4000, 5), "other": {"type": "device", "channel": 1}}))
     assert "hand: It becomes stable where" in words
     assert "no stiffness to have a margin" not in words
     assert "e-" not in re.findall(r"other: k.*?N/m", words)[0]
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_advice_to_an_unstable_hand_makes_it_stable(told: Callable[..., str], seed: int) -> None:
+def test_the_advice_to_an_unstable_hand_makes_it_stable(printed: Callable[..., str], seed: int) -> None:
     draw = np.random.default_rng(seed)
     stiffness, damping = float(10.0 ** draw.uniform(1, 5)), float(10.0 ** draw.uniform(0, 3))
-    words = told(scene_of({"touch": link(stiffness if seed % 4 else 0.0, damping)}))
+    words = printed(scene_of({"touch": link(stiffness if seed % 4 else 0.0, damping)}))
     assert "no stiffness is stable; or" not in words
     for low, high in re.findall(r"where the damping is between (\S+) and (\S+) N", words):
         for right in (float(low), float(high)):
@@ -78,17 +78,17 @@ def test_the_far_end_of_a_weight_is_no_mistake_and_a_wall_in_mm_is_one() -> None
         assert any("write -0.01" in one for one in unlikely(parsed(scene_of(far | {"load": wall}))))
 
 
-def test_a_level_of_a_table_is_not_taken_for_free_space(told: Callable[..., str]) -> None:
+def test_a_level_of_a_table_is_not_taken_for_free_space(printed: Callable[..., str]) -> None:
     points = [[0.001 * i, float(i % 2)] for i in range(16)]
     table = {"type": "nonlinear", "between": ["hand", "wall"], "force_over_distance": points}
-    words = told(scene_of({"key": table}))
+    words = printed(scene_of({"key": table}))
     assert "below 0 0 0 no spring" in words
     assert "above 15 0 0 no spring, 1 N" in words
 
 
 @pytest.mark.parametrize("kind", ["friction", "detent", "nonlinear", "plectrum"])
 @pytest.mark.parametrize("seed", range(5))
-def test_no_link_pulls_by_more_than_is_said_to_bound_it(kind: str, seed: int) -> None:
+def test_no_link_pulls_by_more_than_its_stated_bound(kind: str, seed: int) -> None:
     draw = np.random.default_rng(seed)
     force, x = float(draw.uniform(0.5, 3.0)), float(draw.uniform(0.001, 0.01))
     links: dict[str, dict[str, Any]] = {
@@ -110,28 +110,28 @@ def test_no_link_pulls_by_more_than_is_said_to_bound_it(kind: str, seed: int) ->
     assert parsed(scene_of({"it": link(10, 1)})).links["it"].law().strongest(1000.0) == np.inf
 
 
-def test_what_a_count_is_worth_is_said_where_it_matters(told: Callable[..., str]) -> None:
+def test_the_value_of_a_count_is_stated_where_it_matters(printed: Callable[..., str]) -> None:
     for damper, damping in (({}, "0.46"), ({"damper": "centred"}, "0.23"), ({"damper": "sensed"}, None)):
         wheel = scene_of(
             {"load": link(3, 0.3, **damper)}, {"quantum": 0.001534}, motion="rotary", force_limit=5, delay=0
         )
-        words = told(wheel)
+        words = printed(wheel)
         assert ("one count of 0.00153 rad is worth 0.0046 N·m of stiffness" in words) is (damping is not None)
         assert damping is None or f"and {damping} N·m of damping" in words
-    assert "one count" not in told(scene_of({"load": link(300, 1)}, {"quantum": 1e-6}))
-    assert "mock.misses: 0.02" in told(scene_of({"load": link(300, 1)}, {"misses": 0.02}))
+    assert "one count" not in printed(scene_of({"load": link(300, 1)}, {"quantum": 1e-6}))
+    assert "mock.misses: 0.02" in printed(scene_of({"load": link(300, 1)}, {"misses": 0.02}))
 
 
-def test_searched_margins_say_up_to_where_and_how_finely(told: Callable[..., str]) -> None:
+def test_searched_margins_state_their_range_and_resolution(printed: Callable[..., str]) -> None:
     links = {"touch": link(500, 2, between=["hand", "m"]), "back": link(300, 1, between=["m", "wall"])}
     document = scene_of({"m": {"type": "mass", "mass": 0.01}} | links)
     how = "(searched up to 5e+09 times, in steps of 10 %, above 10 times of a factor 2)"
-    assert how not in told(document)
-    assert how in told(document | {"substeps": 4})
+    assert how not in printed(document)
+    assert how in printed(document | {"substeps": 4})
 
 
 @pytest.mark.parametrize(("damping", "end"), [(5.0, "margin."), (1000.0, "N·s/m.")])
-def test_an_unstable_drag_is_told_which_damping_is_stable(damping: float, end: str) -> None:
+def test_the_stable_damping_of_an_unstable_drag_is_named(damping: float, end: str) -> None:
     drag = {"drag": {"type": "damper", "between": ["hand", "wall"], "damping": damping}}
     words = margin_sentence(predict(parsed(scene_of(drag))).felt[0])
     assert words.startswith("There is no stiffness to have a margin")
@@ -139,7 +139,7 @@ def test_an_unstable_drag_is_told_which_damping_is_stable(damping: float, end: s
     assert ("; stable is it where the damping is between" in words) is (damping > 100.0)
 
 
-def test_no_pole_has_digits_that_say_nothing(hapsim: Hapsim, tmp_path: Path) -> None:
+def test_no_pole_has_digits_without_meaning(hapsim: Hapsim, tmp_path: Path) -> None:
     gut = {"type": "string", "masses": 5, "mass": 1e-5, "stiffness": 1e12}
     tie = {"type": "spring", "between": ["hand", "gut.2"], "stiffness": 100.0}
     path = tmp_path / "scene.yaml"
@@ -149,7 +149,7 @@ def test_no_pole_has_digits_that_say_nothing(hapsim: Hapsim, tmp_path: Path) -> 
     assert not re.search(r"\d{9}", said)
 
 
-def test_a_refusal_says_what_bounds_the_force() -> None:
+def test_a_refusal_names_what_bounds_the_force() -> None:
     detent = {"it": {"type": "detent", "between": ["hand", "wall"], "pitch": 1e-5, "depth": 3.2, "damping": 0.0}}
     for links, most in ((detent, "the 3.2 N of its links"), ({"it": link(1e6, 0.0)}, "the force limit of 10 N")):
         scene = parsed(scene_of(links, force_limit=10.0))
@@ -159,7 +159,7 @@ def test_a_refusal_says_what_bounds_the_force() -> None:
 
 
 @pytest.mark.parametrize(("friction", "can_grow"), [(0.0, True), (49.2, True), (49.3, False)])
-def test_bounces_are_spoken_of_below_the_friction_that_passivity_needs(
+def test_bounces_are_reported_below_the_friction_that_passivity_needs(
     friction: float, can_grow: bool, hapsim: Hapsim, tmp_path: Path
 ) -> None:
     """K T/2 + B = 49.25 N·s/m without delay (Colgate and Schenkel); stable in touch and apart either way."""

@@ -29,7 +29,7 @@ def advised(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("advised")
-def test_the_doctor_tells_every_rate_a_verdict_and_advice(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_doctor_prints_every_rate_a_verdict_and_advice(hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch) -> None:
     told = hapsim("doctor", *QUICK)
     assert told.status == 0
     for words in ("Wake-up latency of a sleeping thread", "200 Hz", "What would help", *ADVICE.commands):
@@ -42,7 +42,7 @@ def test_the_doctor_tells_every_rate_a_verdict_and_advice(hapsim: Hapsim, monkey
 
 @pytest.mark.usefixtures("advised")
 @pytest.mark.parametrize("json", [(), ("--json",)])
-def test_a_doctor_that_is_stopped_tells_what_it_found_and_ends_with_130(
+def test_a_doctor_that_is_stopped_prints_what_it_found_and_ends_with_130(
     hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, json: tuple[str, ...]
 ) -> None:
     monkeypatch.setattr(examine, "exchanges", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
@@ -93,7 +93,7 @@ def test_a_device_that_cannot_be_asked_is_status_3_before_anything_is_measured(
     assert "wake-ups" not in answer.err
 
 
-def test_a_run_in_real_time_tells_what_it_got(hapsim: Hapsim, scene_file: SceneFile) -> None:
+def test_a_run_in_real_time_reports_what_was_granted(hapsim: Hapsim, scene_file: SceneFile) -> None:
     answer = hapsim("run", scene_file("spring"), "--duration", 0.1, "--realtime", "--json")
     assert answer.status == 0
     assert {grant["privilege"] for grant in answer.document["realtime"]} == MEASURES
@@ -105,7 +105,7 @@ def test_a_run_asks_for_no_privileges_without_the_option(hapsim: Hapsim, scene_f
     assert "realtime" not in hapsim("run", scene_file("spring"), "--duration", 0.1, "--json").document
 
 
-def test_a_run_tells_its_histograms(hapsim: Hapsim, scene_file: SceneFile) -> None:
+def test_a_run_reports_its_histograms(hapsim: Hapsim, scene_file: SceneFile) -> None:
     document = hapsim("run", scene_file("spring"), "--duration", 0.1, "--json").document
     for key in ("lateness_s", "exchange_s", "age_samples"):
         assert document[key].keys() == {"count", "p50", "p99", "p999", "max"}

@@ -218,7 +218,7 @@ TO_STOP: dict[str, tuple[str, str]] = {  # by command: what it calls late, and w
 @pytest.mark.parametrize("number", STOPS)
 @pytest.mark.parametrize("command", TO_STOP)
 @pytest.mark.parametrize("raises", ["itself", "another failure"])
-def test_a_command_without_a_device_says_in_a_line_what_ended(
+def test_a_command_without_a_device_states_in_a_line_what_ended(
     hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: str, number: int, raises: str
 ) -> None:
     called, said = TO_STOP[command]
@@ -242,7 +242,7 @@ def test_a_command_without_a_device_says_in_a_line_what_ended(
     assert not any(tmp_path.iterdir())
 
 
-def test_a_sweep_that_is_stopped_says_in_the_same_line_what_it_keeps(
+def test_a_sweep_that_is_stopped_states_in_the_same_line_what_it_keeps(
     hapsim: Hapsim, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def interrupt(*_: object, **__: object) -> None:
@@ -289,7 +289,9 @@ main()
 
 @pytest.mark.parametrize("number", STOPS)
 @pytest.mark.parametrize(("command", "said"), [("run", "anything was armed"), ("check", "hapsim check x was finished")])
-def test_a_signal_while_the_command_is_loaded_is_told_like_a_later_one(number: int, command: str, said: str) -> None:
+def test_a_signal_while_the_command_is_loaded_is_reported_like_a_later_one(
+    number: int, command: str, said: str
+) -> None:
     words = [sys.executable, "-c", LOADING, command, "x", "--json", str(int(number))]
     ended = subprocess.run(words, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (130, f"hapsim: stopped before {said}\n")
@@ -310,7 +312,7 @@ def test_a_library_that_makes_another_failure_of_an_interrupt_is_not_believed(
     assert (answer.status, answer.sentence) == (130, "hapsim: stopped before anything was armed\n")
 
 
-def test_what_is_stopped_after_a_run_does_not_say_that_nothing_was_armed(
+def test_what_is_stopped_after_a_run_does_not_report_that_nothing_was_armed(
     hapsim: Hapsim, scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt(*_: object, **__: object) -> None:

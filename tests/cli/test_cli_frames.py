@@ -61,7 +61,7 @@ def capture(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_capture_is_told_field_by_field_in_si_once_the_device_has_described_itself(
+def test_a_capture_is_printed_field_by_field_in_si_once_the_device_has_described_itself(
     hapsim: Hapsim, capture: Path
 ) -> None:
     told = hapsim("frames", capture)
@@ -182,11 +182,11 @@ def test_a_port_is_listened_to_until_an_interrupt_and_nothing_is_sent(
     from hapsim.cli import frames_command
 
     near, path = terminal
-    heard = threading.Event()
-    monkeypatch.setattr(frames_command, "text_of", lambda entry: heard.set() or str(entry["time_s"]))
+    received = threading.Event()
+    monkeypatch.setattr(frames_command, "text_of", lambda entry: received.set() or str(entry["time_s"]))
 
     def play() -> None:
-        while not heard.is_set():  # what comes before the port is open is thrown away
+        while not received.is_set():  # what comes before the port is open is thrown away
             os.write(near, frame_to_host(SETUP, schema.STATUS, 0, [0]))
             time.sleep(0.02)
         signal.raise_signal(signal.SIGINT)

@@ -26,7 +26,7 @@ def wrong_scene(tmp_path: Path) -> Path:
     return path
 
 
-def test_it_says_what_it_will_do_and_tells_declared_beside_found(hapsim: Hapsim, wrong_scene: Path) -> None:
+def test_it_announces_what_it_will_do_and_shows_declared_and_found(hapsim: Hapsim, wrong_scene: Path) -> None:
     before = wrong_scene.read_bytes()
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--force", 2)
     assert answer.status == 0
@@ -43,7 +43,7 @@ def test_it_says_what_it_will_do_and_tells_declared_beside_found(hapsim: Hapsim,
     assert wrong_scene.read_bytes() == before
 
 
-def test_written_it_is_what_the_scene_says(hapsim: Hapsim, wrong_scene: Path) -> None:
+def test_values_written_are_those_of_the_scene(hapsim: Hapsim, wrong_scene: Path) -> None:
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--write", "--json")
     assert answer.status == 0
     document = answer.document
@@ -84,7 +84,7 @@ def test_a_span_of_masses_stays(hapsim: Hapsim, wrong_scene: Path) -> None:
     assert device.delay == pytest.approx(1.4, abs=1e-4)
 
 
-def test_what_is_left_is_drawn_and_told_in_numbers(hapsim: Hapsim, wrong_scene: Path) -> None:
+def test_the_residual_is_drawn_and_printed_in_numbers(hapsim: Hapsim, wrong_scene: Path) -> None:
     picture, data = wrong_scene.with_name("left.svg"), wrong_scene.with_name("left.csv")
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--picture", picture, "--data", data)
     assert answer.status == 0

@@ -72,7 +72,7 @@ def test_people_read_tables_and_whether_both_agree(hapsim: Hapsim, tmp_path: Pat
     assert "at left" not in one.out
 
 
-def test_of_what_is_not_linear_it_says_so(hapsim: Hapsim, tmp_path: Path) -> None:
+def test_it_names_what_is_not_linear(hapsim: Hapsim, tmp_path: Path) -> None:
     text = (CONFIGS / "wall.yaml").read_text().replace("clock: device", "clock: lockstep")
     (tmp_path / "wall.yaml").write_text(text)
     answer = hapsim("measure", tmp_path / "wall.yaml", "--impedance")

@@ -19,7 +19,7 @@ def lines_of(text: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines()]
 
 
-def test_every_line_is_json_and_says_what_people_read(hapsim: Hapsim, scene_file: SceneFile) -> None:
+def test_every_line_is_json_with_the_text_that_people_read(hapsim: Hapsim, scene_file: SceneFile) -> None:
     words = ("run", scene_file("unstable"), "--unstable", "--duration", 0.05, "--json")
     for_people = hapsim(*words).err
     answer = hapsim(*words, "--log", "json", "--realtime")
@@ -34,7 +34,7 @@ def test_every_line_is_json_and_says_what_people_read(hapsim: Hapsim, scene_file
     assert told[-1]["fields"] == {"ticks": 50, "ending": "done", "reconnections": 0}
 
 
-def test_what_fails_is_a_line_of_json_too_and_the_next_command_speaks_to_people_again(
+def test_what_fails_is_a_line_of_json_too_and_the_next_command_prints_for_people_again(
     hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
     path = scene_file("spring", port="/dev/ttyNOPE7")

@@ -198,7 +198,7 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
         assert f" {command} " in told
 
 
-def test_the_version_tells_what_a_bug_report_needs() -> None:
+def test_the_version_prints_what_a_bug_report_needs() -> None:
     """One item a line, and numba is not loaded to be asked."""
     assert quick("--version").splitlines() == [
         f"hapsim {__version__}",

@@ -32,16 +32,16 @@ def shown(*words: object) -> list[str]:
     command = [sys.executable, "-m", "hapsim", *map(str, words)]
     process = subprocess.Popen(command, stdout=far, stderr=far, env=environment | {"TERM": "dumb"})
     os.close(far)
-    heard = b""
+    received = b""
     try:
         while part := os.read(near, 65536):
-            heard += part
+            received += part
     except OSError:
         pass  # the far end is closed
     finally:
         process.wait()
         os.close(near)
-    return heard.decode("utf-8").replace("\r\n", "\n").rstrip("\n").split("\n")
+    return received.decode("utf-8").replace("\r\n", "\n").rstrip("\n").split("\n")
 
 
 def test_an_error_breaks_at_words_and_names_its_place_in_one_piece(scene_file: SceneFile, tmp_path: Path) -> None:

@@ -99,7 +99,7 @@ def test_what_needs_no_real_time_works(hapsim: Hapsim, scene_file: SceneFile, tm
         np.testing.assert_array_equal(getattr(there, name), getattr(here, name))
 
 
-def test_what_takes_linux_says_so_in_a_sentence(scene_file: SceneFile, tmp_path: Path) -> None:
+def test_what_takes_linux_states_it_in_a_sentence(scene_file: SceneFile, tmp_path: Path) -> None:
     device = scene_file("spring", clock="device").rename(tmp_path / "device.yaml")
     lockstep = scene_file("spring")
     mock = "the mock on a pseudo-terminal takes Linux"

@@ -232,7 +232,7 @@ def test_check_run_and_measure_print_the_hint(hapsim: Hapsim, tmp_path: Path) ->
         assert answer.document["warnings"] == [hint]
 
 
-def test_a_scene_that_is_not_armed_says_what_is_probably_wrong(hapsim: Hapsim, tmp_path: Path) -> None:
+def test_a_scene_that_is_not_armed_reports_what_is_probably_wrong(hapsim: Hapsim, tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text(SCENE.replace("2000", "2.0e+6"), encoding="utf-8")
     answer = hapsim("run", path)
@@ -246,7 +246,7 @@ def test_a_scene_that_is_not_armed_says_what_is_probably_wrong(hapsim: Hapsim, t
     assert "If you meant a thousand times as much, write -0.05" in refused.sentence
 
 
-def test_more_detents_than_can_be_told_apart_are_an_error_in_words(hapsim: Hapsim, tmp_path: Path) -> None:
+def test_more_detents_than_can_be_distinguished_are_an_error_in_words(hapsim: Hapsim, tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     detent = "  notch: {type: detent, between: [hand, wall], pitch: 0.005, depth: 0.1}\n"
     path.write_text(SCENE.replace("mass: 0.2", "mass: 0.2, travel: [-50, 50]") + detent, encoding="utf-8")

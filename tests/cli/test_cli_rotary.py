@@ -78,7 +78,7 @@ def knob(tmp_path: Path) -> Path:
         "chart force",
     ],
 )
-def test_every_command_speaks_of_a_knob_in_its_units(command: str, knob: Path, hapsim: Hapsim, tmp_path: Path) -> None:
+def test_every_command_describes_a_knob_in_its_units(command: str, knob: Path, hapsim: Hapsim, tmp_path: Path) -> None:
     picture = tmp_path / "picture.svg"
     draws = [] if command.startswith(("check", "run", "identify")) else ["--picture", picture]
     told = hapsim(*command.split(), knob, *draws)
@@ -187,7 +187,7 @@ def test_a_unit_alone_and_within_a_text_of_ours() -> None:
     assert Units.parse(None) == Units.of([])
 
 
-def test_check_of_a_knob_marks_where_the_hand_is_and_says_what_repeats(hapsim: Hapsim) -> None:
+def test_check_of_a_knob_marks_where_the_hand_is_and_names_what_repeats(hapsim: Hapsim) -> None:
     told = hapsim("check", "knob_24", "--at", "15deg").out
     assert "detent repeats every 15°" in told
     (here,) = (line for line in told.splitlines() if line.rstrip().endswith("stable ←"))

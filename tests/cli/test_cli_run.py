@@ -74,7 +74,9 @@ def test_every_counter_of_a_run_has_a_row_with_its_own_number(report: Any) -> No
     assert [name for name, count in counts.items() if not re.search(rf"\b{count}\b", told)] == []
 
 
-def test_a_position_that_does_not_answer_is_told_once_each_time_and_in_both_reports(report: Any, capsys: Any) -> None:
+def test_a_position_that_does_not_answer_is_reported_once_each_time_and_in_both_reports(
+    report: Any, capsys: Any
+) -> None:
     sentence = "the position of hand has not changed by one count for 0.2 s although force acted: sensor or cable? [x]"
     assert f"Warning: {sentence}." in shown(report, frozen=sentence)
     line = Console(record=True, width=200)
@@ -89,7 +91,7 @@ def test_a_position_that_does_not_answer_is_told_once_each_time_and_in_both_repo
 
 
 @pytest.mark.parametrize(("count", "is_normal"), [(0, False), (2, True), (40, False)])
-def test_a_few_frames_refused_by_the_device_are_told_to_be_normal(report: Any, count: int, is_normal: bool) -> None:
+def test_a_few_frames_refused_by_the_device_are_reported_as_normal(report: Any, count: int, is_normal: bool) -> None:
     told = shown(report, rejected_by_device=count)
     assert ("frames refused by the device" in told) == (count > 0)
     assert ("(a few at arming and disarming are normal)" in told) == is_normal
@@ -105,7 +107,7 @@ def test_a_few_frames_refused_by_the_device_are_told_to_be_normal(report: Any, c
         ({"rejected_by_device": 11}, "11 frames were refused: look at cable"),
     ],
 )
-def test_a_wire_that_loses_or_spoils_more_than_a_few_frames_is_told(
+def test_a_wire_that_loses_or_spoils_more_than_a_few_frames_is_reported(
     report: Any, counts: dict[str, int], sentence: str
 ) -> None:
     told = shown(report, ticks=1000, **counts)
@@ -129,7 +131,7 @@ def test_a_rate_that_is_surely_another_than_was_asked_for_is_marked(
 
 
 @pytest.mark.parametrize(("elapsed", "told"), [(0.002, "running 0.0 s ·"), (0.3, "running 0.3 s · 7165.5 Hz ·")])
-def test_the_live_line_tells_a_rate_once_it_is_one_and_no_minus_before_a_zero(elapsed: float, told: str) -> None:
+def test_the_live_line_shows_a_rate_once_it_is_one_and_no_minus_before_a_zero(elapsed: float, told: str) -> None:
     set_output_units(LINEAR)
     console = Console(file=io.StringIO(), width=200)
     with live_line(console) as tell:
@@ -214,7 +216,7 @@ def test_the_mock_serves_even_where_the_scene_names_a_port(hapsim: Hapsim, scene
     assert hapsim("run", path, "--mock", "--duration", 0.1, "--json").document["ticks"] == 100
 
 
-def test_on_the_mock_nothing_is_told_of_the_wire_of_the_port_that_the_scene_names(
+def test_on_the_mock_nothing_is_reported_of_the_wire_of_the_port_that_the_scene_names(
     hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
     path = scene_file("spring", port="/dev/ttyUSB77", baud=9600)
@@ -257,7 +259,7 @@ def test_a_hand_that_hardly_moves_is_measured_or_refused_in_words(
     assert "defect" not in answer.err
 
 
-def test_a_force_limit_beyond_what_the_mock_gives_is_told_and_costs_no_resolution(
+def test_a_force_limit_beyond_what_the_mock_gives_is_reported_and_costs_no_resolution(
     hapsim: Hapsim, scene_file: SceneFile
 ) -> None:
     answer = hapsim("measure", scene_file("spring", force_limit=1e12), "--json")

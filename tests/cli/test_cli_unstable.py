@@ -38,7 +38,7 @@ def test_an_unstable_scene_runs_where_it_is_asked_for(hapsim: Hapsim, scene_file
     assert "Warning: the scene is predicted unstable" in answer.err
 
 
-def test_python_is_refused_it_too_where_it_says_so(scene_file: SceneFile) -> None:
+def test_python_is_refused_it_too_with_unstable_false(scene_file: SceneFile) -> None:
     scene = public.load_scene(scene_file("unstable"))
     with pytest.raises(UsageError, match="not armed: the scene is predicted unstable"):
         public.run(scene, duration=0.05, unstable=False)

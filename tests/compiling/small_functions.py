@@ -64,7 +64,7 @@ NAMES = {compile_entry: "add_two", compile_native: NATIVE_NAME}
 EITHER = pytest.mark.parametrize("compile_it", NAMES)
 
 
-def told_by(compile_it: Callable[[], Any]) -> list[str]:
+def reported_by(compile_it: Callable[[], Any]) -> list[str]:
     """The functions whose compilation is reported."""
     told: list[str] = []
     with on_compilation(told.append):

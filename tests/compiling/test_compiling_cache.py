@@ -154,7 +154,7 @@ def test_what_is_imported_in_any_way_counts(tmp_path: Path, monkeypatch: pytest.
     assert directories(tmp_path, "hapsim/loop/one.py") != before
 
 
-def test_what_is_not_imported_does_not_count_nor_what_is_only_spoken_of(
+def test_what_is_not_imported_does_not_count_nor_what_is_only_mentioned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -21,7 +21,7 @@ from small_functions import (
     as_another_process,
     compile_entry,
     compile_native,
-    told_by,
+    reported_by,
 )
 
 from firmware_protocol import code_cache
@@ -64,8 +64,8 @@ def test_damaged_machine_code_is_compiled_again_and_kept(
     compile_it()
     (damaged,) = cache.rglob(f"*{files}")
     damage(damaged)
-    assert NAMES[compile_it] in told_by(compile_it)
-    assert told_by(compile_it) == []
+    assert NAMES[compile_it] in reported_by(compile_it)
+    assert reported_by(compile_it) == []
 
 
 @EITHER
@@ -79,7 +79,7 @@ def test_a_damaged_mark_is_written_again(
     damage(mark)
     compile_it()
     assert mark.read_bytes() == written
-    assert told_by(compile_it) == []
+    assert reported_by(compile_it) == []
 
 
 def test_kept_code_is_known_before_it_is_loaded() -> None:
@@ -100,8 +100,8 @@ def test_a_second_signature_leaves_the_first_kept() -> None:
 def test_a_cache_that_is_removed_is_made_again(cache: Path, compile_it: Callable[[], Any]) -> None:
     compile_it()
     shutil.rmtree(cache / "hapsim")
-    assert NAMES[compile_it] in told_by(compile_it)
-    assert told_by(compile_it) == []
+    assert NAMES[compile_it] in reported_by(compile_it)
+    assert reported_by(compile_it) == []
 
 
 @EITHER
@@ -109,11 +109,11 @@ def test_code_that_cannot_be_written_is_compiled_all_the_same_and_kept_later(com
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1024, before[1]))  # as on a full disk
     try:
-        assert NAMES[compile_it] in told_by(compile_it)
+        assert NAMES[compile_it] in reported_by(compile_it)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert NAMES[compile_it] in told_by(compile_it)
-    assert told_by(compile_it) == []
+    assert NAMES[compile_it] in reported_by(compile_it)
+    assert reported_by(compile_it) == []
 
 
 def test_why_code_is_not_kept_is_known(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,7 +131,7 @@ def test_why_code_is_not_kept_is_known(cache: Path, monkeypatch: pytest.MonkeyPa
     assert kept.directory_of_kept_code() is None
     assert kept.why_not_kept() == "no directory for it can be written"
     for compile_it, name in NAMES.items():
-        assert name in told_by(compile_it)
+        assert name in reported_by(compile_it)
 
 
 # --- a cache that can be read and not written ---
@@ -161,24 +161,24 @@ def files_in(directory: Path) -> dict[Path, int]:
 
 def test_a_read_only_cache_is_used_and_what_it_lacks_is_kept_elsewhere(cache: Path, image: Path) -> None:
     before = files_in(image)
-    assert told_by(compile_entry) == []
+    assert reported_by(compile_entry) == []
     assert kept.directory_of_kept_code(found=True) == image
-    assert NAMES[compile_native] in told_by(compile_native)
-    assert told_by(compile_native) == []
+    assert NAMES[compile_native] in reported_by(compile_native)
+    assert reported_by(compile_native) == []
     assert files_in(image) == before
     assert {file.suffix for file in files_in(cache / "hapsim")} == {".nbi", ".nbc", ".kept"}
 
 
 def test_code_that_others_could_have_written_is_not_used(image: Path) -> None:
     image.chmod(0o777)
-    assert told_by(compile_entry) != []
+    assert reported_by(compile_entry) != []
 
 
 def test_damage_in_a_read_only_cache_is_compiled_elsewhere(image: Path) -> None:
     overwrite(next(image.rglob("*.nbc")))
     before = files_in(image)
-    assert told_by(compile_entry) != []
-    assert told_by(compile_entry) == []
+    assert reported_by(compile_entry) != []
+    assert reported_by(compile_entry) == []
     assert files_in(image) == before
 
 
@@ -210,9 +210,9 @@ cd / && exec "$0" -c "$1"
 READS = f"""
 import sys
 sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[2])]!r}
-from small_functions import NAMES, told_by
+from small_functions import NAMES, reported_by
 for compile_it in NAMES:
-    print(compile_it.__name__, told_by(compile_it))
+    print(compile_it.__name__, reported_by(compile_it))
 """
 
 
@@ -237,7 +237,7 @@ def test_a_cache_mounted_read_only_serves_where_nothing_else_can_be_written(
 # --- where numba does not compile ---
 
 
-def test_what_prevents_compilation_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_prevents_compilation_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kept, "address_space_limit", lambda: 512_000_000)
     for compile_it in NAMES:
         with pytest.raises(UsageError, match="address space is limited to 512 MB"):

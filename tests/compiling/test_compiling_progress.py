@@ -10,7 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_functions import EITHER, NAMES, NATIVE_NAME, add_one, add_to, anew, compile_entry, compile_native, told_by
+from small_functions import (
+    EITHER,
+    NAMES,
+    NATIVE_NAME,
+    add_one,
+    add_to,
+    anew,
+    compile_entry,
+    compile_native,
+    reported_by,
+)
 
 from hapsim.compiling import entry
 from hapsim.compiling.kept import compile_for
@@ -23,11 +33,11 @@ pytestmark = pytest.mark.usefixtures("cache")
 @EITHER
 def test_each_function_is_reported_once_and_kept_code_never(compile_it: Callable[[], Any]) -> None:
     name = NAMES[compile_it]
-    told = told_by(compile_it)
+    told = reported_by(compile_it)
     assert told[0] == name
     assert sorted(set(told)) == sorted(told)
     assert set(told) <= {name, "add_one"}
-    assert told_by(compile_it) == []
+    assert reported_by(compile_it) == []
 
 
 def test_code_of_this_process_is_not_reported_again() -> None:
@@ -37,17 +47,17 @@ def test_code_of_this_process_is_not_reported_again() -> None:
     def compile_sizes() -> None:
         addresses.update(function.call_on(Behind(np.zeros(size)), Behind(2.0))[0] for size in (1, 2, 3))
 
-    assert told_by(compile_sizes).count(NATIVE_NAME) == 1
+    assert reported_by(compile_sizes).count(NATIVE_NAME) == 1
     assert len(addresses) == 1
 
 
-def test_a_closed_listener_hears_nothing() -> None:
-    told = told_by(lambda: None)
+def test_a_closed_listener_receives_nothing() -> None:
+    told = reported_by(lambda: None)
     compile_entry()
     assert told == []
 
 
-def test_every_open_listener_hears_every_function() -> None:
+def test_every_open_listener_receives_every_function() -> None:
     inner: list[str] = []
     outer: list[str] = []
     with on_compilation(outer.append):
@@ -73,14 +83,14 @@ def test_what_two_threads_compile_at_once_leaves_interrupts_as_they_were() -> No
     before = signal.getsignal(signal.SIGINT)
     begun, ended = threading.Event(), threading.Event()
 
-    def compile_beside() -> None:
+    def compile_meanwhile() -> None:
         with compiling(add_to, "beside"):
             begun.set()
             ended.wait(60.0)
 
     with on_compilation(lambda _: None):
         with compiling(add_to, "here"):
-            thread = threading.Thread(target=compile_beside)
+            thread = threading.Thread(target=compile_meanwhile)
             thread.start()
             assert begun.wait(60.0)
         assert signal.getsignal(signal.SIGINT) is before
@@ -138,7 +148,7 @@ def test_an_interrupt_in_the_last_function_leaves_it_compiled() -> None:
     function = entry(anew(add_one))
     with pytest.raises(KeyboardInterrupt), on_compilation(interrupt):
         compile_for(function, 1)
-    assert told_by(lambda: function(1)) == []
+    assert reported_by(lambda: function(1)) == []
     assert function(1) == 2
 
 

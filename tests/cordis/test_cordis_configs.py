@@ -137,7 +137,7 @@ def on_the_mock(name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["button", "fader", "knob_24", "toggle"])
-def test_what_knobs_and_buttons_are_said_to_feel_like_is_what_their_regions_do(name: str) -> None:
+def test_knobs_and_buttons_feel_in_their_regions_as_predicted(name: str) -> None:
     """Every region holds the hand stably, lets it go or is a snap; and the comment has no k and b but theirs."""
     scene, comment = shipped(name)
     ((_, regions),) = predict(scene).regions.items()

@@ -44,7 +44,7 @@ def put_and_add(row, i, number, more):
 
 
 @pytest.mark.parametrize("real", [np.float64, np.float32])
-def test_one_number_is_put_and_added_to_and_none_beside_it(real: type) -> None:
+def test_one_number_is_put_and_added_to_and_none_next_to_it(real: type) -> None:
     rng = np.random.default_rng(1)
     before = rng.normal(size=3 * WIDEST)
     for i in range(before.size):

@@ -191,7 +191,7 @@ RECURRENCES: dict[str, Recurrence] = {name: of_a_link(name) for name in HANDS} |
 
 @pytest.mark.parametrize("precision", NUMBERS)
 @pytest.mark.parametrize("name", RECURRENCES)
-def test_a_module_is_the_recurrence_that_its_file_says(name: str, precision: str, runs: Callable[[str], Run]) -> None:
+def test_a_module_is_the_recurrence_that_its_file_states(name: str, precision: str, runs: Callable[[str], Run]) -> None:
     took: Branches = Counter()
     run = runs(precision)
     expected = np.array(list(RECURRENCES[name](run, NUMBERS[precision], took)))

@@ -104,7 +104,7 @@ def test_it_is_predicted_as_a_mass_on_a_link(scheme: str) -> None:
     assert "p is taken as it is" in found.assumptions
 
 
-def test_one_of_which_nothing_is_said_is_not_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_without_a_declaration_is_not_predicted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(Sprung, "law")
     with pytest.raises(NotImplementedError):
         predict(scene_of("cordis", sprung=True))

@@ -188,7 +188,7 @@ def remembering(scene: Scene) -> set[str]:
     return {name for part in compile_scene(scene).parts if part.memory for name in part.memory.modules} & {*scene.links}
 
 
-def test_the_kernel_remembers_what_the_theory_says_that_it_does() -> None:
+def test_the_kernel_remembers_what_the_theory_states() -> None:
     scene = next(iter(scenes_with_every_module("double")))
     dampers = {
         name: damper_named(one.damper, one.cutoff, RATE) if isinstance(one, ViscoElastic) else BACKWARD

@@ -123,7 +123,7 @@ UNDAMPED, STIFF, DAMPED = Numbers(a=0.45), Numbers(a=0.2, g=0.1), Numbers(a=0.3,
     [swinging_strings(UNDAMPED), swinging_strings(STIFF), swinging_membranes(Numbers(a=0.4))],
     ids=["string", "stiff string", "membrane"],
 )
-def test_an_undamped_mode_swings_as_the_closed_form_of_the_discrete_structure_says(
+def test_an_undamped_mode_swings_as_in_the_closed_form_of_the_discrete_structure(
     swinging: list[Swinging], figures: Any
 ) -> None:
     for one, z in zip(swinging, poles_of(swinging), strict=True):
@@ -142,7 +142,7 @@ def test_an_undamped_mode_swings_as_the_closed_form_of_the_discrete_structure_sa
     ],
     ids=["string", "stiff string", "membrane"],
 )
-def test_a_damped_mode_dies_away_as_the_closed_form_says(swinging: list[Swinging]) -> None:
+def test_a_damped_mode_decays_as_in_the_closed_form(swinging: list[Swinging]) -> None:
     for one, z in zip(swinging, poles_of(swinging), strict=True):
         expected = expected_pole(one)
         assert np.angle(z) == pytest.approx(np.angle(expected), rel=1e-9)

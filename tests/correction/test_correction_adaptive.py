@@ -38,7 +38,7 @@ def gripped(stiffness: float, damping: float, *, mass: float = LEAST, friction: 
 
 
 @pytest.mark.parametrize("mass", [0.1, 0.15, 0.4])
-def test_once_settled_the_hand_feels_what_the_scene_says(mass: float) -> None:
+def test_once_settled_the_hand_feels_the_values_of_the_scene(mass: float) -> None:
     """Pushes every tenth of a second reveal the mass; the second half of the run is identified."""
     scene = gripped(5000.0, 20.0, mass=mass)
     pushes = Excitation(0, 5.0, 4, 100, start=0, first=True)
@@ -99,7 +99,7 @@ def largest_growth(x: NDArray[np.float64], grips: Any) -> float:
 
 
 @pytest.mark.parametrize("n", range(POINTS))
-def test_the_force_follows_the_estimate_no_faster_than_it_says(n: int) -> None:
+def test_the_force_follows_the_estimate_no_faster_than_stated(n: int) -> None:
     """At every sample it is that of a mass which differs from the last one's by no more than the slew allows: followed
     through the record, of all masses there are, while the hand grips and releases."""
     (stiffness, damping), grips = schedules(4 * POINTS)[4 * n + 1]

@@ -45,7 +45,7 @@ def test_the_hand_feels_what_is_desired_as_predicted_and_as_measured(corrected: 
     assert (found.k, found.b) == pytest.approx((2000.0, 6.0), rel=1e-6)
 
 
-def test_what_is_desired_and_how_well_the_device_has_to_be_known_is_said(corrected: Scene) -> None:
+def test_what_is_desired_and_how_well_the_device_has_to_be_known_is_stated(corrected: Scene) -> None:
     prediction = hapsim.predict(corrected)
     (desired,) = prediction.desired
     assert (desired.k, desired.b, desired.reached) == (2000.0, 6.0, True)

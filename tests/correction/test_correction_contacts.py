@@ -38,7 +38,7 @@ def scene_of(document: dict[str, Any], **mock: Any) -> Scene:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_what_a_contact_is_said_to_feel_like_it_does(seed: int) -> None:
+def test_a_contact_feels_as_predicted(seed: int) -> None:
     document = random_contact(seed)
     prediction = predict(scene_of(document), with_margins=False)
     (felt,), (desired,) = prediction.felt, prediction.desired
@@ -56,7 +56,7 @@ def test_what_a_contact_is_said_to_feel_like_it_does(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_contact_trembles_with_a_mass_outside_of_the_range_that_is_said(seed: int) -> None:
+def test_a_contact_trembles_with_a_mass_outside_of_the_stated_range(seed: int) -> None:
     document = random_contact(100 + seed)
     (felt,) = predict(scene_of(document), with_margins=False).felt
     static, _, (least, _) = robustness_of(felt)

@@ -26,7 +26,7 @@ def scene_of(modules: dict[str, Any], correction: str, **device: Any) -> Scene:
 
 @pytest.mark.parametrize("correction", ["poles", "predictor"])
 @pytest.mark.parametrize("friction", [0.0, 1.0])
-def test_two_hands_that_hold_only_each_other_swing_as_the_scene_says(correction: str, friction: float) -> None:
+def test_two_hands_that_hold_only_each_other_swing_as_in_the_scene(correction: str, friction: float) -> None:
     """Their common motion comes back from nowhere: it is no mode of the link."""
     modules = {
         "other": {"type": "device", "channel": 1},

@@ -39,7 +39,7 @@ def spring(stiffness: float) -> Spring:
 
 @pytest.mark.parametrize("correction", ["poles", "predictor"])
 @pytest.mark.parametrize(("stiffness", "damping"), [(2000.0, 5.0), (12000.0, 30.0), (800.0, 0.0)])
-def test_the_hand_feels_what_the_scene_says(correction: str, stiffness: float, damping: float) -> None:
+def test_the_hand_feels_the_values_of_the_scene(correction: str, stiffness: float, damping: float) -> None:
     felt = measure(hand_on(touch(stiffness, damping), correction=correction))
     assert felt.k == pytest.approx(stiffness, rel=1e-6)
     assert felt.b == pytest.approx(damping + FRICTION, rel=1e-5)
@@ -70,7 +70,7 @@ def test_a_predictor_takes_any_delay_away(device: dict[str, Any]) -> None:
     assert felt.b == pytest.approx(40.0 + FRICTION, rel=3e-5)
 
 
-def test_a_predictor_may_be_told_velocities() -> None:
+def test_a_predictor_may_be_given_velocities() -> None:
     felt = measure(hand_on(touch(20000.0, 40.0, damper="sensed"), correction="predictor", delay=2.0))
     assert (felt.k, felt.b) == (pytest.approx(20000.0, rel=1e-5), pytest.approx(41.0, rel=1e-4))
 

@@ -111,7 +111,7 @@ def test_the_noise_of_the_sensor_becomes_as_much_force_as_predicted(correction: 
 
 @pytest.mark.parametrize("correction", ["none", "predictor"])
 @pytest.mark.parametrize(("stiffness", "damping"), [(20000.0, 40.0), (60000.0, 60.0)])
-def test_the_masses_that_are_stable_are_those_that_it_says(correction: str, stiffness: float, damping: float) -> None:
+def test_the_masses_that_are_stable_are_those_that_it_states(correction: str, stiffness: float, damping: float) -> None:
     (felt,) = predict(pushed(touch(stiffness, damping), correction=correction), with_margins=False).felt
     least, most = robustness_of(felt).stable_masses
     for mass, stable in ((least * 1.03, True), (least * 0.97, False), (most * 0.97, True), (most * 1.03, False)):
@@ -127,7 +127,7 @@ def test_the_masses_that_are_stable_are_those_that_it_says(correction: str, stif
         assert grows != stable, mass
 
 
-def test_check_tells_static_stiffness_noise_and_masses_in_eighty_columns() -> None:
+def test_check_prints_static_stiffness_noise_and_masses_in_eighty_columns() -> None:
     scene = pushed(touch(20000.0, 40.0))
     prediction = predict(scene)
     out = Console(file=io.StringIO(), width=80)

@@ -103,7 +103,7 @@ def test_a_contact_is_felt_as_it_is_while_it_is_touched(correction: str) -> None
     assert plain.b < 9.0
 
 
-def test_what_is_no_spring_is_left_as_it_is_and_told() -> None:
+def test_what_is_no_spring_is_left_as_it_is_and_reported() -> None:
     rubs = {"type": "friction", "between": ("hand", "wall"), "force": 1.0, "stiffness": 500.0}
     scene = scene_of({"touch": link(("hand", "wall"), 2000.0, 5.0), "rubs": rubs}, correction="poles")
     rendering = rendered(scene)
@@ -111,7 +111,7 @@ def test_what_is_no_spring_is_left_as_it_is_and_told() -> None:
     assert [note for note in rendering.notes if note.startswith("rubs is not corrected")]
 
 
-def test_what_cannot_be_had_is_told_with_what_would_reach_it() -> None:
+def test_what_cannot_be_had_is_reported_with_what_would_reach_it() -> None:
     """Each remedy is tried: with it the hand feels what is desired, and a little short of it it does not."""
     stiff = {"touch": link(("hand", "wall"), 100000.0, 150.0)}
     (wanted,) = predict(scene_of(stiff, correction="poles"), with_margins=False).desired

@@ -66,7 +66,7 @@ def test_none_where_nothing_is_corrected_or_what_is_desired_is_not_reached() -> 
     assert beyond.tolerances("hand") == ()
 
 
-def test_check_says_it(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+def test_check_prints_the_tolerance(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     file = tmp_path / "scene.yaml"
     file.write_text(text_of(2000.0, 5.0, "poles"), encoding="utf-8")
     words = (
@@ -76,7 +76,7 @@ def test_check_says_it(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     assert "within 10% where its mass is" in " ".join(hapsim("check", str(file), "--explain").out.split())
 
 
-def test_of_a_predictor_check_says_what_poles_would_forgive(hapsim: Callable[..., Any], tmp_path: Path) -> None:
+def test_of_a_predictor_check_states_what_poles_would_forgive(hapsim: Callable[..., Any], tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text(text_of(5000.0, 10.0, "predictor"))
     told = " ".join(hapsim("check", path, "--explain").out.split())

@@ -16,7 +16,7 @@ from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, tak
 from hapsim.scene import Scene
 
 
-class Heard(NamedTuple):
+class DeviceFrame(NamedTuple):
     """A frame of the device."""
 
     type: int
@@ -74,22 +74,24 @@ class Host:
 
     # Saying it.
 
-    def send(self, data: bytes, now: int = 0) -> list[Heard]:
+    def send(self, data: bytes, now: int = 0) -> list[DeviceFrame]:
         array = np.frombuffer(data, np.uint8).copy()
         take_bytes(self.mock, array, array.size, now)
         return self.listen()
 
     def arm(
         self, pacing: int = schema.LOCKSTEP, watchdog: int = 100, now: int = 0, velocity: bool = False
-    ) -> list[Heard]:
+    ) -> list[DeviceFrame]:
         self.wire = self.armed_formats[velocity]
         pacing |= schema.WITH_VELOCITY if velocity else 0
         return self.send(self.arm_frame(pacing, watchdog), now)
 
-    def force(self, sample: int, counts: Sequence[int] = (0,), time_to_live: int = 20, now: int = 0) -> list[Heard]:
+    def force(
+        self, sample: int, counts: Sequence[int] = (0,), time_to_live: int = 20, now: int = 0
+    ) -> list[DeviceFrame]:
         return self.send(self.force_frame(sample, counts, time_to_live), now)
 
-    def disarm(self, now: int = 0) -> list[Heard]:
+    def disarm(self, now: int = 0) -> list[DeviceFrame]:
         return self.send(self.disarm_frame(self.armed), now)
 
     def register(self, number: int) -> int:
@@ -97,22 +99,22 @@ class Host:
         assert (answer.type, answer.number) == (schema.DESCRIPTION, number)
         return answer.word
 
-    def sample_passes(self, now: int = 0) -> list[Heard]:
+    def sample_passes(self, now: int = 0) -> list[DeviceFrame]:
         take_sample(self.mock, now)
         return self.listen()
 
-    def check_watchdog(self, now: int = 0) -> list[Heard]:
+    def check_watchdog(self, now: int = 0) -> list[DeviceFrame]:
         check_watchdog(self.mock, now)
         return self.listen()
 
     # Hearing the answer.
 
-    def listen(self) -> list[Heard]:
+    def listen(self) -> list[DeviceFrame]:
         data = self.mock.outbox[: int(self.mock.board.out)].copy()
         self.mock.board.out = 0
         return self.read(data)
 
-    def read(self, data: np.ndarray) -> list[Heard]:
+    def read(self, data: np.ndarray) -> list[DeviceFrame]:
         """Every frame is tried in all formats: which one the device chose is checked where it matters."""
         heard = []
         for chunk in data.tobytes().split(b"\0"):
@@ -125,12 +127,12 @@ class Host:
                     self.armed = frame.state == schema.ARMED
         return heard
 
-    def _read_one(self, decoder: Any, chunk: bytes) -> Heard | None:
+    def _read_one(self, decoder: Any, chunk: bytes) -> DeviceFrame | None:
         garbage = int(decoder.garbage_bytes)
         frames = frames_in(decoder, chunk + b"\0")
         if not frames or decoder.garbage_bytes > garbage:
             return None
-        return Heard(frames[0].type, frames[0].number, frames[0].counts)
+        return DeviceFrame(frames[0].type, frames[0].number, frames[0].counts)
 
     # What no frame tells.
 
@@ -182,10 +184,10 @@ def new_host() -> Callable[..., Host]:
 
 
 @pytest.fixture(scope="session")
-def exchange() -> Callable[..., list[Heard]]:
+def exchange() -> Callable[..., list[DeviceFrame]]:
     """Arms in lockstep and answers each position with the next of the forces; every frame of the device."""
 
-    def run(host: Host, forces: Iterable[Sequence[int]], velocity: bool = False) -> list[Heard]:
+    def run(host: Host, forces: Iterable[Sequence[int]], velocity: bool = False) -> list[DeviceFrame]:
         heard = host.arm(velocity=velocity)
         for n, counts in enumerate(forces):
             heard += host.force(n, counts)

@@ -269,7 +269,7 @@ beginnings = st.tuples(st.just("arm"), st.sampled_from([DEVICE, HOST, LOCKSTEP])
 @given(
     beginnings, st.lists(events, min_size=25, max_size=60), st.booleans(), st.sampled_from([0, 4090, 4096 * 10**9 - 3])
 )
-def test_whatever_is_said_the_mock_and_a_model_of_its_firmware_say_and_command_the_same(
+def test_whatever_is_sent_the_mock_and_a_model_of_its_firmware_send_and_command_the_same(
     new_host: New, beginning: tuple, events: list[tuple], impulse: bool, start: int
 ) -> None:
     host = new_host(device={"mass": 1e4, "delay": 3.0, "hold": "impulse" if impulse else "zoh"})

@@ -37,7 +37,7 @@ def test_describe_answers_every_register(new_host: New, new_scene: New, channels
     assert host.misread == 0
 
 
-def test_the_description_says_what_the_scene_says(new_host: New) -> None:
+def test_the_description_states_the_values_of_the_scene(new_host: New) -> None:
     host = new_host(2, rate=2500.0, device={"force_limit": 7.5}, mock={"quantum": 2e-7})
     registers = np.array([host.register(number) for number in range(schema.REGISTERS)])
     said = from_registers(registers)

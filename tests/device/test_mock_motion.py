@@ -123,7 +123,7 @@ def test_an_impulse_changes_the_momentum_and_nothing_else() -> None:
     velocities,
     decades(-9, 1),
 )
-def test_what_moves_beside_it_makes_no_difference_to_a_body(
+def test_what_moves_next_to_it_makes_no_difference_to_a_body(
     m: float, b: float, coulomb: float, k: float, force: float, x: float, v: float, t: float
 ) -> None:
     others = [
@@ -246,7 +246,9 @@ def way_to_rest(m: float, b: float, total: float, v: float) -> tuple[float, floa
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize("b", [0.0, 1e-15, 1e-12, 1e-6, 0.5, 40.0, 1e6])
-def test_dry_friction_brings_the_mass_to_rest_when_and_where_the_closed_form_says(b: float, direction: float) -> None:
+def test_dry_friction_brings_the_mass_to_rest_when_and_where_the_closed_form_predicts(
+    b: float, direction: float
+) -> None:
     m, coulomb, v = 0.2, 0.7, 0.9
     time, distance = way_to_rest(m, b, coulomb, v)
     body = body_of(m, b, coulomb, velocity=direction * v)

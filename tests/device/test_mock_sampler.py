@@ -60,7 +60,7 @@ def read_by_the_mock(
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("sampling", WINDOWS)
 @pytest.mark.parametrize("hold", HOLDS | UNSHIPPED)
-def test_holds_and_samplings_are_what_their_entries_say(
+def test_holds_and_samplings_are_what_their_entries_state(
     hold: str, sampling: str, delay: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(HOLDS, hold, (HOLDS | UNSHIPPED)[hold])
@@ -172,7 +172,9 @@ def test_a_position_is_rounded_to_the_nearest_count(position: float, quantum: fl
         (-math.inf, (-2147483647, False)),
     ],
 )
-def test_a_position_beyond_the_scale_stops_at_its_end_and_says_so(position: float, expected: tuple[int, bool]) -> None:
+def test_a_position_beyond_the_scale_stops_at_its_end_and_is_reported(
+    position: float, expected: tuple[int, bool]
+) -> None:
     assert to_counts(position, 1.0) == expected
 
 
@@ -224,7 +226,9 @@ def test_a_velocity_beyond_its_scale_stops_at_the_end_of_it_and_is_no_fault(
     assert host.state == schema.ARMED
 
 
-def test_a_device_that_latches_while_it_sends_velocities_says_so_in_their_format(new_host: Callable[..., Any]) -> None:
+def test_a_device_that_latches_while_it_sends_velocities_reports_it_in_their_format(
+    new_host: Callable[..., Any],
+) -> None:
     host = new_host(3)
     host.arm(schema.PACED_BY_DEVICE, watchdog=1, velocity=True)
     for _ in range(3):

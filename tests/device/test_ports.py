@@ -82,7 +82,7 @@ def test_what_is_no_link_of_ours_stays(tmp_path: Path, made, told: str) -> None:
     assert os.lstat(name).st_ino == before
 
 
-def test_a_name_where_no_link_can_be_made_is_told_with_what_to_do(tmp_path: Path) -> None:
+def test_a_name_where_no_link_can_be_made_is_reported_with_what_to_do(tmp_path: Path) -> None:
     told = "No such file or directory; choose a name in a directory of yours"
     with pytest.raises(UsageError, match=told), link_to(tmp_path / "none" / "port", "/dev/pts/99999"):
         pass
@@ -136,7 +136,7 @@ def test_the_program_that_holds_a_port_is_named_and_killed_it_holds_nothing(port
         open_serial_port(by_id, 2_000_000).close()
 
 
-def test_without_a_lock_those_are_told_that_have_it_open(by_id: str) -> None:
+def test_without_a_lock_the_owners_of_the_port_are_named(by_id: str) -> None:
     assert port_holders(by_id) == f"this process itself (PID {os.getpid()}) has it open"
 
 
@@ -203,7 +203,7 @@ def test_a_device_is_known_by_its_serial_number_at_any_port(device: str, monkeyp
         assert is_first_use(str(there)) == new
 
 
-def test_where_nothing_can_be_kept_nothing_is_said(
+def test_where_nothing_can_be_kept_nothing_is_printed(
     device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").touch()

@@ -41,7 +41,7 @@ def only(case: Situation) -> Advice:
     return advice
 
 
-def test_a_machine_that_tells_nothing_gets_no_advice(tree: Callable[..., SystemFiles]) -> None:
+def test_a_machine_that_reports_nothing_gets_no_advice(tree: Callable[..., SystemFiles]) -> None:
     unknown = Machine("", None, None, "", False, (), "", "", None, "")
     assert advice_on(Situation(tree(), unknown, port="/dev/ttyACM0")) == []
 

@@ -97,7 +97,7 @@ def alone(examination: Examination, run: Exchanges) -> str:
     return shown(replace(examination, exchanges=(run,), verdicts=(verdict_on(run),), advice=()), 200)
 
 
-def test_a_device_is_said_to_feel_no_force(examination: Examination) -> None:
+def test_the_report_states_that_a_device_feels_no_force(examination: Examination) -> None:
     text = alone(examination, replace(examination.exchanges[0], where="/dev/ttyACM0"))
     assert "on /dev/ttyACM0, sent zero force; clock: device" in text
     assert "this machine keeps" not in text

@@ -120,7 +120,7 @@ def test_a_device_that_fails_is_part_of_the_answer(examined: Callable[..., Any])
 
 
 @pytest.mark.parametrize("steps", [2, 4])
-def test_one_that_is_stopped_tells_what_it_measured(
+def test_one_that_is_stopped_reports_what_it_measured(
     examined: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, steps: int
 ) -> None:
     begun: list[object] = []
@@ -148,7 +148,7 @@ def test_one_that_is_stopped_tells_what_it_measured(
     assert ("Exchanges of" in told, "Wake-ups at 3 kHz" in told) == (steps > 3, steps > 2)
 
 
-def test_one_that_is_stopped_in_its_first_step_has_nothing_to_tell(examined: Callable[..., Any]) -> None:
+def test_one_that_is_stopped_in_its_first_step_has_nothing_to_report(examined: Callable[..., Any]) -> None:
     def interrupt(_step: Step) -> None:
         raise KeyboardInterrupt
 

@@ -41,7 +41,7 @@ def test_a_machine_is_read_from_its_files(tree: Callable[..., SystemFiles]) -> N
     )
 
 
-def test_a_machine_that_tells_nothing_is_no_failure(tree: Callable[..., SystemFiles]) -> None:
+def test_a_machine_that_reports_nothing_is_no_failure(tree: Callable[..., SystemFiles]) -> None:
     assert machine_of(tree()) == NOTHING
     nonsense = dict.fromkeys(A_MACHINE, "\x00\xff?")
     assert machine_of(tree(nonsense)).cores_allowed is None

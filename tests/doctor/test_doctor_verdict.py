@@ -63,7 +63,7 @@ def test_a_run_that_failed_is_never_a_yes(report: Callable[..., Any]) -> None:
     assert verdict_on(run_of(None, failure="no such port")).answer == "no verdict"
 
 
-def test_a_mock_that_does_not_keep_the_rate_lets_nothing_be_said(report: Callable[..., Any]) -> None:
+def test_a_mock_that_does_not_keep_the_rate_allows_no_verdict(report: Callable[..., Any]) -> None:
     slow = report(ticks=900, duration_s=0.999)
     verdict = verdict_on(run_of(slow))
     assert verdict.answer == "no verdict"

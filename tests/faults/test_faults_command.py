@@ -86,7 +86,7 @@ def test_a_port_that_is_not_there_is_status_3(hapsim: Hapsim) -> None:
 
 
 @linux
-def test_it_tells_where_it_is_and_at_its_end_what_it_did(hapsim: Hapsim, scene: Path, tmp_path: Path) -> None:
+def test_it_prints_where_it_is_and_at_its_end_what_it_did(hapsim: Hapsim, scene: Path, tmp_path: Path) -> None:
     name = tmp_path / "port"
     answer = hapsim("faults", "noisy_wire", "--scene", scene, "--path", name, "--duration", 0.05, "--json")
     assert answer.status == 0
@@ -104,7 +104,7 @@ def test_it_tells_where_it_is_and_at_its_end_what_it_did(hapsim: Hapsim, scene: 
     assert "No force reached the device." in shown.out
 
 
-def test_two_faults_of_a_kind_are_told_apart_and_what_is_counted_is_said() -> None:
+def test_two_faults_of_a_kind_are_listed_apart_and_what_is_counted_is_named() -> None:
     injector = injector_of(
         "kind: silence, at: 0.002, for: 0.002", "kind: silence, after_samples: 7, for: 1", "kind: drop, probability: 0"
     )
@@ -133,7 +133,7 @@ def test_two_faults_of_a_kind_are_told_apart_and_what_is_counted_is_said() -> No
 
 
 @linux
-def test_a_device_that_goes_away_is_status_3_and_told_beside_what_passed(hapsim: Hapsim, tmp_path: Path) -> None:
+def test_a_device_that_goes_away_is_status_3_and_reported_with_what_passed(hapsim: Hapsim, tmp_path: Path) -> None:
     near, far = os.openpty()
     tty.setraw(far)
     path = tmp_path / "device"

@@ -110,14 +110,14 @@ class Silent:
     """A device that hears everything and says nothing."""
 
     def __init__(self) -> None:
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
 
     def receive(self, buffer: Any, timeout_ns: int) -> int:
         del buffer, timeout_ns
         return TIMED_OUT
 
     def send(self, frame: bytes) -> int:
-        self.heard.append(frame)
+        self.received.append(frame)
         return 0
 
 
@@ -126,11 +126,11 @@ def test_time_passes_while_the_host_waits_and_the_plug_is_pulled_meanwhile() -> 
     carrier = in_memory(injector_of("kind: unplug, at: 0.003"), 0.001)(device)
     assert carrier.receive(buffer, 10**7) == TIMED_OUT  # nothing passed yet: no time of the script's either
     assert carrier.send(b"\1\0") == 0
-    assert device.heard == [b"\1\0"]
+    assert device.received == [b"\1\0"]
     assert carrier.receive(buffer, 2 * 10**6) == TIMED_OUT
     assert carrier.receive(buffer, 2 * 10**6) == HUNG_UP
     assert carrier.send(b"\2\0") == HUNG_UP
-    assert device.heard == [b"\1\0"]
+    assert device.received == [b"\1\0"]
 
 
 def test_what_is_held_up_comes_when_it_is_due_in_pieces_where_there_is_little_room() -> None:

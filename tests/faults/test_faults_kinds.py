@@ -101,7 +101,7 @@ def test_a_frame_is_dropped_in_its_direction_only() -> None:
     assert bytes_of(injector.take(force(1), True, 0.012), to_device=True) == force(1)
 
 
-def test_as_many_are_dropped_as_the_probability_says() -> None:
+def test_as_many_are_dropped_as_the_probability_demands() -> None:
     injector = injector_of("kind: drop, probability: 0.1")
     left = len(positions_through(injector, 2000))
     assert injector.counts == [("drop", 2000 - left)]
@@ -209,7 +209,7 @@ def test_a_plug_is_pulled_although_noise_comes_at_the_same_moment() -> None:
     assert (injector.plugged, injector.counts) == (False, [("garbage", 1), ("unplug", 1)])
 
 
-def test_a_device_that_reboots_is_released_and_says_nothing_until_it_is_back() -> None:
+def test_a_device_that_reboots_is_released_and_sends_nothing_until_it_is_back() -> None:
     injector = injector_of("kind: reboot, seconds: 0.5, after_samples: 5")
     passed = positions_through(injector, 10)
     assert numbers_of(passed) == list(range(5))
@@ -279,7 +279,7 @@ def test_a_position_leaps_by_this_many_metres_or_counts_and_stays_there() -> Non
         ("kind: freeze, channel: 1", list(range(10))),
     ],
 )
-def test_a_dead_sensor_goes_on_saying_its_last_position_in_frames_that_are_right(fault: str, seen: list[int]) -> None:
+def test_a_dead_sensor_goes_on_sending_its_last_position_in_frames_that_are_right(fault: str, seen: list[int]) -> None:
     injector = injector_of(fault)
     passed = positions_through(injector, 10)
     assert numbers_of(passed) == list(range(10))
@@ -287,7 +287,7 @@ def test_a_dead_sensor_goes_on_saying_its_last_position_in_frames_that_are_right
     assert injector.counts[0][1] == sum(count != number for number, count in enumerate(seen))
 
 
-def test_only_the_sensor_of_its_channel_is_dead_and_says_no_velocity_either() -> None:
+def test_only_the_sensor_of_its_channel_is_dead_and_reports_no_velocity_either() -> None:
     wire, injector = armed_format(2, velocity=True), injector_of("kind: freeze, channel: 1, after_samples: 1")
     sent = [frame_to_host(wire, schema.POSITION, n, [n, 10 + n, 20 + n, 30 + n]) for n in range(3)]
     passed = [one for data in sent for one in injector.take(data, False, 0.001)]

@@ -218,7 +218,7 @@ def test_a_run_through_it_is_the_run_without_it() -> None:
     assert release.by == "disarm"
 
 
-def test_a_run_whose_plug_is_pulled_says_so() -> None:
+def test_a_run_whose_plug_is_pulled_reports_it() -> None:
     injector = injector_of("kind: unplug, after_samples: 50")
     sentence = r"the device went away after \d+ ticks \(unplugged.*did not confirm"
     with scene_behind(injector) as scene, pytest.raises(DeviceError, match=sentence):

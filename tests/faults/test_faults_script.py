@@ -19,7 +19,7 @@ def errors_of(text: str) -> list[str]:
     return str(caught.value).splitlines()
 
 
-def test_every_error_is_told_with_its_place() -> None:
+def test_every_error_is_reported_with_its_place() -> None:
     text = """\
 version: 1
 faults:
@@ -72,12 +72,12 @@ faults:
         ("version: 1\nfaults: [{kind: delay}]", "2:10: faults[0]: 'seconds' is missing, expected a number > 0 (s)"),
     ],
 )
-def test_what_is_no_script_is_told_so(text: str, error: str) -> None:
+def test_what_is_no_script_is_reported(text: str, error: str) -> None:
     (line,) = errors_of(text)
     assert error in line
 
 
-def test_a_file_that_is_not_there_is_told_with_the_nearest_name(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_reported_with_the_nearest_name(tmp_path: Path) -> None:
     (tmp_path / "noise.yaml").write_text("version: 1\nfaults: [{kind: drop}]\n")
     assert load_script(tmp_path / "noise.yaml").faults[0].kind == "drop"
     with pytest.raises(
@@ -86,7 +86,7 @@ def test_a_file_that_is_not_there_is_told_with_the_nearest_name(tmp_path: Path) 
         load_script(tmp_path / "nois.yaml")
 
 
-def test_the_scripts_that_ship_are_scripts_and_every_one_is_told_of_where_scenes_are() -> None:
+def test_the_scripts_that_ship_are_scripts_and_every_one_is_described_where_scenes_are() -> None:
     assert shipped_scripts() == ["bad_device", "loose_plug", "noisy_wire"]
     manual = (Path(__file__).parents[2] / "configs" / "faults" / "README.md").read_text("utf-8")
     for name in shipped_scripts():

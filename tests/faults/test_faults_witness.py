@@ -27,7 +27,7 @@ def armed(*faults: str, pacing: int = schema.PACED_BY_DEVICE) -> Injector:
     return injector
 
 
-def test_forces_and_their_steps_are_told_in_newtons_before_and_since_the_first_fault() -> None:
+def test_forces_and_their_steps_are_printed_in_newtons_before_and_since_the_first_fault() -> None:
     injector = armed("kind: silence, after_samples: 4")
     for number, counts in enumerate((1000, 3000, -500, 200, 250)):  # mN
         injector.take(position(number), False, number * 0.001)
@@ -81,7 +81,7 @@ def test_a_device_that_is_armed_already_ignores_another_arm() -> None:
 
 
 @pytest.mark.parametrize(("after_s", "step"), [(0.0059, 6.0), (0.0061, 3.0)])
-def test_where_the_host_paces_time_tells_whether_the_force_is_over(after_s: float, step: float) -> None:
+def test_where_the_host_paces_time_decides_whether_the_force_is_over(after_s: float, step: float) -> None:
     injector = armed("kind: drop, after_samples: 99", pacing=schema.PACED_BY_HOST)
     injector.take(position(0), False, 0.0)
     injector.take(force(0, 3000, lives=5), True, 0.0)
@@ -113,7 +113,7 @@ def test_the_last_force_ends_with_the_disarm() -> None:
     assert release.after_first_fault_s == pytest.approx(0.0005)
 
 
-def test_or_with_its_time_to_live_or_with_the_device_that_says_so_first() -> None:
+def test_or_with_its_time_to_live_or_with_the_device_that_reports_it_first() -> None:
     injector = armed("kind: drop, direction: from_device")
     injector.take(force(2, 5, lives=20), True, 0.0025)
     release = injector.witness.release()

@@ -168,10 +168,10 @@ class MockPlayer:
         elif "bytes" in step:
             self._place(before_a_sample=False)
             data = np.frombuffer(bytes.fromhex(step["bytes"]), np.uint8)
-            return self._said(lambda: take_bytes(self.mock, data, data.size, self.now))
+            return self._sent(lambda: take_bytes(self.mock, data, data.size, self.now))
         elif "pass" in step:
             self.now += step["pass"] * _PERIOD_NS // 1000
-            return self._said(lambda: check_watchdog(self.mock, self.now))
+            return self._sent(lambda: check_watchdog(self.mock, self.now))
         else:
             return b"".join(self._tick() for _ in range(step["tick"]))
         return b""
@@ -181,15 +181,15 @@ class MockPlayer:
         self._place(before_a_sample=True)
         before = b""
         if self.state == "armed" and self.mock.board.pacing == schema.PACED_BY_DEVICE:
-            before = self._said(lambda: take_sample(self.mock, self.now))
-        return before + self._said(lambda: check_watchdog(self.mock, self.now))
+            before = self._sent(lambda: take_sample(self.mock, self.now))
+        return before + self._sent(lambda: check_watchdog(self.mock, self.now))
 
-    def _said(self, event: Callable[[], None]) -> bytes:
+    def _sent(self, event: Callable[[], None]) -> bytes:
         self.mock.board.out = OUTBOX_BYTES if self.full else 0
         event()
-        said = b"" if self.full else bytes(self.mock.outbox[: int(self.mock.board.out)])
+        sent = b"" if self.full else bytes(self.mock.outbox[: int(self.mock.board.out)])
         self.mock.board.out = 0
-        return said
+        return sent
 
     @property
     def state(self) -> str:

@@ -69,8 +69,8 @@ def connected(board: Any) -> Iterator[Any]:
         yield connection
 
 
-def is_description(heard: Received) -> bool:
-    return heard.kind == schema.DESCRIPTION
+def is_description(received: Received) -> bool:
+    return received.kind == schema.DESCRIPTION
 
 
 @pytest.mark.parametrize("name", BOARDS)
@@ -91,7 +91,7 @@ def test_a_first_touch_feels_as_predicted(name: str, start_board: Start, start_h
 
 
 @pytest.mark.parametrize("name", BOARDS)
-def test_a_board_describes_itself_and_hears_every_frame(name: str, start_board: Start) -> None:
+def test_a_board_describes_itself_and_receives_every_frame(name: str, start_board: Start) -> None:
     """All in one piece, at the full baud: the newest bytes behind noise that no ring holds, and all of a row."""
     numbers = [*range(12)]
     with connected(start_board(name)) as connection:
@@ -106,9 +106,9 @@ def test_a_board_describes_itself_and_hears_every_frame(name: str, start_board: 
         wire.send(b"".join(wire.frame(schema.DESCRIBE, number) for number in numbers))
         answers = []
         while len(answers) < len(numbers):
-            answer, heard = wire.wait_for(is_description, PATIENCE_S)
+            answer, received = wire.wait_for(is_description, PATIENCE_S)
             assert answer is not None, f"only {answers} of the registers {numbers} were answered"
-            answers += [one.number for one in heard]
+            answers += [one.number for one in received]
     assert answers == numbers
     assert (description.channels, description.rate_hz, description.pacings) == (1, 1000.0, 3)
     assert description.position_scale == (1e-9,)

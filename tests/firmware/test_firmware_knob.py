@@ -35,7 +35,7 @@ def force(sample: int, counts: int) -> str:
     return f"bytes {frame_to_device(armed_format(1), schema.FORCE, sample, 50, [counts]).hex()}"
 
 
-def told(knob: Knob, lines: list[str]) -> list[tuple[str, ...]]:
+def states_and_forces(knob: Knob, lines: list[str]) -> list[tuple[str, ...]]:
     """State and force after each line, or the register alone."""
     answers = [answer.split() for answer in knob(STEPS)(lines)]
     return [(answer[0], answer[3]) if len(answer) > 1 else (answer[0],) for answer in answers]
@@ -43,7 +43,7 @@ def told(knob: Knob, lines: list[str]) -> list[tuple[str, ...]]:
 
 def test_the_driver_is_enabled_while_armed_and_at_no_other_time(knob: Knob) -> None:
     lines = ["driver", "tick", "driver", ARM, "driver", force(0, 7), "tick", "driver", DISARM, "driver"]
-    after = told(knob, lines)
+    after = states_and_forces(knob, lines)
     assert after[0] == after[2] == (IDLE, "0")
     assert after[4] == (ARMED, "1")
     assert after[6] == (ARMED, "7")
@@ -56,7 +56,7 @@ def test_the_driver_is_enabled_while_armed_and_at_no_other_time(knob: Knob) -> N
 )
 def test_what_is_wrong_with_motor_or_angle_releases_and_latches_until_armed_again(knob: Knob, wrong: list[str]) -> None:
     lines = [ARM, force(0, 7), "tick", *wrong, "tick", "driver", FAULT, "angle -1", "fault 0", "tick", "driver", ARM]
-    after = told(knob, [*lines, force(0, 9), "tick", "driver"])
+    after = states_and_forces(knob, [*lines, force(0, 9), "tick", "driver"])
     at = 3 + len(wrong)
     assert after[2] == (ARMED, "7")
     assert after[at : at + 3] == [(LATCHED, "0"), (LATCHED, "0"), (str(schema.HARDWARE),)]
@@ -78,7 +78,7 @@ def test_a_constant_that_is_none_or_asks_for_more_than_the_motor_may_enables_not
 ) -> None:
     """The motor's limit is twice the device's."""
     lines = [f"begin {target_per_nm}", ARM, "driver", "tick", "driver", FAULT]
-    after = told(knob, lines)
+    after = states_and_forces(knob, lines)
     assert after[0] == (IDLE, "0")
     assert after[2] == (LATCHED, "0")
     assert after[4] == (LATCHED, "0")
@@ -86,7 +86,7 @@ def test_a_constant_that_is_none_or_asks_for_more_than_the_motor_may_enables_not
 
 
 def test_a_constant_within_the_motor_s_limit_is_taken(knob: Knob) -> None:
-    assert told(knob, ["begin 1.9", ARM, force(0, 100), "tick"]) == [
+    assert states_and_forces(knob, ["begin 1.9", ARM, force(0, 100), "tick"]) == [
         (IDLE, "1"),
         (ARMED, "0"),
         (ARMED, "0"),
@@ -153,7 +153,7 @@ def test_timer_and_loop_share_words_and_the_state_machine_alone(compile_knob: Ca
 
 
 @pytest.mark.parametrize("core", ["ESP32", "STM32"])
-def test_the_timers_of_both_cores_are_called_as_their_headers_say(core: str, built: Path) -> None:
+def test_the_timers_of_both_cores_are_called_as_their_headers_declare(core: str, built: Path) -> None:
     cpp = shutil.which("g++")
     if cpp is None:
         pytest.skip("no g++ on this machine (Debian: g++)")

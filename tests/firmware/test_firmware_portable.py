@@ -21,7 +21,7 @@ def test_the_generated_parts_of_porting_are_up_to_date() -> None:
     assert PORTING.read_text("utf-8") == made_text(PORTING), "run python -m firmware_protocol.make_vectors"
 
 
-def test_every_double_in_words_is_the_number_beside_it() -> None:
+def test_every_double_in_words_is_the_number_next_to_it() -> None:
     files = [*FIRMWARE.rglob("*_board.h"), Path(__file__).parent / "harness" / "hapsim_board.h"]
     texts = "\n".join(path.read_text("utf-8") for path in files)
     found = re.findall(r"HAPSIM_F64\(0x([0-9a-f]{8}), 0x([0-9a-f]{8})\)}? +/\* ([0-9.e-]+)", texts)

@@ -68,7 +68,7 @@ def played(entry: dict[str, Any], run: Callable[[list[str]], list[str]]) -> None
 
 
 @pytest.mark.parametrize("entry", TOLD, ids=NAMES)
-def test_the_firmware_does_as_the_session_says(entry: dict[str, Any], harness: Callable[..., Any]) -> None:
+def test_the_firmware_does_as_in_the_session(entry: dict[str, Any], harness: Callable[..., Any]) -> None:
     played(entry, harness({"name": entry["device"]} | DEVICES[entry["device"]]))
 
 
@@ -77,7 +77,7 @@ def asks_for_velocities(entry: dict[str, Any]) -> bool:
 
 
 @pytest.mark.parametrize("entry", TOLD, ids=NAMES)
-def test_a_knob_of_simplefoc_does_as_the_session_says(entry: dict[str, Any], knob: Callable[..., Any]) -> None:
+def test_a_knob_of_simplefoc_does_as_in_the_session(entry: dict[str, Any], knob: Callable[..., Any]) -> None:
     """A knob follows the session from its port to its motor, with a sketch's order of loop() and timer."""
     if entry["device"] != "plain" or asks_for_velocities(entry):
         pytest.skip("a knob has one channel, senses no velocity, and holds its torque")
@@ -105,7 +105,7 @@ def test_what_a_receiver_lost_joins_no_two_pieces_to_a_frame(harness: Callable[.
 
 
 @pytest.mark.parametrize("entry", TOLD, ids=NAMES)
-def test_the_mock_does_as_the_session_says(entry: dict[str, Any], mock_player: Callable[..., Any]) -> None:
+def test_the_mock_does_as_in_the_session(entry: dict[str, Any], mock_player: Callable[..., Any]) -> None:
     if any(step.get("finds") == schema.HARDWARE for step in entry["steps"]):
         pytest.skip("the mock has no hardware that could fail")
     player = mock_player(DEVICES[entry["device"]])

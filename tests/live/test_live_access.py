@@ -31,7 +31,7 @@ from hapsim.live.web import MOST_CLIENTS, WebView
 LOOPBACK, ANYWHERE = (address_of("--serve-at", text, 7470) for text in (None, "0.0.0.0"))
 
 
-class Said(NamedTuple):
+class Answer(NamedTuple):
     """Answer of a server to a GET."""
 
     status: int
@@ -39,11 +39,11 @@ class Said(NamedTuple):
     body: bytes
 
 
-def ask(served: Served, path: str, **headers: str) -> Said:
+def ask(served: Served, path: str, **headers: str) -> Answer:
     connection = http.client.HTTPConnection("127.0.0.1", served.view.address.port, timeout=30)
     connection.request("GET", path, headers={"Host": f"localhost:{served.view.address.port}", **headers})
     with contextlib.closing(connection), connection.getresponse() as response:
-        return Said(response.status, response.headers, response.read())
+        return Answer(response.status, response.headers, response.read())
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def ask(served: Served, path: str, **headers: str) -> Said:
         (None, "http://localhost", "Host"),
     ],
 )
-def test_only_the_page_itself_may_speak_to_a_scene(host: str | None, origin: str | None, refused: str) -> None:
+def test_only_the_page_itself_may_connect_to_a_scene(host: str | None, origin: str | None, refused: str) -> None:
     hosts, origins = ([one] if one is not None else [] for one in (host, origin))
     assert why_refused(LOOPBACK, hosts, origins, needs_origin=True).partition(":")[0] == refused
     assert why_refused(LOOPBACK, hosts * 2, origins, needs_origin=True) != ""
@@ -117,7 +117,7 @@ def test_a_page_from_elsewhere_gets_nothing(shared: Served) -> None:
             pass
 
 
-def test_the_page_is_served_and_nothing_beside_it(shared: Served) -> None:
+def test_the_page_is_served_and_nothing_else(shared: Served) -> None:
     page, found = ask(shared, "/"), ask(shared, "/schema.json")
     assert page.headers["Content-Type"] == "text/html; charset=utf-8"
     assert "default-src 'self'" in page.headers["Content-Security-Policy"]
@@ -146,7 +146,7 @@ def test_beyond_this_machine_a_token_is_required(serve: Callable[..., Served]) -
         assert Client(socket).ask(type="get")["type"] == "model"
 
 
-def test_more_clients_than_allowed_are_told_so(serve: Callable[..., Served]) -> None:
+def test_more_clients_than_allowed_get_an_error(serve: Callable[..., Served]) -> None:
     served = serve()
     with contextlib.ExitStack() as stack:
         for _ in range(MOST_CLIENTS):

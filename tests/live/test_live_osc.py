@@ -67,31 +67,31 @@ class Client:
         self.socket.settimeout(30)
         self.port = self.socket.getsockname()[1]
         self._to = (view.address.ip, view.address.port)
-        self._heard: list[tuple[str, list[Any]]] = []
+        self._received: list[tuple[str, list[Any]]] = []
 
     def send(self, packet: bytes) -> None:
         self.socket.sendto(packet, self._to)
 
-    def tell(self, address: str, *arguments: Any) -> None:
+    def send_message(self, address: str, *arguments: Any) -> None:
         self.send(message(address, *arguments).dgram)
 
-    def hear(self, *addresses: str) -> list[Any]:
+    def receive(self, *addresses: str) -> list[Any]:
         """The arguments of the next message of one of these addresses."""
         while True:
-            while not self._heard:
+            while not self._received:
                 packet = OscPacket(self.socket.recv(65536))
-                self._heard += [(one.message.address, list(one.message.params)) for one in packet.messages]
-            address, arguments = self._heard.pop(0)
+                self._received += [(one.message.address, list(one.message.params)) for one in packet.messages]
+            address, arguments = self._received.pop(0)
             if address in addresses:
                 return arguments
 
     def ask(self, address: str) -> list[Any]:
-        self.tell(address)
-        return self.hear(address)
+        self.send_message(address)
+        return self.receive(address)
 
     def refused(self, packet: bytes) -> str:
         self.send(packet)
-        return str(self.hear("/hapsim/error")[0])
+        return str(self.receive("/hapsim/error")[0])
 
 
 @contextlib.contextmanager
@@ -147,51 +147,54 @@ def recorded() -> Iterator[tuple[Recorder, Client]]:
         yield hub, Client(view)
 
 
-def test_osc_sets_and_tells_parameters(client: tuple[Any, Client, OscView]) -> None:
+def test_osc_sets_and_reports_parameters(client: tuple[Any, Client, OscView]) -> None:
     served, osc, _ = client
     assert osc.ask("/hapsim/touch/stiffness") == [200.0]
     for i in range(20):
-        osc.tell("/hapsim/touch/stiffness", 150.25 + i, 0.01)
+        osc.send_message("/hapsim/touch/stiffness", 150.25 + i, 0.01)
         assert osc.ask("/hapsim/touch/stiffness") == [150.25 + i]
     assert served.hub.parameters["touch.stiffness"].value == 169.25
-    osc.tell("/hapsim/t*/{stiffness,none}", 120)
+    osc.send_message("/hapsim/t*/{stiffness,none}", 120)
     assert osc.ask("/hapsim/touch/stiffness") == [120.0]
-    osc.tell("/hapsim/[a-z]ouch/*")
-    assert {tuple(osc.hear("/hapsim/touch/stiffness", "/hapsim/touch/damping")) for _ in range(2)} == {(120.0,), (2.0,)}
+    osc.send_message("/hapsim/[a-z]ouch/*")
+    assert {tuple(osc.receive("/hapsim/touch/stiffness", "/hapsim/touch/damping")) for _ in range(2)} == {
+        (120.0,),
+        (2.0,),
+    }
     assert "-5" in osc.refused(message("/hapsim/touch/stiffness", -5.0).dgram)
     assert osc.ask("/hapsim/touch/stiffness") == [120.0]
-    osc.tell("/hapsim/marker", "here")
+    osc.send_message("/hapsim/marker", "here")
     osc.ask("/hapsim/touch/stiffness")
     assert [one.sentence for one in served.hub.events if one.kind == "marker"] == ["here"]
     osc.send(message("/hapsim/s?op").dgram)
-    assert "no such address" in osc.hear("/hapsim/error")[0]  # patterns reach parameters only
+    assert "no such address" in osc.receive("/hapsim/error")[0]  # patterns reach parameters only
     assert served.hub.phase == "running"
-    osc.tell("/hapsim/stop")
+    osc.send_message("/hapsim/stop")
     assert served.session.wait(30)
 
 
 def test_osc_streams_the_state(client: tuple[Any, Client, OscView]) -> None:
     served, osc, view = client
-    osc.tell("/hapsim/subscribe", osc.port, 200)
+    osc.send_message("/hapsim/subscribe", osc.port, 200)
     ticks = []
     for _ in range(10):
-        vectors = {name: osc.hear(f"/hapsim/{name}") for name in ("position", "velocity", "force")}
+        vectors = {name: osc.receive(f"/hapsim/{name}") for name in ("position", "velocity", "force")}
         assert all(len(one) == 1 and isinstance(one[0], float) for one in vectors.values())
-        ticks += osc.hear("/hapsim/ticks")
+        ticks += osc.receive("/hapsim/ticks")
     assert ticks == sorted(ticks)
     assert ticks[-1] > ticks[0]
-    osc.tell("/hapsim/subscribe", osc.port, 0)
+    osc.send_message("/hapsim/subscribe", osc.port, 0)
     osc.ask("/hapsim/touch/stiffness")
     assert not view.subscriptions
     gone = Client(view)
     gone.socket.close()
-    osc.tell("/hapsim/subscribe", gone.port)
+    osc.send_message("/hapsim/subscribe", gone.port)
     osc.ask("/hapsim/touch/stiffness")
     while view.subscriptions:  # until a send finds that nobody listens
         assert served.hub.phase == "running"
         time.sleep(0.01)
     for _ in range(16):
-        osc.tell("/hapsim/subscribe", Client(view).port, 1)
+        osc.send_message("/hapsim/subscribe", Client(view).port, 1)
     assert "16 subscriptions" in osc.refused(message("/hapsim/subscribe", osc.port, 10).dgram)
     for arguments in ((70000, 10), (osc.port, 1001), (osc.port, -1), ("no",), ()):
         assert "/hapsim/subscribe: found" in osc.refused(message("/hapsim/subscribe", *arguments).dgram)
@@ -201,8 +204,8 @@ def test_osc_bundles_are_one_change(recorded: tuple[Recorder, Client]) -> None:
     hub, osc = recorded
     one, other = "/hapsim/touch/stiffness", "/hapsim/touch/damping"
     osc.send(bundle(0, message(one, 5), message(other, 1.5), message(other, 3.0, 0.5), message(one, 7, 0.5)))
-    osc.tell("/hapsim/mock/hand/force", 1.0, 2.0, 0.25)
-    osc.tell("/hapsim/knob/shape", "snap")
+    osc.send_message("/hapsim/mock/hand/force", 1.0, 2.0, 0.25)
+    osc.send_message("/hapsim/knob/shape", "snap")
     assert osc.ask("/hapsim/mock/hand/force") == [0.0, 0.5]
     assert osc.ask("/hapsim/knob/shape") == ["sine"]
     assert hub.made == [
@@ -307,7 +310,7 @@ def may_set(packet: bytes) -> bool:
 def test_osc_takes_packets_of_listed_senders_only() -> None:
     hub = Recorder()
     with answering(hub, ("127.0.0.1",)) as view:
-        Client(view, "127.0.0.2").tell("/hapsim/touch/stiffness", 5.0)
+        Client(view, "127.0.0.2").send_message("/hapsim/touch/stiffness", 5.0)
         osc = Client(view)
         assert osc.ask("/hapsim/touch/stiffness") == [200.0]
         assert not hub.made
@@ -334,14 +337,14 @@ def test_osc_answers_over_ipv6_too() -> None:
         assert "no such address" in client.refused(message("/hapsim/tuch", 1.0).dgram)
 
 
-def test_osc_says_at_most_twenty_times_a_second_what_was_wrong(recorded: tuple[Recorder, Client]) -> None:
+def test_osc_reports_at_most_twenty_times_a_second_what_was_wrong(recorded: tuple[Recorder, Client]) -> None:
     _, client = recorded
     begun = time.monotonic()
     for _ in range(100):
-        client.tell("/hapsim/nothing", 1.0)
-    client.tell("/hapsim/touch/stiffness")  # answered after all before it are judged
+        client.send_message("/hapsim/nothing", 1.0)
+    client.send_message("/hapsim/touch/stiffness")  # answered after all before it are judged
     errors = 0
-    while isinstance(client.hear("/hapsim/error", "/hapsim/touch/stiffness")[0], str):
+    while isinstance(client.receive("/hapsim/error", "/hapsim/touch/stiffness")[0], str):
         errors += 1
     seconds = int(time.monotonic() - begun) + 2  # of the clock, that this may have touched
     assert 20 <= errors <= min(20 * seconds, 99)
@@ -349,14 +352,14 @@ def test_osc_says_at_most_twenty_times_a_second_what_was_wrong(recorded: tuple[R
 
 def test_osc_goes_on_after_the_device_was_away(client: tuple[Any, Client, OscView]) -> None:
     served, osc, _ = client
-    osc.tell("/hapsim/subscribe", osc.port, 100)
-    osc.hear("/hapsim/ticks")
-    osc.tell("/hapsim/touch/stiffness", 150.0)
+    osc.send_message("/hapsim/subscribe", osc.port, 100)
+    osc.receive("/hapsim/ticks")
+    osc.send_message("/hapsim/touch/stiffness", 150.0)
     assert osc.ask("/hapsim/touch/stiffness") == [150.0]
     served.pause()
     assert "nothing runs" in osc.refused(message("/hapsim/touch/stiffness", 170.0).dgram)
     served.resume()
-    while osc.hear("/hapsim/ticks")[0] > 150:
+    while osc.receive("/hapsim/ticks")[0] > 150:
         pass
     assert osc.ask("/hapsim/touch/stiffness") == [150.0]
 
@@ -374,7 +377,7 @@ def test_osc_goes_on_after_the_device_was_away(client: tuple[Any, Client, OscVie
         ("/hapsim/stop", []),
     ],
 )
-def test_before_arming_every_refusal_says_that_nothing_is_armed_yet(address: str, arguments: list[Any]) -> None:
+def test_before_arming_every_refusal_states_that_nothing_is_armed_yet(address: str, arguments: list[Any]) -> None:
     with answering(Hub(parse_scene(SLOW))) as view:
         client = Client(view)
         sentence = client.refused(message(address, *arguments).dgram)
@@ -382,7 +385,7 @@ def test_before_arming_every_refusal_says_that_nothing_is_armed_yet(address: str
         assert "no such address" not in sentence
 
 
-def test_without_a_device_for_a_while_it_says_so_and_afterwards_what_is_wrong(
+def test_without_a_device_for_a_while_it_reports_that_and_afterwards_what_is_wrong(
     client: tuple[Any, Client, OscView],
 ) -> None:
     served, osc, _ = client
@@ -390,5 +393,5 @@ def test_without_a_device_for_a_while_it_says_so_and_afterwards_what_is_wrong(
     assert "not armed" in osc.refused(message("/hapsim/mock/hand/force", 1.0).dgram)
     served.resume()
     assert "no such address" in osc.refused(message("/hapsim/mock/hand/farce", 1.0).dgram)
-    osc.tell("/hapsim/mock/hand/force", 0.5)
+    osc.send_message("/hapsim/mock/hand/force", 0.5)
     assert osc.ask("/hapsim/mock/hand/force") == [0.5]

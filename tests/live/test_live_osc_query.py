@@ -62,7 +62,7 @@ def drain(client: Any) -> None:
         client.recv(timeout=0.3)
 
 
-def heard(client: Any, path: str, holds: Callable[[list[Any]], bool]) -> list[Any]:
+def received(client: Any, path: str, holds: Callable[[list[Any]], bool]) -> list[Any]:
     """The values of the first message from this path of which that holds."""
     while True:
         message = OscMessage(client.recv(timeout=20))
@@ -100,7 +100,7 @@ def test_the_tree_has_every_address_once(asked: Asked) -> None:
     assert asked.get("/hapsim/touch?TYPE") == (204, ""), "a container has no type"
 
 
-def test_the_host_says_where_osc_and_its_websocket_are(asked: Asked) -> None:
+def test_the_host_states_where_osc_and_its_websocket_are(asked: Asked) -> None:
     info = asked.get("/?HOST_INFO")[1]
     assert (info["OSC_PORT"], info["WS_PORT"], info["OSC_TRANSPORT"]) == (asked.port, asked.port, "UDP")
     assert info["EXTENSIONS"]["LISTEN"] is True
@@ -117,14 +117,14 @@ def test_what_is_not_there_is_an_error(asked: Asked, path: str, status: int) -> 
 def test_a_listener_gets_what_changes_until_it_ignores_it(asked: Asked) -> None:
     path = "/hapsim/touch/damping"
     with asked.listen(path, "/hapsim/ticks") as client:
-        assert heard(client, path, bool) == [5.0]
+        assert received(client, path, bool) == [5.0]
         asked.served.session.set({"touch": {"damping": 3.5}})
-        assert heard(client, path, lambda values: values != [5.0]) == [3.5]
-        first = heard(client, "/hapsim/ticks", bool)
-        assert heard(client, "/hapsim/ticks", bool) > first, "and what the device measures, as it goes on"
+        assert received(client, path, lambda values: values != [5.0]) == [3.5]
+        first = received(client, "/hapsim/ticks", bool)
+        assert received(client, "/hapsim/ticks", bool) > first, "and what the device measures, as it goes on"
         client.send(json.dumps({"COMMAND": "IGNORE", "DATA": "/hapsim/ticks"}))
         client.send(json.dumps({"COMMAND": "LISTEN", "DATA": "/hapsim/wall/position"}))
-        heard(client, "/hapsim/wall/position", lambda values: values == [0.0])
+        received(client, "/hapsim/wall/position", lambda values: values == [0.0])
         with pytest.raises(TimeoutError):
             drain(client)
 
@@ -148,7 +148,7 @@ def test_what_is_no_command_is_ignored(asked: Asked, text: str) -> None:
     with asked.listen() as client:
         client.send(text)
         client.send(json.dumps({"COMMAND": "LISTEN", "DATA": "/hapsim/wall/position"}))
-        assert heard(client, "/hapsim/wall/position", bool) == [0.0]
+        assert received(client, "/hapsim/wall/position", bool) == [0.0]
 
 
 def test_a_longer_message_ends_the_connection(asked: Asked) -> None:
@@ -190,11 +190,11 @@ def test_a_client_stays_while_the_device_is_away() -> None:
     with serving(SCENE) as served:
         asked = Asked(served)
         with asked.listen("/hapsim/ticks", "/hapsim/touch/stiffness") as client:
-            heard(client, "/hapsim/ticks", bool)
+            received(client, "/hapsim/ticks", bool)
             served.pause()
             status, why = asked.get("/hapsim/position")
             assert (status, "not armed yet" in why) == (404, True), "nothing is measured"
             assert asked.get("/hapsim/touch/stiffness?VALUE") == (200, {"VALUE": [2000.0]})
             served.resume()
-            heard(client, "/hapsim/ticks", lambda values: values[0] < 1000)
+            received(client, "/hapsim/ticks", lambda values: values[0] < 1000)
         asked.server.close()

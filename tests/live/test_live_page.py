@@ -248,7 +248,7 @@ def type_into(page: Page, name: str, typed: str) -> None:
     )
 
 
-def said(page: Page, xpath: str) -> str:
+def refusal(page: Page, xpath: str) -> str:
     """Returns the page's error message in the part at the path; "" if there is none."""
     return "".join(one.text for one in page.browser.find_elements("xpath", f"{xpath}/p[@class='refusal']"))
 
@@ -262,15 +262,13 @@ def later(page: Page, seconds: float) -> None:
 
 
 @pytest.mark.parametrize(("typed", "why"), [("9e9", "predicted unstable"), ("-5", "touch.stiffness: found -5")])
-def test_a_refused_value_is_shown_with_its_reason_beside_it_until_another_is_tried(
-    page: Page, typed: str, why: str
-) -> None:
+def test_a_refused_value_is_shown_with_its_reason_until_another_is_tried(page: Page, typed: str, why: str) -> None:
     type_into(page, "touch.stiffness", typed)
-    page.until(lambda: said(page, ROW))
+    page.until(lambda: refusal(page, ROW))
     page.served.hub.publish("marker", "something else happens")
     page.served.session.set({"touch": {"damping": 6.0}})
     later(page, 2.0)  # counters come once a second
-    text = said(page, ROW)
+    text = refusal(page, ROW)
     assert f"{float(typed):.0f} N/m was rejected, the value is still 2000 N/m: " in text
     assert why in text
     assert page.value("touch.stiffness") == 2000.0
@@ -278,30 +276,30 @@ def test_a_refused_value_is_shown_with_its_reason_beside_it_until_another_is_tri
     assert box.get_attribute("value") == "2000"
     type_into(page, "touch.stiffness", "1500")
     page.until(lambda: page.value("touch.stiffness") == 1500.0)
-    page.until(lambda: said(page, ROW) == "")
+    page.until(lambda: refusal(page, ROW) == "")
 
 
 def test_what_is_no_number_is_refused_in_words(page: Page) -> None:
     type_into(page, "touch.stiffness", "1e")
-    page.until(lambda: "expected a number" in said(page, ROW))
+    page.until(lambda: "expected a number" in refusal(page, ROW))
 
 
 def test_a_refusal_stays_when_the_controls_are_made_anew_and_goes_when_it_is_closed(page: Page) -> None:
     type_into(page, "touch.stiffness", "9e9")
-    page.until(lambda: said(page, ROW))
+    page.until(lambda: refusal(page, ROW))
     page.served.hub.publish("changed")  # the scene may be another: all is asked for again
     later(page, 0.5)
-    assert "was rejected" in said(page, ROW)
+    assert "was rejected" in refusal(page, ROW)
     page.browser.find_element("xpath", f"{ROW}/p/button").click()
-    assert said(page, ROW) == ""
+    assert refusal(page, ROW) == ""
 
 
-def test_a_button_without_an_answer_says_so_beside_it(page: Page) -> None:
+def test_a_button_without_an_answer_shows_a_message(page: Page) -> None:
     page.served.pause()  # as a device that is away
     page.part("stop").click()
-    page.until(lambda: "not armed" in said(page, "//header"))
+    page.until(lambda: "not armed" in refusal(page, "//header"))
     later(page, 1.0)
-    assert "not armed" in said(page, "//header")
+    assert "not armed" in refusal(page, "//header")
 
 
 def test_what_is_asked_while_nobody_answers_is_refused_and_works_again_afterwards(page: Page) -> None:
@@ -312,10 +310,10 @@ def test_what_is_asked_while_nobody_answers_is_refused_and_works_again_afterward
         "connection.socket.close(); })"
     )
     page.slide("touch.stiffness", 0.52, "input")
-    page.until(lambda: said(page, ROW))
+    page.until(lambda: refusal(page, ROW))
     page.until(lambda: page.text("status").startswith("running"))
     page.slide("touch.stiffness", 0.55, "input")
-    page.until(lambda: "not applied yet" in page.text("felt") and said(page, ROW) == "")
+    page.until(lambda: "not applied yet" in page.text("felt") and refusal(page, ROW) == "")
 
 
 def test_what_is_felt_is_compared_with_what_check_calls_asked_for(page: Page) -> None:

@@ -33,7 +33,7 @@ def found(scene: Scene, **asked: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", REGIONAL)
 @pytest.mark.parametrize("share", [-0.9, -0.31, 0.02, 0.4, 0.77])
-def test_the_hand_is_where_it_was_said_to_be(name: str, share: float) -> None:
+def test_the_hand_is_where_it_was_sent(name: str, share: float) -> None:
     scene = load_scene(f"configs/{name}.yaml")
     low, high = scene.device.travels(scene.channels)[0]
     x = share * (min(-low, high) if math.isfinite(high - low) else 0.004)

@@ -90,12 +90,12 @@ def until(holds: Callable[[], Any], about: Program) -> Any:
     return found
 
 
-def require_that_it_sets_and_reads(running: Program, served: Served, tell: Callable[[str, float], None]) -> None:
+def require_that_it_sets_and_reads(running: Program, served: Served, send: Callable[[str, float], None]) -> None:
     """`tell`: has the program set the stiffness, then ask for it. It prints "is VALUE" and "position VALUE"."""
     session = served.session
     for value in VALUES:
-        until(lambda: tell("stiffness", value) or session.parameters["touch.stiffness"].value == value, running)  # noqa: B023
-        until(lambda: tell("ask", 0.0) or running.latest("is") == value, running)  # noqa: B023
+        until(lambda: send("stiffness", value) or session.parameters["touch.stiffness"].value == value, running)  # noqa: B023
+        until(lambda: send("ask", 0.0) or running.latest("is") == value, running)  # noqa: B023
     session.set({"mock.hand": {"stiffness": 300.0, "damping": 3.0, "position": 0.004}})
 
     def is_read_at_rest() -> bool:
@@ -133,11 +133,11 @@ def test_pd_sets_and_reads_a_running_scene(answering: tuple[Served, int], tmp_pa
     out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     with out, program("pd", "-nogui", "-noaudio", "-stderr", *files, package="puredata-core") as running:
 
-        def tell(what: str, value: float) -> None:
+        def send(what: str, value: float) -> None:
             out.sendto(f"{what} {value};\n".encode(), ("127.0.0.1", at))
             time.sleep(0.2)
 
-        require_that_it_sets_and_reads(running, served, tell)
+        require_that_it_sets_and_reads(running, served, send)
 
 
 def test_supercollider_sets_and_reads_a_running_scene(answering: tuple[Served, int], tmp_path: Path) -> None:
@@ -159,12 +159,12 @@ def test_supercollider_sets_and_reads_a_running_scene(answering: tuple[Served, i
     with program("sclang", str(own), package="supercollider-language") as running:
         number = iter(range(1_000_000))
 
-        def tell(what: str, value: float) -> None:
+        def send(what: str, value: float) -> None:
             (tmp_path / "next").write_text(f"{next(number)} {what} {value}", "utf-8")
             (tmp_path / "next").replace(commands)
             time.sleep(0.2)
 
-        require_that_it_sets_and_reads(running, served, tell)
+        require_that_it_sets_and_reads(running, served, send)
 
 
 def test_max_is_given_addresses_that_the_scene_has(answering: tuple[Served, int]) -> None:

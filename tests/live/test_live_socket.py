@@ -35,7 +35,7 @@ def test_the_schema_s_file_is_that_of_the_messages() -> None:
     assert schema() == SCHEMA, "run tools/messages"
 
 
-def test_the_model_says_what_there_is(serve: Serve) -> None:
+def test_the_model_describes_what_there_is(serve: Serve) -> None:
     served = serve(STRUCTURES)
     with served.client() as client:
         model = client.ask(type="get")
@@ -52,7 +52,7 @@ def test_the_model_says_what_there_is(serve: Serve) -> None:
     assert [one["kind"] for one in model["events"]] == ["armed"]
 
 
-def test_a_change_reaches_the_scene_and_everybody_hears_of_it(serve: Serve) -> None:
+def test_a_change_reaches_the_scene_and_everybody_receives_it(serve: Serve) -> None:
     served = serve()
     with served.client() as one, served.client() as other:
         other.ask(type="get")

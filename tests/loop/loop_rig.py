@@ -141,12 +141,12 @@ class ScriptedDevice:
             # The format changes with a frame: byte by byte, none is read in the wrong one.
             for byte in data:
                 for frame in frames_in(self._decoder, bytes([byte])):
-                    if not self.deaf and not self._hear(frame):
+                    if not self.deaf and not self._take(frame):
                         return
             if not self.armed:
                 self.write(self.after_each)
 
-    def _hear(self, frame: Frame) -> bool:
+    def _take(self, frame: Frame) -> bool:
         if frame.type == schema.DESCRIBE and not self.armed:
             value = int(np.array(self._registers[frame.number]).astype(np.uint32).astype(np.int32))
             os.write(self._near, frame_to_host(SETUP, schema.DESCRIPTION, frame.number, [value]))

@@ -58,7 +58,7 @@ def directory_for(package: Path, *sources: str) -> Path | None:
 
 
 @pytest.mark.usefixtures("cache")
-def test_another_source_beside_it_gives_another_directory(package: Path) -> None:
+def test_another_source_next_to_it_gives_another_directory(package: Path) -> None:
     """A second source, such as a class whose field order is compiled in, changes the directory."""
     assert directory_for(package, "tick.py", "outside.py") not in (
         directory_for(package),

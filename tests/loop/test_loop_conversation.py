@@ -39,7 +39,7 @@ def refusal(kind: type[Exception], scene: Scene | None = None, **differences: An
     return str(caught.value)
 
 
-def test_a_description_arrives_as_the_device_says_it() -> None:
+def test_a_description_arrives_as_the_device_sends_it() -> None:
     with scripted(name="a device", force_limit=(3.5,)) as (scene, device):
         connection = open_serial_port(scene.device.port, scene.device.baud)
         try:
@@ -126,7 +126,7 @@ def test_extreme_scales_leave_the_force_within_the_limit(what: str, value: float
 
 
 @pytest.mark.parametrize("fault", REFUSALS)
-def test_a_device_that_refuses_to_arm_says_why(fault: int) -> None:
+def test_a_device_that_refuses_to_arm_reports_why(fault: int) -> None:
     assert f"the device does not arm: {schema.FAULTS[fault]}" in refusal(DeviceError, refuses=fault)
 
 

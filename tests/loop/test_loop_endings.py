@@ -61,7 +61,7 @@ def test_a_stop_between_two_ticks_ends_a_run_by_the_hosts_clock_before_the_next(
 
 
 @entry
-def told_in_compiled_code(loop):
+def ending_in_compiled_code(loop):
     """`ending_before_exchange` as the compiled loops have it."""
     return ending_before_exchange(loop)
 
@@ -84,7 +84,7 @@ def test_a_loop_ends_alike_in_compiled_code_and_in_python(
     loop.control.stop, loop.control.samples, loop.state.ticks = stop, ticks, 7
     loop.control.lasts_ns = 10**9
     loop.record.ring.head, loop.record.ring.waits = unread, waits
-    assert told_in_compiled_code(loop.record) == ending_before_exchange(loop.record) == ending
+    assert ending_in_compiled_code(loop.record) == ending_before_exchange(loop.record) == ending
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
@@ -156,7 +156,7 @@ def test_a_signal_during_arming_ends_the_run_in_good_order(monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_a_device_that_stops_by_itself_ends_the_run_and_says_why(clock: str) -> None:
+def test_a_device_that_stops_by_itself_ends_the_run_and_reports_why(clock: str) -> None:
     """2^31 counts of a picometre are two millimetres."""
     scene = scene_of(
         stiffness=0.0, damping=0.0, device={"clock": clock}, mock={"quantum": 1e-12, "initial": {"velocity": 0.1}}

@@ -85,7 +85,7 @@ def test_a_spring_just_within_passivity_is_not_blamed_for_knocks_and_stalls(stal
     assert run(scene, duration=3.0, judges_energy=True, excitation=pushes, **between).report.ending == "done"
 
 
-def test_what_late_forces_gave_is_told_as_theirs() -> None:
+def test_the_energy_of_late_forces_is_reported_as_theirs() -> None:
     """Just within passivity in time, and stalled for a quarter of it."""
     scene = wall(600.0)
     with pytest.raises(GuardError, match=r"the force swung at its limit: 64 times in a row") as caught:
@@ -117,7 +117,7 @@ def wall(stiffness: float = 20_000.0, *, clock: str = "lockstep", velocity: floa
     return parse_scene(json.dumps(document))
 
 
-def test_the_device_is_disarmed_and_the_sentence_says_what_was_given() -> None:
+def test_the_device_is_disarmed_and_the_sentence_states_what_was_given() -> None:
     with served(wall(energy_limit=0.05, friction=0.0)) as (scene, mock):
         with pytest.raises(GuardError) as caught:
             run(scene, duration=60.0)
@@ -132,7 +132,7 @@ def test_the_device_is_disarmed_and_the_sentence_says_what_was_given() -> None:
     assert trace.report.ending == "scene diverging"
 
 
-def test_a_swing_at_the_limit_says_so() -> None:
+def test_a_swing_at_the_limit_is_reported() -> None:
     with served(wall(energy_limit=0.2)) as (scene, _), pytest.raises(GuardError, match="the force swung at its limit"):
         run(scene, duration=60.0)
 

@@ -46,7 +46,7 @@ def test_a_modulation_that_pumps_is_slowed_and_ends_no_run() -> None:
     assert given < 0.4
 
 
-def test_an_adversary_gets_no_more_than_the_page_says() -> None:
+def test_an_adversary_gets_no_more_than_the_page_states() -> None:
     """A spring beyond passivity that is stiff whenever the hand comes back, and soft when it goes."""
     before, seconds, declared = [0.0, False], 5.0, 1.0
 
@@ -175,7 +175,7 @@ def test_an_adopted_scene_is_slowed_where_it_has_too_much_energy() -> None:
     assert within_the_tank(outcome)
 
 
-def test_the_live_line_tells_of_changes_that_are_slowed() -> None:
+def test_the_live_line_shows_changes_that_are_slowed() -> None:
     screen = io.StringIO()
     with live_line(Console(file=screen, width=200)) as tell:
         tell(Progress("running", slowed_ticks=7))

@@ -129,7 +129,7 @@ def test_what_the_device_held_is_counted_as_late_and_ages_the_force() -> None:
     assert trace.flags.tolist() == [0, 0, LATE_FORCE, LATE_FORCE, LATE_FORCE, 0]
 
 
-def test_where_every_force_is_late_none_is_told_older_than_one_can_act() -> None:
+def test_where_every_force_is_late_none_is_reported_older_than_one_can_act() -> None:
     kinds = [schema.POSITION] + [schema.POSITION_HELD] * 60
     trace, device = play([frame(n, 0, kind=kind) for n, kind in enumerate(kinds)], 61)
     assert trace.report.deadline_misses == 60

@@ -164,7 +164,7 @@ def test_whatever_makes_the_force(device: dict[str, Any], substeps: int) -> None
     assert np.abs(held.way(1e-6)[: no_force_at_the_end(trace) - 12]).max() < 0.05
 
 
-def test_at_a_declared_end_and_below_declared_dry_friction_standing_still_says_nothing() -> None:
+def test_at_a_declared_end_and_below_declared_dry_friction_standing_still_is_no_evidence() -> None:
     """A spring presses a fader against its stop; and dry friction holds a handle off its rest."""
     stop = {"stiffness": 50000.0, "damping": 20.0, "position": 0.01}
     at_stop = {"initial": {"position": 0.0101}, "hand": stop, "quantum": 1e-5}
@@ -226,7 +226,7 @@ def test_it_is_on_behind_a_port_and_in_a_run_that_judges_energy() -> None:
         assert session._loop.record.frozen_sensor.rate != 0
 
 
-def test_while_it_runs_its_progress_says_so() -> None:
+def test_while_it_runs_its_progress_reports_it() -> None:
     scene = scene_of(mock={"initial": {"position": 0.004}})
     with start(scene, duration=0.5, between=FrozenDevice(after(0)), judges_energy=True) as session:
         session.wait()

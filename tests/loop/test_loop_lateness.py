@@ -12,16 +12,16 @@ from hapsim.running.assemble_loop import LoopMemory
 BEGIN, PERIOD = 5_000_000_000, 1_000_000  # ns
 
 
-def hear(loop: LoopMemory, number: int, at: float, code: int = RECEIVED) -> None:
+def receive(loop: LoopMemory, number: int, at: float, code: int = RECEIVED) -> None:
     """Position `number` arrives at `at` periods after the first one's."""
     assert arrive(loop, frame(number, 0), BEGIN + round(at * PERIOD)) == code
 
 
-def heard(*positions: tuple[int, float], clock: str = "device") -> LoopMemory:
+def loop_after(*positions: tuple[int, float], clock: str = "device") -> LoopMemory:
     """A loop at 1 kHz by this clock, after these positions."""
     loop = assembled(scene_of(device={"clock": clock}))
     for number, at in positions:
-        hear(loop, number, at)
+        receive(loop, number, at)
     return loop
 
 
@@ -48,20 +48,20 @@ def lateness(loop: LoopMemory) -> tuple[int, int]:
     ],
 )
 def test_the_grid_of_arrivals(positions: list[tuple[int, float]], expected: float, latest_ns: int) -> None:
-    loop = heard(*positions)
+    loop = loop_after(*positions)
     assert due(loop) == pytest.approx(expected, abs=1e-6)
     assert lateness(loop) == (latest_ns, len(positions))
     assert loop.state.lost_frames == positions[-1][0] + 1 - len(positions)
 
 
 def test_a_position_that_came_before_is_not_counted() -> None:
-    loop = heard((0, 0), (2, 2))
+    loop = loop_after((0, 0), (2, 2))
     before = due(loop)
     for number in (1, 2):
-        hear(loop, number, 2.5, TIMED_OUT)
+        receive(loop, number, 2.5, TIMED_OUT)
     assert (due(loop), lateness(loop)[1], loop.state.stale_positions) == (before, 2, 3)
 
 
 @pytest.mark.parametrize("clock", ["host", "lockstep"])
 def test_by_no_other_clock_a_position_is_early_or_late(clock: str) -> None:
-    assert lateness(heard((0, 0), (1, 7), clock=clock))[1] == 0
+    assert lateness(loop_after((0, 0), (1, 7), clock=clock))[1] == 0

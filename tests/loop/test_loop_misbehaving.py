@@ -74,7 +74,7 @@ def test_a_run_that_ends_as_asked_fails_where_the_device_does_not_release() -> N
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_device_that_says_it_is_still_armed_has_not_released() -> None:
+def test_a_device_that_reports_it_is_still_armed_has_not_released() -> None:
     with (
         scripted([frame(n, 0) for n in range(10)], says_on_disarm=schema.ARMED) as (scene, _),
         pytest.raises(DeviceError, match=UNCONFIRMED),
@@ -92,7 +92,7 @@ def test_a_refusal_that_no_version_names_is_a_refusal_with_its_number(fault: int
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_device_that_answers_all_but_arm_is_told_so() -> None:
+def test_a_device_that_answers_all_but_arm_is_reported() -> None:
     with scripted(ignores_arm=True) as (scene, _), pytest.raises(DeviceError) as caught:
         run(scene, duration=0.01)
     assert "described itself, but it did not answer ARM within 0.08 s" in str(caught.value)
@@ -100,7 +100,7 @@ def test_a_device_that_answers_all_but_arm_is_told_so() -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_device_that_answers_arm_with_neither_yes_nor_no_is_told_so() -> None:
+def test_a_device_that_answers_arm_with_neither_yes_nor_no_is_reported() -> None:
     answer = schema.LATCHED | schema.HOST_QUIET << 8
     with scripted(answers_arm_with=answer) as (scene, _), pytest.raises(DeviceError, match="state 2 and fault 1"):
         run(scene, duration=0.01)
@@ -124,7 +124,7 @@ def test_a_device_without_a_watchdog_is_never_armed() -> None:
         ("host", 150, 149, 0, "was held up for 149 ms. `hapsim doctor`", "arrived: "),
     ],
 )
-def test_what_is_said_of_a_watchdog(
+def test_the_description_of_a_watchdog(
     clock: str, quiet_ms: int, held_ms: int, refused: int, told: str, not_told: str
 ) -> None:
     """`quiet_ms`: from the last position until the device said that it stopped; `held_ms`: from the last force, or,
@@ -168,7 +168,7 @@ def test_what_is_above_a_limit_is_reported_above_it(found: float, told: str) -> 
     assert shook in sentence(ENERGY_EXCEEDED)
 
 
-def test_a_status_that_says_neither_idle_nor_latched_is_told_as_it_came() -> None:
+def test_a_status_that_is_neither_idle_nor_latched_is_reported_as_it_came() -> None:
     with (
         scripted([frame(0, 0), status(schema.ARMED, schema.NO_FAULT)]) as (scene, _),
         pytest.raises(DeviceError, match="stopped after 1 ticks: it sent a STATUS with state 1 and fault 0"),
@@ -216,7 +216,7 @@ def file_of(tmp_path: Path) -> Callable[[Scene], Path]:
         (400, status(schema.LATCHED, schema.HARDWARE), "found a fault in its own hardware"),
     ],
 )
-def test_a_measurement_that_fails_says_why(
+def test_a_measurement_that_fails_reports_why(
     hapsim: Callable[..., Any], file_of: Callable[[Scene], Path], last: bytes | None, told: str, samples: int
 ) -> None:
     for words in ((), ("--json",)):

@@ -40,7 +40,7 @@ def forces_at(loop: LoopMemory, positions: Iterable[float]) -> NDArray[np.float6
 
 @pytest.mark.parametrize("damper", ["backward", "centred"])
 @pytest.mark.parametrize("samples", [1, 2, 7, 100])
-def test_a_change_is_there_when_it_was_said_and_begins_and_ends_without_a_kink(samples: int, damper: str) -> None:
+def test_a_change_is_there_at_the_stated_time_and_begins_and_ends_without_a_kink(samples: int, damper: str) -> None:
     loop = assembled(scene_of(stiffness=1000.0, damping=0.0, damper=damper))
     still = forces_at(loop, [0.01] * 5)
     assert still[-1] == -10.0
@@ -139,7 +139,7 @@ def share_felt(trace: hapsim.recording.trace.Trace, channel: int, least: float) 
 
 
 @pytest.mark.parametrize("samples", [1, 20])
-def test_of_many_changes_no_tick_sees_half_of_one_or_jumps_further_than_it_was_said(samples: int) -> None:
+def test_of_many_changes_no_tick_sees_half_of_one_or_jumps_further_than_stated(samples: int) -> None:
     origin = parameter_values(two_hands(0.0))
     way = parameter_values(two_hands(1.0)) - origin
     scene = two_hands(0.0)

@@ -75,7 +75,7 @@ def test_a_trace_in_memory_can_be_saved_as_a_stream(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("small_chunks")
-def test_of_a_torn_file_every_whole_chunk_is_read_and_where_it_stops_is_told(tmp_path: Path) -> None:
+def test_of_a_torn_file_every_whole_chunk_is_read_and_where_it_stops_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "t.trace"
     trace = run(scene_of(2), duration=0.05, record=path)
     whole = path.read_bytes()
@@ -113,7 +113,7 @@ def test_a_damaged_chunk_ends_what_is_read(tmp_path: Path) -> None:
     assert load_trace(path).report.ending == "not finished: the record stops after 50 ticks"
 
 
-def test_a_later_version_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_later_version_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "VERSION", 3)
     run(scene_of(), duration=0.01, record=tmp_path / "t.trace")
     monkeypatch.undo()

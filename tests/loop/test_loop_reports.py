@@ -161,7 +161,7 @@ def test_a_report_that_cannot_be_written_is_mentioned(
     assert failure.exit_status == 3
 
 
-def test_who_has_no_home_is_told_what_ended_the_run_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_home_what_ended_the_run_is_reported_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """A container's user has none, nor has one that is not in the list of users."""
 
     def no_home() -> Path:

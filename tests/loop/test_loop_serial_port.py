@@ -46,7 +46,7 @@ def test_a_port_that_does_not_exist_is_reported_with_the_ports_that_do() -> None
     assert "no such port. Ports found: " in refusal("/dev/ttyNOPE7")
 
 
-def test_a_link_to_a_port_that_is_gone_is_told_as_what_it_is(tmp_path: Path) -> None:
+def test_a_link_to_a_port_that_is_gone_is_reported_as_what_it_is(tmp_path: Path) -> None:
     link = tmp_path / "dev"
     link.symlink_to("/dev/pts/99999")
     told = refusal(str(link))

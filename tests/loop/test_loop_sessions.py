@@ -142,11 +142,11 @@ def readers(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
     collect = Recorder.collect
 
-    def collect_and_tell(recorder: Recorder) -> None:
+    def collect_and_report(recorder: Recorder) -> None:
         names.append(threading.current_thread().name)
         collect(recorder)
 
-    monkeypatch.setattr(Recorder, "collect", collect_and_tell)
+    monkeypatch.setattr(Recorder, "collect", collect_and_report)
     monkeypatch.setattr(session_module, "_COLLECT_S", 1e-4)
     return names
 
@@ -176,7 +176,7 @@ def test_in_virtual_time_only_the_loops_own_thread_reads_the_ring(readers: list[
 
 
 @pytest.mark.parametrize("clock", ["device", "host"])
-def test_in_real_time_the_ring_is_read_beside_the_loop(readers: list[str], clock: str) -> None:
+def test_in_real_time_the_ring_is_read_during_the_loop(readers: list[str], clock: str) -> None:
     with hapsim.start(scene_of(device={"clock": clock})) as session:
         reaches(session, lambda: len(readers) > 20)
         while_it_ran = readers.copy()

@@ -79,7 +79,7 @@ class Host:
     def __init__(self, **device: Any) -> None:
         self.loop = assembled(scene_of(damping=0.0, device={"clock": "device", "force_limit": 9.0, **device}))
 
-    def hears(self, number: int, counts: int, *, late: bool = False, sends: bool = True) -> int:
+    def receives(self, number: int, counts: int, *, late: bool = False, sends: bool = True) -> int:
         """The force, in counts, that answers this position; in time by the clock."""
         kind = schema.POSITION_HELD if late else schema.POSITION
         now = 10**9 + number * 10**6
@@ -94,25 +94,25 @@ FAR = -5000  # um: 5 N, 5000 counts
 
 def test_what_the_device_holds_is_what_left_whatever_was_worked_out_meanwhile() -> None:
     loop = Host(**limited_to(100))
-    assert loop.hears(0, FAR) == 100
-    assert [loop.hears(number, FAR, sends=False, late=number > 1) for number in (1, 2, 3)] == [200, 200, 200]
-    assert loop.hears(4, -FAR, late=True, sends=False) == 0
-    assert loop.hears(5, FAR, late=True) == 200
-    assert loop.hears(6, FAR) == 300
+    assert loop.receives(0, FAR) == 100
+    assert [loop.receives(number, FAR, sends=False, late=number > 1) for number in (1, 2, 3)] == [200, 200, 200]
+    assert loop.receives(4, -FAR, late=True, sends=False) == 0
+    assert loop.receives(5, FAR, late=True) == 200
+    assert loop.receives(6, FAR) == 300
 
 
 def test_lost_positions_allow_no_more_than_a_step() -> None:
     loop = Host(**limited_to(100))
-    assert loop.hears(0, FAR) == 100
-    assert loop.hears(9, FAR, late=True) == 100  # it is unknown whether the first came: zero, or 100
-    assert loop.hears(10, FAR) == 200
+    assert loop.receives(0, FAR) == 100
+    assert loop.receives(9, FAR, late=True) == 100  # it is unknown whether the first came: zero, or 100
+    assert loop.receives(10, FAR) == 200
 
 
-def test_a_missing_position_may_have_said_that_a_force_came_late() -> None:
+def test_a_missing_position_may_have_reported_that_a_force_came_late() -> None:
     loop = Host(**limited_to(100))
-    assert loop.hears(0, FAR) == 100
-    assert loop.hears(2, FAR) == 100
-    assert loop.hears(3, FAR) == 200
+    assert loop.receives(0, FAR) == 100
+    assert loop.receives(2, FAR) == 100
+    assert loop.receives(3, FAR) == 200
 
 
 class Device:
@@ -163,7 +163,7 @@ def test_what_the_device_puts_out_changes_by_no_more_than_a_step(kind: str) -> N
             trouble = kinds_of_trouble(chance, kind) + [(True, 0)] * 3
         comes, answered = trouble.pop(0)
         if comes or number == 0:
-            force = loop.hears(number, int(chance.integers(-300, 300)), late=late)
+            force = loop.receives(number, int(chance.integers(-300, 300)), late=late)
             if answered is not None:
                 device.sent(number, force, answered)
         late = not device.tick(number)
@@ -175,29 +175,29 @@ def test_where_the_device_may_be_at_zero_and_may_not_zero_leaves() -> None:
     """Forces live for two samples, as at 100 Hz: three that are lost leave the device at zero, four lates do not."""
     loop = Host(**limited_to(100))
     loop.loop.record.slew.lives = 2
-    assert [loop.hears(number, FAR) for number in range(51)][-1] == 5000
-    assert [loop.hears(number, FAR, late=number > 51) for number in range(51, 55)] == [5000, 5000, 5000, 0]
+    assert [loop.receives(number, FAR) for number in range(51)][-1] == 5000
+    assert [loop.receives(number, FAR, late=number > 51) for number in range(51, 55)] == [5000, 5000, 5000, 0]
 
 
-def test_where_every_force_is_late_a_slow_force_is_followed() -> None:
+def test_where_every_force_is_late_a_slow_force_is_tracked() -> None:
     """A slow force is followed by a step in four samples, after a time to live in which every force is late."""
     loop = Host(**limited_to(100))
     asked = [round(5000 * math.sin(number / 500)) for number in range(3000)]
-    sent = [loop.hears(number, um, late=number > 0) for number, um in enumerate(asked)]
+    sent = [loop.receives(number, um, late=number > 0) for number, um in enumerate(asked)]
     assert max(abs(force + um) for force, um in zip(sent[60:], asked[60:], strict=True)) <= 100
     assert max(abs(after - before) for before, after in itertools.pairwise(sent)) <= 100
-    ramp = [loop.hears(3000 + number, -5000, late=True) for number in range(41)]
+    ramp = [loop.receives(3000 + number, -5000, late=True) for number in range(41)]
     assert abs(ramp[40] - ramp[0]) == 1000
 
 
 def test_after_its_time_to_live_a_force_rises_from_zero_again() -> None:
     loop = Host(**limited_to(1000))
-    assert [loop.hears(number, FAR) for number in range(6)] == [1000, 2000, 3000, 4000, 5000, 5000]
+    assert [loop.receives(number, FAR) for number in range(6)] == [1000, 2000, 3000, 4000, 5000, 5000]
     lives = int(loop.loop.control.time_to_live)
     for number in range(6, 6 + lives):
-        assert loop.hears(number, FAR, late=number > 6, sends=False) == 5000
-    assert loop.hears(6 + lives, FAR, late=True, sends=False) == 5000
-    assert loop.hears(7 + lives, FAR, late=True) == 1000
+        assert loop.receives(number, FAR, late=number > 6, sends=False) == 5000
+    assert loop.receives(6 + lives, FAR, late=True, sends=False) == 5000
+    assert loop.receives(7 + lives, FAR, late=True) == 1000
 
 
 def test_the_way_to_zero_is_immediate() -> None:

@@ -41,7 +41,7 @@ def scene_of(sound: dict[str, Any] | None = None, **differences: Any) -> Scene:
     return Scene.model_validate(document | differences)
 
 
-def heard(scene: Scene, hands: list[int], change: Any = None) -> tuple[LoopMemory, NDArray[np.float32]]:
+def played(scene: Scene, hands: list[int], change: Any = None) -> tuple[LoopMemory, NDArray[np.float32]]:
     """The frames of a loop whose hand is at these counts, sample by sample; `change` is made before the first."""
     loop = assembled(scene)
     if change is not None:
@@ -73,9 +73,9 @@ def worked_out(scene: Scene, hands: list[int]) -> NDArray[np.float64]:
     return np.array(rows)
 
 
-def test_each_step_is_heard_times_its_gain_and_through_its_highpass() -> None:
+def test_each_step_sounds_times_its_gain_and_through_its_highpass() -> None:
     hands = [0, 100, 300, 250, 260, 400]
-    _, frames = heard(scene_of(), hands)
+    _, frames = played(scene_of(), hands)
     raw = worked_out(scene_of(), hands)
     wanted = raw * [2.0, 30.0, 0.01]
     keeps, passed, last = np.exp(-2 * np.pi * 50.0 / STEP_RATE), 0.0, 0.0
@@ -89,7 +89,7 @@ def test_each_step_is_heard_times_its_gain_and_through_its_highpass() -> None:
 
 def test_what_is_too_loud_is_clipped_softly_and_counted() -> None:
     sound = {name: one | {"gain": 40.0 * one["gain"]} for name, one in SOUND.items()}
-    quiet, loud = heard(scene_of(), [0, 100, 300])[1], heard(scene_of(sound), [0, 100, 300])
+    quiet, loud = played(scene_of(), [0, 100, 300])[1], played(scene_of(sound), [0, 100, 300])
     unclipped = 40.0 * quiet.astype(float)
     above = np.abs(unclipped) > KNEE
     assert loud[0].record.sound.clipped == above.sum() > 0
@@ -106,9 +106,11 @@ def test_a_gain_ramps_and_a_pick_up_elsewhere_crossfades() -> None:
     raw = worked_out(scene_of(), hands)
     s = np.minimum(np.arange(1, len(raw) + 1) / (4 * SUBSTEPS), 1.0)
     weight = 3 * s**2 - 2 * s**3
-    _, ramped = heard(scene_of(), hands, lambda live: live.set({"pick_ball": {"gain": -1.0}}, 4 / RATE))
+    _, ramped = played(scene_of(), hands, lambda live: live.set({"pick_ball": {"gain": -1.0}}, 4 / RATE))
     np.testing.assert_allclose(ramped[:, 0], raw[:, 0] * (2.0 - 3.0 * weight), rtol=1e-6, atol=1e-8)
-    _, moved = heard(scene_of(), hands, lambda live: live.set({"pick_ball": {"from": "hand", "of": "force"}}, 4 / RATE))
+    _, moved = played(
+        scene_of(), hands, lambda live: live.set({"pick_ball": {"from": "hand", "of": "force"}}, 4 / RATE)
+    )
     np.testing.assert_allclose(moved[:, 0], 2.0 * (raw[:, 0] + weight * (raw[:, 2] - raw[:, 0])), rtol=1e-6, atol=1e-8)
 
 
@@ -126,10 +128,10 @@ def test_other_pick_ups_need_a_new_start(sound: dict[str, Any], sentence: str) -
 
 
 @pytest.mark.parametrize("scheme", ["semi_implicit", "midpoint", "rk4", "exact"])
-def test_every_scheme_is_heard(scheme: str) -> None:
+def test_every_scheme_sounds(scheme: str) -> None:
     sound = {name: SOUND[name] for name in ("ball", "gut")}
     hands = [0, 100, 300, 250]
     scene = scene_of(sound, scheme=scheme)
-    _, frames = heard(scene, hands)
-    reference = heard(scene_of(sound), hands)[1]
+    _, frames = played(scene, hands)
+    reference = played(scene_of(sound), hands)[1]
     np.testing.assert_allclose(frames, reference, rtol=0.2, atol=0.02)

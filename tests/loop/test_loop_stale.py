@@ -25,7 +25,7 @@ def on(clock: str, **device: Any) -> LoopMemory:
     return assembled(scene_of(damping=0.0, device={"clock": clock, **device}))
 
 
-def hear(loop: LoopMemory, number: int, at: int, kind: int = schema.POSITION) -> None:
+def receive(loop: LoopMemory, number: int, at: int, kind: int = schema.POSITION) -> None:
     """The loop takes a position at FAR, at a time in ns."""
     assert arrive(loop, frame(number, FAR, kind=kind), at) == RECEIVED
 
@@ -58,7 +58,7 @@ def test_a_host_that_was_held_up_sends_zero_in_place_of_an_old_force() -> None:
     for late_ms, counts, withheld in ((1, 5000, 0), (21, 5000, 0), (22, 0, 1), (500, 0, 1)):
         loop = on("host")
         loop.state.tick_ns = START
-        hear(loop, 0, at=START)
+        receive(loop, 0, at=START)
         assert leaves(loop, START + late_ms * MS) == [counts]
         assert loop.state.withheld_forces == withheld
         assert bool(last_flags(loop) & WITHHELD) == bool(withheld)
@@ -67,7 +67,7 @@ def test_a_host_that_was_held_up_sends_zero_in_place_of_an_old_force() -> None:
 def test_a_host_that_gets_no_position_asks_with_zero_force_once_the_last_is_too_old() -> None:
     loop = on("host")
     loop.state.tick_ns = START
-    hear(loop, 0, at=START)
+    receive(loop, 0, at=START)
     sent = [leaves(loop, START + n * MS)[0] for n in range(1, 40)]
     lives = int(loop.control.time_to_live)
     assert sent == [5000] * lives + [0] * (39 - lives)  # the first zero has an age that a device still takes
@@ -79,15 +79,15 @@ def test_after_that_the_force_rises_from_zero() -> None:
     sent = []
     for n in range(6):
         loop.state.tick_ns = START + n * MS
-        hear(loop, n, at=START + n * MS)
+        receive(loop, n, at=START + n * MS)
         sent += leaves(loop, START + (n + 1) * MS)
     assert sent == [2000, 4000, 5000, 5000, 5000, 5000]
     loop.state.tick_ns = START + 5 * MS + 40 * MS
-    hear(loop, 6, kind=schema.POSITION_HELD, at=START + 46 * MS)
+    receive(loop, 6, kind=schema.POSITION_HELD, at=START + 46 * MS)
     assert last_flags(loop) & SLEWED
     assert leaves(loop, START + 47 * MS) == [0]  # the device has none, or this makes it zero
     loop.state.tick_ns = START + 47 * MS
-    hear(loop, 7, at=START + 47 * MS)
+    receive(loop, 7, at=START + 47 * MS)
     assert leaves(loop, START + 48 * MS) == [2000]
 
 
@@ -97,7 +97,7 @@ def test_what_may_find_a_device_at_zero_is_zero() -> None:
         loop = on("host")
         for n in range(2):
             loop.state.tick_ns = START + n * MS
-            hear(loop, n, at=START + n * MS + 900_000 * n)
+            receive(loop, n, at=START + n * MS + 900_000 * n)
             sent = leaves(loop, START + MS + (late_us * 1000 if n else 0))
         assert sent == [counts]
 
@@ -106,9 +106,9 @@ def test_a_position_that_was_on_its_way_for_too_long_is_answered_with_zero() -> 
     for on_its_way_ms, counts, flags in ((21, 5000, OFF_GRID), (22, 0, OFF_GRID | WITHHELD)):
         loop = on("host")
         loop.state.tick_ns = START
-        hear(loop, 0, at=START)
+        receive(loop, 0, at=START)
         loop.state.tick_ns, loop.state.unanswered = START + MS, 0
-        hear(loop, 1, at=START + (1 + on_its_way_ms) * MS)
+        receive(loop, 1, at=START + (1 + on_its_way_ms) * MS)
         assert loop.record.io.force_counts[0] == counts
         assert last_flags(loop) == flags
 
@@ -118,9 +118,9 @@ def test_by_the_device_s_clock_one_that_arrives_too_late_is_answered_with_zero(n
     """A position's number gives its time of measurement, even if earlier positions are lost."""
     for late_ms, counts in ((0, 5000), (21, 5000), (22, 0), (90, 0)):
         loop = on("device")
-        hear(loop, 0, at=START)
+        receive(loop, 0, at=START)
         loop.state.unanswered = 0
-        hear(loop, number, at=START + (number + late_ms) * MS)
+        receive(loop, number, at=START + (number + late_ms) * MS)
         assert loop.record.io.force_counts[0] == counts
         assert bool(last_flags(loop) & WITHHELD) == (counts == 0)
         assert loop.state.withheld_forces == (counts == 0)
@@ -132,7 +132,7 @@ def test_a_force_that_a_host_withholds_is_recorded_as_the_zero_that_left_and_not
 ) -> None:
     loop = on("host", force_limit=2.0)
     loop.state.tick_ns = START
-    hear(loop, 0, at=START)
+    receive(loop, 0, at=START)
     assert leaves(loop, START + late_ms * MS) == [row[1]]
     assert last_row(loop) == row
     assert loop.state.limited_ticks == limited
@@ -141,9 +141,9 @@ def test_a_force_that_a_host_withholds_is_recorded_as_the_zero_that_left_and_not
 @pytest.mark.parametrize(("late_ms", "row", "limited"), [(21, (LIMITED, 2000), 2), (22, (WITHHELD, 0), 1)])
 def test_by_the_device_s_clock_neither(late_ms: int, row: tuple[int, int], limited: int) -> None:
     loop = on("device", force_limit=2.0)
-    hear(loop, 0, at=START)
+    receive(loop, 0, at=START)
     loop.state.unanswered = 0
-    hear(loop, 1, at=START + (1 + late_ms) * MS)
+    receive(loop, 1, at=START + (1 + late_ms) * MS)
     assert last_row(loop) == row
     assert loop.state.limited_ticks == limited
 
@@ -152,7 +152,7 @@ def test_a_hand_at_rest_and_late_forces_withhold_nothing() -> None:
     """A sensor that says the same for long is no fault; forces that are late, each within its time to live, act."""
     loop = on("device")
     for n in range(500):
-        hear(loop, n, kind=schema.POSITION_HELD if n else schema.POSITION, at=START + n * MS)
+        receive(loop, n, kind=schema.POSITION_HELD if n else schema.POSITION, at=START + n * MS)
         loop.state.unanswered = 0
         assert loop.record.io.force_counts[0] == 5000
     assert loop.state.withheld_forces == 0
@@ -161,5 +161,5 @@ def test_a_hand_at_rest_and_late_forces_withhold_nothing() -> None:
 def test_in_virtual_time_no_time_passes() -> None:
     loop = on("lockstep")
     for n in range(5):
-        hear(loop, n, at=START + n * 10**12)
+        receive(loop, n, at=START + n * 10**12)
         assert leaves(loop, START + n * 10**12 + 10**11) == [5000]

@@ -40,7 +40,7 @@ def test_a_trace_comes_back_as_it_was(trace: Trace, tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.force, trace.force)
 
 
-def test_it_is_told_in_one_line(trace: Trace) -> None:
+def test_a_trace_is_described_in_one_line(trace: Trace) -> None:
     assert repr(trace) == "Trace(50 rows (samples 0 to 49), channels=2, rate=1000, ending='done')"
     assert repr(trace.since(50)) == "Trace(0 rows, channels=2, rate=1000, ending='done')"
     age = trace.statistics.age
@@ -110,7 +110,7 @@ def test_a_file_that_is_no_trace_is_reported(tmp_path: Path, text: bytes) -> Non
         load_trace(tmp_path / "t.npz")
 
 
-def test_a_column_that_no_memory_holds_is_told(trace: Trace, tmp_path: Path) -> None:
+def test_a_column_that_no_memory_holds_is_reported(trace: Trace, tmp_path: Path) -> None:
     trace.save(tmp_path / "t.npz")
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<i8", "fortran_order": False, "shape": (1 << 55,)})
@@ -163,7 +163,7 @@ def test_a_trace_that_was_cut_off_or_belongs_to_somebody_else_is_reported(trace:
             load_trace(tmp_path / name)
 
 
-def test_what_is_no_trace_is_told_as_what_it_is(tmp_path: Path) -> None:
+def test_what_is_no_trace_is_reported_as_what_it_is(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"there is no such file$"):
         load_trace(tmp_path / "none.npz")
     (tmp_path / "cut.csv.part").write_bytes(b"")

@@ -179,7 +179,7 @@ def test_bytes_beyond_the_room_come_the_next_time(terminal: tuple[int, int], ove
 
 @both
 @pytest.mark.parametrize("timeout_ns", [0, -1, -(10**18), 1000])
-def test_a_quiet_port_times_out_and_is_heard_later(
+def test_a_quiet_port_times_out_and_is_read_later(
     terminal: tuple[int, int], over: OverTerminal, timeout_ns: int
 ) -> None:
     near, far = terminal

@@ -95,7 +95,7 @@ def test_an_absurd_velocity_scale_is_the_devices_fault_where_it_is_needed(value:
         assert run(there, duration=0.003).report.ticks == 3
 
 
-def test_the_scene_is_given_the_velocities_in_metres_per_second_beside_the_positions() -> None:
+def test_the_scene_is_given_the_velocities_in_metres_per_second_with_the_positions() -> None:
     script = [frame(n, 10 * n, -20 * n, velocity=(7 * n, -(2**31) + n)) for n in range(4)]
     io = after(scene_of(2, damper="sensed"), script, channels=2)
     np.testing.assert_allclose(io.measured[:2], [30e-6, -60e-6], rtol=1e-15)

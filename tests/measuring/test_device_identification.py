@@ -39,7 +39,7 @@ def assert_found(device: Device, found: hapsim.DeviceIdentification) -> None:
     assert found.misfit == ""
 
 
-def test_random_devices_are_found_as_well_as_the_uncertainties_say(figures: Any) -> None:
+def test_random_devices_are_found_as_well_as_the_uncertainties_state(figures: Any) -> None:
     all_off, all_scaled = [], []
     for seed in range(DEVICES):
         device = random_device(seed)
@@ -222,7 +222,7 @@ def identified_on_wire(**body: Any) -> tuple[Any, float]:
     return found, max(one.largest for one in bodies)
 
 
-def test_a_hand_that_is_a_second_mass_is_found_beside_the_handle() -> None:
+def test_a_hand_that_is_a_second_mass_is_found_next_to_the_handle() -> None:
     hand = (1.0, 2000.0, 10.0)
     found, largest = identified_on_wire(hand=hand)
     assert largest < 0.005
@@ -290,7 +290,7 @@ def test_what_cannot_be_is_refused_before_anything_runs(options: dict[str, Any],
     assert sentence in str(caught.value)
 
 
-def test_an_interrupt_ends_the_recording_and_what_there_is_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_ends_the_recording_and_what_there_is_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     all_swings = room.swings_of
 
     def run(scene: hapsim.Scene, **options: Any) -> hapsim.Trace:
@@ -322,7 +322,9 @@ LACKING: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("sentence", LACKING)
-def test_a_force_that_the_model_lacks_is_told_with_what_it_goes(sentence: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_force_that_the_model_lacks_is_reported_with_what_it_depends_on(
+    sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A mock has none: what is recorded as sent is more, by that force, than what acted."""
     as_recorded = room.motion_of
 

@@ -120,7 +120,7 @@ def test_other_motions_than_a_ring_down_are_measured(scene: Scene, within: tuple
     assert measured.b == pytest.approx(prediction.felt[0].b, rel=within[1])
 
 
-def test_a_hand_that_does_not_move_is_said_to_have_shown_nothing() -> None:
+def test_a_hand_that_does_not_move_is_reported_to_have_shown_nothing() -> None:
     with pytest.raises(UsageError, match="too little motion"):
         measure_trace(run(one_spring(2000.0, 5.0, velocity=0.0), duration=0.5), 0.2)
 

@@ -123,7 +123,7 @@ def test_what_one_hand_feels_of_the_other_is_measured_as_a_matrix() -> None:
 
 
 @pytest.mark.parametrize(("name", "at", "peaks"), [("held_string", (0, 0), 2), ("two_hands", (0, 1), 1)])
-def test_the_peaks_stand_where_the_scenes_that_ship_say(name: str, at: tuple[int, int], peaks: int) -> None:
+def test_the_peaks_stand_where_the_scenes_that_ship_name_them(name: str, at: tuple[int, int], peaks: int) -> None:
     f = np.arange(20.0, 90.0, 0.1)
     size = np.abs(predict_impedance(shipped(name), f).rendered[:, *at])
     found = f[1:-1][(size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])]
@@ -344,7 +344,7 @@ def noisy_periods(seed: int) -> Periods:
     return periods_of(trace, LINES, CONVERTERS, senses=False)
 
 
-def test_as_many_values_lie_outside_their_circles_as_the_confidence_says(
+def test_as_many_values_lie_outside_their_circles_as_the_confidence_states(
     monkeypatch: pytest.MonkeyPatch, figures: Any
 ) -> None:
     """The 99.9 % are of all circles together, of which no test could count the misses; so the circles are drawn for

@@ -108,7 +108,7 @@ def test_a_push_that_leaves_the_region_is_halved_until_it_stays() -> None:
     assert abs(measured.trace.position).max() < 0.0002
 
 
-def test_a_push_that_is_named_is_not_changed_and_what_it_leaves_is_said() -> None:
+def test_a_push_that_is_named_is_not_changed_and_what_it_leaves_is_reported() -> None:
     measured = package.measure(table(NOTCH), push=3.0)
     assert (measured.push_n, len(measured.attempts)) == (3.0, 1)
     assert measured.left_region == "table went from piece 2 to level"
@@ -134,7 +134,7 @@ def test_a_smooth_notch_is_measured_at_rest_and_a_large_swing_is_not_blamed_on_t
     assert "its slope changes" in package.measure(scene, push=0.003).left_region
 
 
-def test_the_command_leads_pushes_and_says_what_became_of_it(hapsim: Any, tmp_path: Path) -> None:
+def test_the_command_leads_pushes_and_reports_the_result(hapsim: Any, tmp_path: Path) -> None:
     path, picture = tmp_path / "knob.yaml", tmp_path / "ring.csv"
     path.write_text(DETENT, encoding="utf-8")
     ran = hapsim("measure", path, "--at", "15 deg", "--data", picture)
@@ -165,7 +165,7 @@ def test_noise_asks_for_larger_pushes() -> None:
     assert measured.push_n > 10.0 * quiet.push_n
 
 
-def test_dry_friction_of_the_device_leaves_the_place_and_tells_of_its_uncertainty() -> None:
+def test_dry_friction_of_the_device_leaves_the_place_and_reports_its_uncertainty() -> None:
     measured = package.measure(shipped("wall").model_copy(update={"mock": table(NOTCH, coulomb=0.02).mock}), at=-0.003)
     assert abs(measured.trace.position[0, 0] + 0.003) < 1e-5
     assert abs(measured.k - 1549.0) < max(4.0 * measured.k_uncertainty, 0.05 * 1549.0)
@@ -184,7 +184,7 @@ def test_dry_friction_of_the_device_leaves_the_place_and_tells_of_its_uncertaint
     ],
     ids=["snap", "free", "edge", "limit", "travel", "counts", "string"],
 )
-def test_where_no_hand_can_be_measured_it_says_why(scene: Scene, at: float | None, says: str) -> None:
+def test_where_no_hand_can_be_measured_it_reports_why(scene: Scene, at: float | None, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         package.measure(scene, at=at)
 
@@ -224,7 +224,7 @@ def test_a_sine_detent_is_softer_the_wider_it_swings(share: float) -> None:
     [(table(NOTCH), 2e-5), (shipped("button"), 1e-5), (shipped("knob_24"), 2.0 * math.pi / 2**14)],
     ids=["notch", "button", "knob"],
 )
-def test_coarse_counts_are_noise_of_which_the_uncertainty_tells(scene: Scene, quantum: float) -> None:
+def test_coarse_counts_are_noise_within_the_stated_uncertainty(scene: Scene, quantum: float) -> None:
     mock = (scene.mock or table(NOTCH).mock).model_copy(update={"quantum": quantum})
     scene = scene.model_copy(update={"mock": mock})
     measured = package.measure(scene)

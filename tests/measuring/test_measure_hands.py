@@ -144,7 +144,7 @@ class TestMatrices:
         np.testing.assert_allclose(found[1].k, found[0].k, rtol=1e-5)
         np.testing.assert_allclose(found[1].b, found[0].b, rtol=1e-5)
 
-    def test_are_as_uncertain_as_they_say_with_noise(self) -> None:
+    def test_are_as_uncertain_as_stated_with_noise(self) -> None:
         off = []
         for seed in range(5):
             held = TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}
@@ -158,7 +158,7 @@ class TestMatrices:
         assert 0.2 < float(np.sqrt(np.mean(np.square(off)))) < 1.6  # what halves of the record say makes them larger
         assert float(np.abs(off).max()) < 5.0
 
-    def test_are_not_told_where_too_little_moves(self) -> None:
+    def test_are_not_reported_where_too_little_moves(self) -> None:
         scene = scene_of(TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}, mock={"noise": 1e-4})
         (one,) = predict(scene, with_margins=False).together
         with pytest.raises(UsageError, match=r"show clearly the 4 decaying modes of 2 hands on springs and dampers"):
@@ -204,7 +204,7 @@ def test_the_command_shows_both_sides(hapsim: Hapsim, tmp_path: Path) -> None:
         (["wall", "--mass", "--port", "x"], "--mass: the stiffness of the hand that holds the device is missing"),
     ],
 )
-def test_what_does_not_fit_is_said(hapsim: Hapsim, words: list[str], told: str) -> None:
+def test_what_does_not_fit_is_reported(hapsim: Hapsim, words: list[str], told: str) -> None:
     answer = hapsim("measure", *words)
     assert (answer.status, told in " ".join(answer.err.split())) == (2, True)
 

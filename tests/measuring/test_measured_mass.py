@@ -188,7 +188,7 @@ def test_a_second_mode_that_the_scene_has_is_none_of_the_hand_s(hapsim: Callable
     assert found["probable_mass_kg"] is None
 
 
-def test_a_record_with_late_forces_tells_nothing_of_the_mass() -> None:
+def test_a_record_with_late_forces_shows_nothing_of_the_mass() -> None:
     scene = scene_of(true=0.3)
     prediction, measurement = predict(scene), python_api.measure(scene)
     assert diagnose(prediction, measurement).probable_mass is not None

@@ -62,11 +62,11 @@ def test_dry_friction_is_measured_and_k_and_b_are_those_without_it(coulomb: floa
 
 
 @pytest.mark.parametrize("quantum", [1e-9, 5e-6])
-def test_a_device_without_dry_friction_is_said_to_have_none(quantum: float) -> None:
+def test_a_device_without_dry_friction_is_reported_to_have_none(quantum: float) -> None:
     assert hapsim.measure(scene_with(quantum)).dry_friction_n == 0.0
 
 
-def test_what_has_nearly_all_of_the_energy_is_the_hand_whatever_rings_longer_beside_it() -> None:
+def test_what_has_nearly_all_of_the_energy_is_the_hand_whatever_rings_longer_next_to_it() -> None:
     n, mass = np.arange(2048), 0.2
     hand = 1e-3 * np.exp(-0.02 * n) * np.cos(0.15 * n)
     beside = 2e-5 * np.exp(-0.004 * n) * np.cos(0.4 * n)  # 0.2 % of the energy

@@ -201,13 +201,13 @@ def test_the_text_names_the_rate_that_was_seen(a_trace: Trace) -> None:
         ("fewer than two poles are clear of its noise", "fewer than two poles are clear of its noise"),
     ],
 )
-def test_why_there_is_no_spring_and_damper_is_told_plainly(a_trace: Trace, reason: str, told: str) -> None:
+def test_why_there_is_no_spring_and_damper_is_reported_plainly(a_trace: Trace, reason: str, told: str) -> None:
     measurement = replace(measure_trace(a_trace, 0.2), dominant=False, reason=reason)
     text = printed(measurement)
     assert f"The motion is not that of a spring and damper: {told}." in text
 
 
-def test_a_hand_whose_forces_are_late_now_and_then_is_not_told_that_it_did_not_move(a_trace: Trace) -> None:
+def test_a_hand_whose_forces_are_late_now_and_then_is_not_reported_as_unmoved(a_trace: Trace) -> None:
     late = np.where(np.arange(2048) % 2, LATE_FORCE, 0).astype(np.uint8)
     with pytest.raises(UsageError, match="of 2048 samples 1024 had their force too late") as caught:
         measure_trace(replace(a_trace, flags=late), 0.2)

@@ -72,13 +72,13 @@ def growth(configuration: Configuration, K: float, B: float) -> float:
         if error.trace is None:
             raise
         trace = error.trace
-    position = _told(trace.position[START:, 0])
+    position = _usable(trace.position[START:, 0])
     third = position.size // 3
     first, last = (np.sqrt(np.mean(part**2)) for part in (position[:third], position[-third:]))
     return float(np.log(last / first))
 
 
-def _told(position: np.ndarray) -> np.ndarray:
+def _usable(position: np.ndarray) -> np.ndarray:
     """Returns the part of a record above the rounding and below the end of the sensor's scale."""
     blocks = np.abs(position[: position.size // BLOCK * BLOCK]).reshape(-1, BLOCK).max(axis=1)
     out = np.flatnonzero((blocks < 3e3 * QUANTUM) | (blocks > 1e-2 * 2.0**31 * QUANTUM))

@@ -136,7 +136,7 @@ def test_the_archive_has_every_file_of_the_clone(unpacked: Path) -> None:
         assert (unpacked / name).read_text("utf-8") == (REPOSITORY / name).read_text("utf-8")
 
 
-def test_it_tells_what_it_is(contents: dict[str, str]) -> None:
+def test_the_metadata_describes_the_package(contents: dict[str, str]) -> None:
     (text,) = (text for name, text in contents.items() if name.endswith(".dist-info/METADATA"))
     metadata: Message = Parser().parsestr(text)
     assert metadata["Name"] == "hapsim"
@@ -150,7 +150,7 @@ def test_it_tells_what_it_is(contents: dict[str, str]) -> None:
     assert "](" not in page  # a link or a picture of a clone leads nowhere on an index's page
 
 
-def test_its_version_is_the_one_that_hapsim_tells(hapsim: Callable[..., Any], wheel: Path) -> None:
+def test_its_version_is_the_one_that_hapsim_prints(hapsim: Callable[..., Any], wheel: Path) -> None:
     told = hapsim("--version").stdout.splitlines()
     assert told[0] == f"hapsim {wheel.name.split('-')[1]}"
     assert "hapsim" in hapsim("--help", program=("python", "-m", "hapsim")).stdout

@@ -103,11 +103,11 @@ class Device:
         self.bodies = [Mass(0.2, 1.0) for _ in range(self.channels)]
         self.wire, self.rest, self.unsent, self.waiting, self.torn = SETUP, b"", b"", b"", False
         self.state, self.fault, self.pacing, self.watchdog = IDLE, 0, 0, 0
-        self.n = self.answered = self.heard = self.expires = 0
+        self.n = self.answered = self.latest_force = self.expires = 0
         self.counters = dict.fromkeys(("accepted", "rejected", "held", "expired", "limited"), 0)
         self.output = self.command = [0.0] * self.channels
         self.moved_at = self.due = now()
-        self.heard_at, self.life = 0.0, math.inf
+        self.force_at, self.life = 0.0, math.inf
         self.farthest = 0.0  # m
         self.largest = 0.0  # N, of what was asked for
         self.own = self.registers()
@@ -216,14 +216,14 @@ class Device:
         if self.fault:
             return self.status()
         self.state, self.pacing, self.watchdog, self.velocity = ARMED, argument & 0x7F, watchdog, velocity
-        self.answered = self.heard = self.expires = -1
+        self.answered = self.latest_force = self.expires = -1
         if "keeps_counters" not in self.faults:
             self.counters = dict.fromkeys(self.counters, 0)
         self.status()
         self.wire = Format(self.channels, velocity)
-        self.heard_at, self.life = self.now(), math.inf
+        self.force_at, self.life = self.now(), math.inf
         self.due = self.now() + self.period
-        self.say_position(POSITION)
+        self.send_position(POSITION)
         return None
 
     @property
@@ -245,9 +245,9 @@ class Device:
                 self.counters["limited"] += 1
                 force = math.copysign(self.limit, force)
             self.command.append(force)
-        self.answered, self.heard = self.n - age, self.n
+        self.answered, self.latest_force = self.n - age, self.n
         self.expires = self.answered + time_to_live
-        self.heard_at, self.life = self.now(), (time_to_live + 1) / self.rate
+        self.force_at, self.life = self.now(), (time_to_live + 1) / self.rate
         if "on_arrival" in self.faults:
             self.put_out(self.command)
         if self.pacing != 0:
@@ -270,16 +270,16 @@ class Device:
         )
 
     def tick(self, now):
-        fresh = self.heard == self.n and self.answered == self.n
+        fresh = self.latest_force == self.n and self.answered == self.n
         self.counters["held"] += not fresh
-        if self.heard != self.n and self.n > self.expires and "never_ends" not in self.faults:
+        if self.latest_force != self.n and self.n > self.expires and "never_ends" not in self.faults:
             self.command = [0.0] * self.channels
         self.move(now)
         self.output = list(self.command)
         self.n += 2 if "skips" in self.faults and self.n % 50 == 49 else 1
-        self.say_position(POSITION if fresh or "always_fresh" in self.faults else HELD)
+        self.send_position(POSITION if fresh or "always_fresh" in self.faults else HELD)
 
-    def say_position(self, kind):
+    def send_position(self, kind):
         scale = self.scale * (0.5 if "wrong_scale" in self.faults else 1.0)
         counts = [round(body.x / scale) for body in self.bodies]
         self.farthest = max(self.farthest, *(abs(body.x) for body in self.bodies))
@@ -306,9 +306,9 @@ class Device:
                 self.due += self.period
                 if self.waits():
                     return
-                self.latch_where(self.n - self.heard > self.watchdog)
+                self.latch_where(self.n - self.latest_force > self.watchdog)
         elif self.state == ARMED:
-            quiet = now - self.heard_at
+            quiet = now - self.force_at
             if quiet > self.life and "never_ends" not in self.faults:
                 self.put_out([0.0] * self.channels)
                 self.life = math.inf

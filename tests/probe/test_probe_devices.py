@@ -35,7 +35,7 @@ def failed(checks: dict[str, Check]) -> set[str]:
     return {name for name, check in checks.items() if check.result == "FAIL"}
 
 
-def told(checks: dict[str, Check]) -> str:
+def summary(checks: dict[str, Check]) -> str:
     return "\n".join(f"{check.result} {name}: {check.found}" for name, check in checks.items())
 
 
@@ -44,8 +44,8 @@ def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewB
     bench = new_bench(**options)
     checks = judged(bench)
     not_to_be_seen = {*PUSHES, "velocities" if "senses" in options else "wrong_sensing"}
-    assert {name for name, check in checks.items() if check.result == "not seen"} == not_to_be_seen, told(checks)
-    assert failed(checks) == set(), told(checks)
+    assert {name for name, check in checks.items() if check.result == "not seen"} == not_to_be_seen, summary(checks)
+    assert failed(checks) == set(), summary(checks)
     assert bench.device.largest == 0.0
 
 
@@ -53,12 +53,12 @@ def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewB
 def test_a_whole_device_passes_the_pushes_that_stay_within_the_leave(new_bench: NewBench, rate: float) -> None:
     bench = new_bench(senses=False, limit=0.4, rate=rate)
     checks = judged(bench, "push", leave=GENTLE)
-    assert failed(checks) == set(), told(checks)
-    assert {name: checks[name].result for name in PUSHES} == dict.fromkeys(PUSHES, "pass"), told(checks)
+    assert failed(checks) == set(), summary(checks)
+    assert {name: checks[name].result for name in PUSHES} == dict.fromkeys(PUSHES, "pass"), summary(checks)
     assert 0.4 < bench.device.largest <= 0.5
 
 
-def test_what_passes_beyond_the_nominal_is_told_with_what_is_allowed(new_bench: NewBench) -> None:
+def test_what_passes_beyond_the_nominal_is_reported_with_what_is_allowed(new_bench: NewBench) -> None:
     checks = judged(new_bench(senses=False, limit=0.4), leave=GENTLE)
     for name, allowed in {
         "rate_kept": "; 1 % is allowed",
@@ -69,7 +69,7 @@ def test_what_passes_beyond_the_nominal_is_told_with_what_is_allowed(new_bench: 
         "host_time_to_live": " (up to 1.5 times is allowed, and shorter is safe)",
     }.items():
         assert (checks[name].result, checks[name].found[-len(allowed) :]) == ("pass", allowed)
-    assert "-0.00" not in told(checks)
+    assert "-0.00" not in summary(checks)
     assert checks["round_trip"].found.count(" ms") == 4
     assert checks["jitter"].found.count(" ms") == 3
 
@@ -77,7 +77,7 @@ def test_what_passes_beyond_the_nominal_is_told_with_what_is_allowed(new_bench: 
 def test_a_coarse_encoder_takes_the_whole_leave_and_longer_pushes(new_bench: NewBench) -> None:
     bench = new_bench(scale=2e-5)
     checks = judged(bench, "push", leave=GENTLE)
-    assert checks["sign"].result == "pass", told(checks)
+    assert checks["sign"].result == "pass", summary(checks)
     assert bench.device.largest == pytest.approx(0.5, abs=1e-6)
 
 
@@ -86,12 +86,12 @@ def test_how_many_times_the_response_of_the_given_mass_it_is(new_bench: NewBench
     """A device of 0.2 kg that is said to weigh twice as much responds twice as much as that mass would."""
     checks = judged(new_bench(), "push", leave=replace(GENTLE, mass=0.2 * factor))
     found = re.search(r"like (\S+) kg: (\S+) times the response of (\S+) kg", checks["mass"].found)
-    assert found is not None, told(checks)
+    assert found is not None, summary(checks)
     assert [float(one) for one in found.groups()] == pytest.approx([0.2, factor, 0.2 * factor], rel=0.05)
 
 
 @pytest.mark.parametrize(("limit", "needed"), [(10.0, 12), (0.5, 0.6)])
-def test_a_leave_below_or_at_the_limit_is_told_what_it_takes_to_try_the_cut(
+def test_a_leave_below_or_at_the_limit_gets_what_it_takes_to_try_the_cut(
     new_bench: NewBench, limit: float, needed: float
 ) -> None:
     bench = new_bench(limit=limit)
@@ -111,7 +111,7 @@ def test_forces_that_are_all_late_do_not_accuse_the_device(new_bench: NewBench) 
 
     judgement = judge(bench.wire, leave=GENTLE, steps=steps_of(("push",), None), on_step=late_when_judging_limits)
     checks = {check.name: check for check in judgement.checks}
-    assert failed(checks) == set(), told(checks)
+    assert failed(checks) == set(), summary(checks)
     assert checks["limit_cut"].result == "not seen"
     assert "0 of them in time: register 12 counts 0" in checks["limit_cut"].found
 
@@ -136,8 +136,8 @@ FAULTS = {
 def test_a_fault_is_found_and_named(new_bench: NewBench, fault: str) -> None:
     step, names, words = FAULTS[fault]
     checks = judged(new_bench(fault, channels=4), step)
-    assert failed(checks) == names, told(checks)
-    assert any(words in checks[name].found and checks[name].look_at for name in names), told(checks)
+    assert failed(checks) == names, summary(checks)
+    assert any(words in checks[name].found and checks[name].look_at for name in names), summary(checks)
 
 
 def test_paced_by_the_host_a_missing_watchdog_is_found_too(new_bench: NewBench) -> None:
@@ -158,16 +158,16 @@ def test_what_shows_in_the_motion_alone_is_found_and_named(new_bench: NewBench, 
     names, words = PUSHED[fault]
     bench = new_bench(fault, limit=0.4)
     checks = judged(bench, "push", leave=GENTLE)
-    assert names <= failed(checks) <= {*names, "mass"}, told(checks)
+    assert names <= failed(checks) <= {*names, "mass"}, summary(checks)
     assert any(words in checks[name].found for name in names)
     assert bench.device.largest <= GENTLE.force
 
 
-def test_positions_that_come_in_bursts_tell_no_rate(new_bench: NewBench) -> None:
+def test_positions_that_come_in_bursts_show_no_rate(new_bench: NewBench) -> None:
     bench = new_bench()
     bench.line.late = (0.02, 2.0)  # the host is held up for a second, and finds hundreds of positions
     checks = judged(bench, "arming")
-    assert checks["rate_kept"].result == "not seen", told(checks)
+    assert checks["rate_kept"].result == "not seen", summary(checks)
     assert "came in bursts" in checks["rate_kept"].found
 
 
@@ -179,14 +179,14 @@ def test_a_sensor_that_is_dead_is_named_and_the_device_stays_in_its_travel(
     bench = new_bench("frozen")
     checks = judged(bench, "push", leave=Leave(force=force, travel=0.005, mass=mass))
     words = r"has not changed by one count for \S+ s while force acts \(\S+ N at most\): sensor or cable\?"
-    assert re.search(words, checks["sign"].found), told(checks)
+    assert re.search(words, checks["sign"].found), summary(checks)
     assert 0.0 < bench.device.farthest < 0.005
 
 
 def test_pushing_stops_where_the_device_moves_too_far(new_bench: NewBench) -> None:
     bench = new_bench()
     checks = judged(bench, "push", leave=Leave(force=10.0, travel=1e-6))
-    assert "moved more than 0.001 mm" in checks["sign"].found, told(checks)
+    assert "moved more than 0.001 mm" in checks["sign"].found, summary(checks)
     assert bench.device.largest < 0.2  # the gentlest pushes went too far: no others were tried
 
 
@@ -203,9 +203,9 @@ def test_friction_neither_hides_nor_feigns_a_force_that_ends_by_itself(
     assert failing.result == ("FAIL" if result == "pass" else "not seen"), failing.found
 
 
-def test_an_unclear_response_is_followed_by_a_stronger_push_within_the_travel(new_bench: NewBench) -> None:
+def test_after_an_unclear_response_comes_a_stronger_push_within_the_travel(new_bench: NewBench) -> None:
     checks = judged(new_bench(), "push", leave=Leave(force=0.05, travel=3e-4))
-    assert checks["sign"].found.endswith("pushes of 0.00313 N, 1 long"), told(checks)
+    assert checks["sign"].found.endswith("pushes of 0.00313 N, 1 long"), summary(checks)
 
 
 def test_a_device_that_moves_by_itself_is_not_pushed(new_bench: NewBench) -> None:
@@ -245,13 +245,13 @@ def test_a_register_that_cannot_be_is_named(
     new_bench: NewBench, registers: dict[int, int], name: str, words: str
 ) -> None:
     checks = judged(new_bench(channels=2, registers=registers), "registers")
-    assert failed(checks) == {name}, told(checks)
+    assert failed(checks) == {name}, summary(checks)
     assert words in checks[name].found
 
 
-def test_a_bridge_passes_and_says_where_guards_end(new_bench: NewBench) -> None:
+def test_a_bridge_passes_and_names_where_guards_end(new_bench: NewBench) -> None:
     checks = judged(new_bench(registers={14: 1}), "registers")
-    assert failed(checks) == set(), told(checks)
+    assert failed(checks) == set(), summary(checks)
     assert (checks["bridge"].result, checks["bridge"].found[:11]) == ("not seen", "1: a bridge")
 
 
@@ -260,7 +260,7 @@ def test_what_was_not_reached_is_not_seen(new_bench: NewBench) -> None:
     assert {check.result for check in checks.values() if check.step not in STEPS[:2]} == {"not seen"}
 
 
-def test_a_stop_releases_the_device_and_says_how_far_it_came(new_bench: NewBench) -> None:
+def test_a_stop_releases_the_device_and_reports_how_far_it_came(new_bench: NewBench) -> None:
     bench = new_bench()
 
     def stop_in_time(step: str, _number: int, _of: int) -> None:
@@ -293,7 +293,7 @@ def test_a_device_that_goes_away_fails_the_check_that_it_went_away_in(new_bench:
 def test_a_slow_device_and_one_that_slows_down_are_not_taken_for_one_that_waits(new_bench: NewBench) -> None:
     """A simulated one on a busy machine: it loses every other sample, whether the host reads or not."""
     checks = judged(new_bench(channels=1, registers={4: 0, 5: 0x408F4000}), "blocked")  # says 1000 Hz, keeps 500
-    assert failed(checks) == set(), told(checks)
+    assert failed(checks) == set(), summary(checks)
     checks = judged(new_bench("slows_down", channels=4), "blocked")
-    assert failed(checks) == set(), told(checks)
+    assert failed(checks) == set(), summary(checks)
     assert "too unsteady to tell" in checks["tick_goes_on"].found

@@ -93,7 +93,7 @@ def test_arming_asks_in_the_set_up_format_and_expects_that_of_the_channels() -> 
     assert frame.counts[0] & 0xFFFFFFFF == schema.SCHEMA_HASH
 
 
-def test_a_release_is_sent_in_both_formats_until_the_device_says_that_it_is_idle() -> None:
+def test_a_release_is_sent_in_both_formats_until_the_device_reports_that_it_is_idle() -> None:
     def answer(_: bytes) -> list[Received]:
         return [received(schema.STATUS, 0, schema.IDLE if len(host.sent) == 4 else schema.LATCHED)]
 

@@ -103,7 +103,7 @@ def test_a_name_ends_at_its_first_zero_byte_whatever_stands_behind() -> None:
     assert from_registers(registers).name == "ab"
 
 
-def test_a_watchdog_beyond_what_sample_numbers_tell_apart_is_taken_for_the_longest() -> None:
+def test_a_watchdog_beyond_what_sample_numbers_distinguish_is_taken_for_the_longest() -> None:
     registers = to_registers(plain())
     registers[schema.REG_MAX_WATCHDOG] = 2**32 - 1
     assert from_registers(registers).max_watchdog_samples == schema.MAX_WATCHDOG_SAMPLES

@@ -56,7 +56,7 @@ def test_no_one_to_five_flips_under_the_check_cancel(compiled_codec: Any, long_c
     assert np.unique(pairs).size == pairs.size
 
 
-def test_the_distance_ends_where_the_document_says(compiled_codec: Any) -> None:
+def test_the_distance_ends_where_the_document_states(compiled_codec: Any) -> None:
     # A fourth word under the short check would have been too much: the limit is not an accident of the test.
     for wire, longer in (
         (armed_format(schema.SHORT_CRC_WORDS), schema.encoded_bytes(4, to_device=True)),

@@ -157,7 +157,7 @@ def test_a_frame_of_another_format_is_never_accepted(
 
 @settings(max_examples=80, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_HOST.values())), st.integers(0, 4095), words)
-def test_a_device_that_hears_itself_accepts_nothing(wire: Format, kind: int, number: int, word: int) -> None:
+def test_a_device_that_receives_itself_accepts_nothing(wire: Format, kind: int, number: int, word: int) -> None:
     echo = frame_to_host(wire, kind, number, [word] * words_of(wire, False))
     frames, counted = read(wire, True, echo)
     assert frames == []
@@ -170,7 +170,7 @@ def test_a_device_that_hears_itself_accepts_nothing(wire: Format, kind: int, num
 
 @settings(max_examples=80, deadline=None)
 @given(formats, st.sampled_from(sorted(TO_DEVICE.values())), st.integers(0, 4095), st.integers(0, 255), words)
-def test_a_host_that_hears_itself_accepts_nothing(
+def test_a_host_that_receives_itself_accepts_nothing(
     wire: Format, kind: int, number: int, argument: int, word: int
 ) -> None:
     frames, counted = read(wire, False, frame_to_device(wire, kind, number, argument, [word] * wire.channels))

@@ -45,7 +45,7 @@ def harness(tmp_path_factory: pytest.TempPathFactory) -> Harness:
     return run
 
 
-def spoken(formats: Vectors, name: str) -> str:
+def wire_name(formats: Vectors, name: str) -> str:
     """Returns the harness's name of a format."""
     return "0 0" if name == "setup" else f"{formats[name]['channels']} {formats[name]['velocity']:d}"
 
@@ -60,7 +60,7 @@ def test_every_frame_to_the_device_decodes_to_its_fields(vectors: Vectors, forma
     entries = [entry for entry in vectors["frames"] if entry["type"] in TO_DEVICE]
     lines = ["new"]
     for entry in entries:
-        lines += [f"format {spoken(formats, entry['format'])}", f"read {entry['bytes']}"]
+        lines += [f"format {wire_name(formats, entry['format'])}", f"read {entry['bytes']}"]
     assert harness(lines) == [answer(entry) for entry in entries]
 
 
@@ -69,7 +69,7 @@ def test_every_frame_to_the_host_is_written_byte_for_byte(vectors: Vectors, form
     lines = ["new"]
     for entry in entries:
         counts = " ".join(str(count) for count in entry["payload"])
-        lines += [f"format {spoken(formats, entry['format'])}"]
+        lines += [f"format {wire_name(formats, entry['format'])}"]
         lines += [f"write {TYPES[entry['type']]} {entry['number']} {counts}"]
     assert harness(lines) == [entry["bytes"] for entry in entries]
 
@@ -82,11 +82,11 @@ def test_streams_to_the_device_give_the_file_s_frames_and_counters(
     lines, expected = [], []
     for entry in entries:
         before = entry["steps"][0]["format"]
-        lines += ["new", f"format {spoken(formats, before)}"]
+        lines += ["new", f"format {wire_name(formats, before)}"]
         for step in entry["steps"]:
             if step["format"] != before:
                 before = step["format"]
-                lines.append(f"format {spoken(formats, before)}")
+                lines.append(f"format {wire_name(formats, before)}")
             lines.append(f"read {step['bytes']}")
         lines.append("counters")
         expected += [answer(fields) for fields in entry["frames"]]
@@ -131,14 +131,14 @@ def test_of_random_frames_and_of_the_same_damaged_it_reads_what_python_reads(
     wire: Format, compiled_codec: Any, harness: Harness
 ) -> None:
     frames, fields = some_frames(compiled_codec, wire, True, 1000)
-    spoken = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
+    wire_name = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
     for stream in (b"".join(frames), damaged(b"".join(frames), wire)):
         decoder = new_decoder(wire, to_device=True)
         read = [
             f"frame {f.type} {f.number} {f.argument} {' '.join(map(str, f.counts))}" for f in frames_in(decoder, stream)
         ]
         lines = [f"read {stream[at : at + 1000].hex()}" for at in range(0, len(stream), 1000)]
-        answers = harness(["new", spoken, *lines, "counters"])
+        answers = harness(["new", wire_name, *lines, "counters"])
         assert answers[:-1] == read
         assert answers[-1] == " ".join(str(int(decoder[name])) for name in COUNTERS)
         if stream == b"".join(frames):
@@ -152,9 +152,9 @@ def test_random_frames_to_the_host_are_written_as_python_writes_them(
     wire: Format, compiled_codec: Any, harness: Harness
 ) -> None:
     frames, fields = some_frames(compiled_codec, wire, False, 300)
-    spoken = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
+    wire_name = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
     lines = [f"write {kind} {number} {' '.join(map(str, counts))}" for kind, number, _, *counts in fields]
-    assert harness(["new", spoken, *lines]) == [data.hex() for data in frames]
+    assert harness(["new", wire_name, *lines]) == [data.hex() for data in frames]
     assert {len(data) for data in frames} == {frame_bytes(wire, to_device=False)}
 
 
@@ -181,7 +181,7 @@ def test_no_one_two_or_three_flips_get_a_frame_past_it(formats: Vectors, harness
     for name, kind in heard:
         frames = [frame(name, kind, n, 20, [word]) for n, word in ((1, 77), (0x123, 0x01020408), (3, -78))]
         first, last = len(frames[0]), len(frames[0] + frames[1])
-        lines += ["new", f"format {spoken(formats, name)}", f"flips {first} {last} {b''.join(frames).hex()}"]
+        lines += ["new", f"format {wire_name(formats, name)}", f"flips {first} {last} {b''.join(frames).hex()}"]
         expected.append(f"{sum(comb(8 * (last - first), flips) for flips in (1, 2, 3))} 0")
     assert harness(lines) == expected
 

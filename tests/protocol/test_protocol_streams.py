@@ -63,7 +63,7 @@ def test_a_frame_that_lost_any_of_its_bytes_is_refused_as_too_short(name: str, k
 
 @pytest.mark.parametrize("velocity", [False, True])
 @pytest.mark.parametrize("channels", range(1, 17))
-def test_disarm_said_in_every_format_is_heard_once_by_a_device_in_any_of_them(channels: int, velocity: bool) -> None:
+def test_disarm_sent_in_every_format_is_received_once_by_a_device_in_any_of_them(channels: int, velocity: bool) -> None:
     # How a host disarms a device of which it does not know anything.
     every = [SETUP, *(armed_format(n, asked) for n in range(1, 17) for asked in (False, True))]
     sent = b"".join(frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels) for wire in every)
@@ -155,7 +155,7 @@ def read_by(codec: Any, decoder: Any, data: bytes) -> list[tuple[int, Frame]]:
 
 @settings(max_examples=80, deadline=None)
 @given(pieces())
-def test_any_stream_reads_as_the_document_says(
+def test_any_stream_reads_as_in_the_document(
     plain_decoder: Any, formats: dict[str, Any], stream: tuple[str, str, list[bytes]]
 ) -> None:
     name, kind, parts = stream

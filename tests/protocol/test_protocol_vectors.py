@@ -81,7 +81,7 @@ def test_every_frame_is_stuffed_and_checked_as_the_packages_do_it(vectors: Vecto
 
 
 @pytest.mark.parametrize("member", ["streams", "refused"])
-def test_streams_read_by_the_document_as_the_file_says(
+def test_streams_read_by_the_document_as_in_the_file(
     member: str, vectors: Vectors, formats: Vectors, plain_decoder: Any
 ) -> None:
     for entry in vectors[member]:
@@ -176,7 +176,7 @@ def test_the_time_on_the_wire_agrees_with_the_vectors(formats: dict[str, Any]) -
     assert "| 16 | 137 B | 74 B | 211 B | 18.316 ms |" in tables[1]
 
 
-def test_every_type_has_an_example_that_decodes_to_what_stands_beside_it(
+def test_every_type_has_an_example_that_decodes_to_what_stands_next_to_it(
     formats: dict[str, Any], plain_decoder: Any
 ) -> None:
     pattern = r"\*\*(\w+)\*\*, (set-up|armed, \d+ channels?(?: with velocity)?): .*?\n\n```text\n(.*?)\n```"

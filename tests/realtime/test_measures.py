@@ -160,7 +160,7 @@ def test_the_smallest_limit_of_a_control_group_and_those_above_counts(
 
 @pytest.mark.usefixtures("calls")
 @pytest.mark.parametrize("number", [errno.ENOMEM, errno.EPERM])
-def test_a_refusal_says_how_much_was_wanted_and_what_it_takes(
+def test_a_refusal_states_how_much_was_wanted_and_what_it_takes(
     number: int, root: bool, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (65_536, 65_536))
@@ -222,7 +222,7 @@ def test_a_file_that_takes_nothing_is_closed_again(device: Path, refuse: Refuse)
     assert grant.detail == f"{device} failed ({os.strerror(errno.EIO)})"
 
 
-def test_a_system_without_the_device_says_so(device: Path) -> None:
+def test_a_system_without_the_device_reports_it(device: Path) -> None:
     device.unlink()
     with disable_idle_states(1) as grant:
         assert f"there is no {device}" in grant.detail

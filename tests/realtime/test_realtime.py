@@ -66,7 +66,7 @@ def test_a_c_library_without_the_call_is_a_denial(thread_id: int, monkeypatch: p
     assert not remove_timer_slack().granted
 
 
-def test_where_advice_cannot_be_had_the_denial_is_told_without(thread_id: int, refuse: Refuse) -> None:
+def test_where_advice_cannot_be_had_the_denial_is_reported_without(thread_id: int, refuse: Refuse) -> None:
     refuse("resource.getrlimit", errno.EPERM)
     refuse("hapsim.loop.realtime.call_c", errno.ENOMEM)
     with locked(thread_id) as grant:
@@ -84,7 +84,7 @@ def test_a_missing_thread_or_call_is_reported(
         assert words in grant.detail
 
 
-def test_elsewhere_each_measure_says_that_only_linux_has_it(thread_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_elsewhere_each_measure_states_that_only_linux_has_it(thread_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
     for missing in ("sched_setscheduler", "sched_getscheduler", "sched_getparam", "sched_setaffinity"):
         monkeypatch.delattr(os, missing)
     monkeypatch.delattr(os, "sched_getaffinity")
@@ -154,7 +154,7 @@ print("well")
 
 
 @pytest.mark.parametrize("who", ["this user", "nobody"])
-def test_what_is_said_to_be_got_has_happened_and_what_is_denied_has_not(who: str) -> None:
+def test_what_is_reported_as_granted_has_happened_and_what_is_denied_has_not(who: str) -> None:
     done = subprocess.run([sys.executable, "-c", WHOLE, who], capture_output=True, text=True, check=False, timeout=100)
     assert done.stdout.endswith("well\n"), done.stdout + done.stderr
 

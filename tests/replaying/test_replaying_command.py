@@ -146,7 +146,9 @@ def test_a_record_has_markers_and_changes(tmp_path: Path) -> None:
     assert (of_hand["k"], of_hand["b"]) == (felt.k, felt.b), "of the scene that the run began with"
 
 
-def test_a_record_of_a_scene_that_cannot_be_predicted_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_of_a_scene_that_cannot_be_predicted_states_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def predict(*_: object, **__: object) -> None:
         raise ArithmeticError("too large")
 

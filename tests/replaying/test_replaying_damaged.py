@@ -135,7 +135,7 @@ except UsageError as error:
 
 
 @pytest.mark.parametrize("ending", ["h5", "mcap", "csv", "npz", "wav"])
-def test_a_full_disk_is_told_in_a_sentence_and_leaves_nothing(record: Path, tmp_path: Path, ending: str) -> None:
+def test_a_full_disk_is_reported_in_a_sentence_and_leaves_nothing(record: Path, tmp_path: Path, ending: str) -> None:
     """HDF5 crashed, or printed its own words, where a write failed."""
     pytest.importorskip({"h5": "h5py", "mcap": "mcap"}.get(ending, "numpy"))
     out = tmp_path / f"out.{ending}"

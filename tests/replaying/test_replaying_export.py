@@ -163,7 +163,7 @@ def test_a_wav_holds_the_value_where_positions_were_lost(hapsim: Hapsim, tmp_pat
         assert file["lost"][50] == 3
 
 
-def test_a_pick_up_is_heard_as_in_the_run(hapsim: Hapsim, tmp_path: Path) -> None:
+def test_a_pick_up_sounds_as_in_the_run(hapsim: Hapsim, tmp_path: Path) -> None:
     scene = SCENE + SOUND + "  wood: {from: gut.1, of: position, gain: 2}\n"
     path = recorded(tmp_path / "a.trace", scene, sound_file=tmp_path / "a.wav")
     for channel, name in enumerate(("air", "wood")):

@@ -35,21 +35,21 @@ class Manager:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._heard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._heard.bind(str(path))
-        self._heard.setblocking(False)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+        self._socket.setblocking(False)
 
-    def told(self) -> list[str]:
+    def notifications(self) -> list[str]:
         """Every datagram since the last look."""
         found = []
         while True:
             try:
-                found.append(self._heard.recv(1 << 16).decode())
+                found.append(self._socket.recv(1 << 16).decode())
             except BlockingIOError:
                 return found
 
     def close(self) -> None:
-        self._heard.close()
+        self._socket.close()
 
 
 @pytest.fixture
@@ -71,27 +71,27 @@ def notifier(manager: Manager, now: list[float], reconnects: bool = False, **env
     return Notifier(reconnects, environ, clock=lambda: now[0])
 
 
-def test_the_watchdog_hears_of_it_only_while_the_ticks_go_on(manager: Manager) -> None:
+def test_the_watchdog_is_notified_only_while_the_ticks_go_on(manager: Manager) -> None:
     now = [0.0]
     observer = notifier(manager, now).observer
     observer.started(SimpleNamespace(scene=SimpleNamespace(path="touch.yaml")))  # type: ignore[arg-type]
-    assert manager.told() == ["READY=1\nSTATUS=touch.yaml runs"]
-    heard = []
+    assert manager.notifications() == ["READY=1\nSTATUS=touch.yaml runs"]
+    notified = []
     for now[0], ticks in ((0.0, 0), (1.0, 500), (1.5, 900), (2.0, 900), (4.0, 900), (6.0, 900), (6.1, 901)):
         observer.running(Progress("running", ticks=ticks))
-        heard.append("WATCHDOG=1" in manager.told())
-    assert heard == [False, True, False, True, False, False, True]
+        notified.append("WATCHDOG=1" in manager.notifications())
+    assert notified == [False, True, False, True, False, False, True]
     now[0] = 9.0
     observer.waiting()
-    assert manager.told() == ["WATCHDOG=1"]
+    assert manager.notifications() == ["WATCHDOG=1"]
     observer.report("lost", "the device\nwent away")
-    assert manager.told() == ["STATUS=the device went away"]
+    assert manager.notifications() == ["STATUS=the device went away"]
     observer.over()
-    assert manager.told() == ["STOPPING=1"]
+    assert manager.notifications() == ["STOPPING=1"]
 
 
 @pytest.mark.parametrize(
-    ("environ", "hears"),
+    ("environ", "is_notified"),
     [
         ({}, True),
         ({"WATCHDOG_PID": str(os.getpid())}, True),
@@ -101,20 +101,22 @@ def test_the_watchdog_hears_of_it_only_while_the_ticks_go_on(manager: Manager) -
         ({"WATCHDOG_USEC": "1" + 400 * "0"}, False),
     ],
 )
-def test_the_watchdog_is_notified_if_it_asks_for_it(manager: Manager, environ: dict[str, str], hears: bool) -> None:
+def test_the_watchdog_is_notified_if_it_asks_for_it(
+    manager: Manager, environ: dict[str, str], is_notified: bool
+) -> None:
     observer = notifier(manager, [0.0], **environ).observer
     observer.running(Progress("running", ticks=5))
-    assert ("WATCHDOG=1" in manager.told()) == hears
+    assert ("WATCHDOG=1" in manager.notifications()) == is_notified
 
 
 def test_a_run_that_may_reconnect_is_not_over_with_a_session(manager: Manager) -> None:
     notifying = notifier(manager, [0.0], reconnects=True)
     notifying.observer.over()
-    assert manager.told() == []
+    assert manager.notifications() == []
     notifying.stopping()
-    assert manager.told() == ["STOPPING=1"]
+    assert manager.notifications() == ["STOPPING=1"]
     notifying.stopping(RuntimeError("the force swung\n at its limit"))
-    assert manager.told() == ["STOPPING=1\nSTATUS=the force swung at its limit"]
+    assert manager.notifications() == ["STOPPING=1\nSTATUS=the force swung at its limit"]
 
 
 def test_a_manager_that_is_gone_ends_nothing(manager: Manager, tmp_path: Path) -> None:
@@ -131,25 +133,27 @@ def test_the_command_notifies_of_arming_and_end(
     monkeypatch.setenv("NOTIFY_SOCKET", str(manager.path))
     monkeypatch.setenv("WATCHDOG_USEC", "1000")
     assert hapsim("run", scene, "--mock", "--duration", 0.05, "--json").status == 0
-    told = [line for datagram in manager.told() for line in datagram.split("\n") if "compiling" not in line]
-    assert (told[0], told[1], told[-1]) == ("READY=1", f"STATUS={scene} runs", "STOPPING=1")
-    assert "WATCHDOG=1" in told
+    notifications = [
+        line for datagram in manager.notifications() for line in datagram.split("\n") if "compiling" not in line
+    ]
+    assert (notifications[0], notifications[1], notifications[-1]) == ("READY=1", f"STATUS={scene} runs", "STOPPING=1")
+    assert "WATCHDOG=1" in notifications
     assert hapsim("run", scene, "--port", "/dev/ttyNOPE7").status == 3
-    told = manager.told()
-    assert "READY=1" not in told
-    assert told[-1].startswith("STOPPING=1\nSTATUS=/dev/ttyNOPE7: ")
+    notifications = manager.notifications()
+    assert "READY=1" not in notifications
+    assert notifications[-1].startswith("STOPPING=1\nSTATUS=/dev/ttyNOPE7: ")
     assert hapsim("run", scene.with_name("none.yaml"), "--mock").status == 2
-    assert "none.yaml: no such file" in manager.told()[-1]
+    assert "none.yaml: no such file" in manager.notifications()[-1]
 
 
-def test_a_defect_is_told_and_a_name_is_no_command(manager: Manager) -> None:
+def test_a_defect_is_reported_and_a_name_is_no_command(manager: Manager) -> None:
     notifying = notifier(manager, [0.0])
     with pytest.raises(ZeroDivisionError), notifying.notify_failures():
         _ = 1 // 0
-    (told,) = manager.told()
-    assert told.startswith("STOPPING=1\nSTATUS=a defect of hapsim: ZeroDivisionError(")
+    (notifications,) = manager.notifications()
+    assert notifications.startswith("STOPPING=1\nSTATUS=a defect of hapsim: ZeroDivisionError(")
     notifying.observer.started(SimpleNamespace(scene=SimpleNamespace(path="a\nSTOPPING=1\nb")))  # type: ignore[arg-type]
-    assert manager.told() == ["READY=1\nSTATUS=a STOPPING=1 b runs"]
+    assert manager.notifications() == ["READY=1\nSTATUS=a STOPPING=1 b runs"]
 
 
 def settings(unit: str) -> dict[str, list[str]]:

@@ -67,7 +67,7 @@ def test_a_running_scene_reports_its_status_to_its_owner_only(folder: Path) -> N
     assert (len(told["force_n"]), told["position_m"]) == (1, list(session.trace.position[-1]))
 
 
-def test_what_became_of_a_lost_device_is_told_until_it_is_back() -> None:
+def test_the_state_of_a_lost_device_is_reported_until_it_is_back() -> None:
     state = RunState("scene.yaml", "/dev/ttyACM0", 1000.0)
     assert state.document()["lost"] is None
     state.observer.report("lost", "it went away. If it still pushes, power it off")
@@ -114,7 +114,7 @@ def test_readers_that_do_not_read_hold_nothing_up(tmp_path: Path, monkeypatch: p
         assert request_status(path).startswith('"xxx')
 
 
-def test_what_cannot_be_told_once_is_no_end(tmp_path: Path) -> None:
+def test_one_failed_report_is_no_end(tmp_path: Path) -> None:
     values: list[Any] = [{"ticks": 1}]
     with serve_status(tmp_path / "s", lambda: json.dumps(values[0])):
         values[0] = object()
@@ -140,7 +140,7 @@ def _answering(path: Path, answer: Callable[[socket.socket], object]) -> socket.
     return listening
 
 
-def test_what_is_no_document_is_told(tmp_path: Path, hapsim: Callable[..., Any]) -> None:
+def test_what_is_no_document_is_reported(tmp_path: Path, hapsim: Callable[..., Any]) -> None:
     with _answering(tmp_path / "s", lambda connection: connection.sendall(b"[" * 100_000)):
         told = hapsim("status", tmp_path / "s")
     assert told.status == 2
@@ -163,7 +163,7 @@ def _owned(found: os.stat_result, user: int) -> os.stat_result:
     return os.stat_result([*found[:4], user, *found[5:]])
 
 
-def test_a_socket_that_was_left_is_replaced_and_one_that_is_heard_is_not(tmp_path: Path) -> None:
+def test_a_socket_that_was_left_is_replaced_and_one_that_is_served_is_not(tmp_path: Path) -> None:
     path = tmp_path / "s"
     left = socket.socket(socket.AF_UNIX)
     left.bind(str(path))

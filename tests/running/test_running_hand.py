@@ -91,7 +91,7 @@ def test_what_is_predicted_knows_no_hand_of_the_mock() -> None:
     assert (one.felt, one.poles, one.margins) == (other.felt, other.poles, other.margins)
 
 
-def test_an_edited_hand_is_followed_whether_the_file_had_one_or_not(tmp_path: Path) -> None:
+def test_an_edited_hand_is_applied_whether_the_file_had_one_or_not(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
 
     def write(mock: str, at: int) -> None:

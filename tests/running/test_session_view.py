@@ -48,7 +48,7 @@ class TestAStream:
         rows["sample"], rows["position_counts"][:, 0] = (10, 11, 12), (14, 14, 16)
         assert scales.samples(rows).velocity.tolist() == [[2000.0], [0.0], [1000.0]]
 
-    def test_one_that_is_read_too_late_says_how_much_is_lost(self) -> None:
+    def test_one_that_is_read_too_late_reports_how_much_is_lost(self) -> None:
         scales = hapsim.recording.recorder.Scales(1000.0, np.ones(1), np.ones(1))
         stream = hapsim.running.Stream(scales, 10, lambda: False, lambda: None)
         for _ in range(3):

@@ -62,7 +62,7 @@ def test_a_scene_that_ships_opens_with_what_to_feel_and_what_to_expect(name: str
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_scene_that_ships_rings_as_its_comment_says(name: str) -> None:
+def test_a_scene_that_ships_rings_as_in_its_comment(name: str) -> None:
     predicted = predict(with_touch(name))
     told = FORETOLD.search(text_of(name))
     assert predicted.stable
@@ -76,7 +76,7 @@ def test_a_scene_that_ships_rings_as_its_comment_says(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BOARDS)
-def test_the_first_scene_of_a_board_is_far_from_unstable_and_rings_as_its_comment_says(name: str) -> None:
+def test_the_first_scene_of_a_board_is_far_from_unstable_and_rings_as_in_its_comment(name: str) -> None:
     predicted = predict(load_scene(FOLDER / f"{name}.yaml"))
     told = FORETOLD.search(text_of(name))
     assert min(margin.stiffness_factor for margin in predicted.margins) > 2.0
@@ -108,7 +108,7 @@ def test_the_unstable_neighbours_that_the_comments_name_are_unstable(name: str, 
     assert predicted.b == pytest.approx(b, abs=0.00005)
 
 
-def test_the_scene_with_a_sensor_says_what_it_would_be_without() -> None:
+def test_the_scene_with_a_sensor_states_what_it_would_be_without() -> None:
     predicted = predict(with_touch("sensed_velocity", damper="backward"))
     assert f"k = {predicted.k:.2f} N/m and b = {predicted.b:.4f} N·s/m" in text_of("sensed_velocity")
 

@@ -81,7 +81,7 @@ def test_a_list_of_the_device_has_one_number_per_channel(only_fault: OnlyFault, 
         ),
     ],
 )
-def test_of_a_list_with_a_faulty_number_nothing_is_said_of_how_long_it_is(
+def test_of_a_list_with_a_faulty_number_the_length_is_not_reported(
     only_fault: OnlyFault, device: str, told: str
 ) -> None:
     assert only_fault("{mass: 0.2}", device) == told
@@ -133,7 +133,7 @@ def test_in_a_very_large_scene_dangling_names_are_reported_quickly(faults: Fault
         ),
     ],
 )
-def test_a_number_beyond_single_precision_is_told_where_it_stands(
+def test_a_number_beyond_single_precision_is_reported_where_it_stands(
     faults: Faults, good: str, module: str, told: str
 ) -> None:
     text = f"{good}  one: {module}\n"

@@ -269,7 +269,7 @@ def test_another_version_is_reported_with_the_one_that_this_hapsim_reads(only_fa
     assert ", expected 1: this hapsim reads version 1 of the scene format" in fault
 
 
-def test_of_another_version_nothing_else_is_said(faults: Faults) -> None:
+def test_of_another_version_nothing_else_is_reported(faults: Faults) -> None:
     (fault,) = faults("version: 2\nfrequency: 1000\n")
     assert fault == "1:10: version: found 2, expected 1: this hapsim reads version 1 of the scene format"
 

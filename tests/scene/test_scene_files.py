@@ -58,7 +58,7 @@ def test_a_shipped_scene_is_loaded_by_its_name_where_no_file_has_it(
     assert load_scene("wall.yaml").modules == parse_scene(good).modules
 
 
-def test_a_missing_file_is_reported_with_the_nearest_name_beside_it(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_with_the_nearest_name_next_to_it(tmp_path: Path) -> None:
     assert refusal(tmp_path / "s.yaml") == f"{tmp_path}/s.yaml: no such file, expected a scene in YAML"
     (tmp_path / "first_touch.yaml").write_text("")
     assert refusal(tmp_path / "first_tuch.yaml") == (
@@ -87,7 +87,7 @@ def test_a_name_is_offered_only_where_it_is_alike_but_for_its_ending(
     assert refusal(tmp_path / wanted) == f"{tmp_path}/{wanted}: no such file, expected a scene in YAML{hint}"
 
 
-def test_an_empty_name_is_told_as_that() -> None:
+def test_an_empty_name_is_reported_as_that() -> None:
     assert refusal("") == "'': the name of the file is empty, expected that of a file with a scene in YAML"
 
 

@@ -64,7 +64,7 @@ def test_what_is_left_out_of_a_module_has_the_defaults_of_the_format(good: str) 
     assert {kind: scene_with(good, kind).modules["it"] for kind in MODULES} == expected
 
 
-def test_a_cell_begins_where_it_rests_unless_the_scene_says_where(good: str) -> None:
+def test_a_cell_begins_where_it_rests_unless_the_scene_states_where(good: str) -> None:
     resting = "{type: cell, mass: 0.01, stiffness: 100, rest: 0.02%s}"
     scenes = [parse_scene(with_module(good, resting % more)) for more in ("", ", position: 0.0")]
     assert [scene.material_points["it"].start() for scene in scenes] == [(0.02, 0.0), (0.0, 0.0)]
@@ -220,7 +220,7 @@ def test_the_sharpness_of_a_detent_may_change_where_it_has_one(good: str) -> Non
     assert getattr(changed(snap, {"it": {"sharpness": 3.0}}).modules["it"], "sharpness", None) == 3.0
 
 
-def test_what_cannot_change_while_the_scene_runs_is_told_with_what_can(good: str) -> None:
+def test_what_cannot_change_while_the_scene_runs_is_reported_with_what_can(good: str) -> None:
     with pytest.raises(UsageError, match="of a click travel and peak and drop and bottom and damping can change"):
         changed(scene_with(good, "click"), {"it": {"stiffness": 1.0}})
     with pytest.raises(UsageError, match="of a nonlinear force_over_distance and force_over_velocity can change"):

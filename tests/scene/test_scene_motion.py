@@ -65,7 +65,7 @@ def test_the_schema_takes_degrees_and_the_motions() -> None:
         assert list(schema.iter_errors(yaml.safe_load(KNOB.replace("2e-5", "2.0e-5").replace(old, new)))) != []
 
 
-def test_an_angle_in_a_linear_scene_is_an_error_that_says_so(faults: Callable[[str], list[str]]) -> None:
+def test_an_angle_in_a_linear_scene_is_an_error_that_names_it(faults: Callable[[str], list[str]]) -> None:
     found = faults(KNOB.replace("motion: rotary, ", ""))
     assert len(found) == 9
     assert found[0] == (

@@ -97,7 +97,7 @@ def test_what_is_left_out_has_the_defaults_of_the_format(good: str) -> None:
     assert (mock.quantum, mock.force_quantum, mock.baud) == ((1e-9,) * mock.channels, None, None)
 
 
-def test_the_mock_is_as_the_device_says_where_it_does_not_say_otherwise() -> None:
+def test_the_mock_has_the_values_of_the_device_where_it_has_none_of_its_own() -> None:
     assert parse_scene(TEXT).mock_device == MockDevice(
         mass=(0.2, 0.3),
         friction=(2.0, 3.0),
@@ -181,7 +181,7 @@ def test_naming_the_room_loads_neither_yaml_nor_pydantic_nor_anything_heavy() ->
     subprocess.run([sys.executable, "-c", check], check=True)
 
 
-def test_the_room_offers_what_it_says_and_nothing_else() -> None:
+def test_the_module_offers_its_public_names_and_nothing_else() -> None:
     import hapsim.scene
 
     assert all(hasattr(hapsim.scene, name) for name in hapsim.scene.__all__)
@@ -197,14 +197,14 @@ def test_the_device_may_have_a_spring_of_its_own(good: str) -> None:
 
 
 @pytest.mark.parametrize("damper", ["backward", "centred", "filtered, cutoff: 80", "sensed"])
-def test_a_link_says_where_its_damper_has_its_velocity_from(good: str, damper: str) -> None:
+def test_a_link_names_the_source_of_its_damper_s_velocity(good: str, damper: str) -> None:
     link = parse_scene(good.replace("stiffness: 2000", f"stiffness: 2000, damper: {damper}")).links["touch"]
     assert isinstance(link, ViscoElastic)
     assert link.damper == damper.partition(",")[0]
     assert link.cutoff == (80.0 if "80" in damper else None)
 
 
-def test_the_scheme_is_cordis_unless_the_scene_says_another() -> None:
+def test_the_scheme_is_cordis_unless_the_scene_names_another() -> None:
     assert parse_scene(TEXT).scheme == "cordis"
     for scheme in SCHEMES:
         assert parse_scene(f"{TEXT}scheme: {scheme}\n").scheme == scheme
@@ -230,7 +230,7 @@ def test_every_damper_is_known_to_theory_and_kernel(good: str) -> None:
 
 
 @pytest.mark.parametrize("words", [Hold, Sampling, DamperScheme, SchemeName], ids=str)
-def test_every_choice_is_told_of_in_the_schema_and_to_people(words: Any) -> None:
+def test_every_choice_is_described_in_the_schema_and_to_people(words: Any) -> None:
     told = Path("configs/README.md").read_text(encoding="utf-8")
     described = " ".join((choices.HOLD, choices.SAMPLING, choices.DAMPER, choices.SCHEME))
     for name in get_args(words):

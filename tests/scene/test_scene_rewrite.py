@@ -108,7 +108,7 @@ def test_a_file_keeps_its_line_endings_and_permissions_and_a_link_to_it(tmp_path
     assert [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(".")] == []
 
 
-def test_a_file_that_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text(FLOW, encoding="utf-8")
     monkeypatch.setattr(os, "access", lambda *_: False)  # for root may write anything

@@ -18,7 +18,7 @@ def schema() -> dict[str, Any]:
     return scene_schema()
 
 
-def complaints(schema: dict[str, Any], text: str) -> list[str]:
+def error_paths(schema: dict[str, Any], text: str) -> list[str]:
     errors = Draft202012Validator(schema).iter_errors(yaml.safe_load(text))
     return [error.json_path for error in errors]
 
@@ -31,7 +31,7 @@ def test_the_schema_is_one_of_draft_2020_12(schema: dict[str, Any]) -> None:
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_the_schema_takes_what_ships(schema: dict[str, Any], path: Path) -> None:
     load_scene(path)
-    assert complaints(schema, path.read_text()) == []
+    assert error_paths(schema, path.read_text()) == []
 
 
 @pytest.mark.parametrize(
@@ -63,8 +63,8 @@ def test_the_schema_takes_what_ships(schema: dict[str, Any], path: Path) -> None
 def test_the_schema_refuses_what_the_loader_refuses(
     schema: dict[str, Any], good: str, old: str, new: str, where: str
 ) -> None:
-    assert complaints(schema, good) == []
-    assert complaints(schema, good.replace(old, new)) == [where]
+    assert error_paths(schema, good) == []
+    assert error_paths(schema, good.replace(old, new)) == [where]
 
 
 def test_every_key_has_a_title_and_a_description_and_every_number_its_unit(schema: dict[str, Any]) -> None:
@@ -98,7 +98,7 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
     }
 
 
-def test_the_type_says_which_module_is_meant(schema: dict[str, Any]) -> None:
+def test_the_type_names_the_module_that_is_meant(schema: dict[str, Any]) -> None:
     (modules,) = schema["properties"]["modules"]["patternProperties"].values()
     assert set(modules["discriminator"]["mapping"]) == set(MODULE_TYPES)
     for kind in MODULE_TYPES.values():

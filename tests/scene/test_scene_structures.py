@@ -148,7 +148,7 @@ def test_a_fault_elsewhere_in_a_string_does_not_hide_where_it_is_plucked(faults:
     assert [fault.split(": ")[1] for fault in told] == ["mass", "at"]
 
 
-def test_a_string_that_is_plucked_says_where_its_masses_begin(good: str) -> None:
+def test_a_string_that_is_plucked_states_where_its_masses_begin(good: str) -> None:
     text = text_with(good, f"{STRING}, position: 1, pluck: {{at: 1, by: 0.5}}")
     scene = parse_scene(text)
     string = scene.modules["s"]

@@ -160,7 +160,7 @@ def test_a_colon_without_a_space_is_not_blamed_for_something_else(faults: Faults
     assert told.startswith("1:1: found 'http://somewhere' (text), expected a mapping with version")
 
 
-def test_a_colon_without_a_space_within_a_scene_is_told_with_what_to_do(faults: Faults, good: str) -> None:
+def test_a_colon_without_a_space_within_a_scene_is_reported_with_what_to_do(faults: Faults, good: str) -> None:
     remedy = "; put a space after the colon: 'mass: 0.2'"
     assert faults(good.replace("{mass: 0.2}", "\n  mass:0.2")) == [
         f"4:3: device: found 'mass:0.2' (text), expected a mapping{remedy}"
@@ -298,11 +298,11 @@ def test_a_number_behind_a_comma_and_a_space_is_a_key(faults: Faults, good: str)
         ("\n".join(" " * depth + "a:" for depth in range(3000)), "33:33"),
     ],
 )
-def test_very_deep_nesting_is_reported_and_not_followed(faults: Faults, text: str, place: str) -> None:
+def test_very_deep_nesting_is_reported_and_not_read(faults: Faults, text: str, place: str) -> None:
     assert faults(text) == [f"{place}: found more than 32 levels, one within the other; expected at most five"]
 
 
-def test_nesting_through_anchors_is_not_followed_either(faults: Faults) -> None:
+def test_nesting_through_anchors_is_not_read_either(faults: Faults) -> None:
     chain = ["a0: &a0 {x: 1}", *(f"a{i}: &a{i} {{<<: *a{i - 1}}}" for i in range(1, 1500)), "<<: *a1499"]
     assert any("found more than 32 levels" in fault for fault in faults("\n".join(chain)))
 

@@ -79,7 +79,7 @@ def test_what_a_full_disk_leaves_is_kept_and_the_run_goes_on(tmp_path: Path, mon
         (scene_of("device"), {"sound": True, "volume_db": 60.0}, "volume: found 60 dB, expected at most 40 dB"),
     ],
 )
-def test_what_cannot_be_heard_is_refused(scene: Any, options: dict[str, Any], message: str) -> None:
+def test_what_cannot_be_played_is_refused(scene: Any, options: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         start(scene, **options)
 
@@ -147,7 +147,7 @@ def with_card(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Card]:
     return insert
 
 
-def test_it_plays_beside_the_loop(with_card: Callable[..., Card], tmp_path: Path) -> None:
+def test_it_plays_during_the_loop(with_card: Callable[..., Card], tmp_path: Path) -> None:
     """Sound plays next to the loop. The number of gaps on a busy machine does not matter here."""
     with_card("HDA Intel")
     report = run(scene_of("device"), duration=0.5, sound=True, sound_file=tmp_path / "a.wav", latency_s=0.03).report

@@ -53,10 +53,10 @@ def test_the_advice_is_the_cheapest_within_that_is_faster_than_real_time() -> No
     assert cheapest_within(EVERY, 0.05) == MIDDLE
     assert cheapest_within(EVERY, 1e-6) is None
     (one,) = objects_named(["string-10"])
-    said = verdict(one, EVERY)
-    assert "on the front cordis (double), rk4 (double), exact (double)" in said
-    assert "none within 0.001 in real time" in said
-    assert "1 not shown (unstable)" in said
+    sentence = verdict(one, EVERY)
+    assert "on the front cordis (double), rk4 (double), exact (double)" in sentence
+    assert "none within 0.001 in real time" in sentence
+    assert "1 not shown (unstable)" in sentence
 
 
 def test_rows_come_back_from_a_file_and_only_the_peers_are_taken(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_a_file_without_rows_is_reported(tmp_path: Path, text: str) -> None:
         peers_in(path, ["spring"])
 
 
-def test_the_columns_tell_who_is_on_the_front() -> None:
+def test_the_columns_mark_who_is_on_the_front() -> None:
     table = columns(EVERY, front_of([row for row in EVERY if row.ours]))
     assert table["on_front"] == [True, False, False, False, True, True]
     assert len({len(column) for column in table.values()}) == 1

@@ -62,7 +62,7 @@ def test_where_nothing_moves_or_all_is_lost_there_are_no_poles() -> None:
 
 
 @pytest.mark.parametrize("sharp", [0.0, SHARP])
-def test_a_tuned_string_rings_where_its_matrix_says(sharp: float) -> None:
+def test_a_tuned_string_rings_at_the_pitches_of_its_matrix(sharp: float) -> None:
     string = StringOfMasses.tuned(12, sharp=sharp)
     expected = np.sqrt(np.linalg.eigvalsh(matrix(string))) / (2.0 * math.pi)
     np.testing.assert_allclose([string.frequency(mode) for mode in range(1, 13)], expected, rtol=1e-12)
@@ -70,7 +70,7 @@ def test_a_tuned_string_rings_where_its_matrix_says(sharp: float) -> None:
     assert string.frequency(5) / plain.frequency(5) == pytest.approx(1.0 + sharp)
 
 
-def test_cordis_rings_where_its_closed_form_says() -> None:
+def test_cordis_rings_at_the_pitches_of_its_closed_form() -> None:
     for rate in (1000.0, 20_000.0):
         warped = [rate / math.pi * math.asin(math.pi * STRING.frequency(mode) / rate) for mode in MODES]
         errors = [w / STRING.frequency(mode) - 1.0 for mode, w in zip(MODES, warped, strict=True)]
@@ -154,7 +154,7 @@ def test_what_is_predicted_to_be_unstable_is_left_out() -> None:
     assert OneSpring().found(ONE_SAMPLE, "double", 400.0).why_not == "unstable, as predicted"
 
 
-def test_a_measurement_whose_run_failed_says_so_in_place_of_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_measurement_whose_run_failed_reports_it_in_place_of_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*arguments: Any, **options: Any) -> Any:
         return replace(measure(*arguments, **options), failure=DeviceError("the mock went away"))
 

@@ -40,7 +40,7 @@ def _skip_unless_available(peer) -> None:
         pytest.skip(reason)
 
 
-def test_a_tuned_string_rings_where_its_matrix_says():
+def test_a_tuned_string_rings_at_the_pitches_of_its_matrix():
     between = 2.0 * np.eye(10) - np.eye(10, k=1) - np.eye(10, k=-1)
     omega = np.sqrt(np.linalg.eigvalsh(STRING.stiffness / STRING.mass * between))
     np.testing.assert_allclose([STRING.frequency(j) for j in range(1, 11)], omega / (2.0 * math.pi), rtol=1e-12)

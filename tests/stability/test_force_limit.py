@@ -50,7 +50,7 @@ def predicted_cycle(configuration: Configuration, K: float, B: float) -> tuple[f
 
 
 @pytest.mark.parametrize(("K", "B", "delay", "friction", "off"), CASES)
-def test_an_unstable_loop_at_its_force_limit_swings_as_its_describing_function_says(
+def test_an_unstable_loop_at_its_force_limit_swings_as_its_describing_function_predicts(
     K: float, B: float, delay: float, friction: float, off: float, figures: Any
 ) -> None:
     configuration = Configuration(mass=MASS, rate=RATE, friction=friction, delay=delay)

@@ -187,7 +187,7 @@ def test_no_other_is(share: float, damping: float, unstable: bool | None) -> Non
     assert jittery(share, damping, unstable=unstable).report.ending == "done"
 
 
-def test_a_question_and_its_answer_tell_how_late_the_late_ones_are() -> None:
+def test_a_question_and_its_answer_show_how_late_the_late_ones_are() -> None:
     scene = scene_of(1000.0, clock="device")
     for seconds, samples in ((0.0, 2), (0.0019, 2), (0.0031, 3), (0.0161, 16), (5.0, 21)):
         assert least_late_samples(scene, seconds) == samples

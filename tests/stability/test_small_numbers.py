@@ -89,7 +89,7 @@ def test_a_soft_spring_still_rings_at_its_frequency(
 
 
 @pytest.mark.parametrize(("precision", "digit"), [("double", 2.0**-52), ("single", 2.0**-23)])
-def test_beside_a_large_offset_a_softer_one_stands_still(precision: str, digit: float) -> None:
+def test_next_to_a_large_offset_a_softer_one_stands_still(precision: str, digit: float) -> None:
     """Half a digit of 1 m over the amplitude: below it the mass never moves, ten times above it does."""
     edge = 0.5 * digit / AMPLITUDE
     assert math.isnan(frequency_off(0.9 * edge, precision, 1.0))

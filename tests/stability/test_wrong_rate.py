@@ -143,7 +143,7 @@ def test_what_has_no_timer_is_not_judged() -> None:
 
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0])
-def test_a_device_at_another_rate_is_stopped_with_a_sentence_that_says_so(ratio: float) -> None:
+def test_a_device_at_another_rate_is_stopped_with_a_sentence_that_names_the_rate(ratio: float) -> None:
     scene = hand_scene(
         {"touch": spring(500.0, 2.0)},
         rate=200.0,

@@ -108,7 +108,7 @@ def test_no_stiffness_is_no_share_of_one(hapsim: Callable[..., Any], scene: Path
     assert abs(answer.document["variables"]["measured_k"]["most"]) < 1e-3
 
 
-def test_samples_and_tables_are_drawn_and_told_for_people(
+def test_samples_and_tables_are_drawn_and_printed_for_people(
     hapsim: Callable[..., Any], scene: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "points.csv").write_text("touch.stiffness,device.delay\n500,0\n-3,1\n", encoding="utf-8")

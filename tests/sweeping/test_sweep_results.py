@@ -28,7 +28,7 @@ def in_lockstep(file: Path, values: dict[str, Any]) -> Scene:
     return Varied(scene).scene(values)
 
 
-def test_each_point_is_what_predict_and_measure_say_of_its_scene(scene: Path) -> None:
+def test_each_point_is_what_predict_and_measure_report_of_its_scene(scene: Path) -> None:
     found = hapsim.sweep(scene, AXES, duration=DURATION)
     assert found.sizes == {"touch.stiffness": 3, "device.delay": 3}
     assert not found["error"].values.any()
@@ -185,7 +185,7 @@ def test_another_sweep_s_results_and_finished_ones_are_left_alone(scene: Path, t
     assert out.read_bytes() == whole
 
 
-def test_a_point_that_feels_like_no_spring_says_why() -> None:
+def test_a_point_that_feels_like_no_spring_reports_why() -> None:
     axes = {"touch.stiffness": [1.0, 200.0], "touch.damping": [0.5, 0.1]}
     found = hapsim.sweep("paper_6_3_real_damping", axes, duration=DURATION)
     has_none = np.isnan(found["predicted_k"].values)
@@ -194,7 +194,7 @@ def test_a_point_that_feels_like_no_spring_says_why() -> None:
     assert [["measured: " in one for one in row] for row in found["error"].values] == has_none.tolist()
 
 
-def test_attributes_say_what_was_swept(scene: Path) -> None:
+def test_attributes_name_what_was_swept(scene: Path) -> None:
     found = hapsim.sweep(scene, {"touch.stiffness": [500.0]}, quantities=("predicted",))
     assert json.loads(found.attrs["scene"])["modules"]["touch"]["damping"] == 5.0
     assert json.loads(found.attrs["versions"]).keys() >= {"hapsim", "numpy", "processor"}

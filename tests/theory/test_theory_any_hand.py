@@ -262,7 +262,7 @@ class TestTheFriction:
         assert found.friction > 20.0
 
     @pytest.mark.parametrize("hold", [name for name in HOLDS if name != "zoh"])
-    def test_is_not_told_where_it_is_not_derived(self, hold: str) -> None:
+    def test_is_not_reported_where_it_is_not_derived(self, hold: str) -> None:
         one = whole(network(hold=hold))
         assert (one.is_passive, one.shaking) == (None, None)
         assert one.not_derived.startswith("the condition is derived only for a zero-order hold")

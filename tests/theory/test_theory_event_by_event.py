@@ -118,7 +118,9 @@ def test_the_free_motion_of_a_ths_satisfies_the_predicted_characteristic_equatio
 
 
 @pytest.mark.parametrize(("hold", "sampling", "delay", "friction"), CASES)
-def test_a_network_moves_as_its_transition_matrix_says(hold: str, sampling: str, delay: float, friction: float) -> None:
+def test_a_network_moves_as_its_transition_matrix_predicts(
+    hold: str, sampling: str, delay: float, friction: float
+) -> None:
     network = Network(
         rate=2000.0,
         channel_mass=[0.2, 0.05],

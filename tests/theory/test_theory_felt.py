@@ -61,7 +61,7 @@ class TestFiguresWorkedOutElsewhere:
         own = felt_pair(one._network, most=1.0)
         assert (own.k[0, 0], own.b[0, 0]) == pytest.approx((2165.5, 3.189), rel=1e-4)
 
-    def test_on_a_wall_with_a_mass_beside(self) -> None:
+    def test_on_a_wall_with_another_mass(self) -> None:
         one = together(
             {"ball": mass(0.5), "touch": link("hand", "wall", 2000.0, 5.0), "beside": link("hand", "ball", 20.0, 0.1)}
         )
@@ -116,7 +116,7 @@ class TestWeight:
             assert felt_mass(cup, hand) == (pytest.approx(felt, rel=1e-9), pytest.approx(hz, rel=1e-6))
             assert continuous_mass(cup, hand) == pytest.approx(continuous, rel=1e-6)
 
-    def test_is_said_of_a_scene_whose_masses_nothing_holds(self) -> None:
+    def test_is_reported_of_a_scene_whose_masses_nothing_holds(self) -> None:
         modules = {"cup": mass(2.4), "touch": link("hand", "cup", 800.0, 2.0)}
         weight = together(modules, rate=4000, device={"mass": 0.4}).weight
         assert weight is not None

@@ -62,7 +62,7 @@ def test_its_poles_are_those_of_its_motion(hold: str, sampling: str, delay: floa
 
 
 @pytest.mark.parametrize("hold", HOLDS | UNSHIPPED)
-def test_its_lag_is_what_its_transfer_function_says(hold: str) -> None:
+def test_its_lag_is_that_of_its_transfer_function(hold: str) -> None:
     theta = 1e-3
     through = delay_and_hold(np.array([theta]), 0.0, hold, "ideal")[0]
     assert abs(through) == pytest.approx(1.0, abs=1e-6)

@@ -116,7 +116,7 @@ def test_a_device_alone_is_its_mass_friction_and_spring_far_below_the_rate() -> 
         assert not loop.rendered.any()
 
 
-def test_from_the_nyquist_frequency_on_nothing_is_said() -> None:
+def test_from_the_nyquist_frequency_on_nothing_is_reported() -> None:
     closed = loop_impedance(two_hands(), [0.0, 100.0, 500.0]).closed_loop
     assert np.isnan(closed).all(axis=(1, 2)).tolist() == [True, False, True]
 

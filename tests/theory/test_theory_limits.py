@@ -192,7 +192,7 @@ class TestTheImpedance:
 class TestReasons:
     c = configuration(friction=1.0, delay=1.0)
 
-    def test_where_there_is_an_equivalent_nothing_is_said(self) -> None:
+    def test_where_there_is_an_equivalent_no_reason_is_given(self) -> None:
         assert self.c.why_no_equivalent(2000.0, 5.0) == ""
 
     def test_each_nan_has_its_words(self) -> None:

@@ -41,7 +41,7 @@ def test_the_sector_of_a_curve_has_its_steepest_slope_and_its_level_ends() -> No
     ("x", "slope"),
     [(-0.04, 0.0), (-0.03, -125.0), (-0.02, -250.0), (-0.005, 200.0), (0.0, 350.0), (0.015, -100.0), (0.02, -50.0)],
 )
-def test_the_slope_at_a_corner_is_the_mean_of_those_beside_it(x: float, slope: float) -> None:
+def test_the_slope_at_a_corner_is_the_mean_of_its_neighbours(x: float, slope: float) -> None:
     assert law_of("nonlinear", force_over_distance=CURVE).slope(x) == pytest.approx(slope)
 
 
@@ -104,7 +104,7 @@ def test_a_bristle_has_its_reach_and_no_force_where_it_rests() -> None:
     assert (law.reach, law.slides_at, float(law.tension(0.01))) == (pytest.approx(4e-4), 0.8, 0.0)
 
 
-def test_what_was_taken_for_a_curve_is_said_with_how_steep_it_is_elsewhere() -> None:
+def test_what_was_taken_for_a_curve_is_stated_with_how_steep_it_is_elsewhere() -> None:
     taken = law_of("nonlinear", force_over_distance=CURVE).linear()
     assert taken[:2] == pytest.approx((350.0, 0.0))
     assert taken.assumption == (
@@ -143,7 +143,9 @@ def test_a_spring_and_a_damper_are_predicted_as_the_link_that_is_both() -> None:
         ("{type: plectrum, between: [hand, m], stiffness: 500, damping: 1, release: 0.01}", True),
     ],
 )
-def test_a_link_to_a_mass_is_predicted_for_small_motions_and_what_was_assumed_is_said(link: str, stable: bool) -> None:
+def test_a_link_to_a_mass_is_predicted_for_small_motions_and_what_was_assumed_is_stated(
+    link: str, stable: bool
+) -> None:
     cell = "  m: {type: cell, mass: 0.05, stiffness: 50, damping: 0.5}\n"
     prediction = predict(
         parse_scene(f"{HEAD}{cell}  it: {link}\n  hold: {{type: spring, between: [hand, wall], stiffness: 9}}\n")

@@ -78,7 +78,7 @@ def random_scene(seed: int) -> Network:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_random_scenes_have_the_margins_that_their_poles_say(seed: int) -> None:
+def test_random_scenes_have_the_margins_of_their_poles(seed: int) -> None:
     scene = random_scene(seed)
     for link, margin in enumerate(margins_of(scene).links):
         for name, found in (("stiffness", margin.stiffness_factor), ("damping", margin.damping_factor)):
@@ -109,7 +109,7 @@ def unstable_scenes() -> list[int]:
 
 
 @pytest.mark.parametrize("seed", unstable_scenes())
-def test_an_unstable_scene_becomes_stable_in_the_ranges_that_its_poles_say(seed: int) -> None:
+def test_an_unstable_scene_becomes_stable_in_the_ranges_of_its_poles(seed: int) -> None:
     """The scene is stable in all of each range, and unstable just outside it and up to 1."""
     scene = random_scene(seed)
     for link, of_link in enumerate(margins_of(scene).stabilizing):
@@ -210,7 +210,7 @@ def test_what_drifts_is_at_the_limit_and_its_margin_is_that_of_the_rest() -> Non
     np.testing.assert_allclose(margins_of(tied).links, [((4.0 - 2.0 * 0.2) / 0.03, (4.0 - 0.03) / 0.4)], rtol=1e-9)
 
 
-def test_crossings_and_samples_of_the_circle_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_crossings_and_samples_of_the_circle_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     """The two ways to the margins of CORDIS's scheme, of links with every damper; and what costs too much is NaN."""
     for held in (7, 20):
         damper = [damper_named(*DAMPERS[i % 4], RATE) for i in range(32)]
@@ -236,7 +236,7 @@ def test_what_overflows_has_margins_that_are_not_known() -> None:
 
 
 @pytest.mark.parametrize("edges", ["[fixed, fixed, fixed, fixed]", "[fixed, free, free, free]"])
-def test_a_membrane_has_the_margins_that_its_poles_say(edges: str) -> None:
+def test_a_membrane_has_the_margins_of_its_poles(edges: str) -> None:
     """The link of a hand on it; of those inside, which belong to the membrane, none is listed."""
     scene = parse_scene(
         "version: 1\nrate: 1000\ndevice: {mass: 0.2, friction: 1}\nmodules:\n  hand: {type: device, channel: 0}\n"

@@ -110,7 +110,7 @@ def test_what_is_too_fast_for_a_sparse_matrix_is_not_worked_out() -> None:
 
 
 @pytest.mark.parametrize("scheme", [name for name, model in SCHEMES.items() if model])
-def test_margins_that_take_too_long_are_said_to_be_missing(scheme: str) -> None:
+def test_margins_that_take_too_long_are_reported_as_missing(scheme: str) -> None:
     every = margins_of(string(scheme, 520), np.zeros(1))
     assert "none was worked out" in every.method
     assert all(np.isnan(margin.stiffness_factor) for margin in every.links)
@@ -145,7 +145,7 @@ def test_rounding_of_the_double_pole_of_very_stiff_springs_is_no_growth(masses: 
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(1e12, -1e3), (1e14, -1e3), (1e16, -1e4)])
-def test_beside_a_double_pole_what_grows_is_still_seen(stiffness: float, damping: float) -> None:
+def test_next_to_a_double_pole_what_grows_is_still_seen(stiffness: float, damping: float) -> None:
     """A damper that feeds: |z|² of z = (1 + s/2)/(1 - s/2) with s² + b s + k = 0."""
     k, b = stiffness / (0.1 * RATE**2), damping / (0.1 * RATE)
     growth = ((1.0 - b / 4.0) ** 2 + (k - b * b / 4.0) / 4.0) / ((1.0 + b / 4.0) ** 2 + (k - b * b / 4.0) / 4.0)

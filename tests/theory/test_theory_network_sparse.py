@@ -71,7 +71,7 @@ def test_a_string_has_the_modes_of_the_discrete_string(B: float) -> None:
     assert nearest(expected, found).max() < 1e-7
 
 
-def test_a_large_string_has_some_of_them_and_says_which() -> None:
+def test_a_large_string_has_some_of_them_and_names_them() -> None:
     large = string(1500, 0.3)
     solution = solve(large)
     assert is_large(large)

@@ -82,7 +82,7 @@ class TestAFractionOfASample:
         assert self.given_away(1.03 * rule) > 0.0
         assert not wall(1.03 * rule, self.DELAY).is_passive(self.K, 0.0)
 
-    def test_with_the_friction_that_is_said_to_be_needed_it_cannot(self) -> None:
+    def test_with_the_friction_that_is_stated_to_be_needed_it_cannot(self) -> None:
         needed = wall(0.0, self.DELAY).needed_friction(self.K, 0.0)
         assert needed == pytest.approx(0.5 * (1.0 + np.sqrt(1.25)) * self.K * T, rel=1e-9)
         assert self.given_away(1.0001 * needed) < 0.0
@@ -147,7 +147,7 @@ def test_what_is_not_finite_is_not_passive() -> None:
 
 
 @pytest.mark.parametrize(("hold", "sampling"), [("impulse", "ideal"), ("zoh", "average")])
-def test_where_it_is_not_derived_it_says_so(hold: str, sampling: str) -> None:
+def test_where_it_is_not_derived_it_reports_that(hold: str, sampling: str) -> None:
     c = Configuration(mass=0.2, rate=RATE, hold=hold, sampling=sampling)
     with pytest.raises(ValueError, match=f"not for hold '{hold}' with sampling '{sampling}'"):
         c.is_passive(1.0, 1.0)

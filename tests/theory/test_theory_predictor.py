@@ -61,7 +61,7 @@ def test_a_steady_push_meets_the_stiffness_that_it_is_to_meet(senses: bool, devi
 
 @pytest.mark.parametrize(("factor", "pole"), [(0.5, 0.5), (0.9, 0.25), (1.1, 0.0), (2.0, 0.5)])
 @pytest.mark.parametrize("delay", [0.37, 1.0, 2.0])
-def test_another_mass_moves_as_its_own_recurrence_says(delay: float, factor: float, pole: float) -> None:
+def test_another_mass_moves_as_its_own_recurrence_predicts(delay: float, factor: float, pole: float) -> None:
     """The loop written out sample by sample: a double integrator under held forces, and its observer by hand."""
     true = replace(DEVICE, mass=factor * DEVICE.mass, delay=delay)
     predictor = state_predictor(replace(DEVICE, delay=delay), pole=pole)
@@ -98,7 +98,7 @@ def test_another_mass_moves_as_its_own_recurrence_says(delay: float, factor: flo
     assert (np.abs(seen) < 1e-9 * size).all()
 
 
-def test_two_readings_tell_position_and_velocity_of_a_free_mass() -> None:
+def test_two_readings_give_position_and_velocity_of_a_free_mass() -> None:
     free = state_predictor(replace(DEVICE, delay=2.0))
     velocity, at = 0.25, 0.01
     before = np.array([at - velocity * 1e-3, 0.0, 0.0])

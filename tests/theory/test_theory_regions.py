@@ -114,7 +114,7 @@ def test_a_plectrum_s_regions_are_those_in_which_it_can_grip_and_their_energy_is
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_where_a_plectrum_is_said_to_grip_or_not_it_does(seed: int) -> None:
+def test_a_plectrum_grips_where_it_is_predicted_to(seed: int) -> None:
     """Measured in virtual time, in every region with a spring that is wide enough."""
     document = plucked(100 + seed)
     document["mock"] = {"quantum": 1e-11}
@@ -135,7 +135,7 @@ modules:
 """
 
 
-def test_where_nothing_is_said_the_hand_is_where_it_rests_and_at_a_corner_in_the_stiffer_piece() -> None:
+def test_by_default_the_hand_is_where_it_rests_and_at_a_corner_in_the_stiffer_piece() -> None:
     wall = "stop: {type: buffer, between: [hand, wall], stiffness: 1500, damping: 4}"
     prediction = predict(parse_scene(KNOB.format(travel="", links=wall)))
     assert prediction.k == pytest.approx(1548.86, abs=0.01)

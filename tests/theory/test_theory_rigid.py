@@ -98,7 +98,7 @@ def exact_poles(name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", BARS)
-def test_a_bar_rests_drifts_and_grows_as_sixty_digits_say(name: str) -> None:
+def test_a_bar_rests_drifts_and_grows_as_in_sixty_digits(name: str) -> None:
     exact, (_, expected) = exact_poles(name), BARS[name]
     assert int((exact == 1.0).sum()) == expected
     assert poles_at_rest(bar(name)) == expected
@@ -225,7 +225,7 @@ class TestALongBar:
 
 
 @pytest.mark.parametrize("seed", range(100))
-def test_random_bars_springs_and_hands_rest_as_their_null_spaces_say(seed: int) -> None:
+def test_random_bars_springs_and_hands_rest_as_their_null_spaces_predict(seed: int) -> None:
     rng = np.random.default_rng(seed)
     channels, masses = int(rng.integers(0, 3)), int(rng.integers(4, 14))
     points = channels + masses

@@ -94,7 +94,7 @@ def test_a_spring_inside_has_no_limit(scheme: str) -> None:
     assert 1.0 < factors["touch"].stiffness_factor < np.inf
 
 
-def test_what_is_not_worked_out_is_said() -> None:
+def test_what_is_not_computed_is_reported() -> None:
     """Springs so stiff that each of 600 masses moves all others within one sample."""
     string = "  s: {type: string, masses: 600, mass: 0.001, stiffness: 1e12}\n"
     stiff = scene("exact", string + TOUCH)

@@ -45,7 +45,7 @@ def found(prediction: Prediction) -> set[str]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_what_is_said_of_each_state_is_how_a_motion_within_it_goes_on(seed: int) -> None:
+def test_the_prediction_of_each_state_is_how_a_motion_within_it_goes_on(seed: int) -> None:
     """Simulated for four seconds; states that a snap leaves, and growth by less than 1e-4 a sample, aside."""
     scene = contact_scene(seed)
     prediction = predict(scene, with_margins=False)
@@ -180,7 +180,7 @@ def test_a_law_s_pieces_are_the_states_of_its_link() -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_masses_that_are_said_not_to_grow_have_no_pole_outside_of_the_circle(seed: int) -> None:
+def test_masses_that_are_reported_not_to_grow_have_no_pole_outside_of_the_circle(seed: int) -> None:
     draw = np.random.default_rng(seed)
     masses, links = int(draw.integers(1, 6)), int(draw.integers(1, 10))
     mass, step = 10.0 ** draw.uniform(-3, 0, masses), 1e-3

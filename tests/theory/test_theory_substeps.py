@@ -374,7 +374,9 @@ def test_a_large_string_with_substeps_has_the_poles_of_its_whole_transition(monk
         solve(one)
 
 
-def test_where_it_takes_too_long_the_pitch_is_predicted_and_the_rest_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_it_takes_too_long_the_pitch_is_predicted_and_the_rest_is_reported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     gut = {"type": "string", "masses": 40, "mass": 1e-5, "stiffness": 1000, "damping": 1e-5}
     pull = {"type": "viscoelastic", "between": ["hand", "gut.8"], "stiffness": 20, "damping": 0.01}
     plucked = scene(MODULES | {"gut": gut, "pull": pull}, 48, "last")

@@ -89,7 +89,7 @@ def test_it_is_as_large_as_on_the_mock(seed: int, figures: Any) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_it_is_about_as_large_as_the_describing_function_says(seed: int, figures: Any) -> None:
+def test_it_is_about_as_large_as_the_describing_function_predicts(seed: int, figures: Any) -> None:
     """The largest at which the mean slope over a sine exceeds the largest stable stiffness: within a fifth."""
     prediction = predict(scene_of(steep_in_places(seed)), with_margins=False)
     (regions,), (swing,) = prediction.judge.regions.values(), prediction.judge.swings.values()
