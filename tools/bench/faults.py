@@ -1,16 +1,16 @@
-"""Every fault of the wire, with every clock, on every carrier: what the hand got, and what the user read.
+"""Every fault of the wire, with every clock, on every carrier: the forces that the hand got, and the message.
 
     tools/bench/faults [--only KIND] [--carrier memory|terminal|firmware] [--clock device|host|lockstep]
     tools/bench/faults --resume | --from FILE
 
-A cell is one run of a hand that a spring pulls, at 1 kHz, over a wire with one fault, begun after 700 samples.
+A cell is one run of a hand that a spring pulls, at 1 kHz, over a wire with one fault that begins after 700 samples.
 Carriers: `memory`, the mock in virtual time; `terminal`, the mock behind `hapsim faults` in real time; `firmware`, the
-reference firmware's Linux build behind it. What reached the device is what the injector saw on the device's side of the
-fault; of the firmware there is also what it put out, from its own log.
+reference firmware's Linux build behind it. The injector records the forces on the device's side of the fault. The
+firmware also logs the forces that it puts out.
 
-A cell is a defect where the program does not end, ends with a traceback or with status 1, where a force is above the
-limit or a step from what the device holds above that of the slew limit, or where a message reports a release that the
-device did not confirm.
+A cell is a defect if a program does not end, or ends with a traceback or status 1. A force above the limit is one, and
+so is a larger step from the force that the device holds than the slew limit allows. So is a message that reports a
+release that the device did not confirm.
 """
 
 from __future__ import annotations
@@ -41,6 +41,11 @@ PATIENCE_S = 60.0  # beyond the run's own time: then it hangs
 FIRMWARE_FORCE_SCALE_N = 1e-8
 REPORT = r"\. The last frames and the last second are in .*? reads it\)"  # of a file that goes with this bench
 CONFIRMED = "the device confirmed that it released it"
+ABBREVIATED = {
+    f"the force is zero: {CONFIRMED}$": "*released*",
+    "hapsim tried to disarm it, but the device did not confirm .*power it off$": "*not confirmed*",
+}
+"""Ends of messages, as the page has them."""
 
 SCENE = """\
 version: 1
@@ -108,9 +113,9 @@ CASES = {
 }
 CARRIERS = {"memory": ("lockstep",), "terminal": ("device", "host", "lockstep"), "firmware": ("device", "host")}
 BEHIND_THE_GUARD = {"invert forces", "reorder 30 %", "rate 2"}
-"""Cases that themselves make a step of what was sent without one: another sign, another order, every second force."""
+"""Cases that cause steps which the host did not send: another sign, another order, every second force."""
 BEFORE_ARMING = {"version": {"memory", "terminal"}, "nonsense": {"memory", "terminal"}}
-"""Kinds that are over before a clock matters, and the carriers on which they are looked at, with its first clock."""
+"""Kinds that end before a clock matters, and the carriers that run them, each with its first clock."""
 
 
 def kind_of(case: str) -> str:
@@ -127,7 +132,7 @@ def script_of(case: str) -> str:
 
 
 def in_memory(case: str) -> dict[str, Any]:
-    """One run in this process: what `hapsim run` and `hapsim faults` would print of it."""
+    """Returns the report of a run in this process, as `hapsim run` and `hapsim faults` would print it."""
     import hapsim
     from hapsim.bringup.faults import Injector, parse_script
     from hapsim.bringup.faults.in_memory import in_memory as between_of
@@ -137,18 +142,18 @@ def in_memory(case: str) -> dict[str, Any]:
 
     scene = hapsim.parse_scene(SCENE.format(clock="lockstep"))
     injector = Injector(parse_script(script_of(case)))
-    told: dict[str, Any] = {"exit_status": 0, "error": ""}
+    report: dict[str, Any] = {"exit_status": 0, "error": ""}
     try:
         trace = hapsim.run(scene, duration=duration_of(case), between=between_of(injector, scene.period))
-        told["ticks"] = trace.report.ticks
-        told["released"] = trace.report.released
+        report["ticks"] = trace.report.ticks
+        report["released"] = trace.report.released
     except HapsimError as error:
-        told |= {"exit_status": error.exit_status, "error": str(error)}
-    return {"run": told, "wire": faults_document("", injector, 0, PassingTimes(), None)}
+        report |= {"exit_status": error.exit_status, "error": str(error)}
+    return {"run": report, "wire": faults_document("", injector, 0, PassingTimes(), None)}
 
 
 def finished(process: subprocess.Popen[str], within_s: float) -> tuple[str, str, bool]:
-    """(standard output, standard error, whether it had to be killed)"""
+    """Returns (standard output, standard error, whether it had to be killed)."""
     try:
         out, err = process.communicate(timeout=within_s)
     except subprocess.TimeoutExpired:
@@ -168,7 +173,7 @@ def started(*words: object) -> subprocess.Popen[str]:
 
 @contextmanager
 def device_of(carrier: str, scene: Path, log: Path) -> Iterator[list[str]]:
-    """The options of `hapsim faults` that lead to the device."""
+    """Yields the options of `hapsim faults` that lead to the device."""
     if carrier == "terminal":
         yield ["--scene", str(scene)]
         return
@@ -182,7 +187,7 @@ def device_of(carrier: str, scene: Path, log: Path) -> Iterator[list[str]]:
 
 
 def on_terminal(case: str, clock: str, carrier: str) -> dict[str, Any]:
-    """One run, of `hapsim run` through `hapsim faults`, each a process."""
+    """Returns the report of a run of `hapsim run` through `hapsim faults`, each in its own process."""
     with tempfile.TemporaryDirectory() as folder:
         scene, script, port, log = (Path(folder) / name for name in ("scene.yaml", "script.yaml", "port", "log"))
         scene.write_text(SCENE.format(clock=clock), "utf-8")
@@ -210,11 +215,11 @@ def on_terminal(case: str, clock: str, carrier: str) -> dict[str, Any]:
             relay.send_signal(signal.SIGINT)
             wire_out, wire_err, wire_hung = finished(relay, PATIENCE_S)
         out, err, wire_out, wire_err = (without_paths(text, folder) for text in (out, err, wire_out, wire_err))
-        told = json.loads(out) if out.strip() else {}
-        told |= {"exit_status": run.returncode, "error": told.get("error", ""), "err": err, "hung": hung}
+        report = json.loads(out) if out.strip() else {}
+        report |= {"exit_status": run.returncode, "error": report.get("error", ""), "err": err, "hung": hung}
         wire = json.loads(wire_out) if wire_out.strip() else {}
         wire |= {"err": wire_err, "hung": wire_hung}
-        return {"run": told, "wire": wire, "put_out": put_out(log)}
+        return {"run": report, "wire": wire, "put_out": put_out(log)}
 
 
 def without_paths(text: str, folder: str) -> str:
@@ -235,7 +240,7 @@ def put_out(log: Path) -> dict[str, float] | None:
 
 
 def cell(case: str, clock: str, carrier: str) -> dict[str, Any]:
-    """Everything about a run in which the fault happened: a machine that is held up may end one before that."""
+    """Returns the results of a run in which the fault happened. A delay of the machine may end a run before that."""
     for _ in range(TRIES):
         found = tried(case, clock, carrier)
         if found["defects"] or happened(found):
@@ -248,7 +253,7 @@ def happened(found: dict[str, Any]) -> bool:
 
 
 def tried(case: str, clock: str, carrier: str) -> dict[str, Any]:
-    """Everything about one run."""
+    """Returns the results of one run."""
     if carrier == "memory":
         process = started(__file__, "--in-memory", case)
         out, err, hung = finished(process, PATIENCE_S)
@@ -273,12 +278,12 @@ def defects_of(found: dict[str, Any]) -> list[str]:
     wrong = {
         "it did not end": run.get("hung") or wire.get("hung"),
         "a traceback": "Traceback" in run.get("err", "") + wire.get("err", ""),
-        "status 1, or none of ours": status not in (0, 2, 3, 4),
-        "a failure without a sentence": status != 0 and not sentence,
+        "status 1, or an unknown status": status not in (0, 2, 3, 4),
+        "a failure without a message": status != 0 and not sentence,
         f"a force above {LIMIT_N:g} N": largest > LIMIT_N * (1 + 1e-9),
         f"a step above {STEP_N:g} N": change > STEP_N * (1 + 1e-9) and found["case"] not in BEHIND_THE_GUARD,
         f"the device put out more than {LIMIT_N:g} N": (found.get("put_out") or {}).get("largest_N", 0.0) > LIMIT_N,
-        "it says that the device confirmed its release, which it did not": confirmed
+        "the message reports a confirmed release, which the device did not confirm": confirmed
         and release is not None
         and not release["confirmed"],
         "the device still pushes at the end": (found.get("put_out") or {}).get("last_N", 0.0) != 0.0,
@@ -300,12 +305,14 @@ def row(found: dict[str, Any]) -> str:
     sentence = run["error"].partition(": ")[2] or (
         f"done, {run.get('ticks')} ticks" if not run["error"] else run["error"]
     )
-    told = sentence.replace("|", "\\|").replace("\n", " ")
+    message = sentence.replace("|", "\\|").replace("\n", " ")
+    for end, short in ABBREVIATED.items():
+        message = re.sub(end, short, message)
     flag = "".join(f" **{defect}**" for defect in found["defects"])
     times = ", ".join(str(fault["times"]) for fault in wire.get("faults", []))
     return (
         f"| {found['case']} | {found['clock']} | {found['carrier']} | {times} | {largest} | {change} | {zero} | "
-        f"{run['exit_status']} | {told}{flag} |"
+        f"{run['exit_status']} | {message}{flag} |"
     )
 
 
@@ -316,18 +323,39 @@ def _newtons(force: float | None, count: int | None) -> str:
 HEAD = """\
 # Faults of the wire
 
-Every fault, with every clock, on every carrier: `tools/bench/faults` ({when}). A spring of 2000 N/m pulls the hand at
-1 kHz, with at most 10 N and by steps of at most 10 N, against a spring of 1000 N/m in the device (2.7 N at rest; the
-firmware's mass has none, and swings); the fault begins after {begin} samples, or with the first byte. *memory*: the
-mock in virtual time; *terminal*: the mock behind `hapsim faults`; *firmware*: the Linux build of the reference firmware
-behind it.
+`tools/bench/faults` runs a scene over a wire with one fault, for every fault, clock and carrier.
+The table is of {when}.
 
-The largest force and the largest change from what the device held (zero, once a force's time to live was over) are
-those that reached the device after the first fault; of the firmware also, behind the stroke, what it put out over the
-whole run, its release among it. Three cases make a step of what was sent without one: `invert forces` turns a sign,
-`reorder` the order, `rate 2` lets every second force pass to a device that it shows to the host at twice its rate.
-*Zero force*: after the last force that reached the device, by what: the host's DISARM, the device itself, the time to
-live that PROTOCOL.md promises, or, in lockstep, where no time passes while a host is quiet, its 10 s.
+In the scene a spring of 2000 N/m pulls the hand at 1 kHz. A spring of 1000 N/m in the device pulls it back, so the
+force is 2.7 N at rest. The firmware's mass has no such spring, and oscillates. The force limit is 10 N, and the slew
+limit allows steps of 10 N. The fault begins after {begin} samples, or with the first byte.
+
+* **carrier**: *memory* is the mock in virtual time. *terminal* is the mock in real time behind `hapsim faults`.
+  *firmware* is the Linux build of the reference firmware behind `hapsim faults`.
+* **times**: how often each fault of the case happened.
+* **largest, N**: the largest force that reached the device after the first fault.
+* **change, N**: the largest difference of such a force from the force that the device held. The held force is zero
+  once its time to live is over.
+* A value after a stroke is that of the force that the firmware put out over the whole run, its release included.
+* **zero force**: the time from the last force that reached the device to zero force, and its cause. *disarm* is the
+  host's DISARM, *device* the device itself, *time to live* the one that PROTOCOL.md promises. *lockstep* is the
+  limit of 10 s for that clock, whose time stands still while the host is quiet.
+* **status**: the exit status of `hapsim run`.
+* **message**: the message of `hapsim run`. Two ends of a message are abbreviated:
+  * *released*: "the force is zero: the device confirmed that it released it".
+  * *not confirmed*: "hapsim tried to disarm it, but the device did not confirm that it released its force: one that
+    keeps PROTOCOL.md, section 7, does so by itself …. If it still pushes, power it off". The dots stand for the time
+    after the last force: 22 ms or 101 ms with the clock *device*, 101 ms with *host*, 10 s with *lockstep*.
+
+Three cases cause steps that the host did not send. `invert forces` changes the sign, and `reorder` the order. With
+`rate 2` the host sees the device at twice its rate, and only every second force reaches the device.
+
+A row is a defect in these cases:
+
+* a program does not end, or ends with a traceback or status 1;
+* a force exceeds the limit, or a step exceeds the slew limit in any but these three cases;
+* a message reports a release that the device did not confirm;
+* the firmware still puts out a force at the end.
 
 {verdict}
 
@@ -338,7 +366,7 @@ live that PROTOCOL.md promises, or, in lockstep, where no time passes while a ho
 
 def write_page(cells: list[dict[str, Any]], when: str) -> None:
     wrong = sum(bool(found["defects"]) for found in cells)
-    verdict = f"Of {len(cells)} cells {wrong or 'none'} {'is a defect' if wrong in (0, 1) else 'are defects'}."
+    verdict = f"Of {len(cells)} rows {wrong or 'none'} {'is a defect' if wrong in (0, 1) else 'are defects'}."
     if len(cells) < len(every_cell()):
         verdict += f" {len(every_cell()) - len(cells)} were not run (`--resume` runs them)."
     head = HEAD.format(when=when, begin=BEGIN, verdict=verdict)
@@ -351,7 +379,7 @@ def kept_cells() -> dict[tuple[str, str, str], dict[str, Any]]:
 
 
 def keep(found: dict[str, Any]) -> None:
-    """Puts a cell among the results, in their order; another of these programs may be doing the same."""
+    """Saves a cell among the results, in their order. Another process may do the same at the same time."""
     with open(RESULTS.with_suffix(".lock"), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         kept = kept_cells() | {(found["case"], found["clock"], found["carrier"]): found}
@@ -363,7 +391,7 @@ def keep(found: dict[str, Any]) -> None:
 
 
 def every_cell() -> list[tuple[str, str, str]]:
-    """(case, clock, carrier)"""
+    """Returns (case, clock, carrier) of every cell."""
     return [
         (case, clock, carrier)
         for case in CASES
@@ -387,11 +415,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         "tools/bench/faults", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", metavar="KIND", help="this kind, or this one case")
+    parser.add_argument("--only", metavar="KIND", help="run only this kind, or this case")
     parser.add_argument("--carrier", choices=CARRIERS)
     parser.add_argument("--clock", choices=("device", "host", "lockstep"))
-    parser.add_argument("--from", dest="source", type=Path, help="write the page from results that are there")
-    parser.add_argument("--resume", action="store_true", help="run only what is not among the results")
+    parser.add_argument("--from", dest="source", type=Path, help="write the page from saved results")
+    parser.add_argument("--resume", action="store_true", help="run only the cells without results")
     parser.add_argument("--in-memory", metavar="CASE", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.in_memory:
