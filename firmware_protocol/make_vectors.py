@@ -76,18 +76,16 @@ _EXAMPLES = (
     _Example("setup", "arm", 100, 0, (_HASH,), "watchdog of 100 samples, the device paces", "the schema hash"),
     _Example("setup", "status", 0, 0, (schema.ARMED,), "armed", "state 1, fault 0"),
     _Example("armed_1", "position", 300, 0, (-1234567,), "position of sample 300", "counts"),
-    _Example("armed_1", "force", 300, 20, (1000000,), "answers sample 300, lives 20 samples", "counts"),
-    _Example("armed_1", "position_held", 301, 0, (-1234560,), "sample 301; 300 went without its answer", "counts"),
+    _Example("armed_1", "force", 300, 20, (1000000,), "answers sample 300, time to live 20 samples", "counts"),
+    _Example("armed_1", "position_held", 301, 0, (-1234560,), "sample 301; sample 300 got no answer", "counts"),
     _Example("armed_1", "status", 400, 0, (_LATCHED,), "the host was quiet: latched", "state 2, fault 1"),
     _Example("armed_1", "disarm", 0, 0, (0,), "release", "unused"),
     _Example("setup", "status", 402, 0, (schema.HOST_QUIET << 8,), "idle", "state 0, fault 1, the last one"),
     _Example("armed_4", "position", 4095, 0, (0, -1, 2**31 - 1, -(2**31)), "four channels, 32-bit check", "counts"),
-    _Example("armed_4", "force", 4095, 0, (0, 256, -256, 1), "answers sample 4095, for one sample", "counts"),
-    _Example(
-        "setup", "arm", 100, _SENSING, (_HASH,), "the same, and the device is to send velocities", "the schema hash"
-    ),
+    _Example("armed_4", "force", 4095, 0, (0, 256, -256, 1), "answers sample 4095, acts for one sample", "counts"),
+    _Example("setup", "arm", 100, _SENSING, (_HASH,), "watchdog of 100 samples, with velocities", "the schema hash"),
     _Example("velocity_1", "position", 300, 0, (-1234567, 20000), "position of sample 300, and its velocity", "counts"),
-    _Example("velocity_1", "force", 300, 20, (1000000,), "answers sample 300, lives 20 samples", "counts"),
+    _Example("velocity_1", "force", 300, 20, (1000000,), "answers sample 300, time to live 20 samples", "counts"),
     _Example("velocity_2", "position", 301, 0, (1, -1, 256, -256), "two channels, 32-bit check", "counts"),
 )
 
