@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
 /* The wire protocol of hapsim, version 1: the device's half, for firmware. C99, header only, no allocation, and no
- * library beyond memcpy. PROTOCOL.md is the specification; vectors.json holds what this header is tested against.
+ * library beyond memcpy. PROTOCOL.md is the specification; vectors.json has the test vectors.
  *
  *     hapsim_decoder in;
  *     hapsim_decoder_init(&in);                              // listens for the set-up format
@@ -11,8 +11,8 @@
  *     uint8_t out[HAPSIM_MAX_FRAME];
  *     size_t bytes = hapsim_write_to_host(&in.format, out, HAPSIM_POSITION, sample, positions);
  *
- * Nothing here is shared between calls: a decoder may live in an interrupt while frames are written elsewhere, as long
- * as one context at a time works on one decoder.
+ * The functions share no data: an interrupt may decode while other code writes frames. Only one context at a time may
+ * use a decoder.
  */
 #ifndef HAPSIM_PROTOCOL_H
 #define HAPSIM_PROTOCOL_H
@@ -55,8 +55,8 @@
 enum { HAPSIM_DESCRIBE = 0x1, HAPSIM_ARM = 0x2, HAPSIM_FORCE = 0x3, HAPSIM_DISARM = 0x4 };
 enum { HAPSIM_DESCRIPTION = 0x9, HAPSIM_POSITION = 0xA, HAPSIM_POSITION_HELD = 0xB, HAPSIM_STATUS = 0xC };
 
-/* The argument of an arm frame: a pacing, and the flag where velocities are asked for. The register `pacings` holds one
- * bit for each pacing that the device can. */
+/* The argument of ARM: a pacing, and HAPSIM_WITH_VELOCITY if the host asks for velocities. The register `pacings` has
+ * one bit for each pacing that the device supports. */
 enum { HAPSIM_PACED_BY_DEVICE = 0, HAPSIM_PACED_BY_HOST = 1, HAPSIM_LOCKSTEP = 2, HAPSIM_WITH_VELOCITY = 0x80 };
 
 /* Payload 0 of a status frame: state | fault << 8. */
@@ -99,7 +99,7 @@ enum {
     HAPSIM_REGISTERS = 160
 };
 
-/* How frames look at the moment: made by hapsim_setup_format or hapsim_armed_format. */
+/* The format of frames, made by hapsim_setup_format or hapsim_armed_format. */
 typedef struct {
     uint8_t channels;
     bool velocity;   /* frames to the host carry a velocity beside each position */
@@ -109,7 +109,8 @@ typedef struct {
 
 #define HAPSIM_RECENT 128u /* a power of two above the longest frame of the host, 74 bytes */
 
-/* Reads the frames of the host. After hapsim_take_byte returned true: type, number, argument, payload. */
+/* The decoder of the host's frames. Once hapsim_take_byte returns true, type, number, argument and payload are
+ * valid. */
 typedef struct {
     hapsim_format format;
     uint8_t type;
@@ -117,7 +118,7 @@ typedef struct {
     uint8_t argument;
     int32_t payload[HAPSIM_MAX_CHANNELS];
     uint32_t accepted, crc_errors, length_errors, form_errors, garbage_bytes;
-    uint16_t seen; /* bytes since the last delimiter; beyond its counts they are garbage at once */
+    uint16_t seen; /* bytes since the last delimiter; any above UINT16_MAX are counted as garbage at once */
     uint8_t at;    /* where the next byte goes in `recent` */
     uint8_t recent[HAPSIM_RECENT];
 } hapsim_decoder;
@@ -127,7 +128,7 @@ static inline hapsim_format hapsim_setup_format(void) {
     return format;
 }
 
-/* The format between arm and disarm of a device with 1 to 16 channels. `velocity`: the argument of the arm frame has
+/* Returns the format between ARM and DISARM of a device with 1 to 16 channels. `velocity`: the argument of ARM has
  * HAPSIM_WITH_VELOCITY set. */
 static inline hapsim_format hapsim_armed_format(uint8_t channels, bool velocity) {
     const uint8_t longest = (uint8_t)(velocity ? 2 * channels : channels);
@@ -141,7 +142,8 @@ static inline hapsim_format hapsim_armed_format(uint8_t channels, bool velocity)
     return format;
 }
 
-/* Words in the payload of a frame to the host: positions, and velocities behind them where they were asked for. */
+/* Returns the number of words in the payload of a frame to the host: positions, then velocities if the format has
+ * them. */
 static inline uint8_t hapsim_words_to_host(const hapsim_format *format) {
     return (uint8_t)(format->velocity ? 2 * format->channels : format->channels);
 }
@@ -182,7 +184,8 @@ static inline uint32_t hapsim_check(const hapsim_format *format, const uint8_t *
     return hapsim_dnp((uint16_t)format->seed, data, bytes) ^ 0xFFFFu;
 }
 
-/* The check as it is sent, how many bytes of it: seven bits each, the lowest first, and the high bit set. */
+/* Writes the check as it is sent: seven bits per byte, the lowest first, with the high bit set. Returns the number of
+ * bytes. */
 static inline uint8_t hapsim_put_check(const hapsim_format *format, uint32_t check, uint8_t *out) {
     const uint8_t bytes = hapsim_check_bytes(format);
     for (uint8_t i = 0; i < bytes; i++, check >>= 7) {
@@ -191,7 +194,7 @@ static inline uint8_t hapsim_put_check(const hapsim_format *format, uint32_t che
     return bytes;
 }
 
-/* COBS for bodies of at most 253 bytes, in place: the body stands in buffer[1 .. bytes - 1]. */
+/* Encodes a body of at most 253 bytes in COBS, in place. The body is in buffer[1 .. bytes - 1]. */
 static inline void hapsim_stuff(uint8_t *buffer, size_t bytes) {
     size_t last = 0;
     for (size_t i = 1; i < bytes; i++) {
@@ -203,7 +206,7 @@ static inline void hapsim_stuff(uint8_t *buffer, size_t bytes) {
     buffer[last] = (uint8_t)(bytes - last);
 }
 
-/* The way back. False where the codes do not add up. */
+/* Decodes COBS in place. Returns false if the chain of codes does not end at the end. */
 static inline bool hapsim_unstuff(uint8_t *buffer, size_t bytes) {
     size_t at = 0;
     while (at < bytes) {
@@ -217,8 +220,8 @@ static inline bool hapsim_unstuff(uint8_t *buffer, size_t bytes) {
     return true;
 }
 
-/* Writes a frame of the device into `out`, which has room for HAPSIM_MAX_FRAME bytes: how many it takes. `payload`:
- * hapsim_words_to_host(format) values, at most HAPSIM_MAX_WORDS; in the set-up format that is one. */
+/* Writes a frame of the device into `out`, which has room for HAPSIM_MAX_FRAME bytes. Returns the frame's length.
+ * `payload` has hapsim_words_to_host(format) values: one in the set-up format, at most HAPSIM_MAX_WORDS. */
 static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *out, uint8_t type, uint16_t number,
                                           const int32_t *payload) {
     size_t at = 1;
@@ -226,7 +229,7 @@ static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *
     out[at++] = (uint8_t)(number & 0xFF);
     for (uint8_t i = 0; i < hapsim_words_to_host(format); i++) {
         uint32_t word = (uint32_t)payload[i];
-        for (uint8_t byte = 0; byte < 4; byte++, word >>= 8) { /* a shift that is not constant is a loop on an AVR */
+        for (uint8_t byte = 0; byte < 4; byte++, word >>= 8) { /* on an AVR a variable shift is a loop */
             out[at++] = (uint8_t)(word & 0xFFu);
         }
     }
@@ -236,7 +239,7 @@ static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *
     return at;
 }
 
-/* From the next byte on, frames of this format are expected; an unfinished one is forgotten, the counters stay. */
+/* Expects frames of this format from the next byte on. An unfinished frame is discarded; the counters stay. */
 static inline void hapsim_use_format(hapsim_decoder *decoder, hapsim_format format) {
     decoder->format = format;
     decoder->seen = 0;
@@ -247,7 +250,7 @@ static inline void hapsim_decoder_init(hapsim_decoder *decoder) {
     hapsim_use_format(decoder, hapsim_setup_format());
 }
 
-/* The fields of a body; false where the type is none that a host sends. */
+/* Reads the fields of a body. Returns false if no host sends this type. */
 static inline bool hapsim_read_body(hapsim_decoder *decoder, const uint8_t *body) {
     uint8_t type = (uint8_t)(body[0] >> 4);
     if (type < HAPSIM_DESCRIBE || type > HAPSIM_DISARM) {
@@ -264,8 +267,8 @@ static inline bool hapsim_read_body(hapsim_decoder *decoder, const uint8_t *body
     return true;
 }
 
-/* Looks at the last bytes before a delimiter, as many as a frame has. A function of its own: inlined, its registers
- * would be saved for every byte. */
+/* Checks the last bytes before a delimiter, as many as a frame has. Must not be inlined: its registers would be saved
+ * for every byte. */
 static HAPSIM_APART bool hapsim_accept(hapsim_decoder *decoder) {
     const uint8_t encoded = (uint8_t)(4u + 4u * decoder->format.channels);
     const uint8_t length = (uint8_t)(encoded + hapsim_check_bytes(&decoder->format));
@@ -294,7 +297,7 @@ static HAPSIM_APART bool hapsim_accept(hapsim_decoder *decoder) {
     return true;
 }
 
-/* Takes one byte of the host. True when it completes a valid frame, which is then in the decoder. */
+/* Takes one byte of the host. Returns true if the byte completes a valid frame, which is then in the decoder. */
 static inline bool hapsim_take_byte(hapsim_decoder *decoder, uint8_t byte) {
     if (byte == 0) {
         return hapsim_accept(decoder);
@@ -309,12 +312,12 @@ static inline bool hapsim_take_byte(hapsim_decoder *decoder, uint8_t byte) {
     return false;
 }
 
-/* Samples between the one that lasts now and the one that a force answers. */
+/* Returns the age of a force: the samples between the current one and the one that the force answers. */
 static inline uint16_t hapsim_age(uint32_t sample, uint16_t number) {
     return (uint16_t)((sample - number) % HAPSIM_SAMPLE_MODULUS);
 }
 
-/* Half of an f64 register pair: the low word stands first. */
+/* Returns one half of an f64 register pair. The low word comes first. */
 #if defined(__SIZEOF_DOUBLE__) && __SIZEOF_DOUBLE__ != 8
 extern uint32_t hapsim_double_is_too_short(void) __attribute__((
     error("double has 4 bytes with this compiler: write the two 32-bit words of the IEEE 754 double instead; "

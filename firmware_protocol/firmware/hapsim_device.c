@@ -34,23 +34,23 @@ static const hapsim_f64 velocity_scale[CHANNELS] = HAPSIM_BOARD_VELOCITY_SCALE;
 static const int32_t limit_counts[CHANNELS] = HAPSIM_BOARD_FORCE_LIMIT_COUNTS;
 static const char name[4 * HAPSIM_NAME_WORDS + 1] = HAPSIM_BOARD_NAME;
 
-/* Only the bytes touch the decoder. Everything else belongs to the tick too: the bytes hold it off meanwhile. */
+/* Only the main loop uses the decoder. It shares everything else with the tick, which it holds off meanwhile. */
 static hapsim_decoder decoder;
 
 static struct {
-    hapsim_format format; /* of what is said, and of what is listened to from the next byte on */
-    bool listen_anew;     /* the decoder does not know of it yet */
+    hapsim_format format; /* of the frames sent, and of those received from the next byte on */
+    bool listen_anew;     /* the decoder has not switched to `format` yet */
     uint8_t state, fault, pacing;
-    uint32_t sample;   /* that lasts now; all sample numbers wrap at 32 bits and are compared by difference */
-    uint32_t answered; /* the sample that the newest accepted force answers, */
-    uint32_t expires;  /* the last one in which that force may act, */
-    uint32_t heard;    /* and the one in which it came */
-    uint32_t heard_at; /* the same by the clock, and for how long it may act by the clock, in periods */
-    uint16_t lives;
-    bool released; /* paced by the host: within this sample the time to live ran out */
+    uint32_t sample;   /* the current one; sample numbers wrap at 32 bits and are compared by difference */
+    uint32_t answered; /* the sample that the newest accepted force answers */
+    uint32_t expires;  /* the last sample in which that force may act */
+    uint32_t heard;    /* the sample in which that force came */
+    uint32_t heard_at; /* the time at which that force came */
+    uint16_t lives;    /* how long that force may act by the clock, in periods */
+    bool released;     /* paced by the host: the time to live ended within this sample */
     uint16_t watchdog;
     uint32_t accepted, held, expired, limited;
-    int32_t force[CHANNELS]; /* commanded for the sample that lasts */
+    int32_t force[CHANNELS]; /* the command of the current sample */
 } device;
 
 static void put_zero(void) {
@@ -63,7 +63,7 @@ static void use_format(hapsim_format format) {
     device.listen_anew = true;
 }
 
-/* A frame that finds no room is lost, as on a wire: nothing here waits. */
+/* Sends a frame. Without room in the transmitter the frame is lost, as on a wire: nothing here waits. */
 static void say(uint8_t type, uint32_t number, const int32_t *payload) {
     uint8_t out[1 + 2 + 4 * WORDS + 5 + 1];
     (void)hapsim_port_write(out, hapsim_write_to_host(&device.format, out, type, (uint16_t)(number & 0xFFFu), payload));
@@ -75,7 +75,7 @@ static void say_status(void) {
     say(HAPSIM_STATUS, device.sample, payload);
 }
 
-/* The force first, talking about it afterwards; in the armed format, which the host still listens to. */
+/* Sets the force to zero first. Sends STATUS afterwards, in the armed format, which the host still expects. */
 static void latch(uint8_t fault) {
     put_zero();
     device.state = HAPSIM_LATCHED;
@@ -101,7 +101,7 @@ static void say_position(uint8_t type) {
     }
 }
 
-/* The sample that lasts ends: its command acts from now on, and the host hears what was measured. */
+/* Ends the current sample: its command acts from now on, and the host receives the new measurement. */
 static void end_sample(void) {
     const bool heard = device.heard == device.sample;
     const bool fresh = heard && device.answered == device.sample && !device.released;
@@ -114,7 +114,7 @@ static void end_sample(void) {
     say_position(fresh ? HAPSIM_POSITION : HAPSIM_POSITION_HELD);
 }
 
-/* No tick comes while the host that paces is silent, so both its force and its watchdog end by the device's own clock. */
+/* While a pacing host is silent, no tick comes. So the device's own clock ends the force and checks the watchdog. */
 static void look_at_clock(void) {
     const uint32_t quiet = hapsim_port_now() - device.heard_at;
     if (device.state != HAPSIM_ARMED || device.pacing != HAPSIM_PACED_BY_HOST) {
@@ -138,7 +138,7 @@ static int32_t within(int32_t force, int32_t limit) {
 }
 
 static void take_force(void) {
-    look_at_clock(); /* which the main loop may not have come round to */
+    look_at_clock(); /* the main loop may not have called this yet */
     if (device.state != HAPSIM_ARMED) {
         return;
     }
@@ -246,14 +246,14 @@ static HAPSIM_APART void listen_anew(void) {
 
 static HAPSIM_APART void take_frame(void) {
     hapsim_port_hold_tick();
-    if (!device.listen_anew) { /* else the tick latched while this frame was read: it is of a format that is over */
+    if (!device.listen_anew) { /* else the tick latched while this frame was read: the frame's format is over */
         act();
     }
     hapsim_port_let_tick();
 }
 
-/* The short way, as most bytes take it. The check of a whole frame takes long on a small processor: the tick comes in
- * between. */
+/* Most bytes take a short path: they complete no frame. Checking a whole frame takes long on a small processor, so the
+ * tick may interrupt the check. */
 void hapsim_device_take_byte(uint8_t byte) {
     if (device.listen_anew) {
         listen_anew();
@@ -274,7 +274,8 @@ void hapsim_device_tick(void) {
         return;
     }
     end_sample();
-    /* Last in the tick: position n goes out, and then the status that says that it was the last one. */
+    /* The watchdog is checked last in the tick: position n goes out, then the STATUS after which no position
+     * follows. */
     if (device.state == HAPSIM_ARMED && device.sample - device.heard > device.watchdog) {
         latch(HAPSIM_HOST_QUIET);
     }

@@ -15,14 +15,14 @@
 
 #include "../hapsim_protocol.h"
 
-/* An IEEE 754 double as two words, for scales, limits and the rate in hapsim_board.h. The words are hexadecimal:
- * the double of some compilers (avr-gcc) has 4 bytes. PORTING.md has a table of the usual ones. In Python,
+/* An IEEE 754 double as two words, for scales, limits and the rate in hapsim_board.h. The words are hexadecimal: the
+ * double of some compilers (avr-gcc) has 4 bytes. PORTING.md has a table of common values. In Python,
  * `struct.pack('>d', 1e-9).hex(' ', -4)` prints both words. */
 typedef struct {
     uint32_t low, high;
 } hapsim_f64;
 
-/* A word written as a floating-point number is a compile error here; the name gives the reason. */
+/* A word written as a floating-point number is a compile error here. The long name of the field gives the reason. */
 #define HAPSIM_IS_WHOLE(word) (((word) * 0 + 1) / 2 == 0)
 #define HAPSIM_HALF(word)                                                                                             \
     ((uint32_t)(word) +                                                                                               \
@@ -45,8 +45,9 @@ void hapsim_device_lost_bytes(void);
  * watchdog. */
 void hapsim_device_tick(void);
 
-/* Checks, if the host paces, that it has not been quiet for too long. Call it in every round of the main loop. Returns
- * true if the next call should come soon, because the host paces. The tick checks the same up to a period later. */
+/* If the host paces, checks that the host has not been quiet for too long. Call this in every round of the main loop.
+ * Returns true if the host paces: the next call should then come soon. The tick makes the same check up to a period
+ * later. */
 bool hapsim_device_look(void);
 
 /* Returns HAPSIM_IDLE, HAPSIM_ARMED or HAPSIM_LATCHED, for a lamp. */

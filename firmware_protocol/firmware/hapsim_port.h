@@ -3,7 +3,7 @@
  * the constants in your board's own hapsim_board.h. Nothing else has to change.
  *
  * Two contexts call them. The *tick* is the sample timer's interrupt, which calls hapsim_device_tick. The *main loop*
- * (or a task) passes on the bytes that the receiver collected. Only the tick may interrupt the main loop's calls.
+ * (or a task) gives the received bytes to hapsim_device_take_byte. Only the tick may interrupt the main loop's calls.
  */
 #ifndef HAPSIM_PORT_H
 #define HAPSIM_PORT_H
@@ -25,8 +25,7 @@ uint8_t hapsim_port_measure(int32_t *counts, bool velocity);
 void hapsim_port_put_forces(const int32_t *counts);
 
 /* Gives a whole frame to the transmitter. MUST NOT WAIT: without room it sends no byte and returns false. The next
- * sample carries newer data than this frame would by then. A tick that waits for a host that does not read leaves its
- * force without supervision. */
+ * sample carries newer data anyway. While a tick waits for a host that does not read, nothing supervises the force. */
 bool hapsim_port_write(const uint8_t *bytes, size_t count);
 
 /* Feeds the hardware watchdog. Only the tick calls it, so that a dead tick ends in a reset, and a reset in zero force.
@@ -37,7 +36,8 @@ void hapsim_port_feed_watchdog(void);
 void hapsim_port_begin(void);
 
 /* Disable the tick's interrupt and enable it again. The receiver's interrupt stays enabled: bytes come at any time.
- * Both must be functions of another file (or contain a memory barrier), so that the compiler moves nothing across them. */
+ * Both must be functions in another file, or contain a memory barrier, so that the compiler moves nothing across
+ * them. */
 void hapsim_port_hold_tick(void);
 void hapsim_port_let_tick(void);
 

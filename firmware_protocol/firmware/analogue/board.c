@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: MIT */
-/* The firmware on an ATmega328P whose sensors are voltages and whose motors hang on H-bridges: which pins, scales and
- * limits, the header of the device says (hapsim_board.h).
+/* The firmware on an ATmega328P whose sensors give voltages and whose motors are driven by H-bridges. Pins, scales and
+ * limits are in the device's header (see hapsim_board.h).
  *
- * Timer 1's tick starts the converter by itself, so no interrupt delays a position. PWM comes from timers 0 and 2, at
- * 62.5 kHz. A motor without force has its PWM disconnected and its pin low: fast PWM would give pulses of a 256th. */
+ * The tick of timer 1 starts the converter in hardware, so no interrupt delays a position. PWM comes from timers 0 and
+ * 2, at 62.5 kHz. A motor without force has its PWM disconnected and its pin low, because fast PWM at zero would still
+ * give pulses of a 256th. */
 #include "atmega328p.h"
 #include "hapsim_board.h"
 #include "hapsim_device.h"
@@ -31,8 +32,8 @@ static const motor motors[HAPSIM_BOARD_CHANNELS] = MOTORS;
 static const uint8_t sensors[HAPSIM_BOARD_CHANNELS] = SENSORS;
 static int32_t position[HAPSIM_BOARD_CHANNELS];
 static int16_t last[HAPSIM_BOARD_CHANNELS];
-static uint8_t odd[HAPSIM_BOARD_CHANNELS]; /* readings in a row that no sensor gives: 2 and more are a fault */
-static bool triggered;        /* by the timer, and not read yet */
+static uint8_t odd[HAPSIM_BOARD_CHANNELS]; /* bad readings in a row: 2 and more are a fault */
+static bool triggered;        /* the timer has started a conversion that is not read yet */
 
 static void drive_zero(const motor *one) {
     *one->control &= (uint8_t)~(one->connect | one->invert);
@@ -40,7 +41,7 @@ static void drive_zero(const motor *one) {
     *one->direction_port &= (uint8_t)~one->direction;
 }
 
-/* 0 to 255 of 256, of what is within the limit. */
+/* Returns the duty, 0 to 255 of 256, for counts within the limit. */
 static uint8_t duty_of(uint16_t counts) {
 #if DUTY_IS_ROOT
     uint8_t root = 0;
@@ -79,17 +80,17 @@ void hapsim_port_put_forces(const int32_t *counts) {
 }
 
 static void choose(uint8_t c) {
-    ADMUX = (uint8_t)(_BV(REFS0) | sensors[c]); /* against the supply, as the sensors are */
+    ADMUX = (uint8_t)(_BV(REFS0) | sensors[c]); /* reference: the supply, as for the sensors */
 }
 
-/* Waits for the conversion that was started; with interrupts let in, as everywhere in the tick. */
+/* Waits for the conversion that was started. Interrupts stay enabled, as everywhere in the tick. */
 static int16_t converted(void) {
     while (ADCSRA & _BV(ADSC)) {
     }
     return (int16_t)ADC;
 }
 
-/* A single reading that cannot be is passed over; after two in a row the sensor is believed from where it is then. */
+/* Skips a single bad reading. After two in a row, continues from the sensor's present reading. */
 static void follow(uint8_t c, int16_t reading) {
     int16_t step = (int16_t)(reading - last[c]);
 #ifdef TOOTH
@@ -141,7 +142,7 @@ uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
 void board_begin(void) {
 }
 
-/* Sensors are read in every state: an unread tooth of the sawtooth would be lost. */
+/* Reads the sensors in every state: an unread tooth of the sawtooth would be lost. */
 void board_tick(void) {
     triggered = true;
     hapsim_device_tick();
@@ -155,7 +156,7 @@ void board_start(void) {
         drive_zero(&motors[c]);
         DIRECTIONS(motors[c].pwm_port) |= motors[c].pwm;
         DIRECTIONS(motors[c].direction_port) |= motors[c].direction;
-        *motors[c].control |= _BV(WGM01) | _BV(WGM00); /* of timer 0 and of timer 2 alike: fast PWM, */
+        *motors[c].control |= _BV(WGM01) | _BV(WGM00); /* the same for timers 0 and 2: fast PWM, */
         *(motors[c].control + 1) = _BV(CS00);          /* without a prescaler */
     }
     ADCSRB = _BV(ADTS2) | _BV(ADTS0); /* compare match B of timer 1 */
@@ -163,7 +164,7 @@ void board_start(void) {
     choose(0);
     for (uint8_t c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
         odd[c] = 2;
-        last[c] = -16384; /* of no sensor: the first reading is where it is, the second one how far it went */
+        last[c] = -16384; /* no sensor's reading: so the first one sets the position, the second one measures a step */
     }
     read_sensors();
     read_sensors();

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* Motor faders, FADERS of them (1, 2 or 4), wired as tttapa/Control-Surface-Motor-Fader (main.cpp): on each fader one
- * input of an L293D has PWM (D3, D11, D5, D6) and the other one the direction (D2, D13, D4, D7); potentiometers on A0 to
- * A3. Force and travel are guesses. */
+/* Motor faders; FADERS is their number (1, 2 or 4). They are wired as in tttapa/Control-Surface-Motor-Fader (main.cpp).
+ * Each fader has two inputs of an L293D: one for PWM (D3, D11, D5, D6), one for the direction (D2, D13, D4, D7). The
+ * potentiometers are on A0 to A3. Force and travel are guesses. */
 #define HAPSIM_BOARD_NAME "hapsim faders"
 #define HAPSIM_BOARD_CHANNELS FADERS
 
@@ -26,6 +26,6 @@
 #define MOTORS {MOTOR(2, B, D, 3, D, 2), MOTOR(2, A, B, 3, B, 5), MOTOR(0, B, D, 5, D, 4), MOTOR(0, A, D, 6, D, 7)}
 #define SENSORS {0, 1, 2, 3}
 #endif
-#define TWO_INPUTS 1 /* of the bridge: while the direction is high, PWM is inverted */
+#define TWO_INPUTS 1 /* the bridge has two: while the direction is high, PWM is inverted */
 #define FORWARD_HIGH 0
 #include "potentiometer.h"

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* A FireFader on an Arduino Nano: PWM on D5 and D6, direction on D4 and D7, potentiometers on A2 and A3. Pins are those
- * of its own program (eberdahl/Open-Source-Haptics-For-Artists, haptics_firmware.ino); force and travel are guesses. */
+/* A FireFader on an Arduino Nano: PWM on D5 and D6, direction on D4 and D7, potentiometers on A2 and A3. The pins come
+ * from its own program (eberdahl/Open-Source-Haptics-For-Artists, haptics_firmware.ino). Force and travel are
+ * guesses. */
 #define HAPSIM_BOARD_NAME "hapsim firefader"
 #define HAPSIM_BOARD_CHANNELS 2
 

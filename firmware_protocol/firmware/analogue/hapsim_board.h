@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* The constants of an analogue board that follow from those of its device: from HAPSIM_ANALOGUE, the name of its header,
- * which the firmware and the emulated device share. */
+/* The constants of an analogue board that follow from the constants of its device. HAPSIM_ANALOGUE names the device's
+ * header, which the firmware and the emulated device share. */
 #ifndef HAPSIM_BOARD_H
 #define HAPSIM_BOARD_H
 
@@ -9,9 +9,9 @@
 #define HAPSIM_BOARD_PACINGS 3 /* by the device, by the host */
 #define HAPSIM_BOARD_MAX_WATCHDOG 2047
 #define HAPSIM_BOARD_IMPULSE 0
-#define HAPSIM_BOARD_PERIOD_TICKS (2000000ul / RATE) /* the clock counts half microseconds: timer 1 behind its prescaler of 8 */
+#define HAPSIM_BOARD_PERIOD_TICKS (2000000ul / RATE) /* the clock is timer 1 with prescaler 8: half microseconds */
 
-/* A whole number of Hz as a double, its low word zero. */
+/* A whole number of Hz as a double; its low word is zero. */
 #if RATE < 128 || RATE > 2047
 #error "RATE: 128 to 2047 Hz"
 #elif RATE < 256
@@ -24,13 +24,13 @@
 #define HAPSIM_BOARD_RATE HAPSIM_F64(0x40900000 + ((RATE - 1024ul) << 10), 0)
 #endif
 
-/* Bytes of an exchange (PROTOCOL.md, section 11): where they do not fit a sample, every force is late. */
+/* Bytes of an exchange (PROTOCOL.md, section 11). If they do not fit a sample, every force is late. */
 #define EXCHANGE_BYTES (HAPSIM_BOARD_CHANNELS > 3 ? 19ul + 8 * HAPSIM_BOARD_CHANNELS : 15ul + 8 * HAPSIM_BOARD_CHANNELS)
 #if EXCHANGE_BYTES * 10 * RATE > HAPSIM_BAUD
 #error "HAPSIM_BAUD is too slow for this RATE: an exchange takes longer than a sample"
 #endif
 
-/* One entry a channel. */
+/* One entry per channel. */
 #if HAPSIM_BOARD_CHANNELS == 1
 #define EACH(value) {value}
 #elif HAPSIM_BOARD_CHANNELS == 2

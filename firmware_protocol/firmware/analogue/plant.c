@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: MIT */
-/* A motor on its bridge moves a mass; a voltage tells where it is. All at the handle, in SI:
+/* A motor on its bridge moves a mass, and a voltage reports its position. All values are at the handle, in SI:
  *
  *     m dv/dt = F(duty) - (friction + emf) v - coulomb sign(v)       F = full duty^2 where the firmware takes a root
  *
- * `emf` is what the back-EMF takes of the force, k^2/R of the motor: it acts while the bridge drives. The bridge's force
- * is taken for that of its duty, which a pulse tells when it ends; ripple, inductance and switching losses are left out. */
+ * `emf` is the friction of the back-EMF, k^2/R of the motor; it acts while the bridge drives. The force is that of the
+ * bridge's duty, which is known at the end of each pulse. The model omits ripple, inductance and switching losses. */
 #include "plant.h"
 
 #include "hapsim_board.h"
@@ -19,14 +19,14 @@
 #include <string.h>
 
 #define HZ 16e6
-#define STEP 160u       /* cycles, 10 us: the longest of the motion's */
+#define STEP 160u       /* cycles, 10 us: the longest step of the motion */
 #define PWM_PERIOD 256u
 #define LATE 6          /* cycles: simavr moves a pin between two instructions */
 #define COMPARE_B 12u   /* vector of timer 1 */
 
 typedef struct {
     char pwm_port, pwm, direction_port, direction;
-    uint8_t compare; /* register of its timer */
+    uint8_t compare; /* compare register of the pin's timer */
 } pins;
 #define COMPARE_0A 0x47
 #define COMPARE_0B 0x48
@@ -39,19 +39,19 @@ static const uint8_t sensors[HAPSIM_BOARD_CHANNELS] = SENSORS;
 typedef struct {
     double x, v;
     bool high, forward; /* the pins */
-    uint64_t edge;      /* cycle of the last change of PWM */
+    uint64_t edge;      /* cycle of the last PWM edge */
     int32_t duty;
-    double told; /* V of the sensor, in counts of the converter */
+    double told; /* the sensor's voltage, in counts of the converter */
 } channel;
 
 static channel channels[HAPSIM_BOARD_CHANNELS];
 static avr_t *chip;
 static avr_irq_t *converter;
 static void (*note_drive)(uint64_t, int32_t);
-static uint64_t now, driven; /* moved up to here; since when channel 0 is driven at all */
+static uint64_t now, driven; /* cycles: the motion is computed up to `now`; channel 0 was first driven at `driven` */
 static uint64_t seed;
 
-/* What can be set, and by what name. */
+/* The properties that can be set, by name. */
 static double mass = PLANT_MASS, friction = PLANT_FRICTION, coulomb = PLANT_COULOMB, emf = PLANT_EMF, full = PLANT_FULL;
 static double noise = PLANT_NOISE, random_seed = 1, wire_off = INFINITY, leap = INFINITY, disconnected = 0;
 static const struct {
@@ -89,7 +89,7 @@ void tell_plant(void) {
     }
 }
 
-/* Marsaglia's xorshift, and the sum of four as a normal number. */
+/* Returns a roughly normal number: the sum of four numbers of Marsaglia's xorshift. */
 static double random_normal(void) {
     double sum = 0;
     for (int i = 0; i < 4; i++) {
@@ -111,7 +111,7 @@ static void move(channel *one, double seconds) {
     const double against = before != 0 ? copysign(coulomb, before) : copysign(coulomb, push);
     one->v += (push - against) / mass * seconds;
     if (before * one->v < 0) {
-        one->v = 0; /* dry friction stops it, and does not turn it back */
+        one->v = 0; /* dry friction stops the mass and does not turn it back */
     }
     one->x += 0.5 * (before + one->v) * seconds;
 }
@@ -135,13 +135,13 @@ static int32_t signed_duty(const channel *one, int32_t size) {
     return one->forward ? size : -size;
 }
 
-/* Of the pulse that was seen: as long as the timer makes it, where that is no longer than simavr allows to tell. */
+/* Returns the length of the pulse that ends now. Within simavr's resolution this is the length that the timer sets. */
 static int32_t length_of(const channel *one) {
     const int32_t seen = (int32_t)(chip->cycle - one->edge), set = chip->data[motors[one - channels].compare] + 1;
     return abs(seen - set) <= LATE ? set : seen;
 }
 
-/* Moves all up to now. A pin that has not changed for a period gives no pulses, or one without end. */
+/* Moves all channels up to now. A pin without an edge for a whole period is either off or always on. */
 static void move_on(void) {
     const uint64_t until = chip->cycle;
     while (now < until) {
@@ -183,7 +183,7 @@ static double since_driven(void) {
     return driven ? (double)(chip->cycle - driven) / HZ : 0;
 }
 
-/* In counts of the converter, which takes whole ones, from 0 to 1023. */
+/* Returns the sensor's reading in counts, before the converter rounds it and limits it to 0 to 1023. */
 static double reading(const channel *one) {
     const double off = since_driven() >= leap ? 340 : 0;
 #ifdef TOOTH
@@ -195,7 +195,7 @@ static double reading(const channel *one) {
     return since_driven() >= wire_off ? 1023 : told + noise * random_normal();
 }
 
-/* A conversion begins: it holds what the pin has now. simavr reads the value only when the firmware does. */
+/* A conversion begins: samples the pin now, because simavr would read it only when the firmware does. */
 static void on_conversion(avr_irq_t *irq, uint32_t mux, void *unused) {
     (void)irq, (void)unused;
     union {
@@ -211,7 +211,7 @@ static void on_conversion(avr_irq_t *irq, uint32_t mux, void *unused) {
     }
 }
 
-/* The converter starts by itself at compare match B; simavr knows only free running. */
+/* Starts the converter at compare match B, as the chip does; simavr supports only free running. */
 static void on_match(avr_irq_t *irq, uint32_t pending, void *unused) {
     (void)irq, (void)unused;
     if (pending) {
@@ -237,7 +237,7 @@ void connect_plant(avr_t *avr, void (*note)(uint64_t cycle, int32_t duty)) {
     chip = avr;
     note_drive = note;
     seed = 88172645463325252ull ^ (uint64_t)random_seed << 20;
-    avr->avcc = 1023; /* mV: one of them a count */
+    avr->avcc = 1023; /* mV: one per count */
     converter = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, 0);
     avr_irq_register_notify(converter + ADC_IRQ_OUT_TRIGGER, on_conversion, NULL);
     avr_irq_register_notify(avr_get_interrupt_irq(avr, COMPARE_B) + AVR_INT_IRQ_PENDING, on_match, NULL);

@@ -10,14 +10,14 @@
 /* Takes NAME=NUMBER, one of the properties in plant.c; returns false for another name. Call it before connect_plant. */
 bool set_plant(const char *word);
 
-/* Joins the converter's inputs and the motors' pins. `note`: called for each change of a motor's drive with the cycle from
- * which it acts, and the drive of channel 0: its duty in 256ths, below zero where it pushes towards smaller positions. */
+/* Connects the plant to the converter's inputs and the motors' pins. Calls `note` for each change of channel 0's drive,
+ * with the cycle from which it acts and the duty in 256ths. The duty is negative towards smaller positions. */
 void connect_plant(avr_t *avr, void (*note)(uint64_t cycle, int32_t duty));
 
-/* The chip was reset: its pins drive nothing. */
+/* Call it when the chip was reset: its pins drive nothing. */
 void reset_plant(void);
 
-/* The properties in force. */
+/* Prints the present properties. */
 void tell_plant(void);
 
 #endif

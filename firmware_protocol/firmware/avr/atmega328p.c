@@ -1,21 +1,21 @@
 /* SPDX-License-Identifier: MIT */
-/* Timer 1 makes the tick, by its compare match B, which can start the analogue converter too. The receiver's interrupt
- * puts bytes into a ring and does nothing else; at 2 Mbaud it has 80 cycles for each, so nothing else may hold interrupts
- * off for longer than two bytes last, which the receiver keeps itself: the tick's interrupt lets others in at once. */
+/* Compare match B of timer 1 makes the tick; it can start the analogue converter too. The receiver's interrupt only
+ * puts bytes into a ring. At 2 Mbaud a byte lasts 80 cycles, and the receiver itself keeps two bytes. So nothing may
+ * disable interrupts for longer than two bytes last: the tick's interrupt enables others at once. */
 #include "atmega328p.h"
 
 #include "hapsim_device.h"
 #include "hapsim_port.h"
-#include <hapsim_board.h> /* of the board that is built, not the one beside this file */
+#include <hapsim_board.h> /* that of the board being built, not the one beside this file */
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <avr/sleep.h>
 #include <avr/wdt.h>
 
-#define RING 256 /* what a byte counts before it begins anew by itself */
+#define RING 256 /* as many as a byte counts before it wraps */
 
-/* One context writes `end`, the other one `start`: a byte each, so that neither needs a lock. */
+/* One context writes `end`, the other writes `start`. Each is one byte, so neither needs a lock. */
 typedef struct {
     uint8_t bytes[RING];
     volatile uint8_t start, end;
@@ -24,12 +24,13 @@ typedef struct {
 static ring received, to_send;
 static uint32_t ticks; /* clock at the last tick */
 static volatile bool tick_held, tick_due;
-static volatile bool overrun; /* of the ring of received bytes, since it was looked at */
+static volatile bool overrun; /* the ring of received bytes ran over since the last check */
 
-/* received.bytes[end++] = UDR0; overrun = end == received.start; in 46 cycles of the 80 that a byte lasts, all told. The
- * compiler's own takes 60, which leaves the tick and the main loop 20 in place of 34 while bytes come without a pause.
+/* received.bytes[end++] = UDR0; if (end == received.start) overrun = true; this takes 46 of the 80 cycles that a byte
+ * lasts. The compiler's version takes 60. While bytes come without a pause, that would leave the tick and the main loop
+ * 20 cycles instead of 34.
  *
- * The newest bytes are kept: after noise of any length the frame that follows it is among them. */
+ * The ring keeps the newest bytes: after noise of any length, the next frame is among them. */
 ISR(USART_RX_vect, ISR_NAKED) {
     __asm__ volatile("push r24            \n\t"
                      "in   r24, __SREG__  \n\t"
@@ -74,7 +75,7 @@ void hapsim_port_hold_tick(void) {
     tick_held = true;
 }
 
-/* A tick that came meanwhile is made up for here. */
+/* Enables the tick again, and runs a tick that came meanwhile. */
 void hapsim_port_let_tick(void) {
     for (;;) {
         cli();
@@ -88,8 +89,8 @@ void hapsim_port_let_tick(void) {
     }
 }
 
-/* Interrupts are let in at once: bytes come during a tick, and so may the next tick, which finds this one at work.
- * Neither of the bytes' interrupts asks for the time, so nothing sees `ticks` half counted. */
+/* Interrupts are enabled at once: bytes may come during a tick, and so may the next tick, which then only sets
+ * tick_due. The interrupts for bytes do not read the clock, so nothing sees a half-written `ticks`. */
 ISR(TIMER1_COMPB_vect, ISR_NOBLOCK) {
     ticks += HAPSIM_BOARD_PERIOD_TICKS;
     tick_due = true;
@@ -99,7 +100,7 @@ ISR(TIMER1_COMPB_vect, ISR_NOBLOCK) {
     }
 }
 
-/* A match that has not been served yet is in the counter, but not in `ticks`. */
+/* A compare match whose interrupt has not run yet is in the counter, but not yet in `ticks`. */
 uint32_t hapsim_port_now(void) {
     const uint8_t before = SREG;
     cli();
@@ -121,7 +122,7 @@ void hapsim_port_begin(void) {
     board_begin();
 }
 
-/* Called by the tick, or while the tick is held off: never by two at once. */
+/* Called by the tick, or while the tick is held off, so never twice at once. */
 bool hapsim_port_write(const uint8_t *bytes, size_t count) {
     uint8_t end = to_send.end;
     const uint8_t room = (uint8_t)(to_send.start - end - 1u);
@@ -141,7 +142,8 @@ void hapsim_port_feed_watchdog(void) {
     wdt_reset();
 }
 
-/* After a reset by the watchdog it runs on, at its shortest: it has to be stopped before memory is even cleared. */
+/* After a watchdog reset the watchdog still runs, with its shortest timeout. It must be stopped before memory is
+ * cleared. */
 void stop_watchdog(void) __attribute__((naked, used, section(".init3")));
 void stop_watchdog(void) {
     MCUSR = 0;
@@ -161,14 +163,14 @@ static void start_hardware(void) {
     set_sleep_mode(SLEEP_MODE_IDLE);
 }
 
-/* The oldest half goes, so that the newest one can be read before it is overwritten too. */
+/* Drops the oldest half of the ring, so that the newest half can be read before it is overwritten. */
 static void drop_oldest(void) {
     cli();
     received.start = (uint8_t)(received.end - RING / 2);
     overrun = false;
     sei();
     hapsim_device_lost_bytes();
-    GPIOR2 = 2; /* for an observer: how often */
+    GPIOR2 = 2; /* run_avr counts these */
 }
 
 static bool take_byte(void) {
@@ -181,13 +183,13 @@ static bool take_byte(void) {
     }
     const uint8_t byte = received.bytes[start];
     received.start = (uint8_t)(start + 1u);
-    GPIOR2 = 1; /* for an observer: how long it takes */
+    GPIOR2 = 1; /* run_avr measures how long this takes */
     hapsim_device_take_byte(byte);
     GPIOR2 = 0;
     return true;
 }
 
-/* Sleeps until the next interrupt, unless a byte came after it was looked for. */
+/* Sleeps until the next interrupt, unless a byte has come since the last check. */
 static void rest(void) {
     cli();
     if (received.start == received.end && !overrun) {
@@ -210,7 +212,7 @@ int main(void) {
         if (!hapsim_device_look()) {
             rest();
         }
-#ifdef HAPSIM_BROKEN_TICK /* half a second after arming the tick dies: the hardware watchdog has to see it */
+#ifdef HAPSIM_BROKEN_TICK /* the tick dies half a second after arming: the hardware watchdog must reset the chip */
         if (hapsim_device_register(HAPSIM_REG_ACCEPTED) > 500) {
             TCCR1B = 0;
         }

@@ -1,16 +1,16 @@
 /* SPDX-License-Identifier: MIT */
-/* What every board with an ATmega328P at 16 MHz has: main, the tick, the serial port at HAPSIM_BAUD, the hardware
- * watchdog. A board with one adds these three, hapsim_port_measure and hapsim_port_put_forces. */
+/* The common part of boards with an ATmega328P at 16 MHz: main, the tick, the serial port at HAPSIM_BAUD, the hardware
+ * watchdog. Each board adds the three functions below, hapsim_port_measure and hapsim_port_put_forces. */
 #ifndef ATMEGA328P_H
 #define ATMEGA328P_H
 
-/* First after a reset, with interrupts off. */
+/* Called first after a reset, with interrupts disabled. */
 void board_start(void);
 
-/* The host has armed the device, and the timer of the tick has begun anew. */
+/* Called when the host has armed the device and the tick's timer has restarted. */
 void board_begin(void);
 
-/* Calls hapsim_device_tick; at every tick of timer 1, in every state. */
+/* Called at every tick of timer 1, in every state. Must call hapsim_device_tick. */
 void board_tick(void);
 
 #endif

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* simavr takes the time of a byte from U2X as it stands when UBRR is written, and counts a parity bit that is not there;
- * it queues 64 bytes, and drops what comes on top. So bytes come here one by one at the baud of the firmware, and one
- * that finds two unread bytes is lost, as on the chip (which loses it as the next one begins). */
+/* simavr takes the time of a byte from U2X at the moment when UBRR is written, and counts a parity bit that is not
+ * sent. It queues 64 bytes and drops any more. So this file delivers bytes one by one, at the firmware's baud rate. A
+ * byte that finds two unread bytes is lost, as on the chip (which loses it when the next one begins). */
 #include "chip.h"
 
 #include <avr_uart.h>
@@ -9,8 +9,8 @@
 #include <sim_io.h>
 #include <string.h>
 
-#define KEPT 2u     /* bytes in the receiver, unread */
-#define ENTERING 4u /* cycles, of an interrupt */
+#define KEPT 2u     /* unread bytes that the receiver keeps */
+#define ENTERING 4u /* cycles to enter an interrupt */
 #define UCSR0A 0xc0
 #define U2X0 2u
 #define UBRR0L 0xc4
@@ -25,7 +25,7 @@ static uint8_t wire[WIRE];
 static size_t put, arrived;
 static unsigned long lost;
 
-/* Ten bits, at the baud that the firmware has set. */
+/* Returns the cycles of ten bits at the baud rate that the firmware has set. */
 static uint32_t cycles_per_byte(void) {
     const uint32_t divisor = (chip->data[UBRR0L] | (uint32_t)(chip->data[UBRR0H] & 15) << 8) + 1;
     return 10u * divisor * (chip->data[UCSR0A] & U2X0 ? 8u : 16u);
@@ -35,7 +35,8 @@ static unsigned unread(void) {
     return (unsigned)(uart->input.write - uart->input.read) % uart_fifo_fifo_size;
 }
 
-/* A byte whose time on the wire is over raises the flag at once: for the receiver alone it takes no further time. */
+/* Gives the receiver a byte whose time on the wire is over. The flag must rise at once, so the receiver's own time is 1
+ * cycle. */
 static void receive(uint8_t byte) {
     if (unread() >= KEPT) {
         lost++;
@@ -60,7 +61,7 @@ void put_on_wire(const uint8_t *bytes, size_t count) {
     for (size_t i = 0; i < count; i++) {
         wire[put++ % WIRE] = bytes[i];
     }
-    /* A reset of the chip forgets its timers, but not what is on the wire. */
+    /* A reset of the chip clears its timers, but not the bytes on the wire. */
     if (put > arrived && avr_cycle_timer_status(chip, on_arrival, NULL) == 0) {
         avr_cycle_timer_register(chip, cycles_per_byte(), on_arrival, NULL);
     }
@@ -73,7 +74,7 @@ static void on_interrupt(avr_irq_t *irq, uint32_t begins, void *unused) {
     }
 }
 
-/* The flag stands as long as a byte is unread; simavr would look for the second one a byte's time later. */
+/* The flag stays set as long as a byte is unread; simavr would check for the second byte only one byte time later. */
 static void on_received(avr_irq_t *irq, uint32_t begins, void *unused) {
     (void)irq, (void)unused;
     if (!begins && unread()) {

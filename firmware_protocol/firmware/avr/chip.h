@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* What the ATmega328P does and simavr 1.6 does not: the time that a byte takes on the wire, a receiver that keeps two
- * bytes and no more, and the cycles that it takes to enter an interrupt. */
+/* Features of the ATmega328P that simavr 1.6 lacks: the time of a byte on the wire, a receiver that keeps only two
+ * bytes, and the cycles to enter an interrupt. */
 #ifndef CHIP_H
 #define CHIP_H
 
@@ -9,16 +9,16 @@
 #include <stdint.h>
 #include <stdio.h>
 
-/* After avr_init. */
+/* Adds these features. Call it after avr_init. */
 void mend_chip(avr_t *avr);
 
-/* How many bytes the wire to the chip takes now. */
+/* Returns the number of bytes that the wire to the chip takes now. */
 size_t wire_room(void);
 
-/* Puts `count` bytes on the wire, at most wire_room(): they arrive one after another, each when its time is over. */
+/* Puts `count` bytes on the wire, at most wire_room(). Each arrives when its time on the wire is over. */
 void put_on_wire(const uint8_t *bytes, size_t count);
 
-/* What arrived, and what came too soon for the firmware. */
+/* Prints how many bytes arrived, and how many were lost because the firmware was too slow. */
 void tell_wire(FILE *to);
 
 #endif

@@ -4,12 +4,12 @@
 #include <sim_interrupts.h>
 
 #define GPIOR2 0x4b
-#define RAN_OVER 2   /* what the firmware writes there when its ring did */
-#define RETURNING 4u /* cycles, which come after the interrupt is reported as over */
+#define RAN_OVER 2   /* the firmware writes this to GPIOR2 when its ring ran over */
+#define RETURNING 4u /* cycles of the return, after simavr reports the interrupt's end */
 
 typedef struct {
     const char *what;
-    uint8_t vector; /* 0: between two writes to GPIOR2 */
+    uint8_t vector; /* 0: measured between two writes to GPIOR2 */
     avr_cycle_count_t begun, least, most, sum;
     unsigned long times;
 } stretch;
@@ -39,14 +39,14 @@ static void on_interrupt(avr_irq_t *irq, uint32_t begins, void *which) {
         one->begun = chip->cycle;
     } else if (one->begun) {
         const avr_cycle_count_t cycles = chip->cycle + RETURNING - one->begun;
-        if (one->vector != TICK || cycles > MANY) { /* an idle device's has next to nothing to do */
+        if (one->vector != TICK || cycles > MANY) { /* shorter ones are those of an idle device */
             add(one, cycles);
         }
         one->begun = 0;
     }
 }
 
-/* A frame's check takes so much longer than a byte that the two cannot be taken for each other. */
+/* A frame's check takes so much longer than a byte that its duration identifies it. */
 static void on_gpior2(avr_t *avr, avr_io_addr_t address, uint8_t value, void *unused) {
     static avr_cycle_count_t begun;
     (void)unused;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* How many cycles the firmware's interrupts and its main loop take, looked at from outside of the chip. */
+/* Cycles of the firmware's interrupts and main loop, measured from outside of the chip. */
 #ifndef CYCLES_H
 #define CYCLES_H
 

@@ -8,6 +8,6 @@
 #ifndef HAPSIM_BAUD
 #define HAPSIM_BAUD 2000000ul
 #endif
-#define HAPSIM_BOARD_PERIOD_TICKS 2000ul /* the clock counts half microseconds: timer 1 behind its prescaler of 8 */
+#define HAPSIM_BOARD_PERIOD_TICKS 2000ul /* the clock is timer 1 with prescaler 8: half microseconds */
 
 #endif

@@ -3,7 +3,7 @@
 
 #include "../../hapsim_protocol.h"
 
-enum { TO_HOST = 7, TO_DEVICE = 8, CHECK = 3 }; /* encoded bytes in the set-up format, and those of their check */
+enum { TO_HOST = 7, TO_DEVICE = 8, CHECK = 3 }; /* bytes in the set-up format: encoded, each way, and of the check */
 
 static bool open_frame(uint8_t *frame, size_t encoded) {
     const hapsim_format format = hapsim_setup_format();

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* A chip that paces itself, as a device in lockstep: the harness stops its clock while the host thinks. The firmware is
- * the one that a board gets; it never hears of lockstep, which no device with a motor offers. */
+/* Makes a chip that paces itself look like a device in lockstep: the harness stops the chip's clock while the host
+ * computes. The firmware is the one for a real board. It does not support lockstep, which no device with a motor may
+ * offer. */
 #ifndef LOCKSTEP_H
 #define LOCKSTEP_H
 
@@ -8,11 +9,11 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* A whole frame of the chip, with its delimiter. In the one that declares the pacings lockstep is added, in place. True
- * where it is a position, which the host answers. */
+/* Takes a whole frame of the chip, with its delimiter. If the frame declares the pacings, adds lockstep in place.
+ * Returns true if the frame is a position, which the host answers. */
 bool offer_lockstep(uint8_t *frame, size_t bytes);
 
-/* Bytes of the host: an ARM in lockstep becomes one that the device paces, in place. */
+/* Takes bytes of the host. Changes an ARM in lockstep, in place, to an ARM paced by the device. */
 void take_lockstep(uint8_t *bytes, size_t count);
 
 #endif

@@ -1,12 +1,16 @@
 /* SPDX-License-Identifier: MIT */
-/* Runs the AVR firmware on simavr: `run_avr FIRMWARE.hex [LOG [NAME=NUMBER ...]]` joins UART 0 to a pseudo-terminal, prints
- * its path, and keeps the emulated clock at real time until it is stopped. An analogue board's motors and sensors are those
- * of analogue/plant.c, with these properties. `lockstep=1` stops the emulated clock after each position until the host has
- * answered, and goes on as fast as it can: virtual time, for a scene with `clock: lockstep` (lockstep.h).
+/* Runs the AVR firmware on simavr: `run_avr FIRMWARE.hex [LOG [NAME=NUMBER ...]]` connects UART 0 to a pseudo-terminal,
+ * prints its path, and runs until it is stopped. At the end it prints how many cycles the firmware's parts took.
  *
- * The emulated clock never runs ahead of it. Where this machine was held up for longer than a sample, that time is lost:
- * a burst of samples would be of no use. LOG: each force put out, be it the same again, a line of two hexadecimal
- * words: microseconds of the emulated clock, and counts; of an analogue board each change of the duty, in 256ths. At the end it prints how many cycles the firmware's parts took.
+ * The emulated clock follows real time and never runs ahead of it. If this machine was held up for longer than a
+ * sample, that time is lost: a burst of samples would be of no use.
+ *
+ * NAME=NUMBER sets a property of analogue/plant.c, which simulates an analogue board's motors and sensors. `lockstep=1`
+ * gives virtual time, for a scene with `clock: lockstep` (lockstep.h): the emulated clock stops after each position
+ * until the host has answered, and otherwise runs as fast as it can.
+ *
+ * LOG gets a line for each force put out, even for the same force again. The line has two hexadecimal words:
+ * microseconds of the emulated clock, and counts. An analogue board logs each change of the duty, in 256ths.
  */
 #define _GNU_SOURCE
 #include "chip.h"
@@ -35,9 +39,9 @@
 #define CHIP "atmega328p"
 #define CYCLES_PER_US 16u
 #define SLICE_US 100
-#define BYTES_PER_SLICE 32 /* more than arrive in one at 2 Mbaud: the wire is never short of them */
+#define BYTES_PER_SLICE 32 /* more than arrive in a slice at 2 Mbaud, so the wire never runs empty */
 #define MOST_BEHIND_US 1000
-#define GIVES_UP_MS 10000 /* waiting for an answer in lockstep */
+#define GIVES_UP_MS 10000 /* longest wait for an answer in lockstep */
 #define GPIOR0 0x3e
 #define GPIOR1 0x4a
 
@@ -87,7 +91,7 @@ static void connect_plant(avr_t *chip, void (*note)(uint64_t, int32_t)) {
     avr_register_io_write(chip, GPIOR1, on_gpior1, NULL);
 }
 
-/* The converter has a reset pin of its own, which the chip's reset pulls. */
+/* The converter has a reset pin, which the chip's reset pulls. */
 static void reset_plant(void) {
     shifted = 0;
     note_force(avr->cycle, 0);
@@ -111,7 +115,8 @@ static void on_byte(avr_irq_t *irq, uint32_t byte, void *unused) {
     }
 }
 
-/* Writes the frame at `at`; how far it came. What the terminal has no room for is dropped whole, unless it was begun. */
+/* Writes the frame at `at`. Returns the bytes written; a frame without room in the terminal counts as written and is
+ * lost whole, unless part of it was sent before. */
 static size_t send_frame(size_t at, size_t length, bool *begun) {
     const ssize_t sent = write(port, unsent + at, length);
     if (sent == (ssize_t)length || (sent <= 0 && !*begun)) {
@@ -122,7 +127,8 @@ static size_t send_frame(size_t at, size_t length, bool *begun) {
     return sent > 0 ? (size_t)sent : 0;
 }
 
-/* Whether there was a position. A host that does not listen loses frames here, not pieces of them: the wire tears nothing. */
+/* Sends the whole frames; returns whether there was a position. A host that does not read loses whole frames here,
+ * never pieces of them. */
 static bool send_bytes(void) {
     static bool begun;
     bool position = false;
@@ -133,7 +139,7 @@ static bool send_bytes(void) {
         position |= lockstep && offer_lockstep(unsent + at, length);
         if (kept == 0) {
             const size_t sent = send_frame(at, length, &begun);
-            kept = length - sent; /* the rest comes first the next time; whole frames behind it are dropped */
+            kept = length - sent; /* the rest is sent first the next time; whole frames after it are dropped */
             memmove(unsent, unsent + at + sent, kept);
         }
         at += length;
@@ -154,12 +160,12 @@ static void receive_bytes(void) {
     put_on_wire(bytes, count > 0 ? (size_t)count : 0);
 }
 
-/* A sleeping chip goes on to its next timer at once: time is kept below. */
+/* A sleeping chip jumps to its next timer at once; run() keeps real time. */
 static void sleep_for(avr_t *chip, avr_cycle_count_t cycles) {
     (void)chip, (void)cycles;
 }
 
-/* Only so that a sleeping chip does not go beyond the slice. */
+/* A timer that keeps a sleeping chip from running beyond the slice. */
 static avr_cycle_count_t end_of_slice(avr_t *chip, avr_cycle_count_t when, void *unused) {
     (void)chip, (void)when, (void)unused;
     return 0;
@@ -197,7 +203,7 @@ static int load(const char *file) {
 
 static void connect_pins(void) {
     uint32_t flags = 0;
-    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags); /* neither printed nor slept upon */
+    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags); /* simavr neither prints the bytes nor sleeps on them */
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
     connect_plant(avr, note_force);
 }
@@ -220,7 +226,7 @@ static int run(void) {
         }
         if (send_bytes()) {
             (void)poll(&(struct pollfd){port, POLLIN, 0}, 1, GIVES_UP_MS);
-            due = now_us() - MOST_BEHIND_US; /* the sample that follows waits for nothing */
+            due = now_us() - MOST_BEHIND_US; /* the next sample starts at once */
         }
         wait_until(due);
         if (now_us() > due + MOST_BEHIND_US) {
@@ -256,7 +262,7 @@ int main(int count, char **words) {
     signal(SIGINT, stop);
     prctl(PR_SET_TIMERSLACK, 1);
     connect_pins();
-    mend_chip(avr); /* before the observers: simavr calls the last one first, and they count what is added here */
+    mend_chip(avr); /* before watch_cycles: simavr calls the last observer first, and it counts the cycles added here */
     watch_cycles(avr);
     printf("%s\n", path);
     fflush(stdout);

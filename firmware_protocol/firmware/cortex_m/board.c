@@ -1,9 +1,10 @@
 /* SPDX-License-Identifier: MIT */
-/* The firmware on a Cortex-M3: SysTick makes the tick, UART 0 is the port, the interrupt of its receiver comes before the
- * tick. In place of an encoder and a motor there is simulated_mass.c.
+/* The firmware on a Cortex-M3. SysTick makes the tick, and UART 0 is the port; the interrupt of its receiver has
+ * priority over the tick. In place of an encoder and a motor there is simulated_mass.c.
  *
- * The emulator logs each force put out, be it the same again: a line of two hexadecimal words: microseconds, and
- * counts. They are those of the ticks: the emulator's clock goes on where its machine holds it up, and ticks are lost.
+ * The emulator logs a line for each force put out, even for the same force again. The line has two hexadecimal words:
+ * microseconds and counts. The microseconds count ticks, because the emulator's clock runs on when its machine is held
+ * up and ticks are lost.
  */
 #include "hapsim_board.h"
 #include "hapsim_device.h"
@@ -80,14 +81,14 @@ static bool take_byte(void) {
 
 int main(void) {
     start_hardware();
-    note_force(0, 0); /* as it came out of the reset */
+    note_force(0, 0); /* the force after the reset */
     hapsim_device_init();
     for (;;) {
         while (take_byte()) {
         }
         wake_often(hapsim_device_look());
         rest();
-#ifdef HAPSIM_BROKEN_TICK /* half a second after arming the tick dies: the hardware watchdog has to see it */
+#ifdef HAPSIM_BROKEN_TICK /* the tick dies half a second after arming: the hardware watchdog must reset the chip */
         if (hapsim_device_register(HAPSIM_REG_ACCEPTED) > 500) {
             SYSTICK->control = 0;
         }

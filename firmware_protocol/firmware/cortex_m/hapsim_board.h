@@ -5,6 +5,6 @@
 #include "../simulated/simulated_board.h"
 
 #define HAPSIM_BOARD_NAME "hapsim cortex-m"
-#define HAPSIM_BOARD_PERIOD_TICKS 25000ul /* the clock counts cycles of 25 MHz */
+#define HAPSIM_BOARD_PERIOD_TICKS 25000ul /* the clock counts at 25 MHz */
 
 #endif

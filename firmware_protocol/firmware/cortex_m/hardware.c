@@ -5,13 +5,13 @@
 
 #define CYCLES_PER_US 25u
 #define BYTES_PRIORITY 0x40u
-#define WATCHDOG_PERIODS 30u /* to its first warning; as long again to the reset */
+#define WATCHDOG_PERIODS 30u /* until its warning; the reset follows after as many again */
 
 void on_uart0_received(void);
 void on_uart0_sent(void);
 void on_timer1(void);
 
-/* One context writes `end`, the other one `start`; both count on and on. */
+/* One context writes `end`, the other writes `start`. Both only count up. */
 typedef struct {
     volatile uint32_t start, end;
     uint8_t bytes[RING];
@@ -19,7 +19,7 @@ typedef struct {
 
 static ring received, to_send;
 
-/* The newest bytes are kept: after noise of any length the frame that follows it is among them. */
+/* Keeps the newest bytes: after noise of any length, the next frame is among them. */
 void on_uart0_received(void) {
     UART0->interrupts = UART_RECEIVED;
     while (UART0->state & UART_RECEIVER_FULL) {
@@ -40,7 +40,7 @@ void on_uart0_sent(void) {
     send_next();
 }
 
-/* Wakes the main loop, and that is all. */
+/* Only wakes the main loop. */
 void on_timer1(void) {
     TIMER1->interrupts = 1;
 }
@@ -55,7 +55,7 @@ int bytes_to_read(void) {
 
 int next_byte(void) {
     const uint32_t end = received.end;
-    if (end - received.start > RING) { /* it ran over: the oldest half goes, before the rest is overwritten too */
+    if (end - received.start > RING) { /* the ring ran over: drop the oldest half, before the rest is overwritten too */
         received.start = end - RING / 2;
         return BYTES_WERE_LOST;
     }
@@ -71,7 +71,7 @@ size_t room_to_send(void) {
     return RING - (to_send.end - to_send.start);
 }
 
-/* The receiver's priority is the transmitter's too, so it is kept out while the first byte goes. */
+/* Receiver and transmitter have one priority. So the receiver is held off, too, while the first byte is sent. */
 void send_bytes(const uint8_t *bytes, size_t count) {
     uint32_t end = to_send.end;
     for (size_t i = 0; i < count; i++) {
@@ -99,7 +99,7 @@ static void in_hexadecimal(char *text, uint32_t word) {
     }
 }
 
-/* The whole line in one call. */
+/* Writes the whole line in one call. */
 void note_force(uint32_t us, int32_t counts) {
     static char line[] = "00000000 00000000\n";
     in_hexadecimal(line, us);
@@ -147,6 +147,6 @@ void start_hardware(void) {
     SYSTICK->control = 7; /* counts cycles, interrupts */
     WATCHDOG_LOCK = WATCHDOG_KEY;
     WATCHDOG->load = WATCHDOG_PERIODS * period;
-    WATCHDOG->control = 3; /* warns, and resets if the warning is not answered */
+    WATCHDOG->control = 3; /* warns first, then resets unless it is fed */
     WATCHDOG_LOCK = 0;
 }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* The MPS2 board as its two firmwares use it: UART, SysTick, a clock, the watchdog, and a log of the forces. A firmware
- * has on_systick, the tick; the rest of the interrupts is here. */
+/* The MPS2 board for its two firmwares: UART, SysTick, a clock, the watchdog, and a log of the forces. Each firmware
+ * defines on_systick, the tick; hardware.c defines the other interrupts. */
 #ifndef HARDWARE_H
 #define HARDWARE_H
 
@@ -10,39 +10,39 @@
 
 enum { RING = 256, NOTHING_CAME = -1, BYTES_WERE_LOST = -2 }; /* RING: a power of two, above the longest frame */
 
-/* SysTick comes once a millisecond from now on. */
+/* Starts the hardware: SysTick comes once a millisecond from now on. */
 void start_hardware(void);
 
-/* Of a clock that runs free. */
+/* Returns the microseconds of a free-running clock. */
 uint32_t now_us(void);
 
-/* The next tick comes a whole period from now. */
+/* Restarts the period: the next tick comes a whole period from now. */
 void begin_period(void);
 
-/* Keeps the tick from interrupting, not the receiver; 0 lets it again. */
+/* TICK_PRIORITY disables the tick's interrupt, but not the receiver's; 0 enables it again. */
 enum { TICK_PRIORITY = 0x80 };
 void keep_out(uint32_t priority);
 
-/* Bytes of the host that wait. */
+/* Returns the number of received bytes that are not read yet. */
 int bytes_to_read(void);
 
-/* A byte of the host; NOTHING_CAME; or BYTES_WERE_LOST before the next one, as the ring ran over. */
+/* Returns a byte of the host, or NOTHING_CAME. If the ring ran over, returns BYTES_WERE_LOST before the next byte. */
 int next_byte(void);
 
-/* Bytes that send_bytes takes at once. It is called by the tick, or while the tick is held off. */
+/* Returns the number of bytes that send_bytes takes. Call send_bytes from the tick, or while the tick is held off. */
 size_t room_to_send(void);
 void send_bytes(const uint8_t *bytes, size_t count);
 
-/* Whether a second timer wakes the main loop twice in a period. */
+/* Lets a second timer wake the main loop twice in a period, or not. */
 void wake_often(bool often);
 
-/* Sleeps until the next interrupt, unless a byte came after it was looked for. */
+/* Sleeps until the next interrupt, unless a byte has come since the last check. */
 void rest(void);
 
 void feed_watchdog(void);
 
-/* A line of the log: microseconds and counts. By semihosting: a real chip without a debugger stops at it, so a real
- * board leaves it out. */
+/* Writes a line of the log: microseconds and counts. It uses semihosting, which stops a real chip without a debugger; a
+ * real board must omit it. */
 void note_force(uint32_t us, int32_t counts);
 
 #endif

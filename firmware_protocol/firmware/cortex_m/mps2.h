@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* The registers of ARM's MPS2 board with the AN385 image (Cortex-M3, 25 MHz), as far as they are used: a UART, two
- * timers and a watchdog of the CMSDK, and the processor's own timer. QEMU emulates it: qemu-system-arm -M mps2-an385. */
+/* The registers in use of ARM's MPS2 board with the AN385 image (Cortex-M3, 25 MHz). They belong to a UART, two timers
+ * and a watchdog of the CMSDK, and to the processor's own timer. QEMU emulates the board: qemu-system-arm -M
+ * mps2-an385. */
 #ifndef MPS2_H
 #define MPS2_H
 

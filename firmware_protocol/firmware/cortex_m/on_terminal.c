@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* Starts a program with its standard input and output joined to a pseudo-terminal: `on_terminal PROGRAM WORD...` prints
- * the terminal's path before, on its own standard output. */
+/* Starts a program with its standard input and output on a pseudo-terminal: `on_terminal PROGRAM WORD...`. Before that,
+ * it prints the terminal's path on its own standard output. */
 #define _GNU_SOURCE
 #include "terminal.h"
 

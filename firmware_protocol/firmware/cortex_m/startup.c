@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* From reset to main: memory as C expects it, and the vectors. */
+/* From reset to main: sets up memory as C expects it, and defines the vectors. */
 #include <stdint.h>
 
 int main(void);
@@ -28,7 +28,7 @@ void reset(void) {
     main();
 }
 
-/* A fault, or the watchdog's first warning: it stays here until the watchdog resets the chip. */
+/* The handler of a fault, or of the watchdog's warning: waits here until the watchdog resets the chip. */
 static void stay(void) {
     for (;;) {
     }

@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: MIT */
-/* A bridge: `haply PORT [v3|v2|devkit]` speaks hapsim's protocol on a pseudo-terminal, whose path it prints, and hAPI on
- * Haply's serial port. Forces in N at the end point become torques, angles become x and y in m.
+/* A bridge: `haply PORT [v3|v2|devkit]` speaks hapsim's protocol on a pseudo-terminal, whose path it prints, and hAPI
+ * on Haply's serial port. Forces in N at the end point become torques; angles become x and y in m.
  *
- * Haply's firmware keeps the last torque for ever. So every way out of this process ends in zero torque, and a guard, a
- * process of its own, sends it where this one cannot any more: killed, stopped, or with a tick that died. What neither
- * can reach is a board whose USB plug was pulled: it keeps its torque until its power goes. */
+ * Haply's firmware keeps the last torque for ever. So every end of this process sends zero torque. If it was killed or
+ * stopped, or its tick died, a guard process sends zero torque instead. Neither can reach a board whose USB plug was
+ * pulled: that board keeps its torque until its power goes. */
 #define _GNU_SOURCE
 #include "hapi.h"
 #include "hapsim_board.h"
@@ -27,16 +27,16 @@
 #define POSITION_SCALE 1e-7
 #define MS 1000000ll
 #ifndef GUARD_MS
-#define GUARD_MS 500         /* without a tick; other programs may hold this process up for long */
+#define GUARD_MS 500         /* longest time without a tick; other programs may hold this process up for long */
 #endif
-#define GUARD_GONE 2         /* in process_stopped: why */
+#define GUARD_GONE 2         /* a value of process_stopped: the reason */
 #define TICKS_A_BEAT 32
-#define JUMP_DEGREES 5.0     /* and as much again in each ms: no hand turns a motor at 5000 degrees/s */
+#define JUMP_DEGREES 5.0     /* and DEGREES_PER_MS more: no hand turns a motor at 5000 degrees/s */
 #define DEGREES_PER_MS 5.0
-#define IDLE_TICKS 10        /* unarmed, from exchange to exchange */
+#define IDLE_TICKS 10        /* from one exchange to the next while unarmed */
 #define TRIES_AT_START 20
 #define TRIES 3
-#define LAST_WORDS_MS 1000   /* for the host to read the STATUS, before its port goes */
+#define LAST_WORDS_MS 1000   /* time for the host to read STATUS before the port closes */
 
 static const struct model {
     const char *name;
@@ -55,8 +55,8 @@ static const char *path;
 static int board = -1, beat = -1;
 static double degrees[2];
 static pantograph_pose pose;
-static int64_t answered, ends; /* when the board answered last; when this process ends because of a fault, 0: it does not */
-static bool fault, complained; /* since the last position; since the last answer */
+static int64_t answered, ends; /* times: of the last answer; of this process's end because of a fault (0: none) */
+static bool fault, complained; /* since the last position; since the last good answer */
 static long scaled;
 
 static void begin_end(void) {
@@ -71,7 +71,7 @@ static void complain(const char *what) {
     complained = true;
 }
 
-/* One exchange whose answer can be what a hand did; else why not, in words. */
+/* Makes one exchange. Returns NULL if its answer is plausible for a hand's motion, else the reason in words. */
 static const char *attempt(const double torque[2]) {
     double read[2], angle[2];
     switch (hapi_exchange(board, &model->wiring, torque, read)) {
@@ -113,10 +113,10 @@ static const char *attempt(const double torque[2]) {
     return NULL;
 }
 
-/* Leaves the torque that was asked for, or none. */
+/* Puts out the requested torque. If the exchange fails, tries to put out zero torque. */
 static void exchange(const double torque[2]) {
     static const double none[2];
-    const int most = complained ? 1 : TRIES; /* a board that stays silent does not keep the tick from the guard */
+    const int most = complained ? 1 : TRIES; /* a silent board must not delay the tick so long that the guard acts */
     const char *why = attempt(torque);
     if (why != NULL) {
         fault = true;
@@ -158,7 +158,7 @@ void hapsim_port_begin(void) {
     process_restart_period();
 }
 
-/* Unarmed, the arms are followed all the same, and a board that went is noticed. */
+/* Follows the arms while unarmed too, so that a lost board is noticed. */
 static void before_tick(void) {
     static unsigned ticks;
     if (hapsim_device_state() != HAPSIM_ARMED && ++ticks % IDLE_TICKS == 0) {
@@ -175,7 +175,7 @@ static void before_tick(void) {
     }
 }
 
-/* The guard: ends when the bridge does, and with it whatever torque is left. */
+/* The guard: ends when the bridge ends, and sends zero torque first. */
 static void watch(int beats, pid_t bridge) {
     struct pollfd next = {beats, POLLIN, 0};
     char some[64];
@@ -199,17 +199,17 @@ static void guard_died(int number) {
     process_stopped = GUARD_GONE;
 }
 
-/* In a session of its own, so that what ends the bridge (a closed terminal, Ctrl-C) does not end it. */
+/* Starts the guard in a session of its own, so that a closed terminal or Ctrl-C ends the bridge but not the guard. */
 static bool start_guard(void) {
     int ends_of_pipe[2];
     const pid_t bridge = getpid();
     if (pipe2(ends_of_pipe, O_CLOEXEC) != 0) {
         return false;
     }
-    /* Both before other programs, where that is granted: a process that is killed takes processor time to end, too. */
+    /* Raises the priority of bridge and guard, where granted: even a killed process needs processor time to end. */
     (void)sched_setscheduler(0, SCHED_FIFO, &(struct sched_param){.sched_priority = 1});
     signal(SIGCHLD, guard_died);
-    signal(SIGPIPE, SIG_IGN); /* a beat that no guard takes must not end the bridge before its torque */
+    signal(SIGPIPE, SIG_IGN); /* a beat that no guard takes must not end the bridge before it sends zero torque */
     const pid_t child = fork();
     if (child == 0) {
         (void)setsid();

@@ -13,19 +13,20 @@
 #include <termios.h>
 #include <unistd.h>
 
-#define ID 5 /* any that is no command: what hAPI's own examples take */
+#define ID 5 /* any value that is no command; hAPI's own examples use 5 */
 #define RESET 0
 #define SET_UP 1
 #define TORQUES 2
 #define FRAME 10
 #define ANSWER 9
 #ifndef HAPI_ANSWER_MS
-#define HAPI_ANSWER_MS 20 /* USB takes 1 to 2; what a force may live without the next is about as long */
+#define HAPI_ANSWER_MS 20 /* USB takes 1 to 2; a force lives about as long as this without the next */
 #endif
 #define SILENCE_MS 20
 
-/* No command of hAPI, so each is passed over where a command is due. Four of them are 3.9e-37 as a torque, and any number
- * of them behind the first bytes of one leaves less than 1e-36: they complete a frame that lost bytes at no torque. */
+/* 3 is no command of hAPI, so the board skips it where a command is due. Four of these bytes are a torque of 3.9e-37.
+ * After the first bytes of a torque, they leave less than 1e-36. So they complete a frame that lost bytes with
+ * practically no torque. */
 static const uint8_t filling[16] = {3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3};
 static const uint8_t no_torque[FRAME] = {TORQUES, ID};
 
@@ -42,7 +43,7 @@ int hapi_open(const char *path) {
     }
     cfmakeraw(&settings);
     settings.c_cflag |= CLOCAL | CREAD;
-    settings.c_cc[VMIN] = 1; /* so that nothing there and hung up read differently */
+    settings.c_cc[VMIN] = 1; /* so that read() tells an empty port from one that hung up */
     cfsetspeed(&settings, B115200); /* USB ignores it; 1200 would start the boot loader */
     if (tcsetattr(port, TCSANOW, &settings) != 0 || ioctl(port, TIOCEXCL) != 0) {
         fprintf(stderr, "%s: %s\n", path, strerror(errno));
@@ -68,7 +69,8 @@ bool hapi_set_up(int port, const hapi_wiring *wiring, const float degrees[2]) {
     return send(port, reset, sizeof reset) && send(port, frame, sizeof frame);
 }
 
-/* Reads until `count` bytes are there or `ms` have passed; returns how many came, of which `room` are kept, or -1. */
+/* Reads until `count` bytes have come or none came for `ms`; reads up to `room` bytes. Returns how many came, or -1 if
+ * the port is gone. */
 static int receive(int port, uint8_t *bytes, int count, int room, int ms) {
     struct pollfd ready = {port, POLLIN, 0};
     int got = 0;
@@ -121,7 +123,7 @@ void hapi_find_back(int port) {
 }
 
 void hapi_release(int port) {
-    for (int tries = 0; tries < 2; tries++) { /* of a frame that was under way the first may be swallowed in part */
+    for (int tries = 0; tries < 2; tries++) { /* an unfinished frame may swallow part of the first try */
         (void)send(port, filling, sizeof filling);
         (void)send(port, no_torque, FRAME);
     }

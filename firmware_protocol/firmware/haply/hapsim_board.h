@@ -6,10 +6,10 @@
 #define HAPSIM_BOARD_NAME "haply bridge"
 #define HAPSIM_BOARD_PERIOD_TICKS 1000000ul /* the clock counts nanoseconds */
 #define HAPSIM_BOARD_CHANNELS 2
-#define HAPSIM_BOARD_PACINGS 3 /* by the bridge's clock, by the host: the better one, see README.md */
+#define HAPSIM_BOARD_PACINGS 3 /* by the bridge's clock, by the host (better, see README.md) */
 #define HAPSIM_BOARD_MAX_WATCHDOG 2047
 #define HAPSIM_BOARD_IMPULSE 0
-#define HAPSIM_BOARD_BRIDGE 1 /* the motors are behind another protocol, and what is promised ends at this process */
+#define HAPSIM_BOARD_BRIDGE 1 /* the motors are behind another protocol: hapsim's guarantees end at this process */
 #define HAPSIM_BOARD_RATE HAPSIM_F64(0x408f4000, 0x00000000) /* 1000 Hz */
 
 /* hAPI's angles are f32 degrees, 24 nm at the end point; the encoders' counts are 40 to 90 um. */

@@ -3,7 +3,7 @@
 
 #include <math.h>
 
-/* Shares of 1e-3 of the links: closer to a line, encoder counts and play decide which way the end point goes. */
+/* In units of the distal link. Closer to a line, encoder counts and play would decide where the end point goes. */
 #define NEARLY_IN_LINE 1e-3
 
 static double cross(const double a[2], const double b[2]) {
@@ -19,7 +19,8 @@ bool pantograph_forward(const pantograph *arms, const double angle[2], pantograp
     for (int axis = 0; axis < 2; axis++) {
         between[axis] = elbow[1][axis] - elbow[0][axis];
     }
-    /* Both distal links have one length: the end point is on the perpendicular through the middle, beyond the elbows. */
+    /* Both distal links have the same length. So the end point is on the perpendicular through the middle of the
+     * elbows, on their far side. */
     const double half = hypot(between[0], between[1]) / 2, square = arms->distal * arms->distal - half * half;
     if (!(half > NEARLY_IN_LINE * arms->distal && square > pow(NEARLY_IN_LINE * arms->distal, 2))) {
         return false;
@@ -37,8 +38,8 @@ bool pantograph_forward(const pantograph *arms, const double angle[2], pantograp
     return true;
 }
 
-/* The Jacobian's transpose, without the Jacobian: the force divides into one along each distal link, and each of these
- * turns its motor with its lever. */
+/* The transpose of the Jacobian, without computing the Jacobian: the force is divided into one force along each distal
+ * link, and each of these turns its motor by its lever. */
 bool pantograph_torques(const pantograph_pose *pose, const double force[2], double limit, double torque[2]) {
     const double area = cross(pose->link[0], pose->link[1]);
     torque[0] = pose->lever[0] * cross(force, pose->link[1]) / area;

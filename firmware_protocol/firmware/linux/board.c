@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: MIT */
-/* The firmware as a Linux process that moves a simulated mass: `linux [LOG]` prints its port's path and serves it until it
- * is stopped.
+/* The firmware as a Linux process that moves a simulated mass: `linux [LOG]` prints its port's path and serves the port
+ * until it is stopped.
  *
- * LOG: each force put out, be it the same again, a line of two hexadecimal words: microseconds of its clock, and counts.
+ * LOG gets a line for each force put out, even for the same force again. The line has two hexadecimal words:
+ * microseconds of the process's clock, and counts.
  */
 #define _GNU_SOURCE
 #include "hapsim_board.h"
@@ -18,7 +19,7 @@
 
 #include "broken.h"
 
-#define WATCHDOG_US 250000 /* to its first warning; as long again to the end */
+#define WATCHDOG_US 250000 /* until its warning; the end follows after as long again */
 
 static int log_file = -1;
 static simulated_mass mass;
@@ -48,8 +49,8 @@ void hapsim_port_put_forces(const int32_t *counts) {
     note_force(force);
 }
 
-/* A process has no reset but its end, with the force at zero. Where others share the machine it may be held up for long:
- * then the first alarm is there before its next tick, and so it only warns. */
+/* The reset of a process is its end, with the force at zero. On a shared machine, other programs may hold the process
+ * up for long. Then the first alarm may come before the next tick, so this alarm only warns. */
 static void on_alarm(int number) {
     (void)number;
     if (!warned) {

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* Devices that are broken on purpose, to test the tests of a device: -DHAPSIM_BROKEN_..., one of these. For a wrong
- * state machine, linux/broken changes a copy of it. */
+/* Devices that are broken on purpose, to test the tests of a device. Define one HAPSIM_BROKEN_... of this file. For a
+ * wrong state machine, linux/broken changes a copy of hapsim_device.c. */
 #ifndef BROKEN_H
 #define BROKEN_H
 
@@ -10,7 +10,7 @@
 #define BROKEN_FORCE(counts) (counts)
 #endif
 
-#ifdef HAPSIM_BROKEN_SCALE /* as where an encoder's edges are counted twice */
+#ifdef HAPSIM_BROKEN_SCALE /* as if an encoder's edges were counted twice */
 #define BROKEN_POSITION(counts) ((int32_t)(2u * (uint32_t)(counts)))
 #else
 #define BROKEN_POSITION(counts) (counts)
@@ -22,13 +22,13 @@
 #define BROKEN_PERIOD(period) (period)
 #endif
 
-#ifdef HAPSIM_BROKEN_TRANSMITTER /* waits where it should drop */
+#ifdef HAPSIM_BROKEN_TRANSMITTER /* waits instead of dropping the frame */
 #define BROKEN_WAIT(port) (poll(&(struct pollfd){(port), POLLOUT, 0}, 1, 100), !process_stopped)
 #else
 #define BROKEN_WAIT(port) ((void)(port), false)
 #endif
 
-#ifdef HAPSIM_BROKEN_TICK /* half a second after arming the tick dies: the hardware watchdog has to see it */
+#ifdef HAPSIM_BROKEN_TICK /* the tick dies half a second after arming: the hardware watchdog must end the process */
 #define BROKEN_TICK() (hapsim_device_register(HAPSIM_REG_ACCEPTED) > 500)
 #else
 #define BROKEN_TICK() false

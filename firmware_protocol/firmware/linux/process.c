@@ -2,7 +2,7 @@
 #define _GNU_SOURCE
 #include "process.h"
 
-#include <hapsim_board.h> /* of the board that is built, not the one beside this file */
+#include <hapsim_board.h> /* that of the board being built, not the one beside this file */
 #include "hapsim_device.h"
 #include "hapsim_port.h"
 #include "terminal.h"
@@ -20,7 +20,7 @@
 volatile sig_atomic_t process_stopped;
 
 static int port;
-static int64_t clock_at_tick, ticked, due; /* what the clock said at the last tick; when that was, and when the next is */
+static int64_t clock_at_tick, ticked, due; /* the clock at the last tick; the times of the last and the next tick, ns */
 static uint8_t unsent[HAPSIM_MAX_FRAME];
 static size_t unsent_from, unsent_to;
 
@@ -39,7 +39,7 @@ uint32_t hapsim_port_now(void) {
     return (uint32_t)process_clock();
 }
 
-/* What a terminal took in part goes first: half a frame is none. */
+/* Sends the rest of a frame that the terminal took only in part: half a frame is useless. */
 static bool send_unsent(void) {
     while (unsent_from < unsent_to) {
         const ssize_t sent = write(port, unsent + unsent_from, unsent_to - unsent_from);
@@ -97,7 +97,7 @@ static void tick_when_due(void (*before_tick)(void)) {
     due += period;
     before_tick();
     hapsim_device_tick();
-    if (process_now() >= due) { /* a device's timer is never late, but this machine was: no burst of ticks */
+    if (process_now() >= due) { /* this machine was late, as a device's timer never is: no burst of ticks */
         due = process_now() + period;
     }
 }
@@ -126,7 +126,7 @@ void process_serve(void (*before_tick)(void)) {
     prctl(PR_SET_TIMERSLACK, 1);
     due = ticked = process_now();
     while (!process_stopped) {
-        /* Paced by the host, the main loop comes round more often than the tick. */
+        /* When the host paces, the main loop runs more often than the tick. */
         const int64_t soon = process_now() + HAPSIM_BOARD_PERIOD_TICKS / 10;
         read_bytes(hapsim_device_look() && soon < due ? soon : due);
         tick_when_due(before_tick);

@@ -1,30 +1,30 @@
 /* SPDX-License-Identifier: MIT */
-/* A device as a Linux process, on a pseudo-terminal that it makes. One thread: the tick comes between two reads, and
- * needs no lock. This is the part of hapsim_port.h that every such board shares: clock, tick, transmitter. A board adds
- * hapsim_port_measure, _put_forces, _feed_watchdog and _begin.
+/* A device as a Linux process, on a pseudo-terminal that the process makes. There is one thread: the tick comes between
+ * two reads and needs no lock. This file has the part of hapsim_port.h that all such boards share: clock, tick,
+ * transmitter. A board adds hapsim_port_measure, _put_forces, _feed_watchdog and _begin.
  *
- * Its clock is made of its ticks: where others held this process up, no tick comes and the clock stands still, so that
- * what ends after a number of periods still ends after that number. */
+ * The clock follows the ticks. When other programs hold this process up, no tick comes and the clock stands still. So a
+ * timeout of some periods still ends after that number of ticks. */
 #ifndef PROCESS_H
 #define PROCESS_H
 
 #include <signal.h>
 #include <stdint.h>
 
-/* Set by SIGTERM, SIGINT and SIGHUP, or by the board: process_serve returns. */
+/* SIGTERM, SIGINT, SIGHUP or the board set this; then process_serve returns. */
 extern volatile sig_atomic_t process_stopped;
 
-/* Nanoseconds: of the machine, and of the clock that is made of ticks. */
+/* Return nanoseconds: of the machine's clock, and of the clock that follows the ticks. */
 int64_t process_now(void);
 int64_t process_clock(void);
 
-/* Makes the pseudo-terminal and prints its path; 0, or 3 with a sentence on standard error. */
+/* Makes the pseudo-terminal and prints its path. Returns 0, or 3 with a message on standard error. */
 int process_open(void);
 
-/* Serves the port until it is stopped; `before_tick` is called ahead of every hapsim_device_tick. */
+/* Serves the port until process_stopped is set. Calls `before_tick` before every hapsim_device_tick. */
 void process_serve(void (*before_tick)(void));
 
-/* For hapsim_port_begin: the next tick comes one whole period from now. */
+/* Restarts the period, for hapsim_port_begin: the next tick comes one whole period from now. */
 void process_restart_period(void);
 
 #endif

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
-/* Exact over one sample with a held force F: with p = b/m, the velocity decays by exp(-pT), the position lags by
- * (1 - exp(-pT))/p. The constants are these numbers for m = 0.2 kg, b = 1 N s/m, T = 1 ms, in the units of
- * simulated_mass.h, rounded to 32 bits; a test computes them anew.
+/* The motion is exact over one sample with a held force F. With p = b/m, the velocity decays by exp(-pT), and the
+ * position lags by (1 - exp(-pT))/p. The constants below are for m = 0.2 kg, b = 1 N s/m and T = 1 ms, in the units of
+ * simulated_mass.h. They are rounded to 32 bits; a test recomputes them.
  *
  *     velocity += PUSH_V F - DECAY velocity       DECAY  = 1 - exp(-pT)            PUSH_V = T (1 - exp(-pT))/b
  *     position += velocity - LAG velocity         LAG    = 1 - (1 - exp(-pT))/(pT) PUSH_X = T LAG/b
@@ -15,14 +15,15 @@
 #define PUSH_X 3512580470u /* 2^-23 */
 #define FLICK (100000ll << 24) /* 0.1 m/s */
 
-/* |value| * factor / 2^shift, 32 <= shift. By halves: two products of 32 bits are all that a small processor has. */
+/* Returns |value| * factor / 2^shift for shift >= 32. It works by halves, with the 32-bit products that a small
+ * processor has. */
 static uint64_t share(uint64_t value, uint32_t factor, uint8_t shift) {
     const uint64_t upper = (uint64_t)(uint32_t)(value >> 32) * factor;
     const uint64_t lower = (uint64_t)(uint32_t)value * factor;
     return (upper + (lower >> 32)) >> (shift - 32);
 }
 
-/* By magnitude, so that rounding goes towards zero on both sides and pushes nothing. */
+/* Works on the magnitude, so that rounding goes towards zero on both sides and adds no push. */
 static int64_t part_of(int64_t value, uint32_t factor, uint8_t shift) {
     return value < 0 ? -(int64_t)share((uint64_t)-value, factor, shift) : (int64_t)share((uint64_t)value, factor, shift);
 }
@@ -44,7 +45,7 @@ void simulated_mass_move(simulated_mass *mass, int32_t force) {
     mass->velocity += push(force, PUSH_V, 22) - part_of(velocity, DECAY, 39);
 }
 
-/* Shifts of negative numbers to the right keep the sign on every compiler that these boards have. */
+/* A right shift of a negative number keeps the sign with all compilers of these boards. */
 bool simulated_mass_position(const simulated_mass *mass, int32_t *counts) {
     const int64_t rounded = (mass->position + (1l << 23)) >> 24;
     *counts = (int32_t)rounded;

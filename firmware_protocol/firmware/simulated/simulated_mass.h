@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* A mass that the emulated boards move in place of an actuator and an encoder: 0.2 kg with 1 N s/m of viscous friction,
- * which leaves its place at 0.1 m/s when the device is armed. The device of configs/first_touch.yaml, in integers. */
+/* A mass that the emulated boards move in place of an actuator and an encoder: 0.2 kg with 1 N s/m of viscous friction.
+ * It starts at 0.1 m/s when the device is armed. It is the device of configs/first_touch.yaml, in integers. */
 #ifndef SIMULATED_MASS_H
 #define SIMULATED_MASS_H
 
@@ -15,13 +15,13 @@ typedef struct {
 
 void simulated_mass_flick(simulated_mass *mass);
 
-/* One sample of 1 ms under a force in counts: exact for a force that is held, but for the rounding of integers. */
+/* Moves the mass by one sample of 1 ms under a held force in counts. Exact, except for the rounding of integers. */
 void simulated_mass_move(simulated_mass *mass, int32_t force);
 
-/* In counts; false where it does not fit them. */
+/* Writes the position in counts. Returns false if it does not fit 32 bits. */
 bool simulated_mass_position(const simulated_mass *mass, int32_t *counts);
 
-/* In counts; one that does not fit stops at the end of them. */
+/* Returns the velocity in counts; one that does not fit 32 bits saturates. */
 int32_t simulated_mass_velocity(const simulated_mass *mass);
 
 #endif

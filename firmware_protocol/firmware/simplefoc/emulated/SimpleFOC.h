@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* The few calls of SimpleFOC 2.3 and 2.4 that a knob uses, with their names, types and order of things. What a motor
- * does with its voltage, and an MT6701 senses, is the emulated board's. */
+/* The few calls of SimpleFOC 2.3 and 2.4 that a knob uses, with the same names, types and order. board.cpp simulates
+ * the motor's motion and what an MT6701 senses. */
 #ifndef SIMPLEFOC_H
 #define SIMPLEFOC_H
 

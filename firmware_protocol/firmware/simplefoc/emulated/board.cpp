@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: MIT */
-/* The sketch of examples/knob on the emulated Cortex-M3, and as a Linux process. Its motor turns simulated_mass.c: 1 nm
- * there are 0.1 urad here.
+/* The sketch of examples/knob on the emulated Cortex-M3, and as a Linux process. Its motor turns the mass of
+ * simulated_mass.c: 1 nm there is 0.1 urad here.
  *
- *     torque = K (U - K speed) / R         R: as the firmware of a NanoD++ has it; K: a guess
+ *     torque = K (U - K speed) / R         R: from the firmware of a NanoD++; K: a guess
  *
- * The rotor moves once a tick, in the first round of the FOC after it, by the whole sample that follows: with the
- * voltage that this round puts out, which is held that long. So a position at a tick is that of the tick, and the delay
- * that an FOC loop adds on a real board is not in it. */
+ * The rotor moves once per tick, in the first round of the FOC after the tick. It moves by the whole next sample, under
+ * the voltage that this round puts out and holds. So the position at a tick is exact, without the delay that the FOC
+ * loop of a real board adds. */
 #include <Arduino.h>
 #include <SimpleFOC.h>
 #include <math.h>
@@ -24,14 +24,14 @@ int run_board(void);
 
 static const double RESISTANCE = 2.645, TORQUE_CONSTANT = 0.015; /* ohm, N m/A = V s/rad */
 static const double TURN = 6.283185307179586;
-static const double RAD = 1e-7 / (1 << 24);                       /* of simulated_mass.h's unit of position */
+static const double RAD = 1e-7 / (1 << 24);                       /* per unit of position of simulated_mass.h */
 static const double NM_PER_COUNT = 6e-11;                         /* 1.2e-5 kg m^2 in place of its 0.2 kg */
 
 static simulated_mass rotor;
 static volatile uint32_t ticks;
 static uint32_t moved;
 static float applied; /* V */
-static bool drives;   /* the driver: else no current flows, and nothing brakes */
+static bool drives;   /* the driver is enabled; else no current flows, and nothing brakes */
 static float sensed;  /* rad */
 static bool runs;
 
@@ -83,7 +83,7 @@ size_t HardwareSerial::write(const uint8_t *bytes, size_t count) {
     return count;
 }
 
-/* Logged where it changes, as a torque at standstill in counts of the wire. */
+/* Applies a voltage. Logs each change as the torque at standstill, in counts of the wire. */
 static void apply(bool enable, float volts) {
     drives = enable;
     if (volts != applied) {
@@ -92,7 +92,7 @@ static void apply(bool enable, float volts) {
     }
 }
 
-/* Its angle in 14 bits, within the turn. */
+/* Moves the rotor up to now, and senses its angle within the turn, in 14 bits. */
 static void move_rotor() {
     const int64_t turn = (int64_t)(TURN / RAD);
     for (; moved != ticks; moved++) {
@@ -145,7 +145,7 @@ void BLDCMotor::loopFOC() {
 
 int run_board(void) {
     start_hardware();
-    note_force(0, 0); /* as it came out of the reset */
+    note_force(0, 0); /* the force after the reset */
     setup();
     for (;;) {
         loop();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* hardware.h as a Linux process on a pseudo-terminal that it makes: `simplefoc [LOG]` prints the port's path. One
- * thread: the tick comes where the main loop rests, and its clock is made of its ticks. */
+/* hardware.h as a Linux process on a pseudo-terminal that the process makes: `simplefoc [LOG]` prints the port's path.
+ * There is one thread: the tick comes when the main loop rests, and the clock follows the ticks. */
 #define _GNU_SOURCE
 #include "hardware.h"
 #include "terminal.h"
@@ -54,7 +54,7 @@ int next_byte(void) {
     return read(port, &byte, 1) == 1 ? byte : NOTHING_CAME;
 }
 
-/* What a terminal took in part goes first: half a frame is none. */
+/* Sends the rest of a frame that the terminal took only in part: half a frame is useless. */
 size_t room_to_send(void) {
     while (unsent_from < unsent_to) {
         const ssize_t sent = write(port, unsent + unsent_from, unsent_to - unsent_from);
@@ -83,7 +83,7 @@ void rest(void) {
     ticks++;
     due += MS;
     on_systick();
-    if (now_ns() >= due) { /* a device's timer is never late, but this machine was: no burst of ticks */
+    if (now_ns() >= due) { /* this machine was late, as a device's timer never is: no burst of ticks */
         due = now_ns() + MS;
     }
 }

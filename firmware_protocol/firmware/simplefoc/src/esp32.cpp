@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* ESP32 (Arduino core 3): esp_timer's task, of priority 22, makes the tick; the task watchdog resets the chip. */
+/* ESP32 (Arduino core 3): the task of esp_timer (priority 22) makes the tick; the task watchdog resets the chip. */
 #ifdef ARDUINO_ARCH_ESP32
 #include <esp_task_wdt.h>
 #include <esp_timer.h>
@@ -14,7 +14,7 @@ static void on_timer(void *) {
     hapsim_knob_tick();
 }
 
-/* The core may have started the watchdog already, with a time of its own. */
+/* The core may have started the watchdog already, with another timeout. */
 static void start_watchdog() {
     esp_task_wdt_config_t config = {};
     config.timeout_ms = HAPSIM_WATCHDOG_MS;

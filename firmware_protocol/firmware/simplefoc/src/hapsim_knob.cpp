@@ -12,22 +12,23 @@ extern "C" {
 
 static const int32_t RELEASED = INT32_MIN; /* the driver is disabled; no torque within the limit has this count */
 static const int32_t limit_counts[] = HAPSIM_BOARD_FORCE_LIMIT_COUNTS;
-static const uint32_t STALLED_TICKS = 5; /* without a round of the FOC: the field stands still */
+static const uint32_t STALLED_TICKS = 5; /* ticks without a round of the FOC loop: the field stands still */
 
 static FOCMotor *motor;
 static Stream *port;
 static float target_per_count;
-static int64_t origin, newest;       /* of the angle, in counts: loop() alone */
-static uint32_t ticks_without_round; /* with the state machine: so the tick or a byte */
+static int64_t origin, newest;       /* angles in counts; only loop() uses them */
+static uint32_t ticks_without_round; /* belongs to the state machine: the tick or a byte uses it */
 
-/* Shared, a word each. */
-static int32_t wanted = RELEASED; /* the torque, to loop() */
-static int32_t shaft;             /* from loop(): counts, */
-static uint32_t rounds;           /* how often it came round, */
-static uint32_t fault;            /* what is wrong with the motor or the angle now, */
-static uint32_t jumped;           /* and whether the angle has jumped since arming */
+/* Shared by both contexts, one word each. */
+static int32_t wanted = RELEASED; /* to loop(): the torque in counts */
+static int32_t shaft;             /* from loop(): the angle in counts */
+static uint32_t rounds;           /* from loop(): its number of rounds */
+static uint32_t fault;            /* from loop(): the present fault of motor or angle */
+static uint32_t jumped;           /* from loop(): 1 if the angle has jumped since arming */
 
-/* Sequentially consistent, each: `due` and `busy` are read behind a write of the other one. */
+/* All accesses are sequentially consistent, because each side writes one of `due` and `busy` and then reads the
+ * other. */
 template <typename Word> static Word read_word(const Word &word) {
     return __atomic_load_n(&word, __ATOMIC_SEQ_CST);
 }
@@ -35,7 +36,7 @@ template <typename Word, typename Value> static void write_word(Word &word, Valu
     __atomic_store_n(&word, (Word)value, __ATOMIC_SEQ_CST);
 }
 
-/* Whether a tick has to be done, and whether somebody is in the state machine. */
+/* due: a tick must be done. busy: one side is in the state machine. */
 static uint32_t due, busy;
 
 static uint32_t take_word(uint32_t &word, uint32_t value) {
@@ -46,7 +47,8 @@ static bool try_enter() {
     return !take_word(busy, 1);
 }
 
-/* The state decides about the driver: a latch, a DISARM and a refused ARM put out zero before they change it. */
+/* The state decides whether the driver is enabled. A latch, a DISARM and a refused ARM put out zero before they change
+ * the state. */
 static void leave() {
     if (hapsim_device_state() != HAPSIM_ARMED) {
         write_word(wanted, RELEASED);
@@ -56,7 +58,7 @@ static void leave() {
     write_word(busy, 0);
 }
 
-/* A side that finds the state machine taken has written `due` before; the side that leaves it reads `due` after. */
+/* A side that finds the state machine busy has already written `due`. The side that leaves reads `due` afterwards. */
 static void do_due_ticks() {
     while (read_word(due) && try_enter()) {
         if (take_word(due, 0)) {
@@ -71,7 +73,7 @@ void hapsim_knob_tick() {
     do_due_ticks();
 }
 
-/* With a byte, or without one: then it looks at the clock. */
+/* Enters the state machine with a byte; with -1, lets it check the clock. */
 static void enter_with(int byte) {
     while (!try_enter()) {
     }
@@ -84,7 +86,8 @@ static void enter_with(int byte) {
     do_due_ticks();
 }
 
-/* SimpleFOC's angle within the turn is exact; its angle over turns is a float. initFOC found the direction. */
+/* SimpleFOC's angle within the turn is exact; its angle over all turns is a rounded float. initFOC found the
+ * direction. */
 static int64_t angle_in_counts(float within) {
     const int64_t turns = motor->sensor->getFullRotations();
     const int64_t counts = turns * HAPSIM_KNOB_TURN + lroundf(within * (HAPSIM_KNOB_TURN / 6.283185307f));
@@ -95,7 +98,7 @@ static bool is_ready() {
     return motor->motor_status == FOCMotorStatus::motor_ready && target_per_count > 0;
 }
 
-/* The fault of now. */
+/* Reads the angle. Returns the present fault. */
 static uint32_t read_shaft() {
     const float within = motor->sensor->getMechanicalAngle();
     if (!is_ready() || !(fabsf(within) < 6.3f)) { /* NaN too */
@@ -111,7 +114,7 @@ static uint32_t read_shaft() {
     return counts == (int32_t)counts ? HAPSIM_NO_FAULT : HAPSIM_POSITION_OUT_OF_RANGE;
 }
 
-/* The torque first, so that this round puts it out; the sensor is read in loopFOC, in every state. */
+/* Sets the torque first, so that this round puts it out. loopFOC reads the sensor in every state. */
 static void run_foc() {
     const int32_t counts = read_word(wanted);
     const bool on = fault == HAPSIM_NO_FAULT && !read_word(jumped) && counts != RELEASED;
@@ -161,7 +164,8 @@ uint32_t hapsim_port_now(void) {
     return micros();
 }
 
-/* A loop() that died cannot disable the driver: the tick latches, and no longer puts off the reset that can. */
+/* A dead loop() cannot disable the driver. So the tick latches and no longer feeds the watchdog, whose reset disables
+ * it. */
 static bool loop_runs() {
     return ticks_without_round < STALLED_TICKS;
 }
@@ -196,6 +200,6 @@ void hapsim_port_begin(void) {
     write_word(jumped, 0);
 }
 
-/* The state machine has one visitor at a time already. */
+/* Not needed: only one side at a time is in the state machine. */
 void hapsim_port_hold_tick(void) {}
 void hapsim_port_let_tick(void) {}

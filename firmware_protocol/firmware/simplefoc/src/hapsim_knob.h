@@ -5,11 +5,12 @@
  *               hapsim_knob_begin(motor, Serial, 150.0f);
  *     loop():   hapsim_knob_loop();      and nothing that waits
  *
- * Two contexts. loop() alone touches motor, driver and sensor: it runs the FOC and takes the host's bytes. The tick, in
- * a timer task (ESP32) or a timer's interrupt (STM32), runs beside it, perhaps on another core. They share
- *   - the torque, an angle and a fault: a word each, written whole by one side and read whole by the other;
- *   - the state machine: the tick or a byte is in it, never both. Where a tick finds it taken, the side that has it does
- *     that tick before it goes on. So the tick waits for nothing, and loop() only for a tick.
+ * There are two contexts. Only loop() uses motor, driver and sensor; it also runs the FOC and takes the host's bytes.
+ * The tick runs beside loop(), perhaps on another core: in a timer task (ESP32) or in a timer's interrupt (STM32). They
+ * share
+ *   - the torque, an angle and a fault. Each is one word, written by one side and read by the other.
+ *   - the state machine. The tick or a byte is in it, never both. If a tick finds it busy, the other side does that
+ *     tick before it goes on. So the tick waits for nothing, and loop() waits only for a tick.
  */
 #ifndef HAPSIM_KNOB_H
 #define HAPSIM_KNOB_H
@@ -17,10 +18,10 @@
 #include <Arduino.h>
 #include <SimpleFOC.h>
 
-/* Takes the motor over and starts the tick. `target_per_nm`: the motor.target of 1 N m: volts, or amperes where current
- * is sensed or motor.phase_resistance is set. False where the motor is not calibrated, or where the torque limit in these
- * units is no number or beyond the motor's own limit; then the motor stays disabled, and an armed device latches with
- * fault 6. */
+/* Takes over the motor and starts the tick. `target_per_nm` is the motor.target for 1 N m: in volts, or in amperes if
+ * current is sensed or motor.phase_resistance is set. Returns false if the motor is not calibrated, or if the torque
+ * limit in these units is not a number or exceeds the motor's own limit. Then the motor stays disabled, and an armed
+ * device latches with fault 6. */
 bool hapsim_knob_begin(FOCMotor &motor, Stream &port, float target_per_nm);
 
 /* Runs a round of the FOC and processes the received bytes. */

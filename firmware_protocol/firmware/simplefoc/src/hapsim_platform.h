@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: MIT */
-/* The chip's part for hapsim_knob.cpp: a timer that calls hapsim_knob_tick, and a watchdog that resets the chip. */
+/* The chip's part of hapsim_knob.cpp: a timer that calls hapsim_knob_tick, and a watchdog that resets the chip. */
 #ifndef HAPSIM_PLATFORM_H
 #define HAPSIM_PLATFORM_H
 
@@ -7,10 +7,10 @@
 
 enum : uint32_t { HAPSIM_WATCHDOG_MS = 30 };
 
-/* Both start. */
+/* Starts the timer and the watchdog. */
 void hapsim_platform_begin(uint32_t period_us);
 
-/* The next tick comes a whole period from now. */
+/* Restarts the timer: the next tick comes a whole period from now. */
 void hapsim_platform_restart(uint32_t period_us);
 
 void hapsim_platform_feed_watchdog();

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* STM32 (Cortex-M3 upwards, STM32duino): a timer's interrupt makes the tick; the independent watchdog resets it. */
+/* STM32 (Cortex-M3 upwards, STM32duino): a timer's interrupt makes the tick; the independent watchdog resets the
+ * chip. */
 #ifdef ARDUINO_ARCH_STM32
 #include "hapsim_knob.h"
 

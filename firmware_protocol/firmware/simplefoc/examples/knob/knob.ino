@@ -1,11 +1,12 @@
 /* SPDX-License-Identifier: MIT */
-/* A knob with a gimbal motor and an MT6701: the pins of a NanoD++. README.md has others, and how to find the numbers. */
+/* A knob with a gimbal motor and an MT6701: the pins of a NanoD++. README.md has the pins of other knobs, and describes
+ * how to find the numbers. */
 #include <SimpleFOC.h>
 #include <SimpleFOCDrivers.h>
 #include <encoders/mt6701/MagneticSensorMT6701SSI.h>
 #include <hapsim_knob.h>
 
-const float VOLTS_PER_NM = 176; /* phase resistance / torque constant: 2.645 ohm / 0.015 N m/A, which is a guess */
+const float VOLTS_PER_NM = 176; /* phase resistance / torque constant: 2.645 ohm / 0.015 N m/A (a guess) */
 
 BLDCMotor motor(7); /* pole pairs */
 BLDCDriver3PWM driver(34, 35, 37, 33, 48, 36);
@@ -23,7 +24,7 @@ void setup() {
     motor.linkDriver(&driver);
     motor.voltage_limit = 2; /* 0.76 A at standstill */
     motor.voltage_sensor_align = 1;
-    /* Uncomment these with what a first start found, and no later start moves the knob.
+    /* Enter the numbers of the first start and uncomment these lines; then no later start moves the knob.
     motor.zero_electric_angle = 2.77f;
     motor.sensor_direction = Direction::CW; */
     motor.init();
