@@ -6,6 +6,7 @@ neighbouring pieces limit it. A hand that presses steadily holds the rest at any
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from hapsim.one_thread import one_thread
 from hapsim.prediction.linear import stand_in_for
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.arrays import Floats
-from hapsim.theory.network import LARGE, SURELY, loop, state_size, transition
+from hapsim.theory.network import LARGE, SURELY, loop, state_size
 from hapsim.theory.rows import stretches_of
 from hapsim.units import Units
 
@@ -263,16 +264,22 @@ class NetworkVerdict:
                 return Solved(instead, solve(instead), sentence)
 
     @cached_property
+    def _change(self) -> Floats | None:
+        """Change of the state from one sample to the next; None of a large scene, or if it cannot be computed."""
+        if state_size(self.network) > LARGE:
+            return None
+        with contextlib.suppress(NotWorkedOutError):
+            return loop(self.network).change
+        return None
+
+    @cached_property
     @np.errstate(all="ignore")
     def decays(self) -> bool:
         """True if squares of the transition show that every motion decays, in a fifth of the time that eigenvalues
         take. False proves nothing."""
-        if state_size(self.network) > LARGE:
+        if self._change is None:
             return False
-        try:
-            power = transition(self.network)
-        except NotWorkedOutError:
-            return False
+        power = self._change + np.eye(len(self._change))
         for _ in range(_SQUARED):
             norm = np.abs(power).sum(axis=0).max(initial=0.0)
             if not _GONE <= norm < _MOST_NORM:
@@ -280,10 +287,18 @@ class NetworkVerdict:
             power = power @ power
         return False
 
+    @property
+    def _stays(self) -> bool:
+        """True if no pole's modulus says that a motion surely grows. False proves nothing."""
+        change = self._change
+        if change is None or not np.isfinite(change).all():
+            return False
+        return bool(np.abs(1.0 + np.linalg.eigvals(change)).max(initial=0.0) <= SURELY)
+
     def shaken_by_network(self, snaps: int = 0) -> Shaking | None:
         """Returns the motion that surely grows; None also if the poles cannot be computed for the scheme. `snaps`:
         number of real poles that belong to snaps; a snap moves the points on before a slower growth is felt."""
-        if not snaps and self.decays:
+        if not snaps and (self.decays or self._stays):
             return None
         solution = self.solved.solution
         if self.solved.instead:

@@ -172,12 +172,6 @@ def _power(step: Floats, count: int) -> Floats:
     return out
 
 
-def transition(network: Network) -> Floats:
-    """Matrix from the state at one sample to the state at the next, of a scene that is not large."""
-    change = loop(network).change
-    return change + np.eye(len(change))
-
-
 def channel_steps(network: Network) -> list[DeviceStep]:
     """Step of each channel over one sample period, in normalised units."""
     mass, rate = network.channel_mass, network.rate

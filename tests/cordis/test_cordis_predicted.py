@@ -18,11 +18,11 @@ from hapsim.scene import DamperScheme, Scene, ViscoElastic, parse_scene
 from hapsim.scene.choices import WITH_CUTOFF, WITH_SENSOR
 from hapsim.theory import Network, solve
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import transition
 from hapsim.theory.network.network import BACKWARD, inner_links, is_memoryless
 from hapsim.theory.rows import cut
 from hapsim.theory.sample import Sample
 from hapsim.theory.schemes import SCHEMES as THEORY
+from tests.transitions import transition
 
 RATE = 1000.0
 T = 1.0 / RATE

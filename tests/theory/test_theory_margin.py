@@ -14,8 +14,9 @@ from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.scene import parse_scene
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import margins, margins_of, solve, transition
+from hapsim.theory.network import margins, margins_of, solve
 from hapsim.theory.network.modes import snap_to_rest
+from tests.transitions import transition
 
 RATE = 1000.0
 LIMIT = 1.0 + 1e-9

@@ -10,7 +10,8 @@ import pytest
 from hapsim.holds import HOLDS
 from hapsim.theory import Configuration, Network
 from hapsim.theory.interface import SAMPLINGS, damper_named
-from hapsim.theory.network import solve, transition
+from hapsim.theory.network import solve
+from tests.transitions import transition
 
 RATE = 1000.0
 

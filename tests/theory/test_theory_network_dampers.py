@@ -11,7 +11,8 @@ import pytest
 
 from hapsim.theory import Network
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import solve, transition
+from hapsim.theory.network import solve
+from tests.transitions import transition
 
 RATE = 1000.0
 CUTOFF = 90.0

@@ -10,9 +10,10 @@ import pytest
 
 from hapsim.theory import Network, NotWorkedOutError, margins_of, sample, solve
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import is_large, transition
+from hapsim.theory.network import is_large
 from hapsim.theory.network.large_loop import sparse_transition
 from hapsim.theory.schemes import SCHEMES, Scheme, between_samples, in_a_matrix
+from tests.transitions import transition
 
 RATE = 1000.0
 

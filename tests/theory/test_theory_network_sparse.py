@@ -10,8 +10,9 @@ import pytest
 
 from hapsim.theory import Network, sample
 from hapsim.theory.interface import damper_named
-from hapsim.theory.network import is_large, margins, margins_of, solve, transition
+from hapsim.theory.network import is_large, margins, margins_of, solve
 from hapsim.theory.network.large_loop import sparse_transition
+from tests.transitions import transition
 
 RATE = 1000.0
 M, K = 0.01, 1000.0

@@ -16,10 +16,11 @@ from hapsim.theory import Configuration, Network, NotWorkedOutError, sample, sol
 from hapsim.theory.device_step import device_step
 from hapsim.theory.hand.configuration import stiffest_passive, stiffest_stable
 from hapsim.theory.interface import damper_named, delay_and_hold
-from hapsim.theory.network import large_loop, large_modes, transition
+from hapsim.theory.network import large_loop, large_modes
 from hapsim.theory.network.impedance import loop_impedance
 from hapsim.theory.network.large_loop import sparse_transition
 from hapsim.theory.schemes import SCHEMES
+from tests.transitions import transition
 
 RATE, MASS = 1000.0, 0.2
 SOFT = Configuration(mass=MASS, rate=RATE, friction=1.0)

@@ -16,5 +16,5 @@ from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.margins import Margin, Margins, Stabilizing, margins_of
 from hapsim.theory.network.modes import SURELY, Mode, Solution, poles_of
 from hapsim.theory.network.network import Network, part_of, part_of_each, proves_stability
-from hapsim.theory.sample import LARGE, is_large, loop, state_size, transition
+from hapsim.theory.sample import LARGE, is_large, loop, state_size
 from hapsim.theory.schemes import NotWorkedOutError
