@@ -302,6 +302,12 @@ def test_a_button_without_an_answer_shows_a_message(page: Page) -> None:
     assert "not armed" in refusal(page, "//header")
 
 
+def is_connected(page: Page) -> bool:
+    """The status may still be that before the connection was lost."""
+    state = "import('/panel.js').then(({connection}) => arguments[0](connection.socket.readyState))"
+    return bool(page.browser.execute_async_script(state) == 1)
+
+
 def test_what_is_asked_while_nobody_answers_is_refused_and_works_again_afterwards(page: Page) -> None:
     """A prediction whose answer the connection lost kept all later ones from being asked for."""
     page.browser.execute_async_script(
@@ -311,7 +317,7 @@ def test_what_is_asked_while_nobody_answers_is_refused_and_works_again_afterward
     )
     page.slide("touch.stiffness", 0.52, "input")
     page.until(lambda: refusal(page, ROW))
-    page.until(lambda: page.text("status").startswith("running"))
+    page.until(lambda: is_connected(page) and page.text("status").startswith("running"))
     page.slide("touch.stiffness", 0.55, "input")
     page.until(lambda: "not applied yet" in page.text("felt") and refusal(page, ROW) == "")
 
