@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: MIT */
 /* The firmware on an ATmega328P at 2 Mbaud and 1 kHz. In place of an encoder there is simulated_mass.c. In place of a
- * motor driver there is a converter on two registers: GPIOR0 takes four bytes of force, the lowest first, and a write
- * to GPIOR1 puts them out. */
+ * motor driver there is a converter on two registers. GPIOR0 takes four bytes of force, the lowest first; a write to
+ * GPIOR1 puts them out. */
 #include "atmega328p.h"
 #include "hapsim_board.h"
 #include "hapsim_device.h"

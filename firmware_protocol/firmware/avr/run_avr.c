@@ -1,13 +1,13 @@
 /* SPDX-License-Identifier: MIT */
-/* Runs the AVR firmware on simavr: `run_avr FIRMWARE.hex [LOG [NAME=NUMBER ...]]` connects UART 0 to a pseudo-terminal,
- * prints its path, and runs until it is stopped. At the end it prints how many cycles the firmware's parts took.
+/* Runs the AVR firmware on simavr: `run_avr FIRMWARE.hex [LOG [NAME=NUMBER ...]]` connects UART 0 to a pseudo-terminal
+ * and prints its path. It runs until it is stopped. At the end it prints how many cycles the firmware's parts took.
  *
  * The emulated clock follows real time and never runs ahead of it. If this machine was held up for longer than a
  * sample, that time is lost: a burst of samples would be of no use.
  *
  * NAME=NUMBER sets a property of analogue/plant.c, which simulates an analogue board's motors and sensors. `lockstep=1`
- * gives virtual time, for a scene with `clock: lockstep` (lockstep.h): the emulated clock stops after each position
- * until the host has answered, and otherwise runs as fast as it can.
+ * gives virtual time, for a scene with `clock: lockstep` (lockstep.h). The emulated clock then stops after each
+ * position until the host has answered, and otherwise runs as fast as it can.
  *
  * LOG gets a line for each force put out, even for the same force again. The line has two hexadecimal words:
  * microseconds of the emulated clock, and counts. An analogue board logs each change of the duty, in 256ths.

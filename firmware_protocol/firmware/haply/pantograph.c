@@ -38,8 +38,8 @@ bool pantograph_forward(const pantograph *arms, const double angle[2], pantograp
     return true;
 }
 
-/* The transpose of the Jacobian, without computing the Jacobian: the force is divided into one force along each distal
- * link, and each of these turns its motor by its lever. */
+/* Applies the transpose of the Jacobian without computing the Jacobian. The force is divided into one force along each
+ * distal link. Each of these turns its motor by its lever. */
 bool pantograph_torques(const pantograph_pose *pose, const double force[2], double limit, double torque[2]) {
     const double area = cross(pose->link[0], pose->link[1]);
     torque[0] = pose->lever[0] * cross(force, pose->link[1]) / area;

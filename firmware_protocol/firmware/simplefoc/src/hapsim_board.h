@@ -24,7 +24,7 @@
 #define HAPSIM_BOARD_FORCE_LIMIT {HAPSIM_F64(0x3f847ae1, 0x47ae147b)} /* 0.01 N m, */
 #define HAPSIM_BOARD_FORCE_LIMIT_COUNTS {1000000}                     /* the same in counts, rounded down */
 
-/* A larger step of the angle between two rounds of the FOC loop is a fault: no hand and no motor of this kind makes it.
+/* A larger step of the angle between two rounds of the FOC loop is a fault. No hand and no motor of this kind makes it.
  * A twelfth of a turn is 5000 rpm if a round takes 1 ms, and more if it takes less. */
 #define HAPSIM_KNOB_LARGEST_STEP (HAPSIM_KNOB_TURN / 12)
 
