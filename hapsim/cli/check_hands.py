@@ -251,13 +251,13 @@ def _weight(weight: Weight) -> str:
     """Returns the mass that a linear hand feels, in sentences."""
     from hapsim.prediction import HAND_STIFFNESS
 
-    told = f"The free masses weigh {number(weight.mass, 4)} kg. Moved by a hand of {HAND_STIFFNESS:g} N/m, they feel "
-    told += f"like {number(weight.felt, 4)} kg (without sampling and delay: {number(weight.continuous, 4)} kg)"
+    text = f"The free masses weigh {number(weight.mass, 4)} kg. Moved by a hand of {HAND_STIFFNESS:g} N/m, they feel "
+    text += f"like {number(weight.felt, 4)} kg (without sampling and delay: {number(weight.continuous, 4)} kg)"
     if math.isfinite(weight.within_10_percent_hz):
-        told += f". Up to {number(weight.within_10_percent_hz, 2)} Hz they feel like themselves, within 10 %"
+        text += f". Up to {number(weight.within_10_percent_hz, 2)} Hz they feel like themselves, within 10 %"
     if math.isfinite(weight.to_simulate):
-        told += f". Simulate {number(weight.to_simulate, 4)} kg to feel {number(weight.mass, 4)}"
-    return told
+        text += f". Simulate {number(weight.to_simulate, 4)} kg to feel {number(weight.mass, 4)}"
+    return text
 
 
 def together_document(prediction: Prediction) -> list[dict[str, Any]]:
@@ -314,8 +314,8 @@ def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
     oscillate, and the result for ordinary hands. Equal sentences are merged."""
     alike: dict[str, list[str]] = {}
     for one in prediction.any_hands:
-        told = f"{_passive(prediction, one)}{_ordinary(prediction, one)}"
-        alike.setdefault(told, []).append(_who(one))
+        sentence = f"{_passive(prediction, one)}{_ordinary(prediction, one)}"
+        alike.setdefault(sentence, []).append(_who(one))
     for sentence, whose in alike.items():
         yield f"{', '.join(whose)}: {sentence}"
 
@@ -359,12 +359,12 @@ def _hands(one: AnyHand, worst: WorstHand, units: Units) -> str:
     """Returns the mass and stiffness that the hands add."""
     each = zip(one.names, worst.masses, worst.stiffnesses, strict=True)
     several = len(one.names) > 1
-    told = [
+    added = [
         f"{units(mass, 'kg', 3)}, {units(stiffness, 'N/m', 3)}{f' on {escape(name)}' if several else ''}"
         for name, mass, stiffness in each
         if mass or stiffness or not several
     ]
-    return " and ".join(told) or "nothing"
+    return " and ".join(added) or "nothing"
 
 
 def _who(one: AnyHand) -> str:

@@ -194,11 +194,11 @@ def _is_arming_answer(status: Received) -> bool:
 
 
 def _arming_problem(received: list[Received]) -> str:
-    said = "it did not answer ARM"
+    answer = "it did not answer ARM"
     if received and received[-1].kind == schema.STATUS:
-        said = f"it answered ARM with state {received[-1].state} and fault {received[-1].fault}"
+        answer = f"it answered ARM with state {received[-1].state} and fault {received[-1].fault}"
     return (
-        f"the device described itself, but {said} within {client.TRIES * client.ANSWER_S:.2g} s: its firmware has to "
+        f"the device described itself, but {answer} within {client.TRIES * client.ANSWER_S:.2g} s: its firmware has to "
         "answer with a STATUS that says armed (state 1) or why not (PROTOCOL.md, sections 4 and 7)"
     )
 

@@ -129,7 +129,7 @@ class Replay:
         self._ticks += len(piece)
 
     def _exchange(self, words: NDArray[np.int64], is_last: bool) -> None:
-        most = len(words) if self._sound is None else self._most_heard
+        most = len(words) if self._sound is None else self._most_ticks
         for at in range(0, max(len(words), 1), max(most, 1)):
             piece = words[at : at + most]
             replay_rows(self.loop.record, self._decoder, piece, self._flushes, is_last and at + most >= len(words))
@@ -151,7 +151,7 @@ class Replay:
             raise UsageError(f"{file}: found no pick-up in the scene, expected a part `sound`")
         pick_ups = [name for name in self.scene.sound if pick_up in (None, name)]
         require_writable_as_wav(file, len(pick_ups), self.scene.step_rate)
-        self._most_heard = int(self.loop.sound.record.capacity) // (4 * self.scene.substeps)
+        self._most_ticks = int(self.loop.sound.record.capacity) // (4 * self.scene.substeps)
         output = SoundOutput(self.loop.sound, [list(self.scene.sound).index(name) for name in pick_ups])
         output.file = WavFile(file, len(pick_ups), round(self.scene.step_rate), lambda _: None)
         return output

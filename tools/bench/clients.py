@@ -139,9 +139,9 @@ def main() -> None:
                     memory.append(now)
                     clients = f"{sum(done.values())} clients"
                     print(f"\r{times[-1] / 60:.1f} min, {memory[-1]:.1f} MB, {clients}", end="", flush=True)
-    told = report[0]
-    ended = told.get("error") or told["ending"]
-    print(f"\n{ended}: {told['ticks']} ticks, {told['deadline_misses']} deadline misses")
+    result = report[0]
+    ended = result.get("error") or result["ending"]
+    print(f"\n{ended}: {result['ticks']} ticks, {result['deadline_misses']} deadline misses")
     print(", ".join(f"{number} {name}" for name, number in sorted(done.items())))
     later = np.array(times) > WARM_UP_S
     if later.sum() > 2:

@@ -36,17 +36,17 @@ def main() -> None:
         prediction = hapsim.predict(scene, with_margins=False)
         kept = unsnapped_states(prediction)
         for state, growth in zip(kept, growths_within(scene, kept, SAMPLES, 20), strict=True):
-            said = judged_unstable(prediction, state)
-            if not said and not prediction.stable_as_taken:
+            unstable = judged_unstable(prediction, state)
+            if not unstable and not prediction.stable_as_taken:
                 states["beside what is unstable as it is taken"] += 1
-            elif said and growth < 1.0:
+            elif unstable and growth < 1.0:
                 states["falsely unstable"] += 1
                 print(f"seed {seed}: falsely unstable, {growth:.6g} a sample: {_words(state)}")
-            elif not said and growth > 1.0 + BARELY:
+            elif not unstable and growth > 1.0 + BARELY:
                 states["falsely stable"] += 1
                 print(f"seed {seed}: falsely stable, {growth:.6g} a sample: {_words(state)}")
             else:
-                states["unstable, and grows" if said else "stable, and does not grow"] += 1
+                states["unstable, and grows" if unstable else "stable, and does not grow"] += 1
         verdict = "stable" if prediction.stable else "refused" if prediction.judge.shaking else "at the limit"
         pushes[verdict, "grew" if _grew(scene, seed) else "did not grow"] += 1
     print(f"{options.scenes} scenes; states: {dict(states)}")

@@ -210,14 +210,14 @@ def measure_all(columns: int, rows: int, conditions: list[str], names: list[str]
     carrier = scene_of(0.01, 0.5, CONTENDERS[0], {})
     cells: dict[str, dict[str, list[list[Any]]]] = {condition: {} for condition in conditions}
     for condition, name in itertools.product(conditions, names):
-        say = f"{condition}, {name}"
+        what = f"{condition}, {name}"
         found = hapsim.sweep(
             carrier,
             points,
             quantities=(),
             function=partial(cell_of, name, condition),
             jobs=processes,
-            on_progress=lambda done, _, say=say: print(f"\r{say}: {done}   ", end="", file=sys.stderr, flush=True),
+            on_progress=lambda done, _, what=what: print(f"\r{what}: {done}   ", end="", file=sys.stderr, flush=True),
         )
         if failed := [one for one in found["error"].values if one]:
             raise RuntimeError(failed[0])

@@ -15,7 +15,7 @@ ROW = "| {board} | {k:.8g} | {k_off:+.1e} | {b:.8g} | {b_off:+.1e} | {rate:.0f} 
 
 
 def touch(board: str, duration_s: float, scene: Path) -> tuple[dict[str, Any], str] | None:
-    """hapsim measure's document, and what the board said at its end; None where it is not built."""
+    """Returns the document of `hapsim measure` and what the board printed at its end; None where it is not built."""
     command = [str(ROOT / "firmware_protocol/firmware/board"), board]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert running.stdout is not None
@@ -29,10 +29,10 @@ def touch(board: str, duration_s: float, scene: Path) -> tuple[dict[str, Any], s
         )
     finally:
         running.terminate()
-        said = running.communicate()[1]
+        text = running.communicate()[1]
     if measured.returncode != 0:
         raise SystemExit(f"{board}: hapsim measure ended with status {measured.returncode}: {measured.stderr[-500:]}")
-    return json.loads(measured.stdout), said
+    return json.loads(measured.stdout), text
 
 
 def row(board: str, document: dict[str, Any]) -> str:
@@ -57,20 +57,20 @@ def main() -> None:
     options = parser.parse_args()
     print("| board | measured k, N/m | off by | measured b, N·s/m | off by | rate reached | deadline misses |")
     print("|---|---|---|---|---|---|---|")
-    told, predicted = [], None
+    notes, predicted = [], None
     for board in BOARDS:
         touched = touch(board, options.duration, options.scene)
         if touched is None:
             print(f"{board}: not built on this machine", file=sys.stderr)
             continue
-        document, said = touched
+        document, text = touched
         predicted = document["predicted"]
         print(row(board, document), flush=True)
-        told += [line for line in said.splitlines() if "cycles" in line or "interrupt" in line or "main loop" in line]
+        notes += [line for line in text.splitlines() if "cycles" in line or "interrupt" in line or "main loop" in line]
     if predicted is not None:
         print(f"\nPredicted: k = {predicted['k']:.8g} N/m, b = {predicted['b']:.8g} N·s/m.")
-    if told:
-        print("\n" + "\n".join(told))
+    if notes:
+        print("\n" + "\n".join(notes))
 
 
 if __name__ == "__main__":

@@ -162,8 +162,8 @@ def main() -> None:
     z = np.abs(scaled)
     print("| | off by, at most | within 1 uncertainty | within 1.96 | rms, in uncertainties |\n|---|---|---|---|---|")
     for i, name in enumerate(NAMES):
-        told = f"{largest[i]:.1e}" + (f" ({relative[i]:.1e} of it)" if i < 2 else "")
-        cells = [told, f"{np.mean(z[:, i] < 1.0):.0%}", f"{np.mean(z[:, i] < 1.96):.0%}"]
+        worst = f"{largest[i]:.1e}" + (f" ({relative[i]:.1e} of it)" if i < 2 else "")
+        cells = [worst, f"{np.mean(z[:, i] < 1.0):.0%}", f"{np.mean(z[:, i] < 1.96):.0%}"]
         print("| " + " | ".join([name, *cells, f"{np.sqrt(np.mean(z[:, i] ** 2)):.2f}"]) + " |")
     within = ", ".join(f"{np.mean(z < limit):.1%} within {limit:g}" for limit in (1.0, 1.96, 2.0, 3.0))
     print(f"all: {within}; largest {np.max(z):.2f}")

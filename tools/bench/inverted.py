@@ -48,15 +48,15 @@ def main() -> int:
     print("mass kg  limit N   without a travel                          with one")
     for mass in map(float, given.masses.split(",")):
         for limit in map(float, given.limits.split(",")):
-            told = []
+            cells = []
             for travel in (None, (-half, half)):
                 scene = hapsim.load_scene("configs/first_touch.yaml")
                 changes = {"clock": "lockstep", "mass": mass, "force_limit": limit, "travel": travel}
                 scene = scene.model_copy(update={"device": scene.device.model_copy(update=changes)})
                 far, speed, after, why = thrown(scene)
-                told.append(f"{1e3 * far:7.1f} mm {speed:5.2f} m/s {1e3 * after:5.0f} ms {why:15s}")
+                cells.append(f"{1e3 * far:7.1f} mm {speed:5.2f} m/s {1e3 * after:5.0f} ms {why:15s}")
                 within = within and (travel is None or far < 1.4 * half)
-            print(f"{mass:7g} {limit:8g}   {'  '.join(told)}")
+            print(f"{mass:7g} {limit:8g}   {'  '.join(cells)}")
     return 0 if within else 1
 
 

@@ -2,11 +2,11 @@
 
     tools/bench/kills [--clock device|host] [--only WORDS ...]
 
-The device is the reference firmware's Linux board, which tells by its own clock which force it put out when; its force
+The device is the reference firmware's Linux board, which logs by its own clock which force it put out when; its force
 changes with every sample. In the table: who was killed or stopped, and how; from the last answer to zero force, by the
 device's clock, and what the force's time to live allows; what the record lacks, in the device's samples (it is written
-four times a second); the host's exit status; whether a run over the same port succeeds afterwards; what the user was
-told.
+four times a second); the host's exit status; whether a run over the same port succeeds afterwards; what the user
+reads.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PLAYED = 1500  # forces, before anything happens
 STOPPED_S = 2.0
 PATIENCE_S = 60.0
 ATTEMPTS = 10
-TOLD = 110  # characters
+SHOWN = 110  # characters
 HEAD = ("who", "how", "to zero force, ms", "allowed", "record lacks", "status", "port free", "the user read")
 
 
@@ -65,15 +65,15 @@ class Host:
             stderr=subprocess.PIPE,
             text=True,
         )
-        self._told: tuple[int, str] | None = None
+        self._result: tuple[int, str] | None = None
 
     def end(self) -> tuple[int, str]:
         """The exit status and the last sentence, without file names."""
-        if self._told is None:
-            said = self.process.communicate(timeout=PATIENCE_S)[1].strip().splitlines()
-            lines = [line for line in said if not line.startswith(("running", "compiling", "granted", "denied"))]
-            self._told = self.process.returncode, lines[-1] if lines else ""
-        return self._told
+        if self._result is None:
+            printed = self.process.communicate(timeout=PATIENCE_S)[1].strip().splitlines()
+            lines = [line for line in printed if not line.startswith(("running", "compiling", "granted", "denied"))]
+            self._result = self.process.returncode, lines[-1] if lines else ""
+        return self._result
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def played(case: Case, scene: Path, clock: str, place: Path) -> list[str] | None
             return None
         before = len(board.put_out())
         case.do(host, board)
-        status, told = host.end()
+        status, sentence = host.end()
         is_there = board.process.poll() is None
         if is_there:
             _wait(lambda: board.put_out()[-1][1] == 0)
@@ -139,7 +139,7 @@ def played(case: Case, scene: Path, clock: str, place: Path) -> list[str] | None
         for process in (host.process, board.process):
             process.kill()
             process.communicate()
-    return [case.who, case.how, *row, free, told if len(told) <= TOLD else f"{told[:TOLD]}…"]
+    return [case.who, case.how, *row, free, sentence if len(sentence) <= SHOWN else f"{sentence[:SHOWN]}…"]
 
 
 def _to_zero(board: Board, clock: str, is_there: bool, before: int) -> list[str]:

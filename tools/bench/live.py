@@ -66,11 +66,11 @@ def main() -> None:
         for changing in (False, True):
             misses, ticks, took = run_once(arguments.changes, changing)
             what = f"{arguments.changes} changes" if changing else "no change"
-            said = f"round {number + 1}, {what}: {misses} deadline misses in {ticks} ticks"
+            line = f"round {number + 1}, {what}: {misses} deadline misses in {ticks} ticks"
             if took:
                 median, mean = 1e3 * statistics.median(took), 1e3 * statistics.mean(took)
-                said += f", {median:.0f} ms a change (median; {mean:.0f} on the average)"
-            print(said, flush=True)
+                line += f", {median:.0f} ms a change (median; {mean:.0f} on the average)"
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

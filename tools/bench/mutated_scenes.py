@@ -158,20 +158,20 @@ def tried(data: bytes, runs: bool) -> list[Outcome]:
 
 def _loaded(name: str) -> tuple[Outcome, Scene | None]:
     before = time.process_time()
-    scene, finding, told = None, "", "refused"
+    scene, finding, outcome = None, "", "refused"
     try:
         with _at_most(AT_MOST), _with_memory(MEMORY):
             scene = hapsim.load_scene(name)
-        told = "loaded"
+        outcome = "loaded"
     except SceneError as error:
         misplaced = [line for line in str(error).splitlines() if not re.match(re.escape(name) + r":\d+:\d+: \S", line)]
         finding = f"an error without a place: {misplaced[0]}" if misplaced else ""
     except BaseException:
-        told, finding = "failed", _last_words()
+        outcome, finding = "failed", _last_words()
     took = time.process_time() - before
     if took > SECONDS and not finding:
         finding = f"took {took:.1f} s to load"
-    return Outcome(told, finding), scene
+    return Outcome(outcome, finding), scene
 
 
 def _ended(what: str, work: Any) -> Outcome:
@@ -182,11 +182,11 @@ def _ended(what: str, work: Any) -> Outcome:
         return Outcome(f"{what}: hung", f"{what} took more than {AT_MOST} s")
     except BaseException:
         return Outcome(f"{what}: failed", f"{what}: {_last_words()}")
-    told = errors.getvalue()
+    printed = errors.getvalue()
     if status not in STATUSES:
-        return Outcome(f"{what}: {status}", f"{what} ended with status {status}: {told[-500:]}")
-    if "Traceback" in told or "Warning:" in told:
-        return Outcome(f"{what}: {status}", f"{what} told: {told[-500:]}")
+        return Outcome(f"{what}: {status}", f"{what} ended with status {status}: {printed[-500:]}")
+    if "Traceback" in printed or "Warning:" in printed:
+        return Outcome(f"{what}: {status}", f"{what} printed: {printed[-500:]}")
     return Outcome(f"{what}: {status}", "")
 
 

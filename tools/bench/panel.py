@@ -273,13 +273,13 @@ def watched(seconds: float, rounds: int, streams: str) -> None:
                 clients = [gently(stream, osc if streams == "osc" else url, one, seconds) for one in ("wall", "other")]
                 for one in (*clients, gently(lambda to: asyncio.run(view(to, seconds)), url)):
                     one.join()
-        told = report[0]
-        if told["ending"] not in ("interrupted", "stopped"):
-            print(f"run {number + 1}, {how}: {told['ending']}", file=sys.stderr)
+        ended = report[0]
+        if ended["ending"] not in ("interrupted", "stopped"):
+            print(f"run {number + 1}, {how}: {ended['ending']}", file=sys.stderr)
         found[how].append(
-            {"deadline misses": told["deadline_misses"] / told["ticks"] * 1e6, "changes": told["parameter_changes"]}
-            | {f"exchange, µs, {q}": 1e6 * told["exchange_s"][q] for q in ("p50", "p99")}
-            | {f"wake-up latency, µs, {q}": 1e6 * told["lateness_s"][q] for q in ("p50", "p99")}
+            {"deadline misses": ended["deadline_misses"] / ended["ticks"] * 1e6, "changes": ended["parameter_changes"]}
+            | {f"exchange, µs, {q}": 1e6 * ended["exchange_s"][q] for q in ("p50", "p99")}
+            | {f"wake-up latency, µs, {q}": 1e6 * ended["lateness_s"][q] for q in ("p50", "p99")}
         )
     print("| | alone | another run is watched | watched | watched / other watched |\n|---|---|---|---|---|")
     for what in found["alone"][0]:

@@ -25,14 +25,14 @@ def main() -> None:
     counts: Counter[str] = Counter()
     for seed in range(options.first, options.first + options.scenes):
         device = rough_device(seed)
-        said = measured(device)
-        named = [word for word in said.words if word != "limits"]
+        result = measured(device)
+        named = [word for word in result.words if word != "limits"]
         notes = [
             *(["no k"] if "nothing" in named else []),
-            *([f"k off by more than {FAR:g} u"] if said.apart > FAR else []),
-            *([f"k off by more than {TOO_FAR:g} u"] if said.apart > TOO_FAR else []),
-            *([f"k off by more than {TOO_FAR:g} u without a word"] if said.apart > TOO_FAR and not named else []),
-            *([f"wrong cause: {said.wrong}"] if said.wrong else []),
+            *([f"k off by more than {FAR:g} u"] if result.apart > FAR else []),
+            *([f"k off by more than {TOO_FAR:g} u"] if result.apart > TOO_FAR else []),
+            *([f"k off by more than {TOO_FAR:g} u without a word"] if result.apart > TOO_FAR and not named else []),
+            *([f"wrong cause: {result.wrong}"] if result.wrong else []),
             *(["another mass, named"] if device.wrong_mass and "mass" in named else []),
             *(["another mass, another cause or none"] if device.wrong_mass and "mass" not in named else []),
         ]
@@ -40,7 +40,7 @@ def main() -> None:
         if options.every or any("without a word" in note or "wrong" in note for note in notes):
             touch, mock = device.scene.links["touch"], device.scene.mock_device
             print(
-                f"{seed}: {'; '.join(notes)}; off by {said.off:.1e}, {said.apart:.1f} u; said {said.words}; "
+                f"{seed}: {'; '.join(notes)}; off by {result.off:.1e}, {result.apart:.1f} u; reported {result.words}; "
                 f"{touch.damper}, {device.scene.device.hold}, dry {mock.coulomb:.3g} N, count {mock.quantum[0]:.1e} m, "
                 f"noise {mock.noise:.1e} m, mass {device.wrong_mass}, friction {device.wrong_friction}"
             )

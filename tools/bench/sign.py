@@ -61,7 +61,7 @@ HAND = np.dtype(
     + [(name, np.float64, (KNOCKS,)) for name in ("knock_at", "knock_lasts", "knock")]
     + [("home", np.float64), ("position", np.float64), ("velocity", np.float64), ("time", np.float64)]
     + [("other", np.uint64)]  # address of the hand whose channel has the motor that moves this one
-    + [("told", np.float64), ("least_force", np.float64), ("touched", np.int64), ("begun_at", np.float64)]
+    + [("own_force", np.float64), ("least_force", np.float64), ("touched", np.int64), ("begun_at", np.float64)]
     + [("most_m", np.float64), ("most_m_per_s", np.float64)],
     align=True,
 )
@@ -75,8 +75,8 @@ def move_in_hand(body, force, h):
     """Moves a mock's body that a hand holds. Its dry friction says where the hand is in memory."""
     body = _body_at(body)
     hand = _hand_at(np.uint64(body.coulomb))
-    hand.told = force
-    force = _hand_at(hand.other).told
+    hand.own_force = force
+    force = _hand_at(hand.other).own_force
     if hand.touched == 0 and abs(force) > hand.least_force:
         hand.touched, hand.begun_at = 1, body.position
     step = h / STEPS
@@ -332,10 +332,10 @@ def main() -> int:
         for force, mass in [(force, mass) for force in (2.5, 10.0, 40.0) for mass in (0.05, 0.2, 1.0)]:
             scene = {"rate": asked.rate, "force_limit": force, "mass": mass, "channels": 2 if "swapped" in how else 1}
             one = found[f"{what}, {force:g} N, {mass:g} kg"] = wrong(asked.runs, asked.seed, scene=scene, **how)
-            told = (", ".join(f"{x:.2g}" for x in one[name]) for name in ("m", "m/s", "before, m", "before, m/s"))
+            cells = (", ".join(f"{x:.2g}" for x in one[name]) for name in ("m", "m/s", "before, m", "before, m/s"))
             shares = (f"{one[name]:.0%}" for name in ("of these by the sign", "of these within 3 cm"))
             stopped = f"{one['stopped by the sign']}, {one['stopped by other guards']}"
-            row = (what, f"{force:g}", f"{mass:g}", *told, stopped, str(one["runaways"]), *shares)
+            row = (what, f"{force:g}", f"{mass:g}", *cells, stopped, str(one["runaways"]), *shares)
             print(f"| {' | '.join(row)} |", flush=True)
     if asked.right:
         scene = {"rate": asked.rate, "force_limit": 10.0, "mass": 0.2}

@@ -103,8 +103,8 @@ def memory() -> None:
     for count in (1000, 100_000):
         command = [sys.executable, __file__, "--only", "one", "--points", str(count)]
         begun = time.perf_counter()
-        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-        took, (own, of_worker) = time.perf_counter() - begun, (int(one) / 1024 for one in said)
+        printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+        took, (own, of_worker) = time.perf_counter() - begun, (int(one) / 1024 for one in printed)
         print(f"{count} points in {took:.0f} s: {own:.0f} MB at most, a worker {of_worker:.0f} MB")
 
 

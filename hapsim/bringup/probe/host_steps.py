@@ -60,7 +60,7 @@ def _judge_ignores(probing: Probing, n: int) -> None:
     wire = probing.wire
     before = wire.received
     wire.receive_for(max(0.05, probing.periods(5)))
-    spoke = wire.received - before
+    late = wire.received - before
     accepted = wire.register(schema.REG_ACCEPTED)
     for armed in (True, False):
         wire.send(wire.frame(schema.FORCE, n, schema.MAX_TIME_TO_LIVE_SAMPLES, armed=armed))
@@ -68,8 +68,8 @@ def _judge_ignores(probing: Probing, n: int) -> None:
     others = [one for one in frames if one.kind != schema.DESCRIPTION]
     after = wire.register(schema.REG_ACCEPTED)
     answered = answer and (answer.wire, answer.word)
-    kept = answered == (SETUP, schema.HOST_QUIET) and not others and spoke == 0 and accepted == after
-    found = f"{spoke} bytes after STATUS; {in_words(answer)}, after two FORCE; register 8 read {accepted}, then {after}"
+    kept = answered == (SETUP, schema.HOST_QUIET) and not others and late == 0 and accepted == after
+    found = f"{late} bytes after STATUS; {in_words(answer)}, after two FORCE; register 8 read {accepted}, then {after}"
     probing.judge("latched_ignores", kept, found + "".join(f"; {in_words(one)}" for one in others[:1]))
 
 

@@ -123,9 +123,9 @@ class Session:
         """The last position."""
         return self.samples[-1] if self.samples else None
 
-    def take(self, heard: Sequence[Received]) -> None:
+    def take(self, frames: Sequence[Received]) -> None:
         """Sorts frames."""
-        for one in heard:
+        for one in frames:
             # A device that releases by itself may say so in the wrong format.
             ends = one.kind == schema.STATUS and (one.wire != SETUP or one.state == schema.LATCHED)
             if one.kind in schema.POSITIONS and one.wire == self.wire.armed and self.ended is None:
@@ -173,10 +173,10 @@ class Session:
         """Sends DISARM in the armed format; returns the STATUS that answers. Without one it releases the device in any
         format, and returns None. Every position before it is taken."""
         self.wire.send(self.wire.frame(schema.DISARM, 0, armed=True))
-        answer, heard = self.wire.wait_for(
+        answer, frames = self.wire.wait_for(
             lambda one: one.kind == schema.STATUS and one.state == schema.IDLE, 4 * ANSWER_S
         )
-        self.take(heard)
+        self.take(frames)
         if answer is None:
             self.wire.release()
         return answer

@@ -154,9 +154,9 @@ def _lowest_poles(matrix: LiftedTransition) -> tuple[Complexes, NDArray]:
     from a step with the hands held still; inverse iterations follow each pole to the scene with moving hands."""
     poles, held = _nearest_poles(matrix.held, PoleSearch(1.0 + OFFSET_FROM_ONE, LOWEST, ""))
     once = np.unique(np.round(poles, 9), return_index=True)[1]  # both of a pair were found
-    followed = [_follow_pole(matrix, complex(poles[i]) ** matrix.steps, held[:, i]) for i in once]
-    motions = np.array([motion for _, motion in followed]).reshape(-1, matrix.size).T
-    poles = np.array([pole for pole, _ in followed], complex)
+    found = [_follow_pole(matrix, complex(poles[i]) ** matrix.steps, held[:, i]) for i in once]
+    motions = np.array([motion for _, motion in found]).reshape(-1, matrix.size).T
+    poles = np.array([pole for pole, _ in found], complex)
     return _converged(matrix, np.where(np.abs(poles.imag) < REAL, poles.real, poles), motions)
 
 

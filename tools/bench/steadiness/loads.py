@@ -50,13 +50,13 @@ def loaded(kind: str) -> Iterator[Load]:
 
 def serve_load(kind: str) -> dict[str, float]:
     """A process that is nothing but a load: says when it is at work, ends at SIGTERM. What it did."""
-    told = threading.Event()
-    signal.signal(signal.SIGTERM, lambda _number, _frame: told.set())
+    stopping = threading.Event()
+    signal.signal(signal.SIGTERM, lambda _number, _frame: stopping.set())
     with loaded(kind) as load:
         load.go.set()
         print("ready", flush=True)
-        while not told.is_set():
-            told.wait(0.05)
+        while not stopping.is_set():
+            stopping.wait(0.05)
     return load.summary()
 
 

@@ -91,6 +91,6 @@ def _cpu_model() -> str:
 def _cyclictest_version() -> str | None:
     if not has_cyclictest():
         return None
-    told = subprocess.run(["cyclictest", "--help"], capture_output=True, text=True, check=False)
-    version = re.search(r"cyclictest V (\S+)", told.stdout + told.stderr)
+    answer = subprocess.run(["cyclictest", "--help"], capture_output=True, text=True, check=False)
+    version = re.search(r"cyclictest V (\S+)", answer.stdout + answer.stderr)
     return version.group(1) if version else "unknown"
