@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from hapsim.cli.output import Line, table
-from hapsim.number_format import between, rounded_up
+from hapsim.number_format import between, percent, rounded_up
 from hapsim.prediction import Desired, Prediction, predict
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.linear import with_device
@@ -29,7 +29,7 @@ def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iter
             units = prediction.scene.units_of(felt.channel)
             mass, friction, delay = (_within(*span) for span in (one.mass, one.friction, one.delay))
             yield (
-                f"{escape(felt.name)} feels what is desired within {one.share:.0%} where its mass is "
+                f"{escape(felt.name)} feels what is desired within {percent(one.share)} where its mass is "
                 f"{units(mass, 'kg')}, its friction {units(friction, 'N·s/m')}, or the delay {delay} samples"
             )
 
@@ -58,7 +58,7 @@ def correction_lines(prediction: Prediction) -> Iterator[Line]:
         for felt in prediction.felt:
             for one in poles.tolerances(felt.name, SHARES[:1]):
                 mass = prediction.scene.units_of(felt.channel)(_within(*one.mass), "kg")
-                yield f"With correction: poles {escape(felt.name)} would feel it within {one.share:.0%} for {mass}"
+                yield f"With correction: poles {escape(felt.name)} would feel it within {percent(one.share)} for {mass}"
     for note in rendering.notes:
         yield f"[yellow]Of the correction:[/yellow] {escape(note)}."
 
@@ -79,17 +79,17 @@ def _reached_sentence(desired: Desired, name: str, prediction: Prediction) -> st
         return f"Correction {name}: {desired.name} swings as desired.{steady}"
     if desired.name in prediction.regions:
         return (
-            f"Correction {name}: what {desired.name} feels in its region is {desired.error:.1%} off what is desired. "
-            f"Contacts are corrected; tables, detents and clicks keep the scene's values.{steady}"
+            f"Correction {name}: what {desired.name} feels in its region is {100.0 * desired.error:.1f} % off what is "
+            f"desired. Contacts are corrected; tables, detents and clicks keep the scene's values.{steady}"
         )
     if desired.remedies is None:
-        off = f"{desired.error:.1%} off at most" if desired.error >= _SMALL else "less than 0.1 % off"
+        off = f"{100.0 * desired.error:.1f} % off at most" if desired.error >= _SMALL else "less than 0.1 % off"
         off = off if math.isfinite(desired.error) else "not a spring and damper's at some of them"
         return (
             f"Correction {name}: over the masses of its span, what {desired.name} feels is {off}; the table is of the "
             f"middle of the span.{steady}"
         )
-    off = f", {desired.error:.1%} off" if math.isfinite(desired.error) else ""
+    off = f", {100.0 * desired.error:.1f} % off" if math.isfinite(desired.error) else ""
     return (
         f"[yellow]Correction {name} does not reach what is desired at {desired.name}[/yellow]: simulated is what comes "
         f"nearest{off}. {_what_would(desired.remedies, units)}"

@@ -122,7 +122,7 @@ def mode_lines(prediction: Prediction) -> Iterator[Line]:
             module = point.partition(".")[0]
             shares[module] = shares.get(module, 0.0) + share
         moving = sorted(shares.items(), key=lambda entry: -entry[1])
-        names = ", ".join(f"{name} {share:.0%}" for name, share in moving[:3] if share > 0.05)
+        names = ", ".join(f"{name} {100.0 * share:.0f} %" for name, share in moving[:3] if share > 0.05)
         modulus = abs(mode.pole)
         digits = ".6f" if modulus < _HUGE else ".4g"
         pole = f"{mode.pole.real:{digits}}"
@@ -199,7 +199,7 @@ def wire_lines(prediction: Prediction, on_wire: Prediction | None, explain: bool
     budget, is_real = prediction.wire_time, prediction.wire_of != "none"
     whole = f"{duration(budget.exchange_s)} of {duration(budget.period)}"
     if explain:
-        whole = f"{wire_parts(budget)}; {whole} ({budget.exchange_s / budget.period:.0%})"
+        whole = f"{wire_parts(budget)}; {whole} ({100.0 * budget.exchange_s / budget.period:.0f} %)"
     if is_real:
         on = "on a UART an" if prediction.wire_of == "unknown" else "an"
         verdict = "fits" if budget.fits else f"[red]does not fit[/red]: {wire_remedies(budget)}"

@@ -6,6 +6,7 @@ an option, and gives the command the object.
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import math
 import os
@@ -349,6 +350,22 @@ def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
+def _number_parser(kind: type[int | float], option: str, least: Any, most: Any) -> Callable[[Any], float]:
+    """Returns a function that reads the number of an option. `least`, `most`: its range, or None."""
+    expected = "a whole number" if kind is int else "a number"
+    if least is not None:
+        expected += f" >= {least}" if most is None else f" from {least} to {most}"
+
+    def parse(text: Any) -> float:
+        with contextlib.suppress(ValueError):
+            value = kind(text)
+            if (least is None or value >= least) and (most is None or value <= most):
+                return value
+        raise UsageError(f"{option}: found '{text}', expected {expected}")
+
+    return parse
+
+
 def _as_typer_takes(name: str, annotation: Any, default: Any) -> inspect.Parameter:
     """Returns a parameter with what `option` declared in its annotation, and its default. `default`: that, or the
     declaration."""
@@ -360,6 +377,11 @@ def _as_typer_takes(name: str, annotation: Any, default: Any) -> inspect.Paramet
         kind, declaration = get_args(annotation)
         if isinstance(declaration, Field):
             declaration = copy(declaration.metadata[_TYPER])
+            number = next((one for one in (int, float) if one in (kind, *get_args(kind))), None)
+            if number is not None:
+                named = declaration.default  # typer's first argument: the name, if there is one
+                option = named if isinstance(named, str) else "--" + name.replace("_", "-")
+                declaration.parser = _number_parser(number, option, declaration.min, declaration.max)
         declaration.help = (declaration.help or "").replace(
             " [default:", r" \[default:"
         )  # or rich takes it for a style

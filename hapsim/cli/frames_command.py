@@ -203,7 +203,7 @@ def _of_stream(name: str, stream: Any, stopped: Callable[[], bool]) -> Iterator[
                 break
             done += len(data)
             if show is not None:
-                show(f"decoding {name}: {done / status.st_size:.0%}")
+                show(f"decoding {name}: {100.0 * done / status.st_size:.0f} %")
             yield data, None
     if not done and not stopped():
         raise UsageError(f"{name}: found no bytes: the capture is empty")

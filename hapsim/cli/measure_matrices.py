@@ -349,17 +349,20 @@ def _width_table(predicted: PredictedImpedance, channels: tuple[int, ...], width
     first = next(iter(widths[0].values()))
     bands = decades_of(first.frequency, first.width_db)
     rows = []
+    alike = len({output_units(channel) for channel in channels}) == 1
     for name, channel, by_kind in zip(predicted.names, channels, widths, strict=True):
+        units = output_units(channel)
         for kind, width in by_kind.items():
-            wall = [f"{width.wall.stiffness:.6g}", f"{width.wall.damping:.4g}"]
+            K, B = width.wall.stiffness, width.wall.damping
+            wall = [f"{K:.6g}", f"{B:.4g}"] if alike else [units(K, "N/m", ".6g"), units(B, "N·s/m", ".4g")]
             rows.append([escape(name), kind, *wall, *_means(width.frequency, width.width_db)])
             if kind == "passive" and channel in walls:
                 found = walls[channel]
                 rows.append(["", "measured", "", "", *_means(width.frequency, found.width_db)])
                 rows.append(["", "±", "", "", *_means(width.frequency, found.uncertainty_db, ".1g")])
     of_bands = (f"{low:.3g} to {high:.3g} Hz" for low, high, _ in bands)
-    units = output_units()
-    headings = ("<at", "<wall", f"K  {units.name('N/m')}", f"B  {units.name('N·s/m')}", "all", *of_bands)
+    walls_at = (f"K  {units.name('N/m')}", f"B  {units.name('N·s/m')}") if alike else ("K", "B")
+    headings = ("<at", "<wall", *walls_at, "all", *of_bands)
     return table("Z-width: from the device alone to its stiffest wall, mean dB", headings, rows)
 
 

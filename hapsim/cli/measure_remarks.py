@@ -106,7 +106,14 @@ def limits(measurement: Measurement) -> Iterator[str]:
 def other_device(diagnosis: Diagnosis, measurement: Measurement, of_mass: str) -> Iterator[str]:
     """Yields the difference between the device and the scene's declaration."""
     second, mass = diagnosis.second_mode, diagnosis.probable_mass
-    if second is not None and diagnosis.gives:
+    if diagnosis.link_changed:
+        yield (
+            "[yellow]k is not the predicted one, and the scene's force followed no single linear law[/yellow]: a link "
+            "may have touched, released or slid during the record. k and b then mix its states, and the prediction "
+            "holds for only one of them. Measure a smaller motion, which leaves the link in one state. If k is still "
+            "far off, the device is not as the scene declares it."
+        )
+    elif second is not None and diagnosis.gives:
         yield (
             f"[yellow]Something swings along[/yellow] at {second.frequency_hz:.3g} Hz, damping ratio "
             f"{second.damping_ratio:.2g}, with {percent(second.share, 3)} of the motion's energy: the hand, or a part "

@@ -344,7 +344,7 @@ def _rows(report: Report, reconnections: int) -> Iterator[tuple[str, str]]:
         yield "reconnections", str(reconnections)
     yield "rate  Hz", f"{report.rate_hz:.2f}{_off_rate(report)}"
     share = report.deadline_misses / report.ticks if report.ticks else 0.0
-    yield "deadline misses", f"{report.deadline_misses} ({share:.2%})"
+    yield "deadline misses", f"{report.deadline_misses} ({100.0 * share:.2f} %)"
     if report.age_samples.max is not None:
         at_most = "at most " if report.deadline_misses else ""
         yield "oldest force  samples", f"{at_most}{report.age_samples.max:.0f}"
@@ -421,7 +421,7 @@ def _off_rate(report: Report) -> str:
     asked, kept = report.nominal_rate_hz, kept_rate(report)
     if kept is None or not kept.differs_from(asked) or abs(kept.rate_hz / asked - 1.0) < _OFF_RATE:
         return ""
-    return f" [yellow]({kept.rate_hz / asked:.1%} of {asked:g})[/yellow]"
+    return f" [yellow]({100.0 * kept.rate_hz / asked:.1f} % of {asked:g})[/yellow]"
 
 
 def _spread_in_us(spread: Spread) -> str:

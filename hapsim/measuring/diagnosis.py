@@ -9,7 +9,7 @@ import cmath
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from hapsim.measuring.measure_trace import Measurement
+from hapsim.measuring.measure_trace import Measurement, asks_by_one_law
 
 if TYPE_CHECKING:
     from hapsim.prediction import Felt, Prediction
@@ -20,6 +20,7 @@ _SAME = 1e-4  # a clearly wrong mass changes the frequency by 50 times as much
 _CLEARLY = (
     0.01  # of the mass, of the prediction, of b of half the critical damping: smaller deviations are not reported
 )
+_FAR = 0.05  # of k: a smaller deviation is no sign of a link that changed
 _FEW = 0.01  # of the ticks: with more deadline misses, the record does not show the forces that acted
 _LASTS = 0.5  # modulus of a pole, below that of every `SecondMode`
 
@@ -53,7 +54,9 @@ class Diagnosis(NamedTuple):
     """Likely mass; None if the declared one fits, if no other fits better, or if more than the hand moves."""
     second_mode: Mode | None
     is_another_device: bool
-    """True if k or b is off by much more than its uncertainty, and no other mass explains it."""
+    """True if k or b is off by much more than its uncertainty, and neither another mass nor a link explains it."""
+    link_changed: bool = False
+    """True if a link that touches, releases or slides may explain the measured k."""
 
     @property
     def gives(self) -> bool:
@@ -75,8 +78,20 @@ def diagnose(prediction: Prediction, measurement: Measurement, channel: int = 0)
         mode = Mode(abs(s) / (2.0 * math.pi), -s.real / abs(s), second.share, not extra)
     disturbed = extra or bool(measurement.left_region)
     mass = None if disturbed else probable_mass(felt, measurement)
-    is_other = felt is not None and not disturbed and mass is None and not math.isnan(measurement.dry_friction_n)
-    return Diagnosis(mass, mode, is_other and felt is not None and _is_another_device(felt, measurement))
+    changed = not disturbed and _link_changed(prediction, measurement, channel)
+    is_other = not (felt is None or disturbed or changed or mass or math.isnan(measurement.dry_friction_n))
+    return Diagnosis(mass, mode, is_other and felt is not None and _is_another_device(felt, measurement), changed)
+
+
+def _link_changed(prediction: Prediction, measurement: Measurement, channel: int) -> bool:
+    """Returns True if k is missing or far from that of the assumed states, and the force followed no single law."""
+    felt = next((one for one in prediction.felt if one.channel == channel), None)
+    own = felt or next((one.own_motion for one in prediction.together if channel in one.channels), None)
+    predicts = prediction.scene.device.correction in ("predictor", "adaptive")  # positions that the record lacks
+    if own is None or predicts or not prediction.assumptions:
+        return False
+    is_near = abs(measurement.k - own.k) <= max(_UNSURE * measurement.k_uncertainty, _FAR * abs(own.k))
+    return not is_near and not asks_by_one_law(measurement.trace, channel)
 
 
 def probable_mass(felt: Felt | None, measurement: Measurement) -> ProbableMass | None:

@@ -63,7 +63,7 @@ def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     slow = slew_warning(scene, prediction)
     warnings += [slow] if slow else []
     for one in (one for one in prediction.desired if one.remedies is not None):
-        off = f", off by {one.error:.1%}" if math.isfinite(one.error) else ""
+        off = f", off by {100.0 * one.error:.1f} %" if math.isfinite(one.error) else ""
         units = scene.units_of(scene.device_points[one.name].channel)
         warnings.append(
             f"correction {scene.device.correction} does not reach k = {units(one.k, 'N/m', '.6g')}, "
@@ -94,12 +94,15 @@ def most_force(scene: Scene) -> str:
         by_speed = isinstance(link, Nonlinear) and link.force_over_velocity
         return math.inf if by_speed else link.law().strongest(scene.rate)
 
-    hands = scene.device_points
-    strongest = max(sum(of_link(link) for link in scene.links.values() if name in link.between) for name in hands)
+    pulls = {
+        hand.channel: sum(of_link(link) for link in scene.links.values() if name in link.between)
+        for name, hand in scene.device_points.items()
+    }
+    channel = max(pulls, key=pulls.__getitem__)
     limit = scene.mock_device.force_limit
-    if strongest >= limit:
+    if pulls[channel] >= limit:
         return f"the force limit of {scene.units(limit, 'N', 'g')}"
-    return f"the {scene.units(strongest, 'N')} of its links"
+    return f"the {scene.units_of(channel)(pulls[channel], 'N')} of its links"
 
 
 _MOST = 4.0  # of (K T² + 2 B T)/M

@@ -2,16 +2,16 @@
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any, BinaryIO
 
 from pydantic import TypeAdapter, ValidationError
 
 from hapsim.errors import SceneError
-from hapsim.units import Units
+from hapsim.units import MOTIONS, Units
 
-from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, misplaced_angles
+from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, misplaced_angles, motions_of
 from .issue import Issue, Path
 from .modules import MODULE_TYPES
 from .part import Module, ModuleContext
@@ -99,6 +99,23 @@ def _units(data: object) -> Units:
     return Units.parse(device.get("motion") if isinstance(device, dict) else None)
 
 
+def _units_by_path(data: dict[str, Any], modules: ModuleContext, whole: Units) -> Callable[[Path], Units]:
+    """Returns a function of a path: the units of the module or channel there; of the whole scene if that is unknown."""
+    device = data.get("device")
+    motion = device.get("motion") if isinstance(device, dict) else None
+    of_module, of_channel = motions_of(modules, motion), motion if isinstance(motion, list) else []
+
+    def units_at(path: Path) -> Units:
+        own: object = None
+        if path[:1] == ("modules",):
+            own = of_module.get(str(path[1])) if path[1:] else None
+        elif "travel" not in path:  # a pair, or one pair per channel
+            own = next((one for step in path if isinstance(step, int) for one in of_channel[step : step + 1]), None)
+        return Units.parse(own) if own in MOTIONS else whole
+
+    return units_at
+
+
 def read_scene(stream: BinaryIO, name: str) -> Scene:
     """The scene of a stream of bytes, which errors call `name`. Raises SceneError as `load_scene`."""
     return parse_scene(_FILE.decoded(stream.read(MOST_BYTES + 1), name), name)
@@ -114,12 +131,12 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
         units = _units(data)
-        issues = findings_of(error, document, _LAYOUT, units)
+        modules = _sound_modules(data.get("modules"), units)
+        issues = findings_of(error, document, _LAYOUT, _units_by_path(data, modules, units))
         if type(data.get("version")) is int and data["version"] != VERSION:
             # Another format: what else seems wrong may be right in it.
             return None, [issue for issue in issues if issue.path == ("version",)]
         # The checks across parts reach as far as the sound parts of the scene allow.
-        modules = _sound_modules(data.get("modules"), units)
         across = cross_check_issues(modules, _sound_fields(data, issues), data)
         angles = (one for one in misplaced_angles(data, modules) if one.path not in {issue.path for issue in issues})
         return None, [*issues, *across, *angles]

@@ -40,9 +40,12 @@ _WORDS = {
 _PATTERNS = {tag: re.compile(rf"(?:{pattern})\Z") for tag, (pattern, _) in _WORDS.items()}
 
 # What a comma cuts off a number in braces, and numbers with a comma.
-_CUT_OFF = re.compile(r"[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?( ?(deg|°)(/s)?)?\Z")
+_CUT_OFF = re.compile(r"[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?( ?[^\W\d_][^,]*| ?°.*)?\Z")
 _THOUSANDS = re.compile(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+(\.[0-9]*)?\Z")
-_DECIMAL = re.compile(r"[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?( ?(deg|°)(/s)?)?\Z")
+_DECIMAL = re.compile(r"[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?(?P<unit> ?[^\W\d_].*| ?°.*)?\Z")
+_ANGLE = re.compile(r" ?(deg|°)(/s)?\Z")
+_SEVERAL = re.compile(r"[-+]?[0-9.]+(,[-+]?[0-9.]+){1,9}\Z")
+_SUCH_AS = "such as 2000, 0.5 or 1e-9"
 
 
 class SceneLoader(yaml.SafeLoader):
@@ -116,23 +119,31 @@ def number_hint(node: yaml.Node) -> str:
     if _PATTERNS[INTEGER].match(text) or _PATTERNS[FLOAT].match(text):
         return "; remove the quotes"
     if re.match(r"[-+]?\.?[0-9]", text):
-        return "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
+        return f"; write plain decimals without a unit, {_SUCH_AS}"
     return ""
 
 
 def _comma_hint(text: str) -> str:
     """Returns the advice for a number with a comma; else ""."""
-    whole = [text.replace(",", "")] if _THOUSANDS.match(text) else []
-    decimal = ["a decimal point: " + text.replace(",", ".")] if _DECIMAL.match(text) else []
-    return f"; write {', or '.join(whole + decimal)}" if whole or decimal else ""
+    decimal = _DECIMAL.match(text)
+    if decimal and decimal["unit"] and not _ANGLE.match(decimal["unit"]):
+        return f"; write a decimal point and no unit, {_SUCH_AS}"
+    meant = [text.replace(",", "")] if _THOUSANDS.match(text) else []
+    meant += ["a decimal point: " + text.replace(",", ".")] if decimal else []
+    if not meant and _SEVERAL.match(text):
+        return f"; a decimal has a point, and a list has brackets: [{text.replace(',', ', ')}]"
+    return f"; write {', or '.join(meant)}" if meant else ""
 
 
 def _list_hint(node: yaml.SequenceNode) -> str:
     """Returns the advice for a list in which a comma parts a number, or an indentation joins items; else ""."""
     text = str(node.start_mark.buffer)[node.start_mark.pointer : node.end_mark.pointer]
     if node.flow_style and re.search(r"[0-9],[0-9]", text):
+        if re.search(r"[0-9] ?(?!deg|e[-+0-9])[a-zµ]", text, re.IGNORECASE):
+            return "; a comma separates entries, a decimal has a point, and a unit is not written"
+        in_pairs = all(run.count(",") % 2 for run in re.findall(r"[0-9]+(?:,[-+]?[0-9]+)+", text))
         meant = re.sub(r"([0-9]),([0-9]+)", r"\1.\2", " ".join(text.split()))
-        return f"; a comma separates entries, and a decimal has a point: {quote(meant)[1:-1]}"
+        return f"; a comma separates entries, and a decimal has a point{': ' + quote(meant)[1:-1] if in_pairs else ''}"
     is_joined = not node.flow_style and any(" - " in str(entry.value) for entry in node.value)
     return "; the items of a list must be indented alike" if is_joined else ""
 

@@ -176,11 +176,13 @@ class Layout:
         return _fields_of(part)
 
 
-def findings_of(error: ValidationError, document: Document, layout: Layout, units: Units = LINEAR) -> list[Issue]:
+def findings_of(
+    error: ValidationError, document: Document, layout: Layout, units_at: Callable[[Path], Units] = lambda _: LINEAR
+) -> list[Issue]:
     """Returns the faults within single parts; those between parts are left to `cross_check_issues`. A missing key is
-    not mentioned where an unknown key beside it looks like that key misspelt."""
+    not mentioned where an unknown key beside it looks like that key misspelt. `units_at`: the units at a path."""
     raws = [raw for raw in error.errors(include_url=False) if raw["type"] != ACROSS]
-    findings = [_Finding(raw, document, layout, units) for raw in raws]
+    findings = [_Finding(raw, document, layout, units_at) for raw in raws]
     misspelt = {found.meant() for found in findings if found.kind == "extra_forbidden"}
     reported = [found for found in findings if found.kind != "missing" or (*found.place, found.key) not in misspelt]
     return [found.issue() for found in reported]
@@ -195,8 +197,8 @@ class _Finding:
         path: the way through the file, which does not have pydantic's marks for the kind of a value.
     """
 
-    def __init__(self, raw: Any, document: Document, layout: Layout, units: Units) -> None:
-        self._document, self._layout, self._units = document, layout, units
+    def __init__(self, raw: Any, document: Document, layout: Layout, units_at: Callable[[Path], Units]) -> None:
+        self._document, self._layout, self._units_at = document, layout, units_at
         self.kind: str = raw["type"]
         self.context: dict[str, Any] = raw.get("ctx", {})
         location: Path = tuple(step for step in raw["loc"] if step not in KINDS)
@@ -244,7 +246,7 @@ class _Finding:
     def _wrong_value(self) -> Issue:
         path, document = self.path + tuple(self.context.get("at", ())), self._document
         mapping = "a text" if self.kind == "string_type" else self._layout.mapping_words(path)
-        expected = self._in_units(self.context["of_motion"]) if self.kind == UNEXPECTED else mapping
+        expected = self._in_units(self.context["of_motion"], path) if self.kind == UNEXPECTED else mapping
         value = document.value(path)
         if isinstance(value, float) and not math.isfinite(value):
             expected = expected.replace("a number", "a finite number", 1)
@@ -259,19 +261,23 @@ class _Finding:
         hint = did_you_mean(value, words) if isinstance(value, str) else ""
         return Issue(path, f"found {self._document.found(path)}, expected {one_of(words)}{hint}")
 
-    def _in_units(self, expected: str) -> str:
-        """Returns the expected value in the device's units, with both notations of an angle."""
+    def _in_units(self, expected: str, path: Path) -> str:
+        """Returns the expected value in the units at `path`, with both notations of an angle."""
+        units = self._units_at(path)
         angles = {"(‹m›)": "(rad; or such as 15 deg)", "(‹m/s›)": "(rad/s; or such as 10 deg/s)"}
-        for of_a_line, of_an_angle in angles.items() if self._units.name("m") == "rad" else ():
+        for of_a_line, of_an_angle in angles.items() if units.name("m") == "rad" else ():
             expected = expected.replace(of_a_line, of_an_angle)
-        return self._units.filled(expected)
+        return units.filled(expected)
 
     def _wanted(self) -> str:
         """Returns the expected value of a missing key."""
         field = self._layout.fields(self.place)[self.key]
-        expectations = [self._in_units(item.expected) for item in field.metadata if isinstance(item, Expectation)]
+        found = [item.expected for item in field.metadata if isinstance(item, Expectation)]
         words = _words_of(field)
-        return (*expectations, one_of(words) if words else self._layout.mapping_words(self.path))[0]
+        return (
+            *(self._in_units(one, self.path) for one in found),
+            one_of(words) if words else self._layout.mapping_words(self.path),
+        )[0]
 
 
 def _words_of(field: FieldInfo) -> list[str]:

@@ -478,6 +478,23 @@ def test_the_sound_is_rendered_and_each_gain_named(hapsim: Hapsim, scene_file: S
     assert peaks == {"loud": pytest.approx(0.1, rel=1e-3), "still": 0.0}
 
 
+HELD = "  hand: {stiffness: 100, position: -0.03}"
+
+
+@pytest.mark.parametrize(("hand", "speed", "changed"), [(HELD, 0.5, True), ("", 0.5, True), ("", 0.01, False)])
+def test_measure_reports_a_link_that_may_have_released_the_hand(
+    hapsim: Hapsim, tmp_path: Path, hand: str, speed: float, changed: bool
+) -> None:
+    """The pick of the shipped string grips throughout a small motion of a free hand, and releases in a large one."""
+    text = Path("configs/plucked_string.yaml").read_text("utf-8").replace("clock: device", "clock: lockstep")
+    assert HELD in text
+    path = tmp_path / "string.yaml"
+    text = text if hand else text.replace(HELD, "").replace("mass: 2.0", "mass: 0.2")
+    path.write_text(text.replace("velocity: 0.5", f"velocity: {speed}"), "utf-8")
+    printed = unwrapped(hapsim("measure", path).out)
+    assert ("a link may have touched, released or slid during the record. k and b then mix" in printed) == changed
+
+
 def test_a_linkage_s_figures_are_stated_to_hold_near_its_pose(hapsim: Hapsim, checked: Checked, tmp_path: Path) -> None:
     path = tmp_path / "linkage.yaml"
     text = (CONFIGS / "boards" / "haply.yaml").read_text("utf-8")
@@ -491,3 +508,10 @@ def test_a_linkage_s_figures_are_stated_to_hold_near_its_pose(hapsim: Hapsim, ch
     assert checked(path)["assumptions"] == []
     path.write_text(text.replace("mass_at: [0.019, 0.1]", "mass_at: [0.1]"), "utf-8")
     assert "mass_at: found 1 number, expected 2" in hapsim("check", path).err
+
+
+@pytest.mark.parametrize("scene", ["plucked_string", "paper_6_2_one_sample", "knob_24"])
+def test_a_percent_sign_stands_behind_a_space(hapsim: Hapsim, scene: str) -> None:
+    printed = hapsim("check", scene, "--explain").out
+    assert " %" in printed
+    assert not re.search(r"\d%", printed)

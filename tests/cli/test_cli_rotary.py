@@ -21,6 +21,7 @@ from hapsim.loop.counts import Progress
 from hapsim.measuring.measure import measure
 from hapsim.prediction.linear import linear_scene
 from hapsim.prediction.plausibility import unlikely
+from hapsim.prediction.warnings import most_force
 from hapsim.recording.trace import load_trace
 from hapsim.replaying.export import Columns
 from hapsim.replaying.replay import Record
@@ -105,6 +106,18 @@ def test_a_knob_and_a_fader_have_each_their_units(tmp_path: Path, hapsim: Hapsim
     assert "rad" not in of_fader
 
 
+def test_the_walls_of_a_knob_and_a_fader_have_each_their_units(tmp_path: Path, hapsim: Hapsim) -> None:
+    path = tmp_path / "pair.yaml"
+    path.write_text(PAIR, encoding="utf-8")
+    printed = hapsim("measure", path, "--impedance", "--duration", "3").out
+    assert " or " not in printed
+    widths = printed.partition("Z-width: ")[2].partition("knob")
+    assert [re.findall(r"\d (N\S*)", of_one)[:2] for of_one in widths[::2]] == [
+        ["N/m", "N·s/m"],
+        ["N·m/rad", "N·m·s/rad"],
+    ]
+
+
 def test_scripts_learn_the_motion_of_each_channel(knob: Path, hapsim: Hapsim) -> None:
     for command in ("check", "measure", "run --duration 0.05", "identify --duration 1"):
         assert json.loads(hapsim(*command.split(), knob, "--json").out)["motion"] == ["rotary"]
@@ -120,6 +133,11 @@ def test_errors_are_in_the_units_of_the_scene_in_python_too(knob: Path) -> None:
     with pytest.raises(UsageError, match="push: found -1, expected a finite number of N·m above 0"):
         measure(knob, push=-1.0)
     assert load_scene(knob).units_of(0)(0.3, "m") == "0.3 rad"
+
+
+def test_the_bound_of_an_unstable_force_has_the_unit_of_its_hand() -> None:
+    detent = "  click: {type: detent, between: [knob, frame], pitch: 15 deg, depth: 0.02}\n"
+    assert most_force(parse_scene(PAIR.partition("  slide")[0] + detent)) == "the 0.02 N·m of its links"
 
 
 CURVE = "  curve: {type: nonlinear, between: [knob, frame], force_over_distance: [[-1, 0.02], [0, 0.01], [1, -0.02]]}\n"

@@ -118,7 +118,7 @@ def test_a_wire_that_loses_or_spoils_more_than_a_few_frames_is_reported(
 
 @pytest.mark.parametrize(
     ("rate", "latest", "marked"),
-    [(970.0, 1e-3, "(97.0% of 1000)"), (1030.0, 1e-3, "(103.0% of 1000)"), (985.0, 1e-3, ""), (970.0, 0.1, "")],
+    [(970.0, 1e-3, "(97.0 % of 1000)"), (1030.0, 1e-3, "(103.0 % of 1000)"), (985.0, 1e-3, ""), (970.0, 0.1, "")],
 )
 def test_a_rate_that_is_surely_another_than_was_asked_for_is_marked(
     report: Any, rate: float, latest: float, marked: str

@@ -95,6 +95,25 @@ def test_errors_have_the_units_of_what_turns(
     assert expected in fault
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("stiffness: 50}", "stiffness: -1}", "stiffness: found -1, expected a number >= 0 (N/m)"),
+        ("stiffness: 0.01}", "stiffness: -1}", "stiffness: found -1, expected a number >= 0 (N·m/rad)"),
+        (", stiffness: 0.05", "", "turn: 'stiffness' is missing, expected a number >= 0 (N·m/rad)"),
+        ("1 deg", "1 dog", "position: found '1 dog' (text), expected a number (rad; or such as 15 deg)"),
+        ("2e-5]", "-1.0]", "mass[1]: found -1.0, expected a number > 0 (kg·m²)"),
+        ("[0.2", "[-1.0", "mass[0]: found -1.0, expected a number > 0 (kg)"),
+        ("{type: ground}", "{type: ground, position: x}", "found 'x' (text), expected a number (m or rad)"),
+    ],
+)
+def test_errors_have_the_units_of_the_module_or_channel_that_is_meant(
+    old: str, new: str, expected: str, faults: Callable[[str], list[str]]
+) -> None:
+    (fault,) = faults(PAIR.replace(old, new))
+    assert fault.endswith(expected)
+
+
 def test_a_point_takes_the_motion_of_the_hand_it_hangs_on_and_a_link_has_one(
     faults: Callable[[str], list[str]],
 ) -> None:

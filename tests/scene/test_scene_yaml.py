@@ -171,6 +171,7 @@ def test_a_colon_without_a_space_within_a_scene_is_reported_with_what_to_do(faul
 
 
 POINT = "a decimal point: "
+NO_UNIT = "a decimal point and no unit, such as 2000, 0.5 or 1e-9"
 AS_LIST = "a comma separates entries, and a decimal has a point: "
 
 
@@ -185,6 +186,8 @@ AS_LIST = "a comma separates entries, and a decimal has a point: "
         ("2,000", f"2000, or {POINT}2.000"),
         ("1,000,000", "1000000"),
         ("2,500.5", "2500.5"),
+        ("0,2 kg", NO_UNIT),
+        ("-1,5e3µN", NO_UNIT),
     ],
 )
 def test_a_comma_in_a_number_is_reported_with_the_number_to_write(faults: Faults, written: str, remedy: str) -> None:
@@ -206,6 +209,8 @@ def test_a_comma_in_a_number_is_reported_with_the_number_to_write(faults: Faults
         ("0,5e3", f"{POINT}0.5e3"),
         ("7,5 deg", f"{POINT}7.5 deg"),
         ("2,500.5", "2500.5"),
+        ("0,2 N/m", NO_UNIT),
+        ("0,2kN/m", NO_UNIT),
     ],
 )
 def test_a_comma_in_a_number_in_braces_is_reported_once(faults: Faults, good: str, written: str, remedy: str) -> None:
@@ -234,6 +239,35 @@ def test_a_comma_in_a_number_of_a_list_is_reported_with_the_list_to_write(
     only_fault: Callable[[str, str], str], old: str, new: str, told: str
 ) -> None:
     assert only_fault(old, new).split(", expected ")[1].split(", or ")[0] == told
+
+
+@pytest.mark.parametrize(
+    ("written", "entries"), [("1,2,3", "1, 2, 3"), ("0.2,3", "0.2, 3"), ("-1,2,-3,4", "-1, 2, -3, 4")]
+)
+def test_several_numbers_without_brackets_are_reported_with_the_list(
+    faults: Faults, good: str, written: str, entries: str
+) -> None:
+    remedy = f"; a decimal has a point, and a list has brackets: [{entries}]"
+    (fault,) = faults(good.replace("mass: 0.2", f"mass: '{written}'"))
+    assert fault.endswith(remedy)
+
+
+def test_several_numbers_in_braces_are_reported_with_the_list(faults: Faults, good: str) -> None:
+    remedy = "expected a number without a comma; a decimal has a point, and a list has brackets: [1, 2, 3]"
+    assert faults(good.replace("2000", "1,2,3")) == [f"7:65: found '1,2,3', {remedy}"]
+
+
+@pytest.mark.parametrize(
+    ("written", "remedy"),
+    [
+        ("[1,2,3]", "; a comma separates entries, and a decimal has a point"),
+        ("[0,2 kN/m]", "; a comma separates entries, a decimal has a point, and a unit is not written"),
+    ],
+)
+def test_no_number_is_suggested_for_a_list_that_may_mean_several(
+    only_fault: Callable[[str, str], str], written: str, remedy: str
+) -> None:
+    assert only_fault("2000", written).endswith(f"expected a number >= 0 (N/m){remedy}")
 
 
 def test_a_comma_in_an_item_on_its_own_line_is_reported_there(only_fault: Callable[[str, str], str]) -> None:
