@@ -130,7 +130,7 @@ def run(
     service: ServiceOptions,
     live: LiveOptions,
     unstable: Unstable = False,
-    portable: bool = flag("--portable", "Run the loop in plain Python: more jitter, but no Linux needed."),
+    portable: bool = flag("--portable", "Run the loop in plain Python, as systems other than Linux do: more jitter."),
     json: Json = False,
 ) -> None:
     """Run a scene with its device, or with the built-in mock."""

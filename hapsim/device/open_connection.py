@@ -9,7 +9,7 @@ from typing import Literal
 from hapsim.device.connection import Connection
 from hapsim.device.ports import open_portable_port, open_serial_port
 from hapsim.errors import UsageError
-from hapsim.loop.system import require_linux
+from hapsim.loop.system import missing_calls
 from hapsim.loop.transport import PythonTransport
 from hapsim.scene import Scene
 
@@ -38,16 +38,6 @@ def place_of_device(scene: Scene, kind: TransportKind = "auto", *, portable: boo
     return "loopback" if kind == "loopback" or (kind != "terminal" and virtual and not portable) else "terminal"
 
 
-def require_possible_here(place: Place, *, portable: bool = False) -> None:
-    """Raises UsageError if a loop with its device at `place` needs Linux, and this is another system."""
-    if place == "terminal":
-        from hapsim.device.mock.terminal import require_pseudo_terminal
-
-        require_pseudo_terminal()
-    elif place == "port" and not portable:
-        require_linux("the compiled loop on a port", "`hapsim run --portable` runs the same loop in Python")
-
-
 @contextlib.contextmanager
 def open_connection(
     scene: Scene,
@@ -62,11 +52,12 @@ def open_connection(
     Args:
         scene: names the port, or the mock.
         kind: choice of the device.
-        portable: for the loop in Python.
+        portable: for the loop in Python, which systems without Linux's calls take by themselves.
         realtime: runs a mock in real time before other programs, if the system grants that.
         between: wraps the transport.
     """
-    open_port = open_portable_port if portable else open_serial_port
+    elsewhere = bool(missing_calls())
+    open_port = open_portable_port if portable or elsewhere else open_serial_port
     place = place_of_device(scene, kind, portable=portable)
     with contextlib.ExitStack() as stack:
         mock, port = None, scene.device.port or ""
@@ -78,6 +69,10 @@ def open_connection(
             from hapsim.device.mock.wire import loopback_transport
 
             connection = Connection(loopback_transport(mock), "mock in memory", close=lambda: None, mock=mock)
+        elif place == "terminal" and elsewhere:
+            from hapsim.device.mock.paced_mock import PacedMock
+
+            connection = Connection(PacedMock(mock), "mock in memory", close=lambda: None, mock=mock)
         else:
             if place == "terminal":
                 from hapsim.device.mock.terminal import serving

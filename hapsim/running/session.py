@@ -25,7 +25,7 @@ from typing import Any, Concatenate, ParamSpec, Self
 from hapsim.compiling.kept import compile_for
 from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection, arm, describe, disarm, frames_rejected_by, has_restarted
-from hapsim.device.open_connection import open_connection, place_of_device, require_possible_here
+from hapsim.device.open_connection import open_connection, place_of_device
 from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop import endings
 from hapsim.loop.buffers import last_bytes
@@ -173,9 +173,9 @@ class Session(SessionView):
         report = options.on_progress or _ignore
         counted = Counted(lambda name, share: report(Progress("compiling", name, share=share)))
         stack.enter_context(on_compilation(counted.add))
-        require_possible_here(self._place, portable=options.portable or options.between is not None)
         loop = () if self._in_python else ("loop",)
-        units = (*loop, *DEVICE_UNITS[self._place])
+        in_memory = self._place != "port" and bool(missing_calls())
+        units = (*loop, *DEVICE_UNITS["loopback" if in_memory else self._place])
         if self._place != "port":
             compile_ahead(units, counted)
         opening = open_connection(
@@ -388,7 +388,8 @@ def start(scene: SceneSource, **options: Any) -> Session:
     * `reports`: the directory for the report file of a run that a guard, a device fault or a lost device ended.
       Default: a directory of the user's where the device is on a port; no file for the mock.
     * `realtime`: requests real-time privileges (hapsim.loop.realtime); `Session.grants` lists what was granted.
-    * `portable`: runs the loop in plain Python over pyserial. Off Linux, this loop also runs the mock in memory.
+    * `portable`: runs the loop in plain Python over pyserial, as systems other than Linux always do. There the mock is
+      in memory, in real time too.
     * `between`: wraps the transport to the device. The loop then runs in Python.
     * `unstable`: permission for a scene that is certainly predicted unstable. False rejects it at the start and as a
       change (`Session.set`, `Session.adopt`). True accepts it, and the energy guard applies stricter rules

@@ -50,45 +50,31 @@ class Serial:
     port_of = "COM3"
 
     def __init__(self, port: str, baudrate: int, *, timeout: float, **_options: Any) -> None:
+        import numpy as np
+
         from hapsim.device.mock.assemble_mock import assemble_mock
-        from hapsim.device.mock.firmware import prepare
+        from hapsim.device.mock.paced_mock import PacedMock
         from hapsim.scene import load_scene
 
         if port != self.port_of:
             raise SerialException(f"could not open port {port!r}")
         self.port, self.baudrate, self.timeout = port, baudrate, timeout
         self._mock = assemble_mock(load_scene(self.scene))
+        self._transport, self._bytes = PacedMock(self._mock), np.zeros(1 << 14, np.uint8)
         self._came = bytearray()
-        self._period_ns = round(self._mock.converters[0].period * 1e9)
-        self._due_ns = 0
-        prepare(self._mock)
 
     @property
     def in_waiting(self) -> int:
+        self._fetch(0.0)
         return len(self._came)
 
     def write(self, data: bytes) -> int:
-        import numpy as np
-
-        from hapsim.device.mock.firmware import take_bytes
-
-        was_armed = self._is_ticking
-        take_bytes(self._mock, np.frombuffer(data, np.uint8).copy(), len(data), time.monotonic_ns())
-        if self._is_ticking and not was_armed:
-            self._due_ns = time.monotonic_ns() + self._period_ns
-        self._fetch()
+        self._transport.send(data)
         return len(data)
 
     def read(self, size: int) -> bytes:
-        from hapsim.device.mock.firmware import take_sample
-
-        give_up = time.monotonic_ns() + round(self.timeout * 1e9)
-        while not self._came and time.monotonic_ns() < give_up:
-            time.sleep(1e-4)
-            if self._is_ticking and time.monotonic_ns() >= self._due_ns:
-                take_sample(self._mock, time.monotonic_ns())
-                self._due_ns += self._period_ns
-                self._fetch()
+        if not self._came:
+            self._fetch(self.timeout)
         data = bytes(self._came[:size])
         del self._came[:size]
         return data
@@ -97,16 +83,9 @@ class Serial:
         if self._mock.board.state:
             print("The port was closed while the device was armed.", file=sys.stderr)
 
-    @property
-    def _is_ticking(self) -> bool:
-        from firmware_protocol import schema
-
-        board = self._mock.board
-        return bool(board.state == schema.ARMED and board.pacing == schema.PACED_BY_DEVICE)
-
-    def _fetch(self) -> None:
-        self._came += self._mock.outbox[: int(self._mock.board.out)].tobytes()
-        self._mock.board.out = 0
+    def _fetch(self, timeout_s: float) -> None:
+        count = max(self._transport.receive(self._bytes, round(timeout_s * 1e9)), 0)
+        self._came += self._bytes[:count].tobytes()
 
 
 class SerialException(OSError):  # noqa: N818

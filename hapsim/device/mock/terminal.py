@@ -92,9 +92,7 @@ def _send_outbox(mock, service):
 
 def require_pseudo_terminal() -> None:
     """Raises UsageError if the system is not Linux."""
-    require_linux(
-        "the mock on a pseudo-terminal", "with clock: lockstep it runs in memory; a device runs with --portable"
-    )
+    require_linux("the mock on a pseudo-terminal", "`hapsim run` has the mock in memory; a device is run on its port")
 
 
 @contextlib.contextmanager
