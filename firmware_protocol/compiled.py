@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
-from numba import extending, types
+from numba import extending
 
 from firmware_protocol.code_cache import directory_for, numba_cache_in, read_only_directories_for
 from firmware_protocol.lean_compiler import BulkPiece, Piece, PieceType, Whole
@@ -110,19 +110,3 @@ def new_record(dtype: np.dtype[np.void]) -> Any:
     It keeps its own memory, which stays where it is; compiled code gets one pointer to it.
     """
     return np.zeros(1, dtype).view(np.recarray)[0]
-
-
-def emits(write: Callable[[Any], object]) -> Callable[[Function], Function]:
-    """Decorates a function that does nothing in plain Python. A call of it in compiled code does `write(builder)`."""
-
-    def decorate(function: Function) -> Function:
-        extending.type_callable(function)(lambda _context: lambda: types.none)
-
-        @extending.lower_builtin(function)
-        def lower(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
-            write(builder)
-            return context.get_dummy_value()
-
-        return function
-
-    return decorate

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+from numba import extending, types
 
 import firmware_protocol
-from firmware_protocol.compiled import Compiler, emits, fma, helper, inlined, overload, reassociated
+from firmware_protocol.compiled import Compiler, fma, helper, inlined, overload, reassociated
 
 __all__ = ["COMPILED_ROOMS", "compiler", "entry", "fence", "fma", "helper", "inlined", "overload", "reassociated"]
 
@@ -21,8 +24,16 @@ compiler = Compiler(*COMPILED_ROOMS)
 entry = compiler.entry
 
 
-@emits(lambda builder: builder.fence("acq_rel"))
 def fence() -> None:
     """Separates memory accesses: other processors see those before it first, and the compiler moves none across it.
     numba has no atomic operations on processors (numba issue 2988). On x86, which keeps the order of loads and of
     stores anyway, a fence costs no instruction. Python keeps the order too."""
+
+
+extending.type_callable(fence)(lambda _context: lambda: types.none)
+
+
+@extending.lower_builtin(fence)
+def _lower_fence(context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+    builder.fence("acq_rel")
+    return context.get_dummy_value()
