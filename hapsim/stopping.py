@@ -20,7 +20,8 @@ STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") 
 INTERRUPTED = 130
 """The exit status of a command that one of them ended while no run was under way."""
 
-_ARMING = {"run", "measure", "identify", "doctor", "probe", "mock", "faults"}  # of others it is no news that none was
+_ARMING = {"run", "measure", "identify", "doctor", "probe", "mock", "faults"}
+"""The commands that arm a device. When one is stopped before that, the user has to know that nothing was armed."""
 
 
 class _Command:

@@ -95,21 +95,11 @@ def _measure_pair(
     scene = with_mock(device.load(), kind)
     picture.require_writable()
     record.require_writable()
-    hands = {point.channel: name for name, point in scene.device_points.items()}
-    channel = next(iter(hands)) if excitation.channel is None else excitation.channel
-    if channel in hands:
-        output.use_channel_units(channel)
-    at = position(excitation.at, scene)
-    if excitation.mass and channel in hands:
-        scene = remarks.with_hand(
-            scene,
-            channel,
-            require_positive("--hand-stiffness", excitation.hand_stiffness, scene.units_of(channel).name("N/m")),
-        )
+    scene, channel, at = _hand_to_measure(scene, excitation)
     prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if picture.wanted:
-        _require_drawable(prediction, hands, channel)
+        _require_drawable(prediction, channel)
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
     try:
@@ -145,6 +135,21 @@ def _measure_pair(
         raise typer.Exit(measurement.failure.exit_status)
 
 
+def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene, int, float | None]:
+    """Returns the scene, with --mass held by a hand; the channel; and the position that --at names. Later output has
+    the units of the channel."""
+    channels = [point.channel for point in scene.device_points.values()]
+    channel = channels[0] if excitation.channel is None else excitation.channel
+    if channel in channels:
+        output.use_channel_units(channel)
+    at = position(excitation.at, scene)
+    if excitation.mass and channel in channels:
+        unit = scene.units_of(channel).name("N/m")
+        stiffness = require_positive("--hand-stiffness", excitation.hand_stiffness, unit)
+        scene = remarks.with_hand(scene, channel, stiffness)
+    return scene, channel, at
+
+
 def _print_next(
     device: DeviceOptions, scene: Scene, prediction: Prediction, measurement: Measurement, channel: int, unstable: bool
 ) -> None:
@@ -157,11 +162,12 @@ def _print_next(
         device.print_next_run(scene, unstable)
 
 
-def _require_drawable(prediction: Prediction, hands: dict[int, str], channel: int) -> None:
+def _require_drawable(prediction: Prediction, channel: int) -> None:
     if felt_on(prediction, channel) is None:
+        names = {point.channel: name for name, point in prediction.scene.device_points.items()}
         raise UsageError(
             "a ring-down is drawn for a hand that is a spring and damper's alone; this one "
-            f"{prediction.coupled.get(hands.get(channel, ''), '')}: omit --picture and --data"
+            f"{prediction.coupled.get(names.get(channel, ''), '')}: omit --picture and --data"
         )
 
 
