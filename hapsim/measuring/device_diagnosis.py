@@ -22,6 +22,7 @@ from hapsim.measuring.converters import Converters, Floats
 from hapsim.measuring.device_fit import DeviceFit
 from hapsim.measuring.device_motion import Bounds, Motion
 from hapsim.measuring.trace_quality import ROUNDING
+from hapsim.number_format import share_in_percent
 from hapsim.units import Units
 
 BINS = 12
@@ -162,12 +163,13 @@ def _misfit_pattern(lacking: ForceResidual, units: Units) -> str:
     best = max(at_position, at_velocity, in_swing)
     if not best > _LEAST_SHARE:
         return "depends on neither position, velocity nor reversals: a hand may move by itself, or another force acts"
+    part = share_in_percent(best)
     if best == at_position:
-        return f"depends on the position ({best:.0%} of its variance) and is largest at {units(position, 'mm', '+.2g')}"
+        return f"depends on the position ({part} of its variance) and is largest at {units(position, 'mm', '+.2g')}"
     if best == at_velocity:
-        return f"depends on the velocity ({best:.0%} of its variance), largest at {units(velocity, 'mm/s', '+.2g')}"
+        return f"depends on the velocity ({part} of its variance), largest at {units(velocity, 'mm/s', '+.2g')}"
     where = "near the reversals" if abs(moment - 0.5) > 0.25 else "in the middle between two reversals"
-    return f"is largest {where} ({best:.0%} of its variance)"
+    return f"is largest {where} ({part} of its variance)"
 
 
 def binned(along: Floats, force: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
@@ -281,7 +283,7 @@ def _other_force_error(fit: DeviceFit, pushed: PushedRun) -> DeviceError | None:
         return None
     share = max(1.0 - fit.unexplained**2, 0.0)
     return DeviceError(
-        f"the device does not follow the pushes: they explain {share:.0%} of its motion. A hand or another force moves "
-        "it, or two channels are swapped, so that the pushed one is not the measured one. Let it move freely, and try "
-        "again"
+        f"the device does not follow the pushes: they explain {share_in_percent(share)} of its motion. A hand or "
+        "another force moves it, or two channels are swapped, so that the pushed one is not the measured one. Let it "
+        "move freely, and try again"
     )
