@@ -38,7 +38,38 @@ _ROTARY = {
 }
 _DEGREES = {"m": "°", "mm": "°", "µm": "°", "nm": "°", "m/s": "°/s", "mm/s": "°/s", "m/s²": "°/s²"}
 _SMALLER = {"mm": 1e3, "µm": 1e6, "nm": 1e9, "mm/s": 1e3, "mN": 1e3, "µN": 1e6}
-_MARKED = re.compile("‹([^›]+)›")
+_MARKED = re.compile("‹(one )?([^›]+)›")
+
+# What has a unit, and how a file may write it.
+_EXAMPLES = {
+    "m": ("a length", "0.05 m or 50 mm"),
+    "rad": ("an angle", "0.5 rad or 30 deg"),
+    "m/s": ("a velocity", "0.1 m/s or 100 mm/s"),
+    "rad/s": ("an angular velocity", "2 rad/s or 90 deg/s"),
+    "N": ("a force", "2 N or 500 mN"),
+    "N·m": ("a torque", "0.05 N·m or 50 mN·m"),
+    "N/m": ("a stiffness", "2000 N/m or 2 N/mm"),
+    "N·m/rad": ("a stiffness", "0.3 N·m/rad or 5 mN·m/deg"),
+    "N·s/m": ("a damping", "5 N·s/m or 0.005 N·s/mm"),
+    "N·m·s/rad": ("a damping", "0.002 N·m·s/rad or 2 mN·m·s/rad"),
+    "kg": ("a mass", "0.2 kg or 200 g"),
+    "kg·m²": ("a moment of inertia", "2e-5 kg·m² or 200 g·cm²"),
+    "N/s": ("a rate of force", "1000 N/s or 1 N/ms"),
+    "N·m/s": ("a rate of torque", "10 N·m/s or 10 mN·m/ms"),
+    "Hz": ("a frequency", "1000 Hz or 1 kHz"),
+    "s": ("a time", "0.005 s or 5 ms"),
+    "J": ("an energy", "0.2 J or 200 mJ"),
+    "bit/s": ("a bit rate", "2000000 bit/s or 2 Mbit/s"),
+    "samples": ("a number of samples", "100 samples"),
+    "counts": ("a number of counts", "100 counts"),
+    "sample periods": ("a number of samples", "1 sample or 1.5 samples"),
+    "m per count": ("a length", "1 µm per count"),
+    "rad per count": ("an angle", "0.1 deg per count"),
+    "N per count": ("a force", "1 mN per count"),
+    "N·m per count": ("a torque", "1 mN·m per count"),
+    "m rms": ("a length", "2 µm rms"),
+    "rad rms": ("an angle", "0.1 deg rms"),
+}
 
 
 @dataclass(frozen=True)
@@ -104,8 +135,15 @@ class Units:
         return value * _SMALLER[unit] if unit in _SMALLER else value
 
     def filled(self, text: str) -> str:
-        """Returns a text of ours with these units where it has ‹N/m›."""
-        return _MARKED.sub(lambda found: self.name(found[1]), text)
+        """Returns a text of ours with these units where it has ‹N/m›, and examples where it has ‹one N/m›."""
+        return _MARKED.sub(lambda found: self._example(found[2]) if found[1] else self.name(found[2]), text)
+
+    def _example(self, unit: str) -> str:
+        """Returns what has this unit, with examples: "a mass (kg), such as 0.2 kg or 200 g"."""
+        motions = [motion for motion in MOTIONS if motion in (self.motions or LINEAR.motions)]
+        names = dict.fromkeys(Units.of([motion]).name(unit) for motion in motions)
+        each = ((name, *_EXAMPLES[name]) for name in names)
+        return ", or ".join(f"{thing} ({name}), such as {examples}" for name, thing, examples in each)
 
 
 LINEAR = Units.of(["linear"])

@@ -3,7 +3,6 @@
 They take whatever parts are sound, so that a fault in one place does not hide faults in others.
 """
 
-import math
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
 
@@ -15,7 +14,8 @@ from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground
 from .part import ModuleContext, Part
-from .quantity import ANGLE, Span
+from .quantity import Span
+from .written_units import QUANTITY, in_si
 
 #: The parts that may have lists with one value per channel.
 PER_CHANNEL_PARTS: tuple[Path, ...] = (("device",), ("mock",), ("mock", "initial"), ("mock", "hand"))
@@ -92,8 +92,8 @@ def _counts_of_mock(per_channel: Fields) -> Callable[[int], float]:
     quantum, motions = per_channel[("mock",)].get("quantum"), per_channel[("device",)].get("motion", "linear")
 
     def count(channel: int) -> float:
-        if isinstance(quantum, str) and (angle := ANGLE.match(quantum)):  # where the scene has other faults
-            return math.radians(float(angle[1]))
+        if isinstance(quantum, str) and QUANTITY.match(quantum):  # where the scene has other faults
+            return in_si(quantum, "m per count")
         if isinstance(quantum, int | float):
             return float(quantum)
         each = motions[channel : channel + 1] if isinstance(motions, list | tuple) else [motions]
@@ -157,35 +157,6 @@ def _links_of_both_motions(around: ModuleContext, motions: object) -> Iterator[I
                 of_them = " and ".join(f"{quote(end)}, which is {motion}" for end, motion in ends.items())
                 sentence = f"linear and rotary mixed on one link: found {of_them}; expected two ends of one motion"
                 yield Issue(("modules", name, "between"), f"{sentence} (device.motion has one for each channel)")
-
-
-def misplaced_angles(data: Mapping[str, object], around: ModuleContext) -> Iterator[Issue]:
-    """Yields the angles in degrees among a file's values where the motion is linear."""
-    device = data.get("device")
-    motion = device.get("motion", "linear") if isinstance(device, dict) else "linear"
-    if motion != "linear" and not isinstance(motion, list):
-        return
-    default = "rotary" if isinstance(motion, list) and "rotary" in motion else "linear"
-    of_module = motions_of(around, motion)
-    for path, angle in _angles(data, (), set()):
-        if (of_module.get(str(path[1]), default) if path[0] == "modules" else default) == "linear":
-            expected = "expected a plain number, or device.motion: rotary"
-            yield Issue(path, f"found {quote(angle)}, an angle, where the motion is linear; {expected}")
-
-
-def has_angles(data: Mapping[str, object]) -> bool:
-    """Returns whether a scene's data has an angle in degrees."""
-    return any(True for _ in _angles(data, (), set()))
-
-
-def _angles(value: object, path: Path, seen: set[int]) -> Iterator[tuple[Path, str]]:
-    """The texts in a value that are angles, each with its path. What anchors bring to several places is seen once."""
-    if isinstance(value, str) and ANGLE.match(value):
-        yield path, value
-    elif isinstance(value, list | dict) and id(value) not in seen:
-        seen.add(id(value))
-        for step, entry in enumerate(value) if isinstance(value, list) else value.items():
-            yield from _angles(entry, (*path, step), seen)
 
 
 def _channels(around: ModuleContext) -> int | None:

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from typing import Any, BinaryIO
 
@@ -11,12 +11,14 @@ from pydantic import TypeAdapter, ValidationError
 from hapsim.errors import SceneError
 from hapsim.units import MOTIONS, Units
 
-from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, misplaced_angles, motions_of
+from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .issue import Issue, Path
 from .modules import MODULE_TYPES
 from .part import Module, ModuleContext
+from .quantity import FROM_FILE
 from .scene import VERSION, Scene
 from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
+from .written_units import UnitError, in_si, quantities_in
 from .yaml_document import Document
 from .yaml_file import MOST_BYTES, Layout, YamlFile, findings_of
 
@@ -96,7 +98,7 @@ def recorded_scene(document: dict[str, Any], name: str, in_degrees: bool) -> Sce
 def _units(data: object) -> Units:
     """The units in which a file's device moves, so far as it says so."""
     device = data.get("device") if isinstance(data, dict) else None
-    return Units.parse(device.get("motion") if isinstance(device, dict) else None)
+    return Units.parse(device.get("motion", "linear") if isinstance(device, dict) else None)
 
 
 def _units_by_path(data: dict[str, Any], modules: ModuleContext, whole: Units) -> Callable[[Path], Units]:
@@ -125,9 +127,8 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
     """The scene of a document and nothing, or no scene and what is wrong with it."""
     try:
         data: Any = document.data
-        scene = Scene.model_validate(data)
-        modules = ModuleContext.of(scene.modules)
-        return scene, list(misplaced_angles(data, modules))
+        scene = Scene.model_validate(data, context=FROM_FILE)
+        return scene, list(_units_of_another_motion(data, ModuleContext.of(scene.modules)))
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
         units = _units(data)
@@ -138,8 +139,22 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
             return None, [issue for issue in issues if issue.path == ("version",)]
         # The checks across parts reach as far as the sound parts of the scene allow.
         across = cross_check_issues(modules, _sound_fields(data, issues), data)
-        angles = (one for one in misplaced_angles(data, modules) if one.path not in {issue.path for issue in issues})
-        return None, [*issues, *across, *angles]
+        known = {issue.path for issue in issues}
+        misplaced = (one for one in _units_of_another_motion(data, modules) if one.path not in known)
+        return None, [*issues, *across, *misplaced]
+
+
+def _units_of_another_motion(data: dict[str, Any], modules: ModuleContext) -> Iterator[Issue]:
+    """Yields the quantities whose unit fits their field, but not the motion of their module or channel."""
+    units_at = _units_by_path(data, modules, _units(data))
+    for path, text in quantities_in(data):
+        unit, units = _LAYOUT.unit(path, data), units_at(path)
+        try:
+            if unit and units.motions:
+                in_si(text, unit, units.motions)
+        except UnitError as error:
+            remedy = "" if units.is_rotary else ", or device.motion: rotary"
+            yield Issue(path, f"found {error.found}, expected {units.filled(error.expected(unit))}{remedy}")
 
 
 def _sound_modules(modules: object, units: Units) -> ModuleContext:
@@ -156,11 +171,11 @@ def _sound_modules(modules: object, units: Units) -> ModuleContext:
 def _sound_part(kind: type[Module], data: Any) -> tuple[Module, frozenset[str]]:
     """The module with its sound fields, and the names of the others."""
     try:
-        return kind.model_validate(data), frozenset()
+        return kind.model_validate(data, context=FROM_FILE), frozenset()
     except ValidationError as error:
         faulty = frozenset(str(detail["loc"][0]) for detail in error.errors(include_url=False))
         sound = [field for field in kind.model_fields if field in data and field not in faulty]
-        values = {field: _adapter(kind, field).validate_python(data[field]) for field in sound}
+        values = {field: _adapter(kind, field).validate_python(data[field], context=FROM_FILE) for field in sound}
         return kind.model_construct(None, **values), faulty
 
 

@@ -5,7 +5,6 @@ messages are written here, so that they make sense without knowing pydantic.
 """
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,15 +16,16 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from hapsim.units import LINEAR, MOTIONS, Units
 
+from .written_units import ANGLE, QUANTITY, SCHEMA_PATTERN, UnitError, has_dimension, in_si
+
 Schema = core_schema.CoreSchema
 
 #: The pydantic error type under which every check of ours reports.
 UNEXPECTED = "unexpected"
 
-#: An angle in degrees, or degrees a second: how a scene may write a length or a velocity of what turns.
-_DECIMAL = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
-ANGLE = re.compile(rf"({_DECIMAL}) ?(?:deg|°)(/s)?\Z")
-_IN_DEGREES = {"m": "", "m per count": "", "m rms": "", "m/s": "/s"}
+#: The context of a validation of what a file says: numbers may have units there. Angles in degrees may have them in
+#: Python too.
+FROM_FILE = {"units": True}
 
 MOST_CHANNELS = 16
 MOST_POINTS = 1000  # of a curve
@@ -206,7 +206,7 @@ def count(description: str, least: int, most: int, unit: str = "", left_out: str
     """A whole number from `least` to `most`, written without a decimal point."""
     words = f"a whole number from {least} to {most}" + (f" ({unit})" if unit else "")
     whole = core_schema.int_schema(strict=True, ge=least, le=most)
-    schema = _with_message(core_schema.no_info_before_validator_function(_as_int, whole), words)
+    schema = _with_unit(_with_message(whole, words), unit, _as_int, "integer")
     return Expectation(description, words, schema, unit, left_out)
 
 
@@ -276,7 +276,7 @@ def _kind_of(value: object) -> str | None:
     if _is_list(value):
         return _LISTS if any(map(_is_list, value)) else _LIST
     if isinstance(value, str):
-        return _NUMBER if ANGLE.match(value) else _WORD
+        return _NUMBER if QUANTITY.match(value) else _WORD
     return _NUMBER if isinstance(value, Real) and not isinstance(value, bool) else None
 
 
@@ -285,17 +285,33 @@ def _as_mapping(value: object) -> object:
 
 
 def _number(expected: str, unit: str, **bounds: Any) -> Schema:
-    per = _IN_DEGREES.get(unit)
-    if per is not None:
-        angle = {"type": ["number", "string"], "pattern": f"^{_DECIMAL} ?(deg|°){per}$"}
-        bounds["metadata"] = {"pydantic_js_updates": angle}
-
-    def as_float(value: object) -> object:
-        angle = ANGLE.match(value) if per is not None and isinstance(value, str) else None
-        return math.radians(float(angle[1])) if angle and (angle[4] or "") == per else _as_float(value)
-
     number = core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds)
-    return _with_message(core_schema.no_info_before_validator_function(as_float, number), expected)
+    return _with_unit(_with_message(number, expected), unit, _as_float, "number")
+
+
+def _with_unit(schema: Schema, unit: str, convert: Callable[[object], object], kind: str) -> Schema:
+    """The schema of a number, which in a file may have a unit of the dimension of `unit`. `kind`: JSON schema's."""
+
+    def plain(value: object, info: core_schema.ValidationInfo) -> object:
+        if not isinstance(value, str) or not (info.context is FROM_FILE or ANGLE.match(value)):
+            return convert(value)
+        value = _in_si(value, unit)
+        return int(value) if kind == "integer" and isinstance(value, float) and value.is_integer() else value
+
+    if not has_dimension(unit):
+        return core_schema.no_info_before_validator_function(convert, schema)
+    written = {"pydantic_js_updates": {"type": [kind, "string"], "pattern": SCHEMA_PATTERN}}
+    return core_schema.with_info_before_validator_function(plain, schema, metadata=written)
+
+
+def _in_si(value: str, unit: str) -> str | float:
+    """A quantity with a unit in SI units; other texts as they are."""
+    if not QUANTITY.match(value):
+        return value
+    try:
+        return in_si(value, unit)
+    except UnitError as error:
+        unexpected(error.expected(unit), found=error.found)
 
 
 def _as_float(value: object) -> object:

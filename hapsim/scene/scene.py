@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 from hapsim.units import Units
 
 from .choices import SCHEME, WITH_SENSOR, SchemeName
-from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, has_angles, motions_of
+from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
@@ -27,6 +27,7 @@ from .modules.structures import Structure
 from .part import Module, ModuleContext, Part, Table
 from .quantity import NAME, count, quantity
 from .quantity import version as format_version
+from .written_units import ANGLE, quantities_in
 from .yaml_file import ACROSS
 
 VERSION = 1
@@ -98,8 +99,8 @@ class Scene(Part):
     def _with_its_angles(cls, data: Any, validated: ModelWrapValidatorHandler["Scene"]) -> "Scene":
         """Remembers whether the file writes angles in degrees, so that reports do too."""
         scene = validated(data)
-        if scene.device.motion != "linear" and isinstance(data, Mapping) and has_angles(data):
-            scene._in_degrees = True
+        if scene.device.motion != "linear" and isinstance(data, Mapping):
+            scene._in_degrees = any(ANGLE.match(text) for _, text in quantities_in(data))
         return scene
 
     @model_validator(mode="after")

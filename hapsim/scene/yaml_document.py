@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 
 from .issue import LocatedIssue, Path, Place, quote
+from .written_units import QUANTITY
 
 MOST_NESTING = 32
 TOO_DEEP = f"found more than {MOST_NESTING} levels, one within the other; expected at most five"
@@ -42,8 +43,7 @@ _PATTERNS = {tag: re.compile(rf"(?:{pattern})\Z") for tag, (pattern, _) in _WORD
 # What a comma cuts off a number in braces, and numbers with a comma.
 _CUT_OFF = re.compile(r"[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?( ?[^\W\d_][^,]*| ?°.*)?\Z")
 _THOUSANDS = re.compile(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+(\.[0-9]*)?\Z")
-_DECIMAL = re.compile(r"[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?(?P<unit> ?[^\W\d_].*| ?°.*)?\Z")
-_ANGLE = re.compile(r" ?(deg|°)(/s)?\Z")
+_DECIMAL = re.compile(r"[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?( ?[^\W\d_].*| ?°.*)?\Z")
 _SEVERAL = re.compile(r"[-+]?[0-9.]+(,[-+]?[0-9.]+){1,9}\Z")
 _SUCH_AS = "such as 2000, 0.5 or 1e-9"
 
@@ -104,6 +104,8 @@ def describe(node: yaml.Node) -> str:
         return f"{text} (a boolean)"
     if node.tag in (INTEGER, FLOAT):
         return text if len(text) <= 40 else f"{text[:24]}… ({len(text)} characters)"
+    if node.tag == STRING and QUANTITY.match(text):
+        return text
     return f"{quote(text)} (text)" if node.tag == STRING else quote(text)
 
 
@@ -126,8 +128,6 @@ def number_hint(node: yaml.Node) -> str:
 def _comma_hint(text: str) -> str:
     """Returns the advice for a number with a comma; else ""."""
     decimal = _DECIMAL.match(text)
-    if decimal and decimal["unit"] and not _ANGLE.match(decimal["unit"]):
-        return f"; write a decimal point and no unit, {_SUCH_AS}"
     meant = [text.replace(",", "")] if _THOUSANDS.match(text) else []
     meant += ["a decimal point: " + text.replace(",", ".")] if decimal else []
     if not meant and _SEVERAL.match(text):
@@ -139,8 +139,6 @@ def _list_hint(node: yaml.SequenceNode) -> str:
     """Returns the advice for a list in which a comma parts a number, or an indentation joins items; else ""."""
     text = str(node.start_mark.buffer)[node.start_mark.pointer : node.end_mark.pointer]
     if node.flow_style and re.search(r"[0-9],[0-9]", text):
-        if re.search(r"[0-9] ?(?!deg|e[-+0-9])[a-zµ]", text, re.IGNORECASE):
-            return "; a comma separates entries, a decimal has a point, and a unit is not written"
         in_pairs = all(run.count(",") % 2 for run in re.findall(r"[0-9]+(?:,[-+]?[0-9]+)+", text))
         meant = re.sub(r"([0-9]),([0-9]+)", r"\1.\2", " ".join(text.split()))
         return f"; a comma separates entries, and a decimal has a point{': ' + quote(meant)[1:-1] if in_pairs else ''}"

@@ -19,6 +19,7 @@ from hapsim.units import LINEAR, Units
 
 from .issue import Issue, LocatedIssue, Path, Place, as_argument, did_you_mean, nearest, one_of, quote
 from .quantity import KINDS, NAME_PATTERN, UNEXPECTED, Expectation
+from .written_units import QUANTITY, has_dimension
 from .yaml_document import Document, YamlSyntaxError, compose, place_in, space_hint
 
 #: The pydantic error type under which faults between the parts of a file report.
@@ -175,6 +176,22 @@ class Layout:
             part = next((one for one in options if isinstance(one, type) and issubclass(one, BaseModel)), None)
         return _fields_of(part)
 
+    def unit(self, path: Path, data: Mapping[str, Any]) -> str:
+        """Returns the unit, as for linear motion, that a number at `path` of `data` may have; "" if none."""
+        place = path
+        if len(path) > 2 and path[0] == self.collection:
+            entry = data[self.collection][path[1]]
+            if not isinstance(entry, dict) or entry.get(self.tag) not in self.tagged:
+                return ""
+            place = (*path[:2], entry[self.tag], *path[2:])
+        for length in range(len(place)):
+            field = self.fields(place[:length]).get(str(place[length]))
+            for expectation in (one for one in field.metadata if isinstance(one, Expectation)) if field else ():
+                units, last = expectation.units, path[-1]
+                unit = units[last] if units[1:] and isinstance(last, int) and last < len(units) else units[0]
+                return unit if has_dimension(unit) else ""
+        return ""
+
 
 def findings_of(
     error: ValidationError, document: Document, layout: Layout, units_at: Callable[[Path], Units] = lambda _: LINEAR
@@ -250,7 +267,9 @@ class _Finding:
         value = document.value(path)
         if isinstance(value, float) and not math.isfinite(value):
             expected = expected.replace("a number", "a finite number", 1)
-        hint = document.number_hint(path) if "number" in expected or isinstance(value, list) else ""
+        is_quantity = isinstance(value, str) and QUANTITY.match(value) and self._layout.unit(path, document.data)
+        is_number = "number" in expected and not is_quantity
+        hint = document.number_hint(path) if is_number or isinstance(value, list) else ""
         if "or such as" in expected and "plain decimals" in hint:
             hint = ""
         hint = space_hint(value) if "mapping" in expected and not hint else hint

@@ -24,7 +24,7 @@ from hapsim.bringup.faults.fault import KINDS, Fault, Moment, Piece, tidy
 from hapsim.bringup.faults.witness import Witness
 from hapsim.errors import UsageError
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import count, version
+from hapsim.scene.quantity import FROM_FILE, count, version
 from hapsim.scene.yaml_file import Layout, YamlFile, findings_of
 
 
@@ -65,7 +65,7 @@ def parse_script(text: str, name: str = "<script>") -> Script:
     one: Any = Annotated[Union[tuple(KINDS.values())], Field(discriminator="kind")]  # noqa: UP007
     model = create_model("Script", __base__=Script, faults=(list[one], Field(min_length=1)))
     try:
-        script = model.model_validate(document.data)
+        script = model.model_validate(document.data, context=FROM_FILE)
     except ValidationError as error:
         issues = findings_of(error, document, _LAYOUT)
     located = _FILE.located(issues, document)
