@@ -73,12 +73,12 @@ _LIKELY = (
 _SAME = str.maketrans("μ·⋅∙×º˚\u00a0\u202f", "µ****°°  ")
 _LETTER = "[A-Za-zµ]"
 _JOINED = (
-    re.compile(rf"(?<!{_LETTER})([nµumkM]?N)([cm]?m)?(s)?(?!{_LETTER})"),
-    re.compile(rf"(?<!{_LETTER})([mk]?g)([cm]?m)(?!{_LETTER})"),
+    rf"(?<!{_LETTER})([nµumkM]?N)([cm]?m)?(s)?(?!{_LETTER})",
+    rf"(?<!{_LETTER})([mk]?g)([cm]?m)(?!{_LETTER})",
 )
-_POINT = re.compile(rf"(?<=[A-Za-zµ²³])\.(?={_LETTER})")
-_EXPONENT = re.compile(rf"(?<={_LETTER})(?=[23](?!\d))")
-_WELL_FORMED = re.compile(rf"(?!.*//)(?:{_LETTER}|°|[*/() ]|⁻?[¹²³]|(?:\^|\*\*) ?-?[1-4](?!\d))+\Z")
+_POINT = rf"(?<=[A-Za-zµ²³])\.(?={_LETTER})"
+_EXPONENT = rf"(?<={_LETTER})(?=[23](?!\d))"
+_WELL_FORMED = rf"(?!.*//)(?:{_LETTER}|°|[*/() ]|⁻?[¹²³]|(?:\^|\*\*) ?-?[1-4](?!\d))+\Z"
 
 
 def quantities_in(data: object) -> Iterator[tuple[Path, str]]:
@@ -186,12 +186,12 @@ def _factor(written: str, unit: str, motion: Motion) -> Decimal | None:
 
 def _unit(written: str) -> Any:
     """Returns pint's unit of a text. Raises _UnknownUnitError if there is none."""
-    registry, text = _registry(), _POINT.sub("*", written.translate(_SAME))
+    registry, text = _registry(), re.sub(_POINT, "*", written.translate(_SAME))
     text = text.replace("sample period", "sample").replace(" per ", "/")
     for joined in _JOINED:
-        text = joined.sub(lambda found: "*".join(filter(None, found.groups())), text)
-    text = _EXPONENT.sub("**", text)
-    if not _WELL_FORMED.match(text):
+        text = re.sub(joined, lambda found: "*".join(filter(None, found.groups())), text)
+    text = re.sub(_EXPONENT, "**", text)
+    if not re.match(_WELL_FORMED, text):
         raise _UnknownUnitError(written)
     for symbol in re.findall(rf"{_LETTER}+", text):
         if symbol not in registry:

@@ -45,7 +45,6 @@ _CUT_OFF = re.compile(r"[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?( ?[^\W\d_][^,]*| ?°
 _THOUSANDS = re.compile(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+(\.[0-9]*)?\Z")
 _DECIMAL = re.compile(r"[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?( ?[^\W\d_].*| ?°.*)?\Z")
 _SEVERAL = re.compile(r"[-+]?[0-9.]+(,[-+]?[0-9.]+){1,9}\Z")
-_SUCH_AS = "such as 2000, 0.5 or 1e-9"
 
 
 class SceneLoader(yaml.SafeLoader):
@@ -121,7 +120,8 @@ def number_hint(node: yaml.Node) -> str:
     if _PATTERNS[INTEGER].match(text) or _PATTERNS[FLOAT].match(text):
         return "; remove the quotes"
     if re.match(r"[-+]?\.?[0-9]", text):
-        return f"; write plain decimals without a unit, {_SUCH_AS}"
+        unit = " without a unit" if QUANTITY.match(text) else ""
+        return f"; write plain decimals{unit}, such as 2000, 0.5 or 1e-9"
     return ""
 
 

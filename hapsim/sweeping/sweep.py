@@ -175,7 +175,7 @@ def sweep(
     scene = as_scene(scene)
     if not isinstance(points, Points):
         points = grid(points) if isinstance(points, Mapping) else listed(points)
-    task = _task(scene, points, quantities, channel, duration, function)
+    task, points = _task(scene, points, quantities, channel, duration, function)
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs: found {jobs}, expected 1 or more")
     with contextlib.ExitStack() as stack:
@@ -194,8 +194,8 @@ def _task(
     channel: int | None,
     duration: float | None,
     function: Callable[[Scene], Mapping[str, float]] | None,
-) -> Task:
-    """Returns the task of each point. Raises UsageError if it is not possible at any."""
+) -> tuple[Task, Points]:
+    """Returns the task of each point, and the points in SI units. Raises UsageError if it is not possible at any."""
     if not quantities and function is None:
         raise UsageError("quantities: found none, expected some, or a function")
     if unknown := [one for one in quantities if one not in KINDS]:
@@ -206,12 +206,13 @@ def _task(
     device = scene.device.model_copy(update={"clock": "lockstep", "port": None})
     varied = Varied(scene.model_copy(update={"device": device}))
     varied.require(points.columns)
+    points = varied.in_si(points)
     varied.require_values(points)
     first = next(iter(scene.device_points.values()), None)
     if channel is None and first is not None:
         channel = first.channel
     require_device_point(scene, 0 if channel is None else channel)
-    return Task(varied.document, tuple(quantities), channel or 0, duration, function)
+    return Task(varied.document, tuple(quantities), channel or 0, duration, function), points
 
 
 def _run(

@@ -21,6 +21,7 @@ from hapsim.scene import Device, Mock, Scene
 from hapsim.scene.issue import did_you_mean, one_of, quote
 from hapsim.scene.load import scene_from_document
 from hapsim.scene.quantity import UNEXPECTED, Expectation
+from hapsim.scene.written_units import QUANTITY, UnitError, has_dimension, in_si
 from hapsim.units import Units
 
 Value = float | str
@@ -238,10 +239,30 @@ class Varied:
                     shown = quote(value) if isinstance(value, str) else f"{value:g}"
                     raise UsageError(f"{path}: found {shown}, expected {expected}; correct this value, or leave it out")
 
+    def in_si(self, points: Points) -> Points:
+        """Returns the points with quantities such as "2 N/mm" as numbers. Raises UsageError for a unit that does not
+        fit."""
+        if points.is_grid:
+            return grid({path: [self._in_si(path, one) for one in points.axis(path)] for path in points.columns})
+        columns = {path: [self._in_si(path, one) for one in column] for path, column in points.columns.items()}
+        return Points(points.sizes, columns)
+
+    def _in_si(self, path: str, value: Value) -> Value:
+        unit, units = self._linear_unit(path), self._units(path)
+        if not isinstance(value, str) or not QUANTITY.match(value) or not has_dimension(unit):
+            return value
+        try:
+            return in_si(value, unit, units.motions)
+        except UnitError as error:
+            raise UsageError(f"{path}: found {error.found}, expected {units.filled(error.expected(unit))}") from None
+
     def unit(self, path: str) -> str:
         """Returns the unit of a parameter; "" where it has none."""
-        expectation = next((one for one in self._fields[path].metadata if isinstance(one, Expectation)), None)
-        return "" if expectation is None or expectation.unit == "1" else self._units(path).name(expectation.unit)
+        unit = self._linear_unit(path)
+        return self._units(path).name(unit) if unit != "1" else ""
+
+    def _linear_unit(self, path: str) -> str:
+        return next((one.unit for one in self._fields[path].metadata if isinstance(one, Expectation)), "")
 
     def _units(self, path: str) -> Units:
         name = path.rpartition(".")[0]

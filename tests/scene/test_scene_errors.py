@@ -15,7 +15,7 @@ Faults = Callable[[str], list[str]]
 
 HZ = "expected a number > 0 (Hz)"
 FINITE = "expected a finite number > 0 (Hz)"
-DECIMALS = "; write plain decimals without a unit, such as 2000, 0.5 or 1e-9"
+DECIMALS = "; write plain decimals, such as 2000, 0.5 or 1e-9"
 MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
 MASS = f"expected a number > 0 (kg), or {MAPPINGS}, or a list with one per channel"
 LIMITS = "[the least, the most] (m)"
@@ -31,7 +31,7 @@ NO_TAG = "expected a plain value without a tag"
         ("-3", f"2:7: rate: found -3, {HZ}"),
         ("fast", f"2:7: rate: found 'fast' (text), {HZ}"),
         ("'1000'", f"2:7: rate: found '1000' (text), {HZ}; remove the quotes"),
-        ("1 kHz", f"2:7: rate: found '1 kHz' (text), {HZ}{DECIMALS}"),
+        ("-1 kHz", f"2:7: rate: found -1 kHz, {HZ}"),
         ("1_000", f"2:7: rate: found '1_000' (text), {HZ}{DECIMALS}"),
         ("12:30:45", f"2:7: rate: found '12:30:45' (text), {HZ}{DECIMALS}"),
         ("010", f"2:7: rate: found '010' (text), {HZ}{DECIMALS}"),
@@ -323,7 +323,7 @@ modules:
   touch: {type: viscoelastic, between: [hand, wal], stifness: 2000, damping: -2}
   hand:  {type: device, channel: 0}
   wall:  {type: ground, position: "0"}
-  m1:    {type: mass, mass: 2 kg}
+  m1:    {type: mass, mass: 2 N}
 device:
   mass: [0.2, 0.2]
   hold: level

@@ -171,7 +171,6 @@ def test_a_colon_without_a_space_within_a_scene_is_reported_with_what_to_do(faul
 
 
 POINT = "a decimal point: "
-NO_UNIT = "a decimal point and no unit, such as 2000, 0.5 or 1e-9"
 AS_LIST = "a comma separates entries, and a decimal has a point: "
 
 
@@ -186,8 +185,8 @@ AS_LIST = "a comma separates entries, and a decimal has a point: "
         ("2,000", f"2000, or {POINT}2.000"),
         ("1,000,000", "1000000"),
         ("2,500.5", "2500.5"),
-        ("0,2 kg", NO_UNIT),
-        ("-1,5e3µN", NO_UNIT),
+        ("0,2 kg", f"{POINT}0.2 kg"),
+        ("-1,5e3µN", f"{POINT}-1.5e3µN"),
     ],
 )
 def test_a_comma_in_a_number_is_reported_with_the_number_to_write(faults: Faults, written: str, remedy: str) -> None:
@@ -209,8 +208,8 @@ def test_a_comma_in_a_number_is_reported_with_the_number_to_write(faults: Faults
         ("0,5e3", f"{POINT}0.5e3"),
         ("7,5 deg", f"{POINT}7.5 deg"),
         ("2,500.5", "2500.5"),
-        ("0,2 N/m", NO_UNIT),
-        ("0,2kN/m", NO_UNIT),
+        ("0,2 N/m", f"{POINT}0.2 N/m"),
+        ("0,2kN/m", f"{POINT}0.2kN/m"),
     ],
 )
 def test_a_comma_in_a_number_in_braces_is_reported_once(faults: Faults, good: str, written: str, remedy: str) -> None:
@@ -261,10 +260,10 @@ def test_several_numbers_in_braces_are_reported_with_the_list(faults: Faults, go
     ("written", "remedy"),
     [
         ("[1,2,3]", "; a comma separates entries, and a decimal has a point"),
-        ("[0,2 kN/m]", "; a comma separates entries, a decimal has a point, and a unit is not written"),
+        ("[0,2 kN/m]", "; a comma separates entries, and a decimal has a point: [0.2 kN/m]"),
     ],
 )
-def test_no_number_is_suggested_for_a_list_that_may_mean_several(
+def test_a_number_is_suggested_for_a_list_unless_it_may_mean_several(
     only_fault: Callable[[str, str], str], written: str, remedy: str
 ) -> None:
     assert only_fault("2000", written).endswith(f"expected a number >= 0 (N/m){remedy}")
