@@ -17,9 +17,11 @@ import yaml
 from hapsim.errors import SceneError, UsageError
 from hapsim.whole_file import whole_file
 
+from .device import Device
 from .load import parse_scene
-from .quantity import Known, per_channel
+from .quantity import Expectation, Known, Span, per_channel
 from .scene import Scene
+from .written_units import QUANTITY, like
 from .yaml_document import compose
 
 _PER_CHANNEL = ("mass", "friction", "stiffness")
@@ -55,7 +57,7 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
     """Returns the text with these values. Raises as `rewrite_device`; `name`: what errors call the text."""
     before = parse_scene(text, name)
     written = {key: _entries(before, key, value, channel) for key, value in values.items()}
-    after = _spliced(text, {key: _as_text(entries) for key, entries in written.items()})
+    after = _spliced(text, written, channel)
     wanted = {key: _as_values(entries) for key, entries in written.items()}
     expected = before.model_copy(update={"device": before.device.model_copy(update=wanted)})
     with contextlib.suppress(SceneError):
@@ -77,8 +79,34 @@ def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[A
     return each
 
 
-def _as_text(entries: list[Any]) -> str:
-    return str(entries[0]) if len(entries) == 1 else f"[{', '.join(map(str, entries))}]"
+def _as_text(entries: list[Any], key: str, old: yaml.Node | None, text: str, channel: int) -> str:
+    """Returns the entries as the file writes them, in the units of the `old` ones in `text`. In a list only the entry
+    of `channel` is new; the others stay as they are written."""
+    if not isinstance(old, yaml.SequenceNode) or len(old.value) != len(entries):
+        texts = [_entry_text(entry, key, old) for entry in entries]
+    else:
+        texts = [text[one.start_mark.index : _end(one)] for one in old.value]
+        texts[channel] = _entry_text(entries[channel], key, old.value[channel])
+    return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
+
+
+def _entry_text(entry: object, key: str, old: yaml.Node | None) -> str:
+    """Returns a number or a mapping as text, with the unit of the `old` one if that has a unit."""
+    quantity = _quantity_in(old)
+    unit = next(one.unit for one in Device.model_fields[key].metadata if isinstance(one, Expectation))
+    if not quantity or isinstance(entry, Span):
+        return str(entry)
+    if isinstance(entry, Known):
+        each = (f"{name}: {like(quantity, str(value), unit)}" for name, value in entry.model_dump().items())
+        return f"{{{', '.join(each)}}}"
+    return like(quantity, str(entry), unit)
+
+
+def _quantity_in(node: yaml.Node | None) -> str:
+    """Returns the first text with a unit in a value, a number or a mapping of numbers; "" if there is none."""
+    nodes = [value for _, value in node.value] if isinstance(node, yaml.MappingNode) else [node]
+    scalars = (str(one.value) for one in nodes if isinstance(one, yaml.ScalarNode))
+    return next((one for one in scalars if QUANTITY.match(one)), "")
 
 
 def _as_values(entries: list[Any]) -> object:
@@ -86,15 +114,16 @@ def _as_values(entries: list[Any]) -> object:
     return values[0] if len(values) == 1 else values
 
 
-def _spliced(text: str, values: Mapping[str, str]) -> str | None:
+def _spliced(text: str, values: Mapping[str, list[Any]], channel: int) -> str | None:
     """The text with the values in their places; None where a place is not to be found."""
     device = _entry(compose(text), "device")
     mass = _entry(device, "mass")
     if not isinstance(device, yaml.MappingNode) or mass is None:
         return None
     edits = []
-    for key, value in values.items():
+    for key, entries in values.items():
         node = _entry(device, key)
+        value = _as_text(entries, key, node, text, channel)
         edits.append(_replaced(text, node, value) if node else _inserted(text, device, mass, f"{key}: {value}"))
     for begin, end, new in sorted(edits, key=lambda edit: edit[0], reverse=True):
         text = text[:begin] + new + text[end:]

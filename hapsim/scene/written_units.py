@@ -29,7 +29,7 @@ ANGLE = re.compile(rf"({_DECIMAL}) ?(?:deg|degrees?|[°º˚])(/s)?\Z")
 _PER = {"m": "", "m per count": "", "m rms": "", "m/s": "/s"}
 
 #: A number and a unit, known or not; not 0x1F, which is a number elsewhere.
-QUANTITY = re.compile(rf"\s*(?!0[xob])({_DECIMAL}|{_NOT_FINITE})(\s*)([^\W\d_]|[°º˚%])(.{{0,40}})\Z")
+QUANTITY = re.compile(rf"\s*(?!0[xob])({_DECIMAL}|{_NOT_FINITE})(\s*)(?![eE][-+]?[0-9])([^\W\d_]|[°º˚%])(.{{0,40}})\Z")
 SCHEMA_PATTERN = rf"^{_DECIMAL} ?[A-Za-zµμ°]"
 
 _UNITS = """
