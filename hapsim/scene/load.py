@@ -111,7 +111,7 @@ def _units_by_path(data: dict[str, Any], modules: ModuleContext, whole: Units) -
         own: object = None
         if path[:1] == ("modules",):
             own = of_module.get(str(path[1])) if path[1:] else None
-        elif "travel" not in path:  # a pair, or one pair per channel
+        elif path[:2] != ("device", "travel") or len(path) > 3:  # not within a single pair
             own = next((one for step in path if isinstance(step, int) for one in of_channel[step : step + 1]), None)
         return Units.parse(own) if own in MOTIONS else whole
 
