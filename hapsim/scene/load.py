@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 from pydantic import TypeAdapter, ValidationError
 
 from hapsim.errors import SceneError
-from hapsim.units import MOTIONS, Units
+from hapsim.units import LINEAR, MOTIONS, Units
 
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .issue import Issue, Path
@@ -146,8 +146,9 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
 
 def _units_of_another_motion(data: dict[str, Any], modules: ModuleContext) -> Iterator[Issue]:
     """Yields the quantities whose unit fits their field, but not the motion of their module or channel."""
-    units_at = _units_by_path(data, modules, _units(data))
-    for path, text in quantities_in(data):
+    found = [*quantities_in(data)]
+    units_at = _units_by_path(data, modules, _units(data)) if found else lambda _: LINEAR
+    for path, text in found:
         unit, units = _LAYOUT.unit(path, data), units_at(path)
         try:
             if unit and units.motions:
@@ -200,9 +201,10 @@ def _sound_fields(data: dict[str, Any], issues: Iterable[Issue]) -> dict[Path, d
 def scene_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a scene file: its values one by one, with units and defaults. Only `parse_scene`
     checks values together, such as a name that has to exist."""
+    about = "A scene for hapsim: the device that the hand holds, and what it feels. SI units, or numbers with units."
     described = Scene.model_json_schema() | {
         "title": f"hapsim scene, version {VERSION}",
-        "description": "A scene for hapsim: the device that the hand holds, and what it feels. SI units.",
+        "description": about,
     }
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_without_null(described)}
 

@@ -176,7 +176,7 @@ class Layout:
             part = next((one for one in options if isinstance(one, type) and issubclass(one, BaseModel)), None)
         return _fields_of(part)
 
-    def unit(self, path: Path, data: Mapping[str, Any]) -> str:
+    def unit(self, path: Path, data: Any) -> str:
         """Returns the unit, as for linear motion, that a number at `path` of `data` may have; "" if none."""
         place = path
         if len(path) > 2 and path[0] == self.collection:

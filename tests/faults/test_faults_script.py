@@ -77,6 +77,20 @@ def test_what_is_no_script_is_reported(text: str, error: str) -> None:
     assert error in line
 
 
+def test_numbers_may_have_units() -> None:
+    plain = "version: 1\nfaults:\n  - {kind: silence, at: 0.005, for: 0.1}\n  - {kind: leap, at: 1, metres: 0.002}\n"
+    plain += "  - {kind: leap, at: 1, counts: 30}\n  - {kind: unplug, after_samples: 500}\n"
+    written = plain
+    for number, quantity in (("0.005", "5 ms"), ("0.1", "100 ms"), ("0.002", "2 mm"), ("30", "30 counts")):
+        written = written.replace(f": {number}", f": {quantity}")
+    assert parse_script(written.replace("500", "500 samples")).model_dump() == parse_script(plain).model_dump()
+    assert errors_of(plain.replace("500", "500 ms").replace("0.1", "2 mm").replace("30", "3 s")) == [
+        "s.yaml:3:37: for: found 2 mm, expected a time (s), such as 0.005 s or 5 ms",
+        "s.yaml:5:33: counts: found 3 s, expected a number of counts (counts), such as 100 counts",
+        "s.yaml:6:35: after_samples: found 500 ms, expected a number of samples (samples), such as 100 samples",
+    ]
+
+
 def test_a_file_that_is_not_there_is_reported_with_the_nearest_name(tmp_path: Path) -> None:
     (tmp_path / "noise.yaml").write_text("version: 1\nfaults: [{kind: drop}]\n")
     assert load_script(tmp_path / "noise.yaml").faults[0].kind == "drop"

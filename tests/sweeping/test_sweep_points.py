@@ -178,6 +178,27 @@ def test_a_refused_value_of_an_axis_has_the_units_of_the_axis_and_a_whole_number
     varied.require_values(grid({"substeps": [2.0]}))
 
 
+def test_values_with_units_are_numbers_in_si_units() -> None:
+    varied = Varied(load_scene("first_touch"))
+    words = ["touch.stiffness=1 N/mm,2000,3 kN/m", "device.correction=none,poles", "touch.damping=500 mN·s/m"]
+    points = varied.in_si(read_points(words, None, "lhs", 0))
+    assert points.axis("touch.stiffness") == [1000.0, 2000.0, 3000.0]
+    assert points[5] == {"touch.stiffness": 3000.0, "device.correction": "poles", "touch.damping": 0.5}
+    assert varied.in_si(listed([{"rate": "2 kHz"}])).columns == {"rate": [2000.0]}
+    with pytest.raises(UsageError, match="found a value twice"):
+        varied.in_si(grid({"touch.stiffness": ["1 N/mm", 1000.0]}))
+    knob = Varied(load_scene("knob_24"))
+    assert knob.in_si(grid({"detent.pitch": ["15 deg"]})).axis("detent.pitch") == [math.radians(15.0)]
+    for one, path, value, said in (
+        (varied, "touch.stiffness", "2 N", "found 2 N, expected a stiffness (N/m), such as 2000 N/m or 2 N/mm"),
+        (varied, "rate", "1 khz", "found 1 khz, with the unknown unit 'khz', expected a frequency (Hz)"),
+        (knob, "detent.pitch", "5 mm", "found 5 mm, expected an angle (rad), such as 0.5 rad or 30 deg"),
+    ):
+        with pytest.raises(UsageError) as caught:
+            one.in_si(grid({path: [value]}))
+        assert f"{path}: {said}" in str(caught.value)
+
+
 def test_parameters_have_the_units_of_the_scene() -> None:
     linear, rotary = Varied(load_scene("first_touch")), Varied(load_scene("knob_24"))
     assert [linear.unit(path) for path in ("touch.stiffness", "device.delay", "rate", "scheme")] == [
