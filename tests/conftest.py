@@ -37,6 +37,8 @@ RUNNERS = {
     },
     "cortex_m": ("on_terminal", "gcc libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
     "simplefoc": ("simplefoc", "g++ libc6-dev"),
+    **{name: (name, "g++ libc6-dev") for name in ("arduino", "arduino_as5600", "arduino_potentiometer")},
+    "arduino_uno": ("run_arduino_uno", f"{ON_SIMAVR} arduino-core-avr"),
     "simplefoc_cortex_m": ("on_terminal", "g++ libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
 }
 

@@ -24,6 +24,7 @@ from hapsim.scene import Scene
 sys.path.insert(0, str(Path(__file__).parent))
 
 from bridged import Bridged
+from harness_lines import write_sketch
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 HARNESS = Path(__file__).parent / "harness"
@@ -112,6 +113,41 @@ def knob(compile_knob: Callable[..., Path]) -> Callable[..., Run]:
         if more not in programs:
             programs[more] = compile_knob("knob", SANITIZED, *more)
         return lambda lines: _answers(programs[more], lines)
+
+    return program
+
+
+@pytest.fixture(scope="session")
+def sketch(compiler: str, built: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
+    """The harness with the Arduino sketch for its board: runs lines through it. `in_sessions`: with the harness's scales
+    and limits, and a duty that is the force in counts."""
+    cpp = shutil.which("g++")
+    if cpp is None:
+        pytest.skip("no g++ on this machine (Debian: g++)")
+    programs: dict[str, Path] = {}
+
+    def compiled(in_sessions: bool, constants: dict[str, object]) -> Path:
+        here = tmp_path_factory.mktemp("sketch")
+        write_sketch(here, {"RATE_HZ": 1000, "BAUD_RATE": 2_000_000, **constants})
+        library = shutil.copytree(built / "hapsim_motor", here / "library")
+        if in_sessions:
+            shutil.copy(HARNESS / "hapsim_board.h", library / "src")
+        folders = [here, library / "src", library / "extras" / "device", FIRMWARE / "arduino" / "emulated", HARNESS]
+        words = ["-g", "-O2", *SANITIZED, *_defined(DEVICES["plain"]), *(f"-I{folder}" for folder in folders)]
+        calls = [f"-D{name}={instead}" for name, instead in KNOB_CALLS.items()]
+        in_c = [compiler, *STRICT, *words, "-DHARNESS_KNOB", *calls, "-c", str(HARNESS / "harness.c")]
+        _run([*in_c, "-o", str(here / "harness.o")])
+        scale = ["-DHAPSIM_FORCE_COUNTS=1"] if in_sessions else []
+        strict = ["-std=c++11", "-Wall", "-Wextra", "-Werror", *scale]
+        sources = [str(HARNESS / "sketch.cpp"), str(here / "harness.o")]
+        _run([cpp, *strict, *words, *sources, "-o", str(here / "sketch")])
+        return here / "sketch"
+
+    def program(in_sessions: bool = False, **constants: object) -> Run:
+        name = f"{in_sessions} {constants}"
+        if name not in programs:
+            programs[name] = compiled(in_sessions, constants)
+        return lambda lines: _answers(programs[name], lines)
 
     return program
 

@@ -12,27 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from harness_lines import ARM, ARMED, DISARM, FAULT, IDLE, LATCHED, force, position_of
 
 import firmware_protocol
 from firmware_protocol import schema
-from firmware_protocol.frames import SETUP, armed_format, frame_to_device
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 SMARTKNOB = Path(__file__).parents[2] / "configs" / "boards" / "smartknob.yaml"
 HARNESS = Path(__file__).parent / "harness"
-ARM = f"bytes {frame_to_device(SETUP, schema.ARM, 100, schema.PACED_BY_DEVICE, [schema.SCHEMA_HASH]).hex()}"
-DISARM = f"bytes {frame_to_device(armed_format(1), schema.DISARM, 0, 0, [0]).hex()}"
-FAULT = f"register {schema.REG_FAULT}"
 TURN = 16384  # counts
 STEPS = "-DHAPSIM_KNOB_LARGEST_STEP=1000"  # counts
 CERTAIN = (("k", 0.1), ("b", 0.2))  # parts of them, for 14 bits a turn
-IDLE, ARMED, LATCHED = "0", "1", "2"
 
 Knob = Callable[..., Callable[[list[str]], list[str]]]
-
-
-def force(sample: int, counts: int) -> str:
-    return f"bytes {frame_to_device(armed_format(1), schema.FORCE, sample, 50, [counts]).hex()}"
 
 
 def states_and_forces(knob: Knob, lines: list[str]) -> list[tuple[str, ...]]:
@@ -103,15 +95,6 @@ def test_positions_go_on_over_whole_turns_in_the_direction_of_the_torque(knob: K
     answers = [line.split() for line in knob(STEPS)(lines)][1 + turned + 1 :: 2]
     sent = [position_of(answer[2]) for answer in answers]
     assert sent == [-place if turned else place for place in places]
-
-
-def position_of(frame: str) -> int:
-    """The counts of a POSITION of one channel."""
-    stuffed = bytearray.fromhex(frame)
-    at = 0
-    while at < 7:
-        stuffed[at], at = 0, at + stuffed[at]
-    return int.from_bytes(stuffed[3:7], "little", signed=True)
 
 
 def test_a_first_touch_of_the_emulated_knob_feels_as_predicted(

@@ -84,6 +84,14 @@ def test_a_knob_of_simplefoc_does_as_in_the_session(entry: dict[str, Any], knob:
     played(entry, knob())
 
 
+@pytest.mark.parametrize("entry", TOLD, ids=NAMES)
+def test_an_arduino_sketch_does_as_in_the_session(entry: dict[str, Any], sketch: Callable[..., Any]) -> None:
+    """The clock makes the ticks, in loop()."""
+    if entry["device"] != "plain" or asks_for_velocities(entry) or any("finds" in step for step in entry["steps"]):
+        pytest.skip("the sketch has one channel, senses no velocity, and holds its force; its sensor's faults are its own")
+    played(entry, sketch(in_sessions=True, PWM_TOP=1))
+
+
 def test_the_hardware_watchdog_is_fed_by_the_tick_and_by_nothing_else(harness: Callable[..., Any]) -> None:
     device = {"name": "plain"} | DEVICES["plain"]
     for entry in TOLD:

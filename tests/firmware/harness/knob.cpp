@@ -1,52 +1,16 @@
 /* The harness with the knob for its board: what the harness calls of the state machine goes through loop(), the port and
  * the timer, as a sketch calls it. */
 #include "knob.h"
+#include "given_serial.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-extern "C" {
-extern uint32_t now;
-extern int32_t measured[], put_out[];
-extern uint8_t found, said[4096];
-extern bool room;
-extern unsigned fed;
-extern size_t said_bytes;
-void knob_init(void);
-void knob_take_byte(uint8_t byte);
-void knob_tick(void);
-bool knob_look(void);
-void knob_obey(const char *line);
-}
-
 static const int64_t OUTSIDE = 1ll << 40;
 static GivenSensor sensor;
 static BLDCMotor motor(7);
-static int waiting = -1;
 static float given = -1; /* rad, in place of what is measured */
-HardwareSerial Serial;
-
-int HardwareSerial::available() {
-    return waiting >= 0;
-}
-
-int HardwareSerial::read() {
-    const int byte = waiting;
-    waiting = -1;
-    return byte;
-}
-
-int HardwareSerial::availableForWrite() {
-    return room ? (int)(4096 - said_bytes) : 0;
-}
-
-size_t HardwareSerial::write(const uint8_t *bytes, size_t count) {
-    for (size_t i = 0; i < count; i++) {
-        said[said_bytes++] = bytes[i];
-    }
-    return count;
-}
 
 unsigned long micros() {
     return now;

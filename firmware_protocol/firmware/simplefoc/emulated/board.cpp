@@ -19,7 +19,6 @@ extern "C" {
 #include "simulated_mass.h"
 void on_systick(void);
 int run_board(void);
-[[noreturn]] void __cxa_pure_virtual(void);
 }
 
 static const double RESISTANCE = 2.645, TORQUE_CONSTANT = 0.015; /* ohm, N m/A = V s/rad */
@@ -34,13 +33,6 @@ static float applied; /* V */
 static bool drives;   /* the driver is enabled; else no current flows, and nothing brakes */
 static float sensed;  /* rad */
 static bool runs;
-
-HardwareSerial Serial;
-
-void __cxa_pure_virtual(void) {
-    for (;;) {
-    }
-}
 
 void on_systick(void) {
     ticks = ticks + 1;
@@ -63,24 +55,6 @@ void hapsim_platform_feed_watchdog() {
 
 unsigned long micros() {
     return now_us();
-}
-
-int HardwareSerial::available() {
-    return bytes_to_read();
-}
-
-int HardwareSerial::read() {
-    const int byte = next_byte();
-    return byte == BYTES_WERE_LOST ? next_byte() : byte;
-}
-
-int HardwareSerial::availableForWrite() {
-    return (int)room_to_send();
-}
-
-size_t HardwareSerial::write(const uint8_t *bytes, size_t count) {
-    send_bytes(bytes, count);
-    return count;
 }
 
 /* Applies a voltage. Logs each change as the torque at standstill, in counts of the wire. */

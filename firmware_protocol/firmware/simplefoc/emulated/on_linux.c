@@ -1,20 +1,29 @@
 /* SPDX-License-Identifier: MIT */
 /* hardware.h as a Linux process on a pseudo-terminal that the process makes: `simplefoc [LOG]` prints the port's path.
- * There is one thread: the tick comes when the main loop rests, and the clock follows the ticks. */
+ * There is one thread: on_systick, once in SLICE_US, comes when the main loop rests, and the clock follows it.
+ * `simplefoc LOG lockstep=1` gives virtual time (lockstep.h): the clock stops after each position until the host has
+ * answered, and then runs as fast as it can. */
 #define _GNU_SOURCE
 #include "hardware.h"
+#include "lockstep.h"
 #include "terminal.h"
 
 #include <fcntl.h>
 #include <poll.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/ioctl.h>
 #include <sys/prctl.h>
 #include <time.h>
 #include <unistd.h>
 
-#define MS 1000000ll
+#ifndef SLICE_US
+#define SLICE_US 1000
+#endif
+#define SLICE (SLICE_US * 1000ll)
+#define MOST_BEHIND 1000000ll /* ns */
+#define GIVES_UP_MS 10000     /* longest wait for an answer in lockstep */
+#define HURRIES 1000          /* slices after a position in lockstep: more than a sample has */
 
 int run_board(void);
 void on_systick(void);
@@ -24,34 +33,45 @@ static int64_t due;
 static uint32_t ticks;
 static uint8_t unsent[RING];
 static size_t unsent_from, unsent_to;
+static uint8_t received[RING];
+static size_t received_from, received_to;
+static bool lockstep, asked;
+static int hurries; /* slices that wait for no clock */
 
 static int64_t now_ns(void) {
     struct timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
-    return now.tv_sec * 1000 * MS + now.tv_nsec;
+    return now.tv_sec * 1000000000ll + now.tv_nsec;
 }
 
 void start_hardware(void) {
-    due = now_ns() + MS;
+    due = now_ns() + SLICE;
 }
 
 void begin_period(void) {
-    due = now_ns() + MS;
+    due = now_ns() + SLICE;
 }
 
 uint32_t now_us(void) {
     const int64_t left = (due - now_ns()) / 1000;
-    return ticks * 1000 + (uint32_t)(left < 0 ? 1000 : left > 1000 ? 0 : 1000 - left);
+    return ticks * SLICE_US + (uint32_t)(left < 0 ? SLICE_US : left > SLICE_US ? 0 : SLICE_US - left);
 }
 
 int bytes_to_read(void) {
-    int count = 0;
-    return ioctl(port, FIONREAD, &count) == 0 ? count : 0;
+    if (received_from == received_to) {
+        const ssize_t count = read(port, received, sizeof received);
+        received_from = 0;
+        received_to = count > 0 ? (size_t)count : 0;
+        asked = asked && received_to == 0;
+        if (lockstep) {
+            take_lockstep(received, received_to);
+        }
+    }
+    return (int)(received_to - received_from);
 }
 
 int next_byte(void) {
-    uint8_t byte;
-    return read(port, &byte, 1) == 1 ? byte : NOTHING_CAME;
+    return bytes_to_read() > 0 ? received[received_from++] : NOTHING_CAME;
 }
 
 /* Sends the rest of a frame that the terminal took only in part: half a frame is useless. */
@@ -70,21 +90,38 @@ void send_bytes(const uint8_t *bytes, size_t count) {
     memcpy(unsent, bytes, count);
     unsent_from = 0;
     unsent_to = count;
+    if (lockstep && offer_lockstep(unsent, count)) {
+        asked = true;
+        hurries = HURRIES;
+    }
     (void)room_to_send();
 }
 
-void rest(void) {
+/* Returns whether a byte has come before the slice ended. */
+static bool wait_for_byte(void) {
     struct pollfd ready = {port, POLLIN, 0};
+    if (asked) {
+        asked = false;
+        return poll(&ready, 1, GIVES_UP_MS) > 0;
+    }
+    if (hurries > 0) {
+        hurries--;
+        due = now_ns();
+    }
     const int64_t left = due - now_ns();
     const struct timespec wait = {0, left > 0 ? left : 0};
-    if (ppoll(&ready, 1, &wait, NULL) > 0 || now_ns() < due) {
+    return ppoll(&ready, 1, &wait, NULL) > 0 || now_ns() < due;
+}
+
+void rest(void) {
+    if (received_from < received_to || wait_for_byte()) {
         return;
     }
     ticks++;
-    due += MS;
+    due += SLICE;
     on_systick();
-    if (now_ns() >= due) { /* this machine was late, as a device's timer never is: no burst of ticks */
-        due = now_ns() + MS;
+    if (now_ns() >= due + MOST_BEHIND - SLICE) { /* this machine was late, as a device's timer never is: no burst */
+        due = now_ns() + SLICE;
     }
 }
 
@@ -104,6 +141,7 @@ int main(int count, char **words) {
         return 3;
     }
     log_file = count > 1 ? open(words[1], O_WRONLY | O_CREAT | O_TRUNC, 0666) : -1;
+    lockstep = count > 2 && strcmp(words[2], "lockstep=1") == 0;
     prctl(PR_SET_TIMERSLACK, 1);
     printf("%s\n", path);
     fflush(stdout);
