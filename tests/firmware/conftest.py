@@ -119,8 +119,8 @@ def knob(compile_knob: Callable[..., Path]) -> Callable[..., Run]:
 
 @pytest.fixture(scope="session")
 def sketch(compiler: str, built: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
-    """The harness with the Arduino sketch for its board: runs lines through it. `in_sessions`: with the harness's scales
-    and limits, and a duty that is the force in counts."""
+    """The harness with the Arduino sketch for its board: runs lines through it. `in_sessions`: with the harness's
+    scales and limits, and a duty that is the force in counts."""
     cpp = shutil.which("g++")
     if cpp is None:
         pytest.skip("no g++ on this machine (Debian: g++)")
@@ -132,7 +132,8 @@ def sketch(compiler: str, built: Path, tmp_path_factory: pytest.TempPathFactory)
         library = shutil.copytree(built / "hapsim_motor", here / "library")
         if in_sessions:
             shutil.copy(HARNESS / "hapsim_board.h", library / "src")
-        folders = [here, library / "src", library / "extras" / "device", FIRMWARE / "arduino" / "emulated", HARNESS]
+        emulated = FIRMWARE / "arduino" / "emulated"
+        folders = [here, library / "src", library / "extras" / "device", emulated, HARNESS]
         words = ["-g", "-O2", *SANITIZED, *_defined(DEVICES["plain"]), *(f"-I{folder}" for folder in folders)]
         calls = [f"-D{name}={instead}" for name, instead in KNOB_CALLS.items()]
         in_c = [compiler, *STRICT, *words, "-DHARNESS_KNOB", *calls, "-c", str(HARNESS / "harness.c")]

@@ -32,7 +32,9 @@ def position_of(frame: str) -> int:
 def write_sketch(folder: Path, constants: dict[str, object]) -> Path:
     text = SKETCH.read_text("utf-8")
     for name, value in constants.items():
-        text, found = re.subn(rf"^#define {name}\b *(?:[^ /\n]\S*)?", f"#define {name} {value}", text, flags=re.MULTILINE)
+        text, found = re.subn(
+            rf"^#define {name}\b *(?:[^ /\n]\S*)?", f"#define {name} {value}", text, flags=re.MULTILINE
+        )
         assert found == 1, name
     path = folder / "motor.ino"
     path.write_text(text, "utf-8")

@@ -113,7 +113,15 @@ def test_the_duty_is_the_force_while_armed_and_zero_at_any_other_time(
     """At most FORCE_LIMIT, here 0.04 of 0.05 N·m. The harness aborts on both inputs at once."""
     run = sketch(FORCE_LIMIT=0.04, FORCE_SIGN=sign, ENABLE_PIN=7, **driver)
     forces = [(0, FULL // 2), (1, -FULL // 4), (2, FULL)]
-    lines = ["tick", "enable", ARM, "enable", *(line for one in forces for line in (force(*one), "tick")), DISARM, "enable"]
+    lines = [
+        "tick",
+        "enable",
+        ARM,
+        "enable",
+        *(line for one in forces for line in (force(*one), "tick")),
+        DISARM,
+        "enable",
+    ]
     after = states_and_duties(run, lines)
     assert after[:4] == [(IDLE, 0), (IDLE, 0), (ARMED, 0), (ARMED, 1)]
     assert after[5:10:2] == [(ARMED, sign * duty) for duty in (128, -64, 204)]
@@ -137,6 +145,14 @@ def test_what_rounding_takes_off_a_duty_comes_later(counts: int, sketch: Sketch)
     duties = [duty for _, duty in states_and_duties(sketch(), [ARM, *lines])[2::2]]
     assert sum(duties) == pytest.approx(256 * 255 * counts / FULL, abs=0.51)
     assert max(duties) - min(duties) == 1
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.04])
+def test_no_duty_is_above_that_of_the_limit(limit: float, sketch: Sketch) -> None:
+    """Half a step is left over from the first force."""
+    lines = [line for sample in range(20) for line in (force(sample, FULL if sample % 2 else -FULL // 2), "tick")]
+    duties = [duty for _, duty in states_and_duties(sketch(FORCE_LIMIT=limit), [ARM, *lines])[2::2]]
+    assert max(duties) == round(255 * limit / 0.05)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

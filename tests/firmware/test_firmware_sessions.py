@@ -88,7 +88,9 @@ def test_a_knob_of_simplefoc_does_as_in_the_session(entry: dict[str, Any], knob:
 def test_an_arduino_sketch_does_as_in_the_session(entry: dict[str, Any], sketch: Callable[..., Any]) -> None:
     """The clock makes the ticks, in loop()."""
     if entry["device"] != "plain" or asks_for_velocities(entry) or any("finds" in step for step in entry["steps"]):
-        pytest.skip("the sketch has one channel, senses no velocity, and holds its force; its sensor's faults are its own")
+        pytest.skip(
+            "the sketch has one channel, senses no velocity, and holds its force; its sensor's faults are its own"
+        )
     played(entry, sketch(in_sessions=True, PWM_TOP=1))
 
 

@@ -17,7 +17,7 @@ static int duties[32], levels[32];
 static void (*handlers[2])(void);
 static int32_t reading = COUNTS / 2, phase;
 static bool silent, no_magnet;
-static const bool in_session = HAPSIM_FORCE_COUNTS == 1; /* it says when a tick comes, and places the encoder */
+static const bool in_session = HAPSIM_FORCE_COUNTS == 1; /* which says when a tick comes, and places the encoder */
 static uint8_t at;
 TwoWire Wire;
 

@@ -6,10 +6,8 @@
  * The rotor moves exactly, by one slice of the clock at a time. All of its numbers are guesses. */
 #include <motor.ino>
 
-#include <math.h>
-#if SENSOR != AS5600
 #include <Wire.h>
-#endif
+#include <math.h>
 extern "C" {
 #include "hardware.h"
 void on_systick(void);

@@ -66,7 +66,11 @@ static inline uint8_t hapsim_level(uint8_t signal) {
 }
 #endif
 
-static void hapsim_on_edge() {
+#ifndef IRAM_ATTR /* an ESP32 and an ESP8266 keep interrupts in RAM */
+#define IRAM_ATTR
+#endif
+
+static void IRAM_ATTR hapsim_on_edge() {
     const uint8_t before = hapsim_signals, now = (uint8_t)(hapsim_level(0) | hapsim_level(1) << 1);
     hapsim_signals = now;
     if ((before ^ now) == 3) {
@@ -209,15 +213,21 @@ enum { HAPSIM_DUTIES = PWM_TOP + 1, HAPSIM_LEAST_DUTY = 2, HAPSIM_LONGER = 1 };
 enum { HAPSIM_DUTIES = PWM_TOP, HAPSIM_LEAST_DUTY = 1, HAPSIM_LONGER = 0 };
 #endif
 
-/* Returns the signed duty. What rounding takes off a force comes with the next one, so that a weak spring has no dead
- * zone. A force of zero is zero. */
+/* Returns the signed duty, at most that of the force limit. What rounding takes off a force comes with the next one, so
+ * that a weak spring has no dead zone. A force of zero is zero. */
 static int hapsim_duty(int32_t force) {
     static int32_t rest;
+    const int32_t top = (limit_counts[0] * HAPSIM_DUTIES + HAPSIM_FORCE_COUNTS / 2) / HAPSIM_FORCE_COUNTS;
     const int32_t wanted = force ? force * HAPSIM_DUTIES + rest : 0;
     const int32_t half = wanted < 0 ? -HAPSIM_FORCE_COUNTS / 2 : HAPSIM_FORCE_COUNTS / 2;
-    const int32_t rounded = (wanted + half) / HAPSIM_FORCE_COUNTS;
-    const bool small = rounded < HAPSIM_LEAST_DUTY && rounded > -HAPSIM_LEAST_DUTY;
-    const int32_t duty = small ? 0 : rounded;
+    int32_t duty = (wanted + half) / HAPSIM_FORCE_COUNTS;
+    if (duty > top || duty < -top) {
+        rest = 0;
+        return (int)(duty > 0 ? top : -top);
+    }
+    if (duty < HAPSIM_LEAST_DUTY && duty > -HAPSIM_LEAST_DUTY) {
+        duty = 0;
+    }
     rest = wanted - duty * HAPSIM_FORCE_COUNTS;
     return (int)duty;
 }

@@ -11,7 +11,7 @@
 #define ENABLE_PIN NO_PIN        /* the driver's enable or sleep input: high while the device is armed */
 
 #define MOTION ROTARY            /* ROTARY: rad, N m; LINEAR: m, N */
-#define COUNTS 2400              /* of the sensor over TRAVEL: encoder 4 a line; AS5600 4096; potentiometer 1023 */
+#define COUNTS 2400              /* of the sensor over TRAVEL: encoder 4 a line; AS5600 4096; potentiometer 1023 or 4095 */
 #define TRAVEL 6.283185307       /* rad: a turn; a potentiometer's angle or, in m, its stroke */
 #define POSITION_SIGN 1          /* 1 or -1: the direction of larger positions */
 #define FORCE_SIGN 1             /* 1 or -1: a positive force must push towards larger positions */
