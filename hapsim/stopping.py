@@ -14,8 +14,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
-STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""SIGINT, SIGTERM and, where a system has it, SIGHUP."""
+STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
+"""SIGINT, SIGTERM and, where a system has it, SIGHUP or SIGBREAK (Windows: Ctrl-Break, a closed console)."""
 
 INTERRUPTED = 130
 """The exit status of a command that one of them ended while no run was under way."""

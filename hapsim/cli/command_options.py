@@ -10,7 +10,6 @@ import contextlib
 import inspect
 import math
 import os
-import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
@@ -22,7 +21,7 @@ import typer
 
 from hapsim.cli.output import output_units, print_line, set_output_units
 from hapsim.errors import UsageError
-from hapsim.scene.issue import as_argument
+from hapsim.scene.issue import as_argument, command_line
 
 _STANDARD_INPUT = "-"
 _TYPER = "typer"
@@ -269,7 +268,7 @@ def print_written(what: str, path: Path | None) -> None:
 def print_next(command: str, scene: str, *words: str) -> None:
     """Prints the command to try next with the scene of this path; nothing for a scene on standard input."""
     if scene != _STANDARD_INPUT:
-        print("Next: hapsim", command, shlex.join((as_argument(scene), *words)))  # on one line: it is to be copied
+        print("Next: hapsim", command, command_line(as_argument(scene), *words))  # on one line: it is to be copied
 
 
 def load(path: str, port: str | None = None) -> Any:

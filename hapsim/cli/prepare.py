@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json as json_text
 import os
-import shlex
 from pathlib import Path
 
 import typer
@@ -16,7 +15,7 @@ from hapsim.cli.live import LiveOptions, live_line, not_cached, warn_if_elsewher
 from hapsim.cli.output import document, print_line, print_message, stderr, warn
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
-from hapsim.scene.issue import as_argument
+from hapsim.scene.issue import as_argument, command_line
 from hapsim.scene.shipped import (
     SCENES,
     shipped_board,
@@ -52,7 +51,7 @@ def new(
         file.write_text(text, encoding="utf-8")
     print_line(f"Wrote {path}. Next:")
     for command in ("check", "measure"):
-        print(f"  hapsim {command} {shlex.quote(as_argument(str(path)))}")  # unbroken, so that it can be copied
+        print(f"  hapsim {command} {command_line(as_argument(str(path)))}")  # unbroken, so that it can be copied
 
 
 def scenes(json: Json = False) -> None:

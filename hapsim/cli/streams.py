@@ -86,4 +86,6 @@ def _opened(stream: Any, number: int) -> Any:
         return open(number, "w", encoding="utf-8", closefd=False)
     if isinstance(stream, io.TextIOWrapper):
         stream.reconfigure(errors="replace")  # a terminal that cannot show a character shows another
+        if sys.platform == "win32" and "PYTHONIOENCODING" not in os.environ:
+            stream.reconfigure(encoding="utf-8")  # Windows' code page for files and pipes lacks ┃ and ←
     return stream

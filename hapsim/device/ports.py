@@ -13,6 +13,7 @@ import contextlib
 import errno
 import os
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from typing import Any
 from hapsim.device.connection import Connection
 from hapsim.errors import DeviceError, UsageError
 from hapsim.loop.transport import PythonTransport, descriptor_transport
+from hapsim.number_format import duration
 
 _PSEUDO_TERMINAL = re.compile(r"/dev/pts/\d+")
 
@@ -110,10 +112,10 @@ def is_first_use(port: str) -> bool:
     """
     from serial.tools import list_ports
 
-    if not os.path.exists(port):
-        return False
     there = os.path.realpath(port)
     numbers = [one.serial_number for one in list_ports.comports() if os.path.realpath(one.device) == there]
+    if not numbers and not os.path.exists(port):  # a COM port is listed, but is no file
+        return False
     name = next(filter(None, numbers), port)
     with contextlib.suppress(OSError, UnicodeError):
         file = state_directory() / "devices"
@@ -129,6 +131,7 @@ def is_first_use(port: str) -> bool:
 _PSEUDO_TERMINALS = range(136, 144)  # major numbers, Linux's Documentation/admin-guide/devices.txt
 _PROC = Path("/proc")
 _LONGEST = 120  # characters of a command line in a sentence
+_LONGEST_STEP_S = 1e-4  # Windows' clock has 16 ms before Python 3.13
 _WRITE_TIMEOUT_S = 1.0  # of the portable loop, whose interpreter may be held up for a tenth of a second
 
 
@@ -139,10 +142,21 @@ def open_serial_port(path: str, baud: int) -> Connection:
     return _connection(port, descriptor_transport(port.fileno()))
 
 
+def require_fine_clock() -> None:
+    """Raises UsageError if a step of Python's clock is too long for the loop in Python."""
+    step_s = time.get_clock_info("monotonic").resolution
+    if step_s > _LONGEST_STEP_S:
+        raise UsageError(
+            f"the clock of this Python has steps of {duration(step_s)}, expected {duration(_LONGEST_STEP_S)} at most: "
+            "on Windows, use Python 3.13 or newer"
+        )
+
+
 def open_portable_port(path: str, baud: int) -> Connection:
     """Opens a port at `baud` bit/s for the portable loop. Raises DeviceError, with the remedy, if that fails."""
     from hapsim.loop.portable import PortableTransport
 
+    require_fine_clock()
     port = _open(path, baud)
     return _connection(port, PortableTransport(port))
 

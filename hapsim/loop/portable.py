@@ -6,6 +6,8 @@ so forces and guards are the same.
 
 from __future__ import annotations
 
+import math
+import sys
 import time
 from typing import Any
 
@@ -34,7 +36,11 @@ class PortableTransport:
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         """Waits for bytes and receives all. Returns their count, or a code of endings.py."""
         try:
-            self._serial.timeout = max(timeout_ns, 0) * 1e-9
+            timeout_s = max(timeout_ns, 0) * 1e-9
+            if sys.platform == "win32":
+                timeout_s = math.ceil(timeout_s * 1e3) * 1e-3  # the unit of its ports
+            if timeout_s != self._serial.timeout:  # on Windows a new one sets up the whole port again
+                self._serial.timeout = timeout_s
             data = self._serial.read(1)
             if data:
                 data += self._serial.read(min(self._serial.in_waiting, buffer.size - 1))

@@ -1,6 +1,9 @@
 """Errors of a scene, located by their keys (`Issue`) or by line and column of the file (`LocatedIssue`)."""
 
 import difflib
+import shlex
+import subprocess
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -51,6 +54,11 @@ def quote(text: str) -> str:
 def as_argument(file: str) -> str:
     """The name of a file as a command takes it: one that begins with "-" would be an option."""
     return f"./{file}" if file.startswith("-") else file
+
+
+def command_line(*words: str) -> str:
+    """The words of a command, quoted for this system's shell. To Windows' cmd.exe a single quote is a letter."""
+    return subprocess.list2cmdline(words) if sys.platform == "win32" else shlex.join(words)
 
 
 def one_of(words: Iterable[str]) -> str:

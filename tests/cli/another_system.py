@@ -99,7 +99,7 @@ class SerialTimeoutException(SerialException):
 def pyserial() -> dict[str, types.ModuleType]:
     """Returns the modules of a pyserial without ports, by name."""
     serial, tools, ports = (types.ModuleType(name) for name in ("serial", "serial.tools", "serial.tools.list_ports"))
-    found = types.SimpleNamespace(device=Serial.port_of, description="a port", hwid=None)
+    found = types.SimpleNamespace(device=Serial.port_of, description="a port", hwid=None, serial_number=None)
     vars(serial).update(Serial=Serial, SerialException=SerialException, tools=tools)
     vars(serial).update(SerialTimeoutException=SerialTimeoutException)
     vars(ports).update(comports=lambda: [found])
@@ -110,6 +110,7 @@ def pyserial() -> dict[str, types.ModuleType]:
 def become_another_system() -> None:
     sysconfig.get_config_vars()  # Python's own, found by the name of the system that it was built for
     sys.platform = "freebsd14"
+    signal.SIGBREAK = signal.SIGUSR1  # type: ignore[attr-defined]
     sys.modules.update(dict.fromkeys(MODULES))
     for owner, names in FUNCTIONS.items():
         for name in names:

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
+from hapsim.cli.streams import resilient_streams
+from hapsim.device.mock.assemble_mock import assemble_mock
+from hapsim.device.mock.paced_mock import PacedMock
+from hapsim.device.ports import open_portable_port
+from hapsim.errors import UsageError
+from hapsim.loop.portable import PortableTransport
 from hapsim.recording.trace import load_trace
+from hapsim.scene import load_scene
 
 ANOTHER_SYSTEM = Path(__file__).with_name("another_system.py")
 Hapsim = Callable[..., Any]
@@ -30,6 +40,16 @@ for name in ("hapsim", "firmware_protocol"):
         if not found.name.endswith("__main__"):
             importlib.import_module(found.name)
 print(len([name for name in sys.modules if name.startswith(("hapsim.", "firmware_protocol."))]))
+"""
+
+BREAK_A_RUN = """
+import os, signal, sys
+sys.path.insert(0, sys.argv[1])
+import another_system
+another_system.become_another_system()
+import hapsim
+stop = lambda _: os.kill(os.getpid(), signal.SIGBREAK)  # as Windows calls it; here SIGUSR1
+print(hapsim.run(sys.argv[2], stop_on_signals=True, on_start=stop).report.ending)
 """
 
 
@@ -116,3 +136,64 @@ def test_what_takes_linux_states_it_in_a_sentence(scene_file: SceneFile, tmp_pat
         *before, sentence = errors.splitlines()
         assert sentence.startswith(f"{told}; this system (freebsd14) has no clock_gettime, ")
         assert not [line for line in before if not line.startswith("Warning: ")]
+
+
+def test_a_port_that_is_no_file_is_new_once(
+    scene_file: SceneFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    run = ("run", scene_file("spring"), "--port", "COM3", "--duration", 0.05)
+    errors = [errors for _, _, errors in elsewhere(run, run)]
+    assert ["First run at COM3" in one for one in errors] == [True, False]
+
+
+def test_ctrl_break_ends_a_run_as_ctrl_c_does(scene_file: SceneFile) -> None:
+    assert python("-c", BREAK_A_RUN, ANOTHER_SYSTEM.parent, scene_file("spring")) == "stopped\n"
+
+
+def test_windows_pipes_and_files_have_utf_8(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, io.TextIOWrapper(written, "cp1252", write_through=True))
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.delenv("PYTHONIOENCODING", raising=False)
+    with resilient_streams():
+        print("N·s/m ┃ ←", end="")
+    assert written.getvalue().decode("utf-8") == "N·s/m ┃ ←"
+
+
+def test_windows_commands_are_quoted_for_its_shell(
+    hapsim: Hapsim, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hapsim.scene.issue.sys", SimpleNamespace(platform="win32"))
+    path = tmp_path / "my scene.yaml"
+    assert f'  hapsim check "{path}"\n' in hapsim("new", path).out
+    assert f'Next: hapsim measure "{path}"\n' in hapsim("check", path).out
+
+
+def test_a_clock_with_long_steps_is_refused(scene_file: SceneFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "get_clock_info", lambda _: SimpleNamespace(resolution=0.015625))
+    mock = assemble_mock(load_scene(scene_file("spring")))
+    for opened in (lambda: open_portable_port("COM3", 115_200), lambda: PacedMock(mock)):
+        with pytest.raises(
+            UsageError, match=r"steps of 15\.62 ms, expected 0\.1 ms at most: on Windows, use Python 3\.13"
+        ):
+            opened()
+
+
+def test_a_port_of_windows_is_not_set_up_again_for_each_position(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There pyserial sets the baud rate again with each new timeout, which a device may take for a new connection."""
+    timeouts: list[float] = []
+
+    class Port:
+        timeout = property(lambda _: timeouts[-1] if timeouts else 0.0, lambda _, seconds: timeouts.append(seconds))
+        in_waiting = 3
+
+        def read(self, size: int) -> bytes:
+            return bytes(size)
+
+    monkeypatch.setattr("hapsim.loop.portable.sys", SimpleNamespace(platform="win32"))
+    transport, buffer = PortableTransport(Port()), np.zeros(16, np.uint8)
+    for timeout_ns in (100_000_000, 99_990_000, 99_123_456, 600_000, 1_000_000):
+        assert transport.receive(buffer, timeout_ns) == 4
+    assert timeouts == pytest.approx([0.1, 0.001])

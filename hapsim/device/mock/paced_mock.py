@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.device.mock.firmware import check_watchdog, prepare, take_bytes, take_sample
+from hapsim.device.ports import require_fine_clock
 from hapsim.errors import UsageError
 from hapsim.loop.clocks import next_point
 from hapsim.loop.endings import TIMED_OUT
@@ -29,6 +30,7 @@ class PacedMock:
                 "mock.baud, mock.turnaround: this system has no pseudo-terminals, so the mock's wire takes no time: "
                 "leave them out, or write clock: lockstep"
             )
+        require_fine_clock()
         prepare(mock)
         self._mock = mock
         self._period_ns = round(float(mock.converters[0].period) * 1e9)
