@@ -289,8 +289,8 @@ def steps_of(device: str, written: list[Entry]) -> list[Entry]:
     return [session.step(**step) for step in written]
 
 
-def _session(section: int, rule: str, steps: list[Entry], device: str = "plain") -> Entry:
-    return {"section": str(section), "says": rule, "device": device, "steps": steps_of(device, steps)}
+def _session(section: int, says: str, steps: list[Entry], device: str = "plain") -> Entry:
+    return {"section": str(section), "says": says, "device": device, "steps": steps_of(device, steps)}
 
 
 class _Session:
