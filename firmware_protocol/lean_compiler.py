@@ -4,7 +4,8 @@
   optimizes all its callees anew: what stands twelve calls deep is optimized twelve times. A `Piece` stays an
   intermediate form until a `Whole`, which Python or a pointer calls, links and optimizes it once. 5 of 17 s of
   processor time went into that.
-* The hot path has no closures, `with` blocks or unrolled literals, so the passes that look for them are left out: 8 %.
+* The hot path has no closures, `with` blocks or unrolled literals. The passes that look for them are left out. That
+  saves 8 % of the time.
 * Loops stay compact: they run over a few channels, and the compiler would turn each into a dozen, for every number of
   channels. `BulkWhole` and `BulkPiece` are for loops over many numbers, which gain by that.
 """
@@ -51,6 +52,7 @@ class _BulkPiecePass(typed_passes.NativeLowering):
     _name = "lower_bulk_piece"
 
     def run_pass(self, state: Any) -> bool:
+        """Lowers the piece into a library of its own, and makes it known to numba under an object."""
         state.flags.no_compile = True
         state.library = _LinkedLater(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
@@ -76,6 +78,7 @@ class BulkWhole(CompilerBase):
     lowering: Any = typed_passes.NativeLowering
 
     def define_pipelines(self) -> list[PassManager]:
+        """Returns numba's passes that the hot path needs, with the class's own lowering."""
         manager = PassManager("hot path")
         for one in (
             untyped_passes.TranslateByteCode,
@@ -113,7 +116,7 @@ class Piece(BulkWhole):
 
 
 class PieceType(types.Dispatcher):
-    """numba's type of a piece: compiled once for each choice of types, whoever calls it, and not for each constant.
+    """numba's type of a piece, which is compiled once for each choice of types, for all callers and constants.
 
     Called from Python, the function stays plain Python: numba looks its type up when compiled code names it.
     """
