@@ -35,8 +35,6 @@ class PacedMock:
         self._mock = mock
         self._period_ns = round(float(mock.converters[0].period) * 1e9)
         self._due_ns = 0
-        self.late_samples = 0
-        """Samples that could not be taken when they were due."""
 
     def send(self, frame: bytes) -> int:
         """Sends a frame. Returns 0."""
@@ -53,8 +51,7 @@ class PacedMock:
             now = time.monotonic_ns()
             if self._is_ticking and now >= self._due_ns:
                 take_sample(self._mock, now)
-                self._due_ns, late = next_point(self._due_ns, now, self._period_ns)
-                self.late_samples += late
+                self._due_ns, _ = next_point(self._due_ns, now, self._period_ns)
             check_watchdog(self._mock, now)
             if count := self._fetch(buffer):
                 return count
