@@ -1,22 +1,22 @@
 """The units of a motion, and quantities written in them.
 
 A rotary channel has the same mathematics as a linear one: rad in place of m, N·m in place of N, kg·m² in place of kg.
-So code names a unit by that of a line ("N/m"), and a scene's `Units` write it as that of its channels: in rad, or in
-degrees where the scene's file has any angle in degrees.
+So code names a unit by that of a line ("N/m"), and a scene's `Units` write it as that of its channels (N·m/rad), or as
+the scene's file does (N·m/deg).
 """
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
-from hapsim.number_format import number
+from hapsim.number_format import between, number, rounded
 
 Motion = Literal["linear", "rotary"]
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
+Form = str | int | Callable[[float], str]
 
 _ROTARY = {
     "N·s/m": "N·m·s/rad",
@@ -36,8 +36,16 @@ _ROTARY = {
     "newton": "N·m",
     "metres": "radians",
 }
-_DEGREES = {"m": "°", "mm": "°", "µm": "°", "nm": "°", "m/s": "°/s", "mm/s": "°/s", "m/s²": "°/s²"}
-_SMALLER = {"mm": 1e3, "µm": 1e6, "nm": 1e9, "mm/s": 1e3, "mN": 1e3, "µN": 1e6}
+#: The linear units that a rotary motion replaces.
+OF_MOTION = frozenset(_ROTARY)
+_SMALLER = {
+    "mm": ("m", 1e3),
+    "µm": ("m", 1e6),
+    "nm": ("m", 1e9),
+    "mm/s": ("m/s", 1e3),
+    "mN": ("N", 1e3),
+    "µN": ("N", 1e6),
+}
 _MARKED = re.compile("‹(one )?([^›]+)›")
 
 # What has a unit, and how a file may write it.
@@ -72,20 +80,43 @@ _EXAMPLES = {
 }
 
 
+class Written(NamedTuple):
+    """A unit in which a scene's file writes a quantity."""
+
+    si: str
+    """The SI unit of the same quantity, such as N·m/rad."""
+    name: str
+    """As the file has it, such as N·m/deg."""
+    per_si: float
+    """Number of them in one SI unit."""
+
+
+def complete(written: Iterable[Written]) -> tuple[Written, ...]:
+    """Returns the units of a file, the first of each quantity; with that of a velocity and of an acceleration where the
+    file has only one of a length."""
+    found: dict[str, Written] = {}
+    for one in written:
+        found.setdefault(one.si, one)
+    for length in [found[si] for si in ("m", "rad") if si in found]:
+        for per in ("/s", "/s²"):
+            found.setdefault(length.si + per, Written(length.si + per, length.name + per, length.per_si))
+    return tuple(found.values())
+
+
 @dataclass(frozen=True)
 class Units:
     """The units of one or several motions. Where some channels turn and others do not, a unit is both: "5 N or N·m"."""
 
     motions: frozenset[Motion]
     """None: as of a line."""
-    in_degrees: bool = False
-    """True if angles are in degrees; all channels are rotary then. Stiffness and damping stay per rad."""
+    written: tuple[Written, ...] = ()
+    """Units of the scene's file in place of SI units; none where channels differ."""
 
     @classmethod
-    def of(cls, motions: Iterable[Motion], in_degrees: bool = False) -> Units:
-        """Returns the units of channels of these motions. `in_degrees`: whether the scene writes angles in degrees."""
+    def of(cls, motions: Iterable[Motion], written: Iterable[Written] = ()) -> Units:
+        """Returns the units of channels of these motions. `written`: the units of the scene's file."""
         each = frozenset(motions)
-        return cls(each, in_degrees and each == {"rotary"})
+        return cls(each, tuple(written) if len(each) == 1 else ())
 
     @classmethod
     def parse(cls, motion: object) -> Units:
@@ -94,7 +125,7 @@ class Units:
 
     @property
     def si(self) -> Units:
-        """The same with angles in rad: for files, for programs, and for what a scene's file may hold."""
+        """The same in SI units: for files, for programs, and for what a scene's file may hold."""
         return Units(self.motions)
 
     @property
@@ -102,37 +133,58 @@ class Units:
         """True if a channel is rotary."""
         return "rotary" in self.motions
 
-    def __call__(self, value: Any, unit: str, form: str | int = 6) -> str:
+    def __call__(self, value: Any, unit: str, form: Form = 6) -> str:
         """Returns a quantity with its unit.
 
         Args:
             value: in SI units, such as m where `unit` is mm; or the text of numbers in `name(unit)`.
             unit: that of a line, such as N/m.
-            form: the number's format, such as ".3g", or how many digits `number` has.
+            form: the number's format, such as ".3g", how many digits it has, or a function that writes it.
         """
         name = self.name(unit)
         return f"{self.number(value, unit, form)}{'' if name.startswith('°') else ' '}{name}"
 
-    def number(self, value: Any, unit: str, form: str | int = 6) -> str:
+    def number(self, value: Any, unit: str, form: Form = 6) -> str:
         """Returns the same without the unit."""
         if isinstance(value, str):
             return value
         shown = self.scaled(value, unit)
+        if callable(form):
+            return form(shown)
         return number(shown, form) if isinstance(form, int) else f"{shown:{form}}"
+
+    def rounded(self, value: float, uncertainty: float, unit: str) -> str:
+        """Returns a number without its unit, to the second digit of its uncertainty."""
+        return rounded(self.scaled(value, unit), self.scaled(uncertainty, unit))
+
+    def between(self, least: float, most: float, unit: str, to: str = " to ") -> str:
+        """Returns a range with its unit, its ends rounded inward."""
+        return self(between(self.scaled(least, unit), self.scaled(most, unit), to), unit)
 
     def name(self, unit: str) -> str:
         """Returns the name that replaces this linear unit: N·m/rad for N/m. Words may follow it: "m per count"."""
         of_a_line, *words = unit.split(" ", 1)
-        turning = (self.in_degrees and _DEGREES.get(of_a_line)) or _ROTARY.get(of_a_line, of_a_line)
+        if not words and (written := self._written(unit)):
+            return written.name
+        turning = _ROTARY.get(of_a_line, of_a_line)
         if not self.is_rotary or turning == of_a_line:
             return unit
         return " ".join([f"{of_a_line} or {turning}" if "linear" in self.motions else turning, *words])
 
     def scaled(self, value: Any, unit: str) -> Any:
         """Returns a number or an array in SI units as it is in `name(unit)`."""
-        if self.in_degrees and unit in _DEGREES:
-            return value * (180.0 / math.pi)
-        return value * _SMALLER[unit] if unit in _SMALLER else value
+        written = self._written(unit)
+        factor = written.per_si if written else _SMALLER.get(unit, (unit, 1.0))[1]
+        return value if factor == 1.0 else value * factor
+
+    def _written(self, unit: str) -> Written | None:
+        """Returns the file's unit in place of a linear one. µm stay: errors of sensors are in them."""
+        si, factor = _SMALLER.get(unit, (unit, 1.0))
+        if self.is_rotary:
+            si = _ROTARY.get(si, si)
+        elif factor > 1e3:
+            return None
+        return next((one for one in self.written if one.si == si), None)
 
     def filled(self, text: str) -> str:
         """Returns a text of ours with these units where it has ‹N/m›, and examples where it has ‹one N/m›."""

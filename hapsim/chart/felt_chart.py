@@ -333,13 +333,14 @@ def draw_tolerance(chart: ToleranceChart, title: str, path: Path, shares: Sequen
     with figure_to(path, 7.4, 4.0) as figure:
         figure.suptitle(f"Tolerance to errors in the device's parameters   {title}", fontsize=9)
         panels = figure.subplots(1, 2, sharey=True)
+        true = drawn_in().scaled(chart.true, "N·s/m") if chart.over == "device.friction" else chart.true
         for axes, errors, label in zip(panels, (chart.k_error, chart.b_error), ("k", "b"), strict=True):
             for share in shares:
                 axes.axhspan(-100.0 * share, 100.0 * share, **style.WITHIN)
             for name, error in errors.items():
-                axes.plot(chart.true, 100.0 * error, label=name, **style.CORRECTIONS[name])
+                axes.plot(true, 100.0 * error, label=name, **style.CORRECTIONS[name])
             axes.set(title=f"relative error of the felt {label}", xlabel=drawn_in().filled(_LABELS[chart.over]))
-            axes.set(xlim=(chart.true[0], chart.true[-1]), ylim=(-_MOST_PER_CENT, _MOST_PER_CENT))
+            axes.set(xlim=(true[0], true[-1]), ylim=(-_MOST_PER_CENT, _MOST_PER_CENT))
             axes.yaxis.set_major_formatter("{x:+.0f} %")
             axes.grid()
             if chart.over == "device.mass":

@@ -123,7 +123,8 @@ def draw_force(chart: ForceChart, path: Path) -> None:
     with figure_to(path, 8.0, 4.8) as figure:
         axes, units = figure.add_subplot(), drawn_in()
         labels: set[str] = set()
-        for region, x, force in zip(chart.drawn, chart.position, chart.force, strict=True):
+        for region, x, newtons in zip(chart.drawn, chart.position, chart.force, strict=True):
+            force = units.scaled(newtons, "N")
             error, mm = error_of(region), units.scaled(x, "mm")
             if not region.is_stable:
                 axes.axvspan(mm[0], mm[-1], label=_once("unstable", labels), **style.UNSTABLE_REGION)
@@ -136,7 +137,7 @@ def draw_force(chart: ForceChart, path: Path) -> None:
             )
             axes.plot(mm, force, **(style.FORCE | look))
         x = units.scaled(np.concatenate(chart.position), "mm")
-        up, down = np.concatenate(chart.pushing), np.concatenate(chart.releasing)
+        up, down = (units.scaled(np.concatenate(one), "N") for one in (chart.pushing, chart.releasing))
         loop = f"friction and damping of the scene, moved at {units(chart.speed, 'm/s', 3)}"
         axes.fill_between(x, down, up, label=loop, **style.HYSTERESIS)
         axes.axhline(0.0, **style.ZERO_LINE)

@@ -96,15 +96,15 @@ def described(
     b0 = (
         f"$b_0 T/m$ = {short(c.friction / c.damping_unit)}"
         if normalised
-        else f"$b_0$ = {units(short(c.friction), 'N·s/m')}"
+        else f"$b_0$ = {units(c.friction, 'N·s/m', short)}"
     )
     k0 = (
         f"$k_0 T^2/m$ = {short(c.stiffness / c.stiffness_unit)}"
         if normalised
-        else f"$k_0$ = {units(short(c.stiffness), 'N/m')}"
+        else f"$k_0$ = {units(c.stiffness, 'N/m', short)}"
     )
     parts = {
-        f"$m$ = {units(short(c.mass), 'kg')}": mass and not normalised,
+        f"$m$ = {units(c.mass, 'kg', short)}": mass and not normalised,
         f"{short(c.rate)} Hz": not normalised,
         f"{c.hold} hold, delay {c.delay:g}": True,
         f"sampling: {c.sampling}": c.sampling != "ideal",

@@ -166,8 +166,13 @@ def _draw_matrix(dense: PredictedImpedance, measured: MeasuredImpedance, _: int,
 def _curves(name: str, dense: PredictedImpedance, measured: MeasuredImpedance, at: tuple[int, int]) -> Curves:
     here, circles = (slice(None), *at), getattr(measured, name)
     desired = dense.desired[here] + (dense.ideal_device[here] if name == "closed_loop" else 0.0)
-    found = Measured(measured.frequency, circles.value[here], circles.uncertainty[here])
-    return Curves(dense.frequency, desired, getattr(dense, name)[here], found)
+    found = Measured(measured.frequency, _shown(circles.value[here]), _shown(circles.uncertainty[here]))
+    return Curves(dense.frequency, _shown(desired), _shown(getattr(dense, name)[here]), found)
+
+
+def _shown(impedance: Any) -> Any:
+    """Returns an impedance in the unit of the figure that is drawn."""
+    return drawn_in().scaled(impedance, "N·s/m")
 
 
 @dataclass(frozen=True)
@@ -241,7 +246,7 @@ def _frequencies(rate: float, eigenfrequency: float, points: int) -> Floats:
 
 def draw_transparency(data: Transparency, title: str, path: Path) -> None:
     """Draws size and phase, and the spring and damper of the same force, to a file: .svg, .png or .pdf."""
-    curves = Curves(data.frequency, data.desired, data.rendered)
+    curves = Curves(data.frequency, _shown(data.desired), _shown(data.rendered))
     with figure_to(path, 9.5, 5.6) as figure:
         panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.15, 1.0])
         figure.suptitle(title)
@@ -250,7 +255,10 @@ def draw_transparency(data: Transparency, title: str, path: Path) -> None:
         panels[0, 0].set_ylabel(f"|force / velocity|  ({drawn_in().name('N·s/m')})")
         panels[1, 0].set_ylabel("phase  (degrees)")
         units = drawn_in()
-        both = [spring_and_damper(data.frequency, one) for one in (data.desired, data.rendered)]
+        both = [
+            (units.scaled(k, "N/m"), units.scaled(b, "N·s/m"))
+            for k, b in (spring_and_damper(data.frequency, one) for one in (data.desired, data.rendered))
+        ]
         for axes, label, part in zip(
             panels[:, 1], (f"k  ({units.name('N/m')})", f"b  ({units.name('N·s/m')})"), (0, 1), strict=True
         ):

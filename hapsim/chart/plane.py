@@ -9,7 +9,7 @@ import contextlib
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from hapsim.chart.plane_curves import Curve, Scale, Sheet, View
 from hapsim.errors import UsageError
 from hapsim.number_format import short
 from hapsim.theory.arrays import Bools, Floats
+from hapsim.units import Units
 
 _MOST = (12, 9)  # curves of equal k, and of equal b
 _MOST_OF_A_FAMILY = (4, 4)  # for each of several masses
@@ -81,6 +82,23 @@ class Plane:
     def scale(self) -> Scale:
         """The axes' units."""
         return self.sheets[0].scale
+
+    def shown_in(self, units: Units) -> Plane:
+        """Returns the same in these units, for a picture."""
+        if self.scale.normalised:
+            return self
+        k, b = units.scaled(1.0, "N/m"), units.scaled(1.0, "N·s/m")
+        scale = replace(self.scale, stiffness=self.scale.stiffness / k, damping=self.scale.damping / b)
+        changed: dict[str, Any] = {"sheets": tuple(replace(one, scale=scale) for one in self.sheets)}
+        changed["points"] = tuple(replace(at, K=at.K * k, B=at.B * b, k=at.k * k, b=at.b * b) for at in self.points)
+        for field in fields(self):
+            if field.name not in changed:
+                curves: tuple[Curve, ...] = getattr(self, field.name)
+                changed[field.name] = tuple(
+                    replace(one, value=one.value * (b if one.kind == "iso_b" else k), K=one.K * k, B=one.B * b)
+                    for one in curves
+                )
+        return replace(self, **changed)
 
     def columns(self) -> dict[str, list[Any]]:
         """Returns what is drawn, by the names that a data file uses: a row for each point of a curve."""
@@ -145,6 +163,7 @@ def _operating_point(hand: Hand, view: View, scale: Scale) -> Point:
 
 def draw_plane(data: Plane, title: str, path: Path) -> None:
     """Draws it to a file: .svg, .png or .pdf."""
+    data = data.shown_in(drawn_in())
     with figure_to(path, 6.5, 5.9) as figure:
         axes = figure.add_subplot()
         axes.set_title(title)

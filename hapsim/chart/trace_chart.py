@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from hapsim.chart import style
 from hapsim.chart.figure import drawn_in, figure_to, legend_below
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED, UNSENT, WITHHELD
-from hapsim.number_format import rounded
 from hapsim.recording.trace import Trace
 from hapsim.theory.arrays import Floats
 
@@ -66,7 +65,7 @@ def draw_trace(trace: Trace, title: str, path: Path) -> None:
     with figure_to(path, 8.0, 5.2) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True)
         units = drawn_in()
-        position, force = units.scaled(trace.position, "mm"), trace.force
+        position, force = units.scaled(trace.position, "mm"), units.scaled(trace.force, "N")
         labels = f"position ({units.name('mm')})", f"force ({units.name('N')})"
         for axes, values, label in zip((upper, lower), (position, force), labels, strict=True):
             for c in range(values.shape[1]):
@@ -76,7 +75,7 @@ def draw_trace(trace: Trace, title: str, path: Path) -> None:
         for (what, marker, *_), marked in zip(_MARKS, marked_rows(trace).values(), strict=True):
             drawn = marked[:: max(1, marked.size // _MOST_MARKS)]
             if marked.size:
-                lower.plot(time[drawn], trace.force[drawn, 0], marker, label=f"{what}: {marked.size}", **style.MARK)
+                lower.plot(time[drawn], force[drawn, 0], marker, label=f"{what}: {marked.size}", **style.MARK)
         for axes in (upper, lower):
             draw_zero_if_near(axes)
         lower.set_xlabel(f"time since arming (s): sample number / {trace.rate:g} Hz")
@@ -107,13 +106,12 @@ def draw_replay(found: Comparison, title: str, path: Path) -> None:
     with figure_to(path, 8.0, 5.2) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True)
         units = drawn_in()
+        recorded, replayed = units.scaled(found.recorded, "N"), units.scaled(found.replayed, "N")
         for c in range(found.position.shape[1]):
             of = f" of channel {c}" if found.position.shape[1] > 1 else ""
             upper.plot(found.time_s, units.scaled(found.position[:, c], "mm"), linewidth=1.0, color=f"C{c}")
-            lower.plot(
-                found.time_s, found.recorded[:, c], linewidth=2.2, alpha=0.4, color=f"C{c}", label=f"recorded{of}"
-            )
-            lower.plot(found.time_s, found.replayed[:, c], linewidth=0.9, color=f"C{c}", label=f"replayed{of}")
+            lower.plot(found.time_s, recorded[:, c], linewidth=2.2, alpha=0.4, color=f"C{c}", label=f"recorded{of}")
+            lower.plot(found.time_s, replayed[:, c], linewidth=0.9, color=f"C{c}", label=f"replayed{of}")
         upper.set_ylabel(f"position ({units.name('mm')})")
         lower.set_ylabel(f"force ({units.name('N')})")
         lower.set_xlabel("time since arming (s)")
@@ -278,8 +276,8 @@ def _title(found: DeviceIdentification) -> str:
         ("delay", found.delay, "samples"),
         ("dry friction", found.coulomb, "N"),
     )
-    words = [
-        f"{name} {rounded(one.value, one.uncertainty)} ± {one.uncertainty:.1g} {drawn_in().name(unit)}"
-        for name, one, unit in named
-    ]
+    units, words = drawn_in(), []
+    for name, one, unit in named:
+        value = units.rounded(one.value, one.uncertainty, unit)
+        words.append(f"{name} {value} ± {units(one.uncertainty, unit, 1)}")
     return f"{', '.join(words[:3])},\n{', '.join(words[3:])}"

@@ -23,7 +23,7 @@ from hapsim.cli.command_options import (
 from hapsim.cli.output import document, output_units, print_line, show, stdout, table, use_channel_units
 from hapsim.documents import pick
 from hapsim.errors import UsageError
-from hapsim.number_format import between, number, percent
+from hapsim.number_format import number, percent
 from hapsim.scene import choices
 from hapsim.scene.issue import one_of
 
@@ -170,7 +170,7 @@ def _felt_sentence(hand: Hand) -> str:
         low, high = known[f"stable_{name}"]
         if high > 0.0:
             low = low if low > 1e-12 * high else 0.0  # a negative K or B is of no use
-            ends.append(f"for {which} from {units(between(low, high), unit)} at this {other}")
+            ends.append(f"for {which} from {units.between(low, high, unit)} at this {other}")
     stable = f"stable {' and '.join(ends)}" if ends else "not stable with this K or B"
     return (
         f"{'' if known['stable'] else 'UNSTABLE: '}{hand.name} of {units(known['mass'], 'kg', 'g')}: {felt}; {stable}."

@@ -56,8 +56,8 @@ def table1(
         rows = [
             (
                 one.numeral,
-                f"{one.configuration.stiffness:.6g}",
-                f"{one.K:.6g}",
+                units.number(one.configuration.stiffness, "N/m"),
+                units.number(one.K, "N/m"),
                 f"{one.predicted_hz:.9g}",
                 f"{one.measured_hz:.9g}",
                 relative_difference(one.measured_hz, one.predicted_hz),

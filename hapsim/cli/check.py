@@ -18,7 +18,7 @@ from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.documents import pick
 from hapsim.errors import GuardError, UsageError
 from hapsim.holds import HOLDS
-from hapsim.number_format import duration, number
+from hapsim.number_format import duration
 from hapsim.prediction import (
     Felt,
     Prediction,
@@ -165,7 +165,7 @@ def _predicted_for(scene: Scene) -> str:
 
 def _one_hand(span: tuple[float, float], friction: float, stiffness: float, units: Units) -> str:
     least, most = span
-    mass = units(most, "kg", "g") if least == most else f"{least:g} to {units(most, 'kg', 'g')}"
+    mass = units(most, "kg", "g") if least == most else f"{units.number(least, 'kg', 'g')} to {units(most, 'kg', 'g')}"
     spring = f", a spring of {units(stiffness, 'N/m', 'g')}" if stiffness else ""
     return f"{mass}, friction {units(friction, 'N·s/m', 'g')}{spring}"
 
@@ -233,9 +233,11 @@ def _felt_summary(prediction: Prediction) -> Iterator[Line]:
     rows = []
     for felt in prediction.felt:
         k, b = prediction.asked_for(felt)
-        static, units = number(robustness_of(felt).steady_stiffness), prediction.scene.units_of(felt.channel)
-        rows.append((f"{escape(felt.name)}: k", number(k), number(felt.k), static, units.name("N/m")))
-        rows.append((f"{escape(felt.name)}: b", number(b), number(felt.b), "", units.name("N·s/m")))
+        units = prediction.scene.units_of(felt.channel)
+        stiffnesses = (units.number(one, "N/m") for one in (k, felt.k, robustness_of(felt).steady_stiffness))
+        rows.append((f"{escape(felt.name)}: k", *stiffnesses, units.name("N/m")))
+        dampings = (units.number(one, "N·s/m") for one in (b, felt.b))
+        rows.append((f"{escape(felt.name)}: b", *dampings, "", units.name("N·s/m")))
     if rows:
         yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
     for felt in prediction.felt:

@@ -74,7 +74,8 @@ def _reached_sentence(desired: Desired, name: str, prediction: Prediction) -> st
     """Returns the error of a correction at one hand, and its remedies."""
     steady, units = "", prediction.scene.units_of(desired.channel)
     if abs(desired.steady_stiffness - desired.k) > _EXACT * abs(desired.k):
-        steady = f" A steady push meets {units(desired.steady_stiffness, 'N/m', '.6g')}, not {desired.k:.6g}."
+        meets, k = units(desired.steady_stiffness, "N/m", ".6g"), units.number(desired.k, "N/m")
+        steady = f" A steady push meets {meets}, not {k}."
     if desired.error < _EXACT:
         return f"Correction {name}: {desired.name} swings as desired.{steady}"
     if desired.name in prediction.regions:
@@ -97,10 +98,11 @@ def _reached_sentence(desired: Desired, name: str, prediction: Prediction) -> st
 
 
 def _what_would(remedies: Remedies, units: Units) -> str:
+    friction = None if remedies.friction is None else units(remedies.friction, "N·s/m", 4)
     ways = (
         (remedies.rate_hz, "a rate of {:.4g} Hz or more, with a delay of as many samples"),
         (remedies.delay_samples, "a delay of {:.3g} samples or less"),
-        (remedies.friction, f"{{:.4g}} {units.name('N·s/m')} or more of real friction in place of simulated damping"),
+        (friction, "{} or more of real friction in place of simulated damping"),
         (remedies.predictor or None, "correction: predictor"),
     )
     if helpful := [text.format(value) for value, text in ways if value is not None]:

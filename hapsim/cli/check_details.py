@@ -51,8 +51,9 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
     yield ""
     yield _felt_table(felt, desired)
     if desired is None and (name := correction_for(felt)):
-        k, b = felt.stiffness + felt.configuration.stiffness, felt.damping + felt.configuration.friction
-        yield f"With `correction: {name}` under `device` the hand would feel k = {k:.6g}, b = {b:.6g}."
+        units, device = output_units(felt.channel), felt.configuration
+        k, b = units(felt.stiffness + device.stiffness, "N/m"), units(felt.damping + device.friction, "N·s/m")
+        yield f"With `correction: {name}` under `device` the hand would feel k = {k}, b = {b}."
     if felt.reason:
         yield f"No spring and damper is equivalent: {felt.reason}."
     is_in_table = any(one.stiffness_factor == felt.stiffness_factor for one in tightest(prediction))
@@ -62,26 +63,34 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
 
 def _felt_table(felt: Felt, desired: Desired | None) -> Table:
     robustness, device, units = robustness_of(felt), felt.configuration, output_units(felt.channel)
-    own = f" (+ {device.stiffness:.6g} real)" if device.stiffness else ""
-    least, most = robustness.stable_masses
-    masses = "none" if math.isnan(least) else f"{least:.3g} to {most:.3g}"
-    if math.isinf(most):
-        masses = f"from {least:.3g}" if least else "all"
-    values = [
-        [f"stiffness  {units.name('N/m')}", "k", f"K = {felt.stiffness:.6g}{own}", f"k = {number(felt.k)}"],
-        [
-            f"damping  {units.name('N·s/m')}",
-            "b",
-            f"B = {felt.damping:.6g} (+ {device.friction:.6g} real)",
-            f"b = {number(felt.b)}",
-        ],
-        ["eigenfrequency  Hz", "frequency_hz", "", number(felt.frequency_hz)],
-        ["damping ratio", "damping_ratio", "", number(felt.damping_ratio)],
-        [f"static stiffness  {units.name('N/m')}", "k", "", number(robustness.steady_stiffness)],
-        [f"noise gain  {units.name('N/m')}", "", "", number(robustness.noise_gain)],
-        [f"stable masses  {units.name('kg')}", "", "", masses],
+    (K, k, own_k, static, noise), (B, b, own_b) = (
+        [units.number(one, unit) for one in each]
+        for unit, each in (
+            ("N/m", (felt.stiffness, felt.k, device.stiffness, robustness.steady_stiffness, robustness.noise_gain)),
+            ("N·s/m", (felt.damping, felt.b, device.friction)),
+        )
+    )
+    own = f" (+ {own_k} real)" if device.stiffness else ""
+    least, most = (units.number(one, "kg", 3) for one in robustness.stable_masses)
+    masses = "none" if math.isnan(robustness.stable_masses[0]) else f"{least} to {most}"
+    if math.isinf(robustness.stable_masses[1]):
+        masses = f"from {least}" if robustness.stable_masses[0] else "all"
+    rows = [
+        (
+            f"{label}  {units.name(unit)}".rstrip(),
+            units.number(getattr(desired, key), unit) if desired and key else "",
+            *both,
+        )
+        for label, unit, key, *both in (
+            ("stiffness", "N/m", "k", f"K = {K}{own}", f"k = {k}"),
+            ("damping", "N·s/m", "b", f"B = {B} (+ {own_b} real)", f"b = {b}"),
+            ("eigenfrequency", "Hz", "frequency_hz", "", number(felt.frequency_hz)),
+            ("damping ratio", "", "damping_ratio", "", number(felt.damping_ratio)),
+            ("static stiffness", "N/m", "k", "", static),
+            ("noise gain", "N/m", "", "", noise),
+            ("stable masses", "kg", "", "", masses),
+        )
     ]
-    rows = [(label, number(getattr(desired, key)) if desired and key else "", *both) for label, key, *both in values]
     return table(f"What the hand feels at {felt.name}", ("", "desired", "simulated", "felt"), rows)
 
 
@@ -107,7 +116,7 @@ def _enough_damping(felt: Felt, becomes: str = "; or") -> str:
         least, most = map(float, hand.stable_damping(_FAINT * hand.stiffness_unit))
     if not most > 0.0:
         return "; no damping makes this stiffness stable: take less of it, a shorter delay or device.correction"
-    span = output_units(felt.channel)(between(max(least, 0.0), most, " and "), "N·s/m")
+    span = output_units(felt.channel).between(max(least, 0.0), most, "N·s/m", " and ")
     return f"{becomes} where the damping is between {span}"
 
 
@@ -241,8 +250,9 @@ def _felt_on_wire(prediction: Prediction, on_wire: Prediction) -> str:
     for declared, late in zip(prediction.felt, on_wire.felt, strict=True):
         felt = f"no spring and damper is equivalent: {late.reason}"
         if late.dominant:
-            instead = f" (instead of {declared.k:.6g}, {declared.b:.6g})" if declared.dominant else ""
             units = prediction.scene.units_of(late.channel)
+            before = units.number(declared.k, "N/m"), units.number(declared.b, "N·s/m")
+            instead = f" (instead of {', '.join(before)})" if declared.dominant else ""
             felt = f"k = {units(late.k, 'N/m', '.6g')}, b = {units(late.b, 'N·s/m', '.6g')}{instead}"
         delay = f"{late.configuration.delay:g} samples in place of {declared.configuration.delay:g}"
         sentences.append(f"With a delay of {delay}, at {late.name}: {felt}.")

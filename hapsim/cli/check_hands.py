@@ -72,10 +72,11 @@ def _bounces(regions: tuple[Region, ...]) -> str:
     passive, or if passivity is not derived."""
     held = [one.felt for one in regions if one.kind == "held"]
     needed = max((one.needed_friction for one in held), default=0.0)
-    has, unit = regions[0].felt.configuration.friction, regions[0].hand.units.name("N·s/m")
+    has, units = regions[0].felt.configuration.friction, regions[0].hand.units
     if not all(one.is_stable for one in regions) or not needed > has:
         return ""
-    return f"Not passive: bounces can grow below {rounded_up(needed)} {unit} of friction (declared: {number(has)})"
+    below = units(needed, "N·s/m", rounded_up)
+    return f"Not passive: bounces can grow below {below} of friction (declared: {units.number(has, 'N·s/m')})"
 
 
 def _narrow(regions: tuple[Region, ...]) -> str:
@@ -119,21 +120,24 @@ def _summed_up(kinds: list[Region], count: int) -> str:
     """Returns a summary of these regions, `count` in all, in a sentence; "" if there are none."""
     if not kinds:
         return ""
-    low, high = (number(of(one.piece.stiffness for one in kinds), 4) for of in (min, max))
+    units = kinds[0].hand.units
+    low, high = (units.number(of(one.piece.stiffness for one in kinds), "N/m", 4) for of in (min, max))
     unstable, snaps = sum(not one.is_stable for one in kinds), sum(one.kind == "snap" for one in kinds)
     words = f"{f', {unstable} unstable' if unstable else ''}{f', {snaps} snaps' if snaps else ''}"
     return f"and {count} others with K from {low} to {high}{words} (--json lists them)"
 
 
 def _cells(row: _Row) -> tuple[str, ...]:
-    region, piece = row.region, row.region.piece
-    felt = ("", "") if region.kind != "held" else (number(region.felt.k), number(region.felt.b, 5))
+    region, piece, units = row.region, row.region.piece, row.region.hand.units
+    felt = ("", "")
+    if region.kind == "held":
+        felt = units.number(region.felt.k, "N/m"), units.number(region.felt.b, "N·s/m", 5)
     alike = f", {row.alike} of these" if row.alike > 1 else ""
     here = " ←" if row.is_here else ""
     return (
-        _range(piece.low, piece.high, region.hand.units),
-        number(piece.stiffness),
-        number(piece.damping),
+        _range(piece.low, piece.high, units),
+        units.number(piece.stiffness, "N/m"),
+        units.number(piece.damping, "N·s/m"),
         *felt,
         _verdict(region) + alike + here,
     )
@@ -187,7 +191,7 @@ def together_lines(prediction: Prediction) -> Iterator[Line]:
     yield from _sentences(prediction)
 
 
-def _pair_rows(together: FeltTogether) -> Iterator[tuple[str, str, str, str, str]]:
+def _pair_rows(together: FeltTogether) -> Iterator[tuple[str, ...]]:
     """Yields rows for each hand, and for each pair of hands: the coupling that the first feels to the second."""
     felt, asked, static = together.felt, together.asked_for, together.static_stiffness
     if felt.reason:
@@ -196,11 +200,11 @@ def _pair_rows(together: FeltTogether) -> Iterator[tuple[str, str, str, str, str
     for i, name in enumerate(names):
         others = [(j, 1.0, name) if j == i else (j, -1.0, f"{name} of {names[j]}") for j in range(len(names))]
         for j, sign, who in sorted(others, key=lambda one: one[0] != i):
-            unit = output_units(together.channels[i])
-            k, b = (number(sign * float(one[i, j])) for one in (felt.k, felt.b))
-            wanted_k, wanted_b = (number(sign * float(one[i, j])) for one in (asked.k, asked.b))
-            yield f"{who}: k", wanted_k, k, number(sign * float(static[i, j])), unit.name("N/m")
-            yield f"{who}: b", wanted_b, b, "", unit.name("N·s/m")
+            units = output_units(together.channels[i])
+            k = (units.number(sign * float(one[i, j]), "N/m") for one in (asked.k, felt.k, static))
+            b = (units.number(sign * float(one[i, j]), "N·s/m") for one in (asked.b, felt.b))
+            yield f"{who}: k", *k, units.name("N/m")
+            yield f"{who}: b", *b, "", units.name("N·s/m")
 
 
 def _sentences(prediction: Prediction) -> Iterator[str]:
@@ -216,7 +220,7 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
             yield f"{whys}: no single k and b describe what it feels, because {felt.reason}{modes}"
             yield from (_at_frequencies(one, i, output_units(channel)) for i, channel in enumerate(one.channels))
         if (weight := _weight_of(prediction, one)) is not None:
-            yield _weight(weight)
+            yield _weight(weight, output_units(one.channels[0]))
 
 
 def _weight_of(prediction: Prediction, one: FeltTogether) -> Weight | None:
@@ -247,16 +251,19 @@ def _at_frequencies(one: FeltTogether, i: int, units: Units) -> str:
     return f"{steady}; moved to and fro{it} meets {', '.join(moved)}{inertia}"
 
 
-def _weight(weight: Weight) -> str:
+def _weight(weight: Weight, units: Units) -> str:
     """Returns the mass that a linear hand feels, in sentences."""
     from hapsim.prediction import HAND_STIFFNESS
 
-    text = f"The free masses weigh {number(weight.mass, 4)} kg. Moved by a hand of {HAND_STIFFNESS:g} N/m, they feel "
-    text += f"like {number(weight.felt, 4)} kg (without sampling and delay: {number(weight.continuous, 4)} kg)"
+    weighed, felt, plain, simulated = (
+        units(one, "kg", 4) for one in (weight.mass, weight.felt, weight.continuous, weight.to_simulate)
+    )
+    text = f"The free masses weigh {weighed}. Moved by a hand of {units(HAND_STIFFNESS, 'N/m')}, they feel "
+    text += f"like {felt} (without sampling and delay: {plain})"
     if math.isfinite(weight.within_10_percent_hz):
         text += f". Up to {number(weight.within_10_percent_hz, 2)} Hz they feel like themselves, within 10 %"
     if math.isfinite(weight.to_simulate):
-        text += f". Simulate {number(weight.to_simulate, 4)} kg to feel {number(weight.mass, 4)}"
+        text += f". Simulate {simulated} to feel {weighed}"
     return text
 
 
@@ -333,9 +340,8 @@ def _passive(prediction: Prediction, one: AnyHand) -> str:
         )
     if one.pushes_away:
         return f"not passive{taken} at any friction: at rest, the scene pushes the hand away"
-    friction = (
-        f"{_needed(one, prediction.scene.units_of(one.channels[0]))} of friction (declared: {_numbers(one.friction)})"
-    )
+    units = prediction.scene.units_of(one.channels[0])
+    friction = f"{_needed(one, units)} of friction (declared: {_numbers(one.friction, units)})"
     if one.is_passive:
         return f"passive{taken}: stable in any hands (Colgate and Schenkel), which needs {friction}"
     return f"not passive{taken}: stability in any hands needs {friction}{_shaken(prediction, one)}"
@@ -349,9 +355,10 @@ def _ordinary(prediction: Prediction, one: AnyHand) -> str:
     worst = one.worst_hand(*_ORDINARY)
     if worst is None:
         return ""
-    if worst.is_stable:
-        return f". It is stable with hands that add up to {_ORDINARY[0][1]:g} kg and {_ORDINARY[1][1]:g} N/m"
     units = prediction.scene.units_of(one.channels[0])
+    if worst.is_stable:
+        most = f"{units(_ORDINARY[0][1], 'kg')} and {units(_ORDINARY[1][1], 'N/m')}"
+        return f". It is stable with hands that add up to {most}"
     return f". [red]An ordinary hand makes it unstable[/red]: one that adds {_hands(one, worst, units)}"
 
 
@@ -373,24 +380,28 @@ def _who(one: AnyHand) -> str:
 
 
 def _needed(one: AnyHand, units: Units) -> str:
-    shown = [rounded_up(max(0.0, float(needed))) for needed in one.needed]
+    shown = [units.number(max(0.0, float(needed)), "N·s/m", rounded_up) for needed in one.needed]
     alike = len({*shown}) == 1
     if alike:
         return f"{units(shown[0], 'N·s/m')}{' each' if len(shown) > 1 else ''}"
     return f"{units(' and '.join(shown), 'N·s/m')}, in these proportions,"
 
 
-def _numbers(friction: Any) -> str:
-    return " and ".join(dict.fromkeys(number(float(one)) for one in friction))
+def _numbers(friction: Any, units: Units) -> str:
+    return " and ".join(dict.fromkeys(units.number(float(one), "N·s/m") for one in friction))
 
 
 def _shaken(prediction: Prediction, one: AnyHand) -> str:
     """Returns the friction below which a single hand makes the scene oscillate, and that hand."""
+    units = prediction.scene.units_of(one.channels[0])
     least, hand = one.needed_for_one, one.shaking if prediction.stable_as_taken else None
-    below = f"; below {rounded_down(least)}, a mass or a spring makes it oscillate" if least > 0.0 else ""
+    below = (
+        f"; below {units.number(least, 'N·s/m', rounded_down)}, a mass or a spring makes it oscillate"
+        if least > 0.0
+        else ""
+    )
     if hand is None:
         return below
-    units = prediction.scene.units_of(one.channels[0])
     holds = units(hand.mass, "kg", 3) if hand.mass else units(hand.stiffness, "N/m", 3)
     holds = f"a clamp of {holds}" if hand.stiffness > _CLAMP else f"another {holds}"
     on = f" on [bold]{escape(hand.name)}[/bold]" if len(one.names) > 1 else ""
@@ -408,14 +419,14 @@ def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | N
             yield f"Hands on {_who(one)}: not worked out, because the loop has too many masses or too long a delay"
             continue
         verdict = "[green]all tested are stable[/green]" if worst.is_stable else "[red]some are unstable[/red]"
-        of = f"{units(_low_to_high(ranges[0]), 'kg')} and {units(_low_to_high(ranges[1]), 'N/m')} to {_who(one)}"
+        of = f"{_low_to_high(ranges[0], 'kg', units)} and {_low_to_high(ranges[1], 'N/m', units)} to {_who(one)}"
         radius = number(worst.spectral_radius, 9)
         yield f"Hands that add {of}: {verdict}. The worst adds {_hands(one, worst, units)} (spectral radius {radius})"
 
 
-def _low_to_high(values: Range) -> str:
+def _low_to_high(values: Range, unit: str, units: Units) -> str:
     low, high = values
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    return units(high, unit) if low == high else f"{units.number(low, unit)} to {units(high, unit)}"
 
 
 def any_hands_document(prediction: Prediction, ranges: tuple[Range, Range] | None = None) -> list[dict[str, Any]]:

@@ -198,26 +198,26 @@ def _is_seen(estimate: Estimate) -> bool:
     return estimate.value > _SEEN * estimate.uncertainty
 
 
-def _rounded(estimate: Estimate) -> str:
-    return rounded(estimate.value, estimate.uncertainty)
+def _rounded(estimate: Estimate, unit: str) -> str:
+    return output_units().rounded(estimate.value, estimate.uncertainty, unit)
 
 
 def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str) -> output.Table:
     """Returns the table of declared values and estimates."""
-    rows = []
+    units, rows = output_units(), []
     for key, (what, unit) in _LABELS.items():
         estimate: Estimate = getattr(found, key)
         declared_value, off = declared.get(key), ""
         if declared_value is not None and abs(estimate.value - declared_value) < _OFF * estimate.uncertainty:
             off = "agrees"
         elif declared_value is not None:
-            off = relative_difference(estimate.value, declared_value) if declared_value else f"{estimate.value:+.2g}"
+            off = relative_difference(estimate.value, declared_value) or units.number(estimate.value, unit, "+.2g")
         rows.append(
             (
-                f"{what}  {output_units().name(unit)}",
-                "–" if declared_value is None else f"{declared_value:g}",
-                _rounded(estimate),
-                f"{estimate.uncertainty:.1g}",
+                f"{what}  {units.name(unit)}",
+                "–" if declared_value is None else units.number(declared_value, unit),
+                _rounded(estimate, unit),
+                units.number(estimate.uncertainty, unit, 1),
                 off,
             )
         )
@@ -227,28 +227,34 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
 
 def _sentences(found: DeviceIdentification) -> list[str]:
     units = output_units()
-    pairs = ", ".join(f"({drive.stiffness:.3g}, {drive.damping:.2g})" for drive in found.drives)
+    pairs = ", ".join(
+        f"({units.number(drive.stiffness, 'N/m', 3)}, {units.number(drive.damping, 'N·s/m', 2)})"
+        for drive in found.drives
+    )
     stopped = "Stopped before the recording was complete. " if found.stopped else ""
     sentences = [
         f"{stopped}Read from {found.samples} samples at simulated (K, B) of {pairs}; it moved "
         f"{units(found.peak_m, 'mm', '.2g')} at most. The fit leaves {units(found.residual_m, 'm', '.2g')} rms."
     ]
     if found.hand is not None:
-        mass, stiffness, damping = map(_rounded, (found.hand.mass, found.hand.stiffness, found.hand.damping))
+        hand = found.hand
+        mass, stiffness, damping = (
+            units(_rounded(estimate, unit), unit)
+            for estimate, unit in ((hand.mass, "kg"), (hand.stiffness, "N/m"), (hand.damping, "N·s/m"))
+        )
         sentences.append(
-            f"A second mass moves with it, a hand's: {units(mass, 'kg')} on {units(stiffness, 'N/m')} and "
-            f"{units(damping, 'N·s/m')}. The values "
+            f"A second mass moves with it, a hand's: {mass} on {stiffness} and {damping}. The values "
             "above are the handle's. hapsim predicts one mass: what it predicts of this hand is the handle's alone."
         )
     if _is_seen(found.coulomb):
         sentences.append(
-            f"It has dry friction, {units(_rounded(found.coulomb), 'N')}, for which `device` has no key: the "
+            f"It has dry friction, {units(_rounded(found.coulomb, 'N'), 'N')}, for which `device` has no key: the "
             "prediction leaves it out, and what the hand feels is damped more. `mock.coulomb` gives it to the mock."
         )
     if abs(found.constant_force.value) > _SEEN * found.constant_force.uncertainty:
         sentences.append(
-            f"A constant force of {units(_rounded(found.constant_force), 'N')} acts where it was found: gravity, an "
-            "offset of the force, or a spring that rests elsewhere."
+            f"A constant force of {units(_rounded(found.constant_force, 'N'), 'N')} acts where it was found: gravity, "
+            "an offset of the force, or a spring that rests elsewhere."
         )
     if found.seen_rate is not None and found.seen_rate.differs_from(found.rate_hz):
         sentences.append(

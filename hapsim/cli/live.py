@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sys
 import threading
@@ -191,15 +192,23 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
         yield f"{count} {what}"
     if progress.sound_latency_s is not None:
         yield f"sound {1e3 * progress.sound_latency_s[0]:.1f} ms late, {progress.resampling_ppm or 0.0:+.1f} ppm"
-    known = zip(progress.estimated_mass_kg, progress.estimated_mass_uncertainty_kg, strict=True)
-    if masses := " ".join(f"{kg:.3g} ± {unsure:.1g}" for kg, unsure in known if kg is not None):
-        yield f"mass {output_units()(masses, 'kg')}"
+    units, known = output_units(), zip(progress.estimated_mass_kg, progress.estimated_mass_uncertainty_kg, strict=True)
+    if masses := " ".join(
+        f"{units.number(kg, 'kg', 3)} ± {units.number(unsure, 'kg', 1)}" for kg, unsure in known if kg is not None
+    ):
+        yield f"mass {units(masses, 'kg')}"
 
 
 def _position_and_force(units: Units, x: float, force: float) -> str:
-    """Returns both with fixed digits; + 0.0: no minus before a zero."""
-    place, force = round(units.scaled(x, "mm"), 2) + 0.0, round(force, 3) + 0.0
-    return f"{units(f'{place:+.2f}', 'mm')} {units(f'{force:+.3f}', 'N')}"
+    """Returns both, to 0.01 mm or 0.01°, and to 1 mN."""
+    place = 1e-5 if units.name("m") != "°" else 0.01 / units.scaled(1.0, "m")
+    return f"{_fixed(units, x, 'mm', place)} {_fixed(units, force, 'N', 1e-3)}"
+
+
+def _fixed(units: Units, value: float, unit: str, step: float) -> str:
+    """Returns a quantity with as many decimals as show a step of this size, in SI units."""
+    decimals = max(0, round(-math.log10(units.scaled(step, unit))))
+    return units(value, unit, lambda shown: f"{round(shown, decimals) + 0.0:+.{decimals}f}")  # + 0.0: no -0
 
 
 _PORT, _OSC_PORT = 7470, 7471

@@ -144,7 +144,7 @@ def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene
         output.use_channel_units(channel)
     at = position(excitation.at, scene)
     if excitation.mass and channel in channels:
-        unit = scene.units_of(channel).name("N/m")
+        unit = scene.units_of(channel).si.name("N/m")
         stiffness = require_positive("--hand-stiffness", excitation.hand_stiffness, unit)
         scene = remarks.with_hand(scene, channel, stiffness)
     return scene, channel, at
@@ -212,8 +212,8 @@ def show_measurement(
         of_mass = "estimated" if any(report.estimated_mass_kg) else "assumed"
         whose = "the estimated mass" if of_mass == "estimated" else "the middle of the span"
         out.print(
-            f"k and b are those of a hand of {units(measurement.mass, 'kg', '.6g')}, {whose} of {least:g} to "
-            f"{units(most, 'kg', 'g')}; they grow with the mass."
+            f"k and b are those of a hand of {units(measurement.mass, 'kg', '.6g')}, {whose} of "
+            f"{units.number(least, 'kg', 'g')} to {units(most, 'kg', 'g')}; they grow with the mass."
         )
     where = "" if measurement.at_m is None else f", at {units(measurement.at_m, 'm')}"
     title = f"What the hand feels at {escape(hands[channel])}, channel {channel}{where}"
@@ -274,28 +274,29 @@ def _side_by_side(
     title: str, felt: Felt | OwnMotion | None, measurement: Measurement, of_mass: str, desired: Desired | None = None
 ) -> output.Table:
     """Returns the table of prediction and measurement, to the digits that the uncertainty leaves."""
-    rows: list[tuple[str, ...]] = []
-    for label, key, uncertainty in (
-        (f"k  {output_units().name('N/m')}", "k", measurement.k_uncertainty),
-        (f"b  {output_units().name('N·s/m')}", "b", measurement.b_uncertainty),
-        ("eigenfrequency  Hz", "frequency_hz", measurement.frequency_uncertainty_hz),
-        ("damping ratio", "damping_ratio", measurement.damping_ratio_uncertainty),
+    units, rows = output_units(), list[tuple[str, ...]]()
+    for label, key, unit, off in (
+        ("k", "k", "N/m", measurement.k_uncertainty),
+        ("b", "b", "N·s/m", measurement.b_uncertainty),
+        ("eigenfrequency", "frequency_hz", "Hz", measurement.frequency_uncertainty_hz),
+        ("damping ratio", "damping_ratio", "", measurement.damping_ratio_uncertainty),
     ):
-        predicted, measured = math.nan if felt is None else getattr(felt, key), getattr(measurement, key)
+        each = (math.nan if felt is None else getattr(felt, key), getattr(measurement, key), off)
+        predicted, measured, uncertainty = (units.scaled(one, unit) for one in each)
         rows.append(
             (
-                label,
-                number(getattr(desired, key)) if desired else "",
+                f"{label}  {units.name(unit)}".rstrip(),
+                units.number(getattr(desired, key), unit) if desired else "",
                 _to_digits(predicted, uncertainty),
                 _to_digits(measured, uncertainty),
                 number(uncertainty, 1),
                 relative_difference(measured, predicted),
             )
         )
-    known = measurement.mass_uncertainty
-    mass = number(measurement.mass) if known is None else rounded(measurement.mass, known)
-    unit, off = output_units().name("kg"), of_mass if known is None else number(known, 1)
-    rows.append((f"mass  {unit}", "", "", mass, off, ""))
+    mass, known = units.scaled(measurement.mass, "kg"), measurement.mass_uncertainty
+    off_by = of_mass if known is None else units.number(known, "kg", 1)
+    weighed = number(mass) if known is None else units.rounded(measurement.mass, known, "kg")
+    rows.append((f"mass  {units.name('kg')}", "", "", weighed, off_by, ""))
     return output.table(title, ("", "desired", "predicted", "measured", "±", "off by"), rows)
 
 

@@ -95,8 +95,9 @@ def _rows(one: FeltTogether, found: HandsMeasurement, i: int, j: int) -> list[tu
     sign, unit = 1.0 if i == j else -1.0, output_units(one.channels[i])
     rows: list[tuple[str, ...]] = []
     for what, of_unit in (("k", "N/m"), ("b", "N·s/m")):
-        predicted, measured = (sign * float(getattr(side, what)[i, j]) for side in (one.felt, found))
-        off = float(getattr(found, f"{what}_uncertainty")[i, j])
+        both = (sign * float(getattr(side, what)[i, j]) for side in (one.felt, found))
+        predicted, measured = (unit.scaled(value, of_unit) for value in both)
+        off = unit.scaled(float(getattr(found, f"{what}_uncertainty")[i, j]), of_unit)
         shown = number(predicted) if one.felt.reason else rounded(predicted, off)
         cells = shown, rounded(measured, off), number(off, 1), relative_difference(measured, predicted)
         rows.append((f"{name}: {what}  {unit.name(of_unit)}", *cells))
@@ -239,30 +240,32 @@ def show_impedance(out: Console, predicted: PredictedImpedance, measured: Measur
 def _table(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int, name: str, words: str) -> Table:
     desired = predicted.desired + (predicted.ideal_device if name == "closed_loop" else 0.0)
     circles = getattr(measured, name)
-    columns = (desired, getattr(predicted, name), circles.value)
+    units = output_units(measured.channels[i])
+    columns = tuple(units.scaled(z, "N·s/m") for z in (desired, getattr(predicted, name), circles.value))
     rows = [
         (
             f"{predicted.frequency[n]:.4g}",
             *(f"{abs(z[n, i, i]):.5g} ∠ {np.degrees(np.angle(z[n, i, i])):.1f}°" for z in columns),
-            f"{circles.uncertainty[n, i, i]:.1g}",
+            units.number(circles.uncertainty[n, i, i], "N·s/m", 1),
         )
         for n in _shown(predicted.frequency)
     ]
     where = f"{predicted.names[i]}, channel {measured.channels[i]}"
-    unit = output_units(measured.channels[i]).name("N·s/m")
-    return table(f"{words} at {escape(where)}, {unit}", ("f  Hz", "desired", "predicted", "measured", "±"), rows)
+    return table(
+        f"{words} at {escape(where)}, {units.name('N·s/m')}", ("f  Hz", "desired", "predicted", "measured", "±"), rows
+    )
 
 
 def _springs(predicted: PredictedImpedance, measured: MeasuredImpedance, i: int) -> Table:
     """Returns the rendered impedance as a spring and a damper."""
     f, circles = predicted.frequency, measured.rendered
     pairs = [spring_and_damper(f, one[:, i, i]) for one in (predicted.desired, predicted.rendered, circles.value)]
-    off, rows = circles.uncertainty[:, i, i], []
+    off, rows, units = circles.uncertainty[:, i, i], [], output_units(measured.channels[i])
     for n in _shown(f):
-        cells = [f"{k[n]:.5g}, {b[n]:.4g}" for k, b in pairs]
-        rows.append((f"{f[n]:.4g}", *cells, f"{2.0 * np.pi * f[n] * off[n]:.1g}, {off[n]:.1g}"))
+        cells = [f"{units.number(k[n], 'N/m', 5)}, {units.number(b[n], 'N·s/m', 4)}" for k, b in pairs]
+        apart = units.number(2.0 * np.pi * f[n] * off[n], "N/m", 1), units.number(off[n], "N·s/m", 1)
+        rows.append((f"{f[n]:.4g}", *cells, ", ".join(apart)))
     where = f"{escape(predicted.names[i])}, channel {measured.channels[i]}"
-    units = output_units(measured.channels[i])
     title = f"The same rendered at {where} as k, b: {units.name('N/m')}, {units.name('N·s/m')} (a mass has k below 0)"
     return table(title, ("f  Hz", "desired", "predicted", "measured", "±"), rows)
 
@@ -354,7 +357,8 @@ def _width_table(predicted: PredictedImpedance, channels: tuple[int, ...], width
         units = output_units(channel)
         for kind, width in by_kind.items():
             K, B = width.wall.stiffness, width.wall.damping
-            wall = [f"{K:.6g}", f"{B:.4g}"] if alike else [units(K, "N/m", ".6g"), units(B, "N·s/m", ".4g")]
+            shown = units.number if alike else units
+            wall = [shown(K, "N/m", ".6g"), shown(B, "N·s/m", ".4g")]
             rows.append([escape(name), kind, *wall, *_means(width.frequency, width.width_db)])
             if kind == "passive" and channel in walls:
                 found = walls[channel]

@@ -14,7 +14,7 @@ from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.measuring.diagnosis import Diagnosis
 from hapsim.measuring.measure_trace import Measurement
-from hapsim.number_format import number, percent, rounded
+from hapsim.number_format import percent
 from hapsim.scene import Scene
 
 if TYPE_CHECKING:
@@ -192,10 +192,13 @@ def weight_sentence(weight: MeasuredWeight, channel: int) -> str:
     if weight.measured <= 0.0:
         return f"Held by {hand}, it oscillates no slower than the device alone: the felt mass is zero"
     off = weight.uncertainty
-    known = f"{rounded(weight.measured, off)} ± {number(off, 1)}" if math.isfinite(off) else number(weight.measured, 4)
+    known = units.number(weight.measured, "kg", 4)
+    if math.isfinite(off):
+        known = f"{units.rounded(weight.measured, off, 'kg')} ± {units.number(off, 'kg', 1)}"
     sentence = f"Moved to and fro by {hand}, it feels like {units(known, 'kg')}"
     if weight.predicted is not None and weight.continuous is not None and math.isfinite(weight.predicted):
-        sentence += f" (predicted: {number(weight.predicted)}; without sampling and delay {number(weight.continuous)})"
+        plain = units.number(weight.continuous, "kg")
+        sentence += f" (predicted: {units.number(weight.predicted, 'kg')}; without sampling and delay {plain})"
     elif weight.predicted is None:
         sentence += " (not predicted: that is done for one hand and a loop of at most a hundred numbers)"
     return sentence

@@ -399,8 +399,9 @@ def _warn_of_the_wire(out: Console, report: Report) -> None:
 
 def _estimated_mass(report: Report, channel: int, mass: float) -> str:
     """Returns the mass with its uncertainty, and a note if the motion hardly shows it."""
+    units = output_units(channel)
     if channel >= len(report.estimated_mass_uncertainty_kg):
-        return f"{mass:.4g}"  # a record of an earlier version
+        return units.number(mass, "kg", 4)  # a record of an earlier version
     uncertainty, explained = report.estimated_mass_uncertainty_kg[channel] or 0.0, report.mass_explained[channel] or 0.0
     note = ""
     if uncertainty > _MASS_KNOWN * mass:
@@ -409,7 +410,7 @@ def _estimated_mass(report: Report, channel: int, mass: float) -> str:
         note = f" [yellow](the forces explain {_share(explained)} of the latest motion)[/yellow]"
     elif (age_s := dict(enumerate(report.mass_age_s)).get(channel) or 0.0) > _GRIP_S:
         note = f" [yellow](of {age_s:.3g} s before the end: no motion showed it later)[/yellow]"
-    return f"{mass:.4g} ± {uncertainty:.2g}{note}"
+    return f"{units.number(mass, 'kg', 4)} ± {units.number(uncertainty, 'kg', 2)}{note}"
 
 
 def _share(share: float) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.command_options import Json, PictureOptions, SceneFile, argument, flag, load, option, seconds
 from hapsim.cli.live import live_words
-from hapsim.cli.output import document, print_line, stderr, stdout, table
+from hapsim.cli.output import document, output_units, print_line, stderr, stdout, table
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent, plural
 from hapsim.stopping import note_work
@@ -110,12 +110,12 @@ def sweep(
     if pictures.wanted and drawn:
         from hapsim.chart.sweep_chart import draw_sweep, sweep_chart
 
-        chart = sweep_chart(dataset, *drawn)
-        pictures.write(chart.columns, lambda path: draw_sweep(chart, path))
+        chart, shown = (sweep_chart(one, *drawn) for one in (dataset, _shown(dataset)))
+        pictures.write(chart.columns, lambda path: draw_sweep(shown, path))
     if json:
         print(document({"scene": scene, "out": out, "points": len(chosen), **summary_of(dataset)}))
     else:
-        _print(dataset, scene, out)
+        _print(_shown(dataset), scene, out)
         pictures.print_written()
 
 
@@ -143,11 +143,23 @@ def _names_to_draw(
     kinds: tuple[str, ...], points: Points, variable: str | None, over: str | None
 ) -> tuple[list[str], list[str]]:
     from hapsim.chart.sweep_chart import names_to_draw
+    from hapsim.scene.written_units import QUANTITY
     from hapsim.sweeping.quantities import KINDS
 
     variables = (name for kind in kinds for name in KINDS[kind])
-    numbers = [path for path, column in points.columns.items() if not any(isinstance(one, str) for one in column)]
+    words = {path: [one for one in column if isinstance(one, str)] for path, column in points.columns.items()}
+    numbers = [path for path, each in words.items() if all(map(QUANTITY.match, each))]
     return names_to_draw(variables, numbers, variable, over.split(",") if over else [])
+
+
+def _shown(dataset: xarray.Dataset) -> xarray.Dataset:
+    """Returns the dataset in the units of the scene's file."""
+    units = {one.si: one for one in output_units().written}
+    changed = {}
+    for name, values in dataset.variables.items():
+        if (unit := units.get(values.attrs.get("units", ""))) is not None:
+            changed[name] = (values.dims, values.values * unit.per_si, values.attrs | {"units": unit.name})
+    return dataset.assign(changed)
 
 
 def summary_of(dataset: xarray.Dataset) -> dict[str, Any]:

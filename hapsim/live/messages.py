@@ -162,8 +162,6 @@ class Channel(_Answer):
     unit_position: str
     """SI unit of the values in messages."""
     unit_force: str
-    in_degrees: bool
-    """True if the scene writes angles in degrees; reports then do too."""
     force_limit: float
     travel: tuple[float | None, float | None]
     """None where the scene names no bound."""
@@ -206,6 +204,8 @@ class Model(_Answer):
     rate_hz: float
     phase: Literal["running", "waiting", "ended"]
     channels: list[Channel]
+    written: Mapping[str, tuple[str, float]]
+    """Units that the scene's file writes, by the SI unit in whose place they stand: name, and number in one SI unit."""
     parameters: list[ParameterMessage]
     modules: list[ModuleMessage]
     has_mock: bool
@@ -265,8 +265,7 @@ def channels_of(scene: Scene) -> list[Channel]:
             name=names.get(i, ""),
             motion=motion,
             unit_position=scene.units_of(i).si.name("m"),
-            unit_force=scene.units_of(i).name("N"),
-            in_degrees=scene.units_of(i).in_degrees,
+            unit_force=scene.units_of(i).si.name("N"),
             force_limit=scene.device.force_limit,
             travel=travels[i],
             hand=Drag(stiffness=scale.drag_stiffness, damping=scale.drag_damping, reach=scale.reach),

@@ -241,7 +241,8 @@ def fit_error(fit: DeviceFit | None, pushed: PushedRun) -> UsageError | RunError
     if unsure > 1.0 and moved > _CLEAR_MOTION * pushed.floor:
         return UsageError(
             f"a push of {units(force, 'N', '.3g')} moved the device by {units(moved, 'mm', '.3g')}, but in jerks or "
-            "only sometimes: dry friction holds it, or the record is too short. Allow more with --push and --travel"
+            "only sometimes: dry friction holds it, it swings too fast on a spring of its own, or the record is too "
+            "short. Allow more with --push and --travel"
         )
     least, most = (factor * allowed for factor in _MORE_TRAVEL)
     travel = min(max(2.0 * unsure / _UNSURE * allowed, least), most)

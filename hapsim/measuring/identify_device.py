@@ -65,6 +65,7 @@ _SMALL_INCREASE, _LARGE_INCREASE = 1.25, 3.0
 _MOST_ATTEMPTS = 36  # starting with the gentlest push
 _MOST_RECORDINGS = 4  # after the first fit
 _MOST_DECLARED, _LEAST_DELAY = 3.0, 8.0
+_HEAVIEST_HAND = 1e3  # times the handle: a heavier one stands still
 _HAND_RESIDUAL = 0.3  # of the residual with one mass: with less, two masses are accepted
 _UNSURE_HAND = 0.3  # relative uncertainty of a hand's mass that is too large
 _PIECE_S = 0.5  # length of the pieces for a fit of two masses
@@ -323,6 +324,8 @@ class _Pusher:
         hands = [begin] if begin[3:] else hands_on(delay, self._scene.rate)
         two = fit(swings=pieces_of(motions, math.ceil(_PIECE_S * self._scene.rate)), begins=hands)
         if two is None or two.hand is None or two.hand.mass.uncertainty > _UNSURE_HAND * two.hand.mass.value:
+            return one
+        if two.hand.mass.value > _HEAVIEST_HAND * two.mass.value:  # so that its spring is one of the device's own
             return one
         return two if one is None or two.residual_counts < _HAND_RESIDUAL * one.residual_counts else one
 

@@ -66,10 +66,10 @@ def slew_step_error(scene: Scene, force_scale: Iterable[float]) -> str:
     scales = [scale for scale in force_scale if slew * scene.period / scale * ONE_PERIOD < 1.0 and scale <= limit]
     if not scales:
         return ""
-    unit = scene.units.name("N/s")
+    least = scene.units(max(scales) * scene.rate / ONE_PERIOD, "N/s", rounded_up)
     return (
-        f"device.slew_limit: found {slew:g} {unit}, less than a count of the device's force per sample; "
-        f"expected at least {rounded_up(max(scales) * scene.rate / ONE_PERIOD)} {unit}"
+        f"device.slew_limit: found {scene.units(slew, 'N/s', 'g')}, less than a count of the device's force per "
+        f"sample; expected at least {least}"
     )
 
 
@@ -87,13 +87,13 @@ def slew_warning(scene: Scene, prediction: Prediction) -> str:
     steepest = 2.0 * math.pi * fastest * limit
     if not steepest > slew:
         return ""
-    unit = scene.units.name("N/s")
+    found, needed = scene.units(slew, "N/s", "g"), scene.units(steepest, "N/s", lambda value: str(math.ceil(value)))
     return (
-        f"device.slew_limit: found {slew:g} {unit}, with which the force takes {duration(limit / slew)} from zero to "
-        f"the force limit of {scene.units(limit, 'N', 'g')}. The fastest oscillation of a hand ({fastest:.4g} Hz) has "
-        f"a quarter period of {duration(0.25 / fastest)}; up to the limit it needs {math.ceil(steepest)} {unit}. The "
-        "prediction does not include the slew limit: the late force may shake the hand. Use a slew_limit well above "
-        "that, a lower force_limit, or less stiffness."
+        f"device.slew_limit: found {found}, with which the force takes {duration(limit / slew)} from zero to the force "
+        f"limit of {scene.units(limit, 'N', 'g')}. The fastest oscillation of a hand ({fastest:.4g} Hz) has a quarter "
+        f"period of {duration(0.25 / fastest)}; up to the limit it needs {needed}. "
+        "The prediction does not include the slew limit: the late force may shake the hand. Use a slew_limit well "
+        "above that, a lower force_limit, or less stiffness."
     )
 
 
@@ -143,13 +143,13 @@ def travel_error(scene: Scene) -> str:
             where = f" on channel {channel}" if scene.channels > 1 else ""
             hints = "".join(f". {hint.removesuffix('.')}" for hint in unlikely(scene))
             units = scene.units_of(channel)
-            least = rounded_up(units.scaled(device.force_limit / stable, "m"))
+            least = units(device.force_limit / stable, "m", rounded_up)
             return (
                 f"device.travel_margin: the force of up to {units(device.force_limit, 'N', 'g')} fades over "
                 f"{units(margin, 'm', 'g')}{where}, a stiffness of {units(device.force_limit / margin, 'N/m', '.4g')} "
                 f"that shakes the hand: with only the hand's {units(damping, 'N·s/m', 'g')} and the device's friction "
                 f"as dampers, this loop is stable up to {units(stable, 'N/m', '.4g')}; expected at least "
-                f"{units(least, 'm')}, or a lower device.force_limit{hints}"
+                f"{least}, or a lower device.force_limit{hints}"
             )
     return ""
 

@@ -105,14 +105,14 @@ class _Value(NamedTuple):
 
     def sentence(self, units: Units) -> str:
         least, most, why, slips = self.range
-        unit = units.name(self.unit)
         low = abs(self.value) < least
-        bound = f"less than {short(least)}" if low else f"more than {short(most)}"
-        found = f"{self.path}: found {number(self.value)} {unit}, {bound} {unit}: {why}."
+        bound = units(least if low else most, self.unit, short)
+        found = f"{self.path}: found {units(self.value, self.unit)}, {'less' if low else 'more'} than {bound}: {why}."
+        bare = "" if units.name(self.unit) == units.si.name(self.unit) else f" {units.si.name(self.unit)}"
         for meant, factor in slips:
             right = self.value * factor if factor else 1.0 / self.value
             if least <= abs(right) <= most and (factor == 0.0 or (factor > 1.0) is low):
-                return f"{found} If you meant {meant}, write {number(right)}."
+                return f"{found} If you meant {meant}, write {number(right)}{bare}."
         return found
 
 
@@ -307,10 +307,10 @@ def _jumps(scene: Scene) -> Iterator[str]:
                 f"modules.{name}.distance": distance,
             }
             path, place = max(places.items(), key=lambda one: abs(one[1]))
-            hint = f"{path} is {scene.units(place, 'm')}. If you meant mm, write {number(1e-3 * place)}."
+            hint = f"{path} is {units(place, 'm')}. If you meant mm, write {number(1e-3 * place)}."
             if abs(place) < _FAR_M or scene.units.is_rotary:
                 if not total > _PRESSES * limit:
                     continue
                 hint = f"check the stiffness of {name} and the positions of its ends."
-            pushes = f"at arming the scene pushes {hand} with {units(short(total), 'N')}"
+            pushes = f"at arming the scene pushes {hand} with {units(total, 'N', short)}"
             yield f"{pushes}; the force limit is {units(limit, 'N')}: {hint}"

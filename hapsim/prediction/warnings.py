@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hapsim.number_format import frequency, number, rounded_down
+from hapsim.number_format import frequency, rounded_down
 from hapsim.prediction.characteristic import hand_at
 from hapsim.prediction.force_bounds import slew_warning
 from hapsim.prediction.linear import linear_scene, network_of
@@ -132,10 +132,12 @@ def own_limits(scene: Scene) -> Iterator[str]:
         own, alone = owner == name, found[name] > _MOST
         stiffness, damping = (float(values[own].max()) for values in (network.stiffness, network.damping))
         damps = 2.0 * damping * rate > stiffness
-        value, unit = damping if damps else stiffness, scene.units_at(name).name("N·s/m" if damps else "N/m")
-        most = f"more than the {rounded_down(value * _MOST / found[name], 5)} {unit} with which its masses are stable"
+        value, unit = (damping, "N·s/m") if damps else (stiffness, "N/m")
+        units = scene.units_at(name)
+        stable = units(value * _MOST / found[name], unit, rounded_down)
+        most = f"more than the {stable} with which its masses are stable"
         why = most if alone else "too much, with the modules joined to it,"
-        yield f"{name}: {number(value)} {unit} is {why} in steps of {frequency(rate)}; {remedy}."
+        yield f"{name}: {units(value, unit)} is {why} in steps of {frequency(rate)}; {remedy}."
 
 
 def _largest(network: Network, links: Any, rate: float) -> float:

@@ -11,7 +11,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from hapsim.loop.counts import Counts
 from hapsim.loop.histogram import Histogram, Spread
-from hapsim.units import Motion, Units
+from hapsim.units import Motion, Units, Written
 
 NO_RECORD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
 """Exceptions that reading a foreign or damaged document raises."""
@@ -52,12 +52,12 @@ class Report(Counts):
     """True if the device's own timer paced the positions: their arrival then shows its rate."""
     motion: tuple[Motion, ...] = ()
     """Kind of each channel's motion; () in a record of an earlier version: linear."""
-    in_degrees: bool = False
-    """True if the scene has angles in degrees: reports then show degrees."""
+    written: tuple[Written, ...] = ()
+    """Units of the scene's file other than SI units: reports show them."""
 
     def units_of(self, channel: int | None = None) -> Units:
         """Returns the units of a channel; None: of all together."""
-        return Units.of(self.motion if channel is None else self.motion[channel : channel + 1], self.in_degrees)
+        return Units.of(self.motion if channel is None else self.motion[channel : channel + 1], self.written)
 
     @property
     def knows_ticks(self) -> bool:

@@ -226,7 +226,7 @@ class Columns:
         """None in an older record, which has neither documents nor changes."""
         if (run := self.head.run) is not None:
             read_run(run, self.channels)
-            self.scene = scene = recorded_scene(run["scene"], str(self.path), bool(self.report.get("in_degrees")))
+            self.scene = scene = recorded_scene(run["scene"], str(self.path), self.report.get("written", ()))
             predicted = [note["prediction"] for note in notes if "prediction" in note]  # not where it was cut off
             self.documents |= {name: run[name] for name in ("options", "excitation", "versions")} | {
                 "scene": yaml.safe_dump(run["scene"], sort_keys=False, allow_unicode=True),

@@ -64,8 +64,7 @@ class Record:
             )
         with reading(path):
             self.run = read_run(run, self.reader.head.channels)
-            in_degrees = bool(self.reader.summary["report"].get("in_degrees"))
-            self.scene = recorded_scene(run["scene"], str(path), in_degrees)
+            self.scene = recorded_scene(run["scene"], str(path), self.reader.summary["report"].get("written", ()))
             self.description, self.options = self.run.description, options_of(self.run)
         self.notes = self.reader.notes
         """Changes and markers, as recorded."""

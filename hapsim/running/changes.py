@@ -370,5 +370,5 @@ def _part_with(name: str, module: LivePart, values: Mapping[str, Any], units: Un
         index = "".join(f"[{step}]" for step in (*steps, *more) if isinstance(step, int))
         expected = fault["msg"].replace("Input should be", "expected")  # one of several words
         if "of_motion" in context:
-            expected = f"expected {units.filled(context['of_motion'])}"
+            expected = f"expected {units.si.filled(context['of_motion'])}"
         raise UsageError(f"{name}.{field}{index}: found {found!r}, {expected}") from None

@@ -108,7 +108,7 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
         age_samples=statistics.age.spread(),
         virtual_time=virtual,
         motion=scene.device.motions(scene.channels),
-        in_degrees=scene.in_degrees,
+        written=scene.written,
         timed_by_device=bool(loop.record.watch.period_ns),
         released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _is_released(loop) else None,
         **counters_of(loop),

@@ -18,7 +18,7 @@ from hapsim.cordis.offline import most_substeps, tick_seconds
 from hapsim.cordis.program import compile_scene
 from hapsim.errors import DescriptionError, UsageError
 from hapsim.loop.system import require_linux
-from hapsim.number_format import between, duration, rounded_down
+from hapsim.number_format import duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
 from hapsim.prediction.force_bounds import travel_error
 from hapsim.prediction.timing import wire_delay
@@ -121,7 +121,7 @@ def _stable_alternatives(scene: Scene, prediction: Prediction) -> str:
         if 0.0 < one.stiffness_factor < 1.0:
             ways.append(f"{one.name} is stable below {rounded_down(one.stiffness_factor)} times its stiffness")
         if not one.stable and least < most:
-            damping = f"{between(max(least, 0.0), most, ' and ')} {scene.units_of(one.channel).name('N·s/m')}"
+            damping = scene.units_of(one.channel).between(max(least, 0.0), most, "N·s/m", " and ")
             ways.append(f"{one.name} is stable with a damping between {damping}")
     return f" Gain margin: {'; or '.join(ways)}." if ways else ""
 

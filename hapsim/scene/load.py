@@ -2,14 +2,14 @@
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any, BinaryIO
 
 from pydantic import TypeAdapter, ValidationError
 
 from hapsim.errors import SceneError
-from hapsim.units import LINEAR, MOTIONS, Units
+from hapsim.units import LINEAR, MOTIONS, Units, Written, complete
 
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .issue import Issue, Path
@@ -18,7 +18,7 @@ from .part import Module, ModuleContext
 from .quantity import FROM_FILE
 from .scene import VERSION, Scene
 from .shipped import shipped_scene, shipped_scene_path, shipped_scenes
-from .written_units import UnitError, in_si, quantities_in
+from .written_units import UnitError, in_si, quantities_in, written_unit
 from .yaml_document import Document
 from .yaml_file import MOST_BYTES, Layout, YamlFile, findings_of
 
@@ -81,17 +81,22 @@ def scene_from_document(data: dict[str, Any], origin: Scene) -> Scene:
     `origin`. SceneError, with each fault by its path in the document, where it is none."""
     try:
         scene = Scene.model_validate(data)
-        scene._in_degrees = origin._in_degrees
+        scene._written = origin._written
         return scene
     except ValidationError:
         _, issues = _validate(_FILE.document_of(json.dumps(data), "the scene"))
         raise SceneError("; ".join(f"{'.'.join(map(str, one.path))}: {one.sentence}" for one in issues)) from None
 
 
-def recorded_scene(document: dict[str, Any], name: str, in_degrees: bool) -> Scene:
-    """The scene of a record's document, as `Scene.model_dump` wrote it. Raises SceneError as `parse_scene`."""
+def recorded_scene(document: dict[str, Any], name: str, written: Iterable[Iterable[Any]]) -> Scene:
+    """The scene of a record's document, as `Scene.model_dump` wrote it. Raises SceneError as `parse_scene`.
+
+    Args:
+        document, name: the document, and what errors call it.
+        written: the report's, of the units of the scene's file.
+    """
     scene = parse_scene(json.dumps(document), name)
-    scene._in_degrees = in_degrees
+    scene._written = tuple(Written(*one) for one in written)
     return scene
 
 
@@ -128,7 +133,8 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
     try:
         data: Any = document.data
         scene = Scene.model_validate(data, context=FROM_FILE)
-        return scene, list(_units_of_another_motion(data, ModuleContext.of(scene.modules)))
+        scene._written, issues = _units_of(data, ModuleContext.of(scene.modules))
+        return scene, issues
     except ValidationError as error:
         data = document.data if isinstance(document.data, dict) else {}
         units = _units(data)
@@ -140,22 +146,25 @@ def _validate(document: Document) -> tuple[Scene | None, list[Issue]]:
         # The checks across parts reach as far as the sound parts of the scene allow.
         across = cross_check_issues(modules, _sound_fields(data, issues), data)
         known = {issue.path for issue in issues}
-        misplaced = (one for one in _units_of_another_motion(data, modules) if one.path not in known)
+        misplaced = (one for one in _units_of(data, modules)[1] if one.path not in known)
         return None, [*issues, *across, *misplaced]
 
 
-def _units_of_another_motion(data: dict[str, Any], modules: ModuleContext) -> Iterator[Issue]:
-    """Yields the quantities whose unit fits their field, but not the motion of their module or channel."""
-    found = [*quantities_in(data)]
+def _units_of(data: dict[str, Any], modules: ModuleContext) -> tuple[tuple[Written, ...], list[Issue]]:
+    """Returns the units that a file writes, and its quantities whose unit fits their field, but not the motion of their
+    module or channel."""
+    found, written, issues = [*quantities_in(data)], [], []
     units_at = _units_by_path(data, modules, _units(data)) if found else lambda _: LINEAR
     for path, text in found:
         unit, units = _LAYOUT.unit(path, data), units_at(path)
         try:
             if unit and units.motions:
                 in_si(text, unit, units.motions)
+                written += [one for motion in units.motions if (one := written_unit(text, unit, motion))]
         except UnitError as error:
             remedy = "" if units.is_rotary else ", or device.motion: rotary"
-            yield Issue(path, f"found {error.found}, expected {units.filled(error.expected(unit))}{remedy}")
+            issues.append(Issue(path, f"found {error.found}, expected {units.filled(error.expected(unit))}{remedy}"))
+    return complete(written), issues
 
 
 def _sound_modules(modules: object, units: Units) -> ModuleContext:

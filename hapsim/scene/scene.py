@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import (
     AfterValidator,
     Field,
-    ModelWrapValidatorHandler,
     PlainSerializer,
     PrivateAttr,
     SerializationInfo,
@@ -14,7 +13,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from hapsim.units import Units
+from hapsim.units import Units, Written
 
 from .choices import SCHEME, WITH_SENSOR, SchemeName
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
@@ -27,7 +26,6 @@ from .modules.structures import Structure
 from .part import Module, ModuleContext, Part, Table
 from .quantity import NAME, count, quantity
 from .quantity import version as format_version
-from .written_units import ANGLE, quantities_in
 from .yaml_file import ACROSS
 
 VERSION = 1
@@ -92,16 +90,7 @@ class Scene(Part):
     sound: PickUpsByName = Field(default_factory=dict, validate_default=True)
 
     _path: str | None = PrivateAttr(None)
-    _in_degrees: bool = PrivateAttr(False)
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _with_its_angles(cls, data: Any, validated: ModelWrapValidatorHandler["Scene"]) -> "Scene":
-        """Remembers whether the file writes angles in degrees, so that reports do too."""
-        scene = validated(data)
-        if scene.device.motion != "linear" and isinstance(data, Mapping):
-            scene._in_degrees = any(ANGLE.match(text) for _, text in quantities_in(data))
-        return scene
+    _written: tuple[Written, ...] = PrivateAttr(())
 
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
@@ -118,9 +107,9 @@ class Scene(Part):
         return self._path
 
     @property
-    def in_degrees(self) -> bool:
-        """True if the file writes angles in degrees; reports then do too."""
-        return self._in_degrees
+    def written(self) -> tuple[Written, ...]:
+        """The units of its file, other than SI units: reports are in them."""
+        return self._written
 
     @property
     def period(self) -> float:
@@ -139,19 +128,19 @@ class Scene(Part):
 
     @property
     def units(self) -> Units:
-        """The units of its channels; angles are in degrees where the file has any in degrees."""
-        return Units.of(self.device.motions(self.channels), self._in_degrees)
+        """The units of its channels: those of its file, else SI units."""
+        return Units.of(self.device.motions(self.channels), self._written)
 
     def units_of(self, channel: int) -> Units:
         """The units of one channel."""
-        return Units.of([self.device.motions(self.channels)[channel]], self._in_degrees)
+        return Units.of([self.device.motions(self.channels)[channel]], self._written)
 
     def units_at(self, name: str) -> Units:
         """The units of a module: those of the channel that it hangs on."""
         if not isinstance(self.device.motion, tuple):
             return self.units
         motion = motions_of(ModuleContext.of(self.modules), self.device.motion).get(name)
-        return self.units if motion is None else Units.of([motion], self._in_degrees)
+        return self.units if motion is None else Units.of([motion], self._written)
 
     @property
     def device_points(self) -> dict[str, DevicePoint]:

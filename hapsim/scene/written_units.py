@@ -17,7 +17,7 @@ from decimal import Decimal
 from functools import cache, lru_cache
 from typing import Any
 
-from hapsim.units import MOTIONS, Motion, Units
+from hapsim.units import MOTIONS, OF_MOTION, Motion, Units, Written
 
 from .issue import Path, did_you_mean, quote
 
@@ -151,6 +151,19 @@ def in_si(text: str, unit: str, motions: Iterable[Motion] = MOTIONS) -> float:
     if not math.isfinite(value):
         raise UnitError(text, is_finite=False)
     return value
+
+
+def written_unit(text: str, unit: str, motion: Motion) -> Written | None:
+    """Returns the unit of a quantity of this motion; None if it is the SI unit, or of a quantity that has no motion.
+    `text` and `unit`: as in `in_si`."""
+    si = Units.of([motion]).name(unit)
+    if unit not in OF_MOTION:
+        return None
+    if angle := ANGLE.match(text):
+        return Written(si, f"°{angle[2] or ''}", 180.0 / math.pi)
+    _, _, name = _parted(text)
+    factor = _factor(name, unit, motion)
+    return Written(si, name, float(1 / factor)) if factor and factor != 1 else None
 
 
 def like(text: str, value: str, unit: str) -> str:

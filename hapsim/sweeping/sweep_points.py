@@ -45,12 +45,16 @@ class Range:
     least: float
     most: float
     is_logarithmic: bool
+    unit: str = ""
+    """Unit of both ends, such as N/mm; "" for SI units."""
 
-    def at(self, shares: Any) -> list[float]:
+    def at(self, shares: Any) -> list[Value]:
         """Returns the values at these fractions (0 to 1) of the range."""
         if self.is_logarithmic:
-            return [float(one) for one in self.least * (self.most / self.least) ** np.asarray(shares)]
-        return [float(one) for one in self.least + (self.most - self.least) * np.asarray(shares)]
+            values = self.least * (self.most / self.least) ** np.asarray(shares)
+        else:
+            values = self.least + (self.most - self.least) * np.asarray(shares)
+        return [f"{one!r} {self.unit}" if self.unit else one for one in values.tolist()]
 
 
 @dataclass(frozen=True)
@@ -149,11 +153,14 @@ def read_axis(word: str) -> tuple[str, list[Value] | Range]:
     if not numbers:
         return path, [_parsed(path, one.strip()) for one in text.split(",")]
     try:
-        least, most, *count = map(float, numbers)
-        found = Range(least, most, {"lin": False, "log": True}[kind])
+        (least, unit), (most, same), *counts = map(_end, numbers)
+        count = [number for number, of_count in counts if not of_count]
+        found = Range(least, most, {"lin": False, "log": True}[kind], unit)
     except (KeyError, ValueError):
         raise UsageError(f"{path}: found '{text}', {_EXPECTED}") from None
-    if not (math.isfinite(least) and math.isfinite(most)) or len(count) > 1:
+    if unit != same:
+        raise UsageError(f"{path}: found '{text}', expected the same unit at both ends, such as lin:1 N/mm:5 N/mm:9")
+    if not (math.isfinite(least) and math.isfinite(most)) or len(counts) > 1 or len(count) < len(counts):
         raise UsageError(f"{path}: found '{text}', {_EXPECTED}")
     if found.is_logarithmic and not min(least, most) > 0.0:
         raise UsageError(f"{path}: found '{text}', expected a logarithmic range above 0")
@@ -162,6 +169,12 @@ def read_axis(word: str) -> tuple[str, list[Value] | Range]:
     if count[0] != int(count[0]) or not 1 <= count[0] <= _MOST:
         raise UsageError(f"{path}: found {count[0]:g} values, expected a whole number from 1 to {_MOST}")
     return path, [*found.at(np.linspace(0.0, 1.0, int(count[0])))]
+
+
+def _end(text: str) -> tuple[float, str]:
+    """Returns the number and the unit of an end of a range, or of its count."""
+    quantity = QUANTITY.match(text)
+    return (float(quantity[1]), (quantity[3] + quantity[4]).strip()) if quantity else (float(text), "")
 
 
 def read_points(words: Sequence[str], count: int | None, method: str, seed: int) -> Points:

@@ -28,7 +28,7 @@ from hapsim.replaying.replay import Record
 from hapsim.running.changes import changed
 from hapsim.running.live_parameters import parameters_of
 from hapsim.scene import load_scene, parse_scene
-from hapsim.units import LINEAR, MOTIONS, Units
+from hapsim.units import LINEAR, MOTIONS, Units, Written, complete
 
 Hapsim = Callable[..., Any]
 
@@ -54,6 +54,7 @@ modules:
   slide: {type: viscoelastic, between: [fader, frame], stiffness: 500, damping: 2}
   turn: {type: viscoelastic, between: [knob, frame], stiffness: 0.05, damping: 5.0e-4}
 """
+DEGREES = complete([Written("rad", "°", 180.0 / math.pi)])
 OF_A_LINE = re.compile(r"(?<![\w·])(N/m|N·s/m|N/s|kg|mm|m/s)(?![\w·²])|\d (m|N)(?![\w·])")
 
 
@@ -193,13 +194,13 @@ def test_counts_in_degrees_too_coarse_for_a_detent_are_refused_with_a_sentence()
 def test_a_quantity_has_the_unit_of_its_motion(
     value: float | str, unit: str, linear: str, rotary: str, degrees: str, both: str
 ) -> None:
-    every = LINEAR, Units.of(["rotary"]), Units.of(["rotary"], in_degrees=True), Units.of(MOTIONS, in_degrees=True)
+    every = LINEAR, Units.of(["rotary"]), Units.of(["rotary"], DEGREES), Units.of(MOTIONS, DEGREES)
     assert [units(value, unit) for units in every] == [linear, rotary, degrees, both]
 
 
 def test_a_unit_alone_and_within_a_text_of_ours() -> None:
-    turns = Units.of(["rotary"], in_degrees=True)
-    assert (turns.name("m per count"), turns.si.name("m per count")) == ("° per count", "rad per count")
+    turns = Units.of(["rotary"], DEGREES)
+    assert (turns.name("m"), turns.name("m per count")) == ("°", "rad per count")
     assert turns.si.filled("points [‹m/s›, ‹N›], m of N") == "points [rad/s, N·m], m of N"
     assert Units.parse(["linear", "rotary"]).name("N") == "N or N·m"
     assert Units.parse(None) == Units.of([])
@@ -278,8 +279,8 @@ def test_programs_and_records_stay_in_rad_where_people_read_degrees(hapsim: Haps
     assert documents[0] == documents[1]
     scene = load_scene(scenes["deg"])
     assert (scene.units.name("m"), scene.units_of(0).si.name("m")) == ("°", "rad")
-    assert scene.model_copy().units.in_degrees
-    assert not load_scene(scenes["rad"]).units.in_degrees
+    assert scene.model_copy().units.name("m/s") == "°/s"
+    assert load_scene(scenes["rad"]).written == ()
 
 
 def test_a_record_of_a_scene_with_degrees_is_read_in_degrees(hapsim: Hapsim, tmp_path: Path) -> None:
@@ -287,8 +288,7 @@ def test_a_record_of_a_scene_with_degrees_is_read_in_degrees(hapsim: Hapsim, tmp
     scene.write_text(IN_DEGREES, encoding="utf-8")
     assert hapsim("run", scene, "--duration", "0.1", "--record", record).status == 0
     assert load_trace(record).report.units_of(0)(math.pi, "m") == "180°"
-    assert Record(record).scene.units_of(0).in_degrees
-    assert Columns(record).scene.units.in_degrees
+    assert Record(record).scene.written == Columns(record).scene.written == DEGREES
 
 
 def test_the_live_line_of_a_scene_with_degrees(tmp_path: Path) -> None:
@@ -300,10 +300,10 @@ def test_the_live_line_of_a_scene_with_degrees(tmp_path: Path) -> None:
     set_output_units(LINEAR)
 
 
-def test_the_page_gets_values_in_rad_and_that_people_read_degrees(knob: Path) -> None:
+def test_the_page_gets_values_in_si_units(knob: Path) -> None:
     (channel,) = channels_of(load_scene(knob))
-    assert (channel.unit_position, channel.in_degrees) == ("rad", False)
+    assert channel.unit_position == "rad"
     knob.write_text(IN_DEGREES, encoding="utf-8")
     (channel,) = channels_of(load_scene(knob))
-    assert (channel.unit_position, channel.unit_force, channel.in_degrees) == ("rad", "N·m", True)
+    assert (channel.unit_position, channel.unit_force) == ("rad", "N·m")
     assert channel.travel == (-math.pi / 2, 1.5)

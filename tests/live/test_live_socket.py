@@ -43,7 +43,7 @@ def test_the_model_describes_what_there_is(serve: Serve) -> None:
     assert parameters.keys() == served.session.parameters.keys()
     assert (parameters["touch.stiffness"]["value"], parameters["touch.stiffness"]["unit"]) == (2000.0, "N/m")
     assert model["channels"][0] == {
-        "channel": 0, "name": "hand", "motion": "linear", "unit_position": "m", "unit_force": "N", "in_degrees": False,
+        "channel": 0, "name": "hand", "motion": "linear", "unit_position": "m", "unit_force": "N",
         "force_limit": 10.0, "travel": [None, None], "hand": {"stiffness": 200.0, "damping": 2.0, "reach": 0.02},
     }  # fmt: skip
     modules = [tuple(one.values()) for one in model["modules"]]

@@ -268,6 +268,11 @@ def test_dry_friction_that_spoils_the_motion_is_named(
         hapsim.identify_device(replace(ONE, coulomb=coulomb).scene(), force=bounds[0], travel=bounds[1], duration=1.0)
 
 
+def test_a_fast_spring_of_the_device_is_not_taken_for_a_hand() -> None:
+    with pytest.raises(UsageError, match="it swings too fast on a spring of its own"):
+        hapsim.identify_device("sprung_device", duration=1.0)
+
+
 def test_a_device_that_moves_by_itself_is_not_pushed() -> None:
     scene = mocked(stiffness=2000.0, initial=hapsim.scene.Initial(position=0.01))
     with pytest.raises(GuardError, match=r"without any force the device moved by .* it was not pushed"):

@@ -19,7 +19,7 @@ from hapsim.scene import Device, Known, Mock, Scene, Span, parse_scene, scene_sc
 from hapsim.scene.modules import MODULE_TYPES
 from hapsim.scene.quantity import Expectation
 from hapsim.scene.rewrite import device_rewritten
-from hapsim.scene.written_units import QUANTITY, has_dimension
+from hapsim.scene.written_units import QUANTITY, has_dimension, in_si
 from hapsim.scene.yaml_document import FLOAT, INTEGER, compose
 from hapsim.units import MOTIONS, Motion, Units
 
@@ -258,10 +258,33 @@ def test_each_channel_and_each_module_has_the_units_of_its_motion(faults: Callab
     assert faults(text.replace("1 rad", "1 m"))[0].endswith(f"travel[1][1]: found 1 m, {ANGLE}")
 
 
-def test_reports_are_in_degrees_where_an_angle_of_the_file_is() -> None:
-    for written, in_degrees in (("30 degrees", True), ("0.5 rad", False), ("500 mrad", False), ("0.5", False)):
-        assert parse_scene(scene_with("m", written, "rotary")).in_degrees == in_degrees
-    assert not parse_scene(scene_with("N/m", "0.3 N·m/deg", "rotary")).in_degrees
+@pytest.mark.parametrize(
+    ("unit", "motion", "written", "shown"),
+    [
+        ("m", "rotary", "30 degrees", {"m": "2°", "mm": "2°", "µm": "2°", "m/s": "2°/s", "N/m": "2 N·m/rad"}),
+        ("m", "rotary", "500 mrad", {"m": "2 mrad", "µm": "2 mrad"}),
+        ("m", "rotary", "0.5 rad", {"m": "2 rad", "mm": "2 mrad"}),
+        ("N/m", "rotary", "0.3 Nm/deg", {"N/m": "2 Nm/deg", "m": "2 rad", "N·s/m": "2 N·m·s/rad"}),
+        ("m", "linear", "3 in", {"m": "2 in", "mm": "2 in", "µm": "2 µm", "m/s": "2 in/s", "m/s²": "2 in/s²"}),
+        ("kg", "linear", "200 g", {"kg": "2 g", "N": "2 N"}),
+        ("N", "linear", "2 ozf", {"N": "2 ozf", "mN": "2 ozf", "µN": "2 µN"}),
+        ("N·s/m", "linear", "2 N·s/m", {"N·s/m": "2 N·s/m"}),
+    ],
+)
+def test_reports_are_in_the_units_of_the_file(unit: str, motion: Motion, written: str, shown: dict[str, str]) -> None:
+    units = parse_scene(scene_with(unit, written, motion)).units
+    for asked, words in shown.items():
+        assert units("2", asked) == words
+    asked = next(iter(shown))
+    assert in_si(units(1.25, asked), asked, [motion]) == pytest.approx(1.25, rel=1e-5)
+    assert units.si.written == ()
+
+
+def test_the_first_unit_of_a_quantity_counts() -> None:
+    text = scene_with("m", "30 mm", "linear")
+    for unit, first in (("20 cm", "cm"), ("0.2", "mm"), ("0.2 m", "mm")):
+        both = text.replace("initial: {velocity: 0}", f"initial: {{position: {unit}}}")
+        assert parse_scene(both).units.name("m") == first
 
 
 def test_python_takes_si_numbers_alone() -> None:

@@ -76,6 +76,8 @@ def test_a_table_names_its_points(tmp_path: Path) -> None:
         (["touch.stiffness=1,1"], None, "twice"),
         (["touch.stiffness=1", "touch.stiffness=2"], None, "twice"),
         (["touch.stiffness=lin:1:10"], None, "--samples"),
+        (["touch.stiffness=lin:1 N/mm:10:4"], None, "the same unit at both ends, such as lin:1 N/mm:5 N/mm:9"),
+        (["touch.stiffness=lin:1 N/mm:10 N/mm:4 N/mm"], None, "expected values such as"),
         (["touch.stiffness=1,2"], 5, "range"),
         ([], None, "no parameter"),
         (["a.b=lin:0:1:10000", "c.d=lin:0:1:10000"], None, "100000000 points"),
@@ -187,6 +189,12 @@ def test_values_with_units_are_numbers_in_si_units() -> None:
     assert varied.in_si(listed([{"rate": "2 kHz"}])).columns == {"rate": [2000.0]}
     with pytest.raises(UsageError, match="found a value twice"):
         varied.in_si(grid({"touch.stiffness": ["1 N/mm", 1000.0]}))
+    for text, least, most in (("lin:1 N/mm:3 N/mm", 1e3, 3e3), ("log:1kN/m:1e2 kN/m", 1e3, 1e5)):
+        axis = varied.in_si(read_points([f"touch.stiffness={text}:3"], None, "lhs", 0)).axis("touch.stiffness")
+        assert axis == pytest.approx([least, 2e3 if most == 3e3 else 1e4, most], rel=1e-12)
+        drawn = varied.in_si(read_points([f"touch.stiffness={text}"], 20, "lhs", 0)).columns["touch.stiffness"]
+        assert all(least <= one <= most for one in drawn if isinstance(one, float))
+        assert len(drawn) == 20
     knob = Varied(load_scene("knob_24"))
     assert knob.in_si(grid({"detent.pitch": ["15 deg"]})).axis("detent.pitch") == [math.radians(15.0)]
     for one, path, value, said in (

@@ -44,11 +44,10 @@ export function line(context, x, y, to, down) {
   context.stroke();
 }
 
-/** How a quantity in SI units is shown: an angle in degrees where the scene writes it so. @param {string} unit @param {boolean} inDegrees
+/** How a quantity in SI units is shown. @param {string} unit @param {Record<string, [string, number]>} written the units of the scene's file
  * @returns {[string, number]} the unit, and how many of it one SI unit is */
-export function shownIn(unit, inDegrees) {
-  if (!inDegrees || !["rad", "rad/s"].includes(unit)) return [unit, 1];
-  return [unit.replace("rad", "°"), 180 / Math.PI];
+export function shownIn(unit, written) {
+  return written[unit] ?? [unit, 1];
 }
 
 /** Round numbers between two. @param {number} least @param {number} most @param {number} about */

@@ -72,15 +72,15 @@ async function describe() {
   document.title = `${model.title} · hapsim`;
   part("title").textContent = model.title;
   offer();
-  const inDegrees = model.channels.every((/** @type {any} */ one) => one.in_degrees);
-  const parameters = model.parameters.map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, inDegrees) }));
+  const parameters = model.parameters.map((/** @type {any} */ one) => ({ ...one, shown: shownIn(one.unit, model.written) }));
   controls = makeControls(part("parameters"), parameters, (values) => predict(values, false), apply);
   part("record").hidden = !model.can_record;
   recording(Boolean(model.recording));
   part("hand-part").hidden = !model.has_mock;
   const { hand, unit_force, unit_position } = model.channels[0];
+  const [unit, factor] = shownIn(`${unit_force}/${unit_position}`, model.written);
   reach = Math.max(reach, hand.reach);
-  part("hand-note").textContent = `Drag: a spring of ${Number(hand.stiffness.toPrecision(3))} ${unit_force}/${unit_position} pulls the handle along.`;
+  part("hand-note").textContent = `Drag: a spring of ${Number((hand.stiffness * factor).toPrecision(3))} ${unit} pulls the handle along.`;
   part("events").replaceChildren();
   model.events.forEach(list);
   predict({}, true);
@@ -89,10 +89,9 @@ async function describe() {
 /** Fills the list of what the scope can show. */
 function offer() {
   const channels = model.channels.flatMap((/** @type {any} */ one) =>
-    ["position", "velocity", "force"].map((name, quantity) => {
-      const [unit] = shownIn([one.unit_position, `${one.unit_position}/s`, one.unit_force][quantity], one.in_degrees);
-      return new Option(model.channels.length > 1 ? `${name} of ${one.name}` : name, `${quantity} ${one.channel} ${unit}`);
-    }),
+    ["position", "velocity", "force"].map(
+      (name, quantity) => new Option(model.channels.length > 1 ? `${name} of ${one.name}` : name, `${quantity} ${one.channel}`),
+    ),
   );
   const hands = model.channels.map((/** @type {any} */ one) => one.name);
   const modules = model.modules
@@ -104,29 +103,27 @@ function offer() {
   choose(false);
 }
 
-/** @param {string} unit in which the scope shows its values */
-function show(unit) {
-  scope.unit = unit;
-  scope.factor = unit.startsWith("°") ? 180 / Math.PI : 1;
+/** Sets the unit of the scope. @param {any} channel @param {number} quantity */
+function show({ unit_position: position, unit_force }, quantity) {
+  [scope.unit, scope.factor] = shownIn([position, `${position}/s`, unit_force][quantity] ?? position, model.written);
   scope.trigger.level = Number(part("level").value) / scope.factor;
 }
 
 /** @param {boolean} [asks] whether what is watched may change */
 async function choose(asks = true) {
-  const [quantity, channel, unit] = part("what").value.split(" ");
+  const [quantity, channel] = part("what").value.split(" ");
   const module = quantity === "module" ? model.modules.find((/** @type {any} */ one) => one.name === channel) : null;
   part("place").hidden = !module || module.masses === null;
   if (!module) {
     scope.what = { quantity: Number(quantity), channel: Number(channel) };
-    show(unit);
+    show(model.channels[Number(channel)], Number(quantity));
     return;
   }
   const middle = module.columns ? `${Math.floor(module.masses / module.columns / 2)}.${Math.floor(module.columns / 2)}` : String(Math.floor(module.masses / 2));
   if (part("place").dataset.of !== channel) [part("place").value, part("place").dataset.of] = [middle, channel];
   const name = module.masses === null ? channel : `${channel}.${part("place").value}`;
   scope.what = null;
-  const first = model.channels[0];
-  show(shownIn(first?.unit_position ?? "m", Boolean(first?.in_degrees))[0]);
+  show(model.channels[0], 0);
   if (name === watched) return;
   watched = name;
   if (asks) await subscribe(0);
@@ -203,8 +200,7 @@ function feel(predicted, isApplied) {
     part("hand").selectedIndex = plane.hand;
   }
   plane.channel = predicted.hands[plane.hand]?.channel ?? 0;
-  const of = model.channels[plane.channel];
-  [plane.isRotary, plane.inDegrees] = [of?.motion === "rotary", Boolean(of?.in_degrees)];
+  plane.turns(model.channels[plane.channel]?.motion === "rotary", model.written);
   plane.show(predicted, isApplied);
 }
 

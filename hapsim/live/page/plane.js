@@ -1,7 +1,7 @@
 // @ts-check
 /** What a hand feels, and where it is in the plane of stiffness and damping. */
 
-import { line, prepared, short, ticks, written } from "./drawing.js";
+import { line, prepared, short, shownIn, ticks, written } from "./drawing.js";
 
 export class Plane {
   /** @param {HTMLCanvasElement} canvas @param {HTMLElement} felt @param {HTMLElement} note */
@@ -15,7 +15,18 @@ export class Plane {
     this.planned = null; // while a slider moves
     this.hand = 0;
     this.channel = 0; // the hand's
-    this.isRotary = this.inDegrees = false;
+    /** @type {[string, number]} */
+    this.position = ["mm", 1e3];
+    /** @type {[string, number][]} */
+    this.units = [];
+    this.turns(false, {});
+  }
+
+  /** Sets the units. @param {boolean} isRotary the hand's channel @param {Record<string, [string, number]>} ofFile units of the scene's file */
+  turns(isRotary, ofFile) {
+    const position = isRotary ? "rad" : "m";
+    this.position = ofFile[position] ?? [`m${position}`, 1e3];
+    this.units = (isRotary ? ["N·m/rad", "N·m·s/rad"] : ["N/m", "N·s/m"]).map((one) => shownIn(one, ofFile));
   }
 
   /** @param {any} predicted @param {boolean} isApplied */
@@ -23,13 +34,13 @@ export class Plane {
     if (isApplied) [this.applied, this.planned] = [predicted, null];
     else this.planned = predicted;
     const now = this.planned ?? predicted, hand = now.hands?.[this.hand];
-    const units = this.isRotary ? ["N·m/rad", "N·m·s/rad"] : ["N/m", "N·s/m"];
-    const pair = (/** @type {number[]} */ values) => values.map((one, i) => `${short(one)} ${units[i]}`);
+    const shown = (/** @type {number | null} */ one, /** @type {number} */ i) => short(one === null ? NaN : one * this.units[i][1]);
+    const pair = (/** @type {(number | null)[]} */ values) => values.map((one, i) => `${shown(one, i)} ${this.units[i][0]}`);
     const own = hand ? pair(hand.own).filter((_, i) => hand.own[i]).join(" and ") : "";
     const isHeld = !hand?.region || hand.region.kind === "held"; // a snap and free space have no k and b of a spring
     this.felt.textContent = hand
-      ? `${pair(hand.asked).join(" and ")}${isHeld ? ` feel like ${short(hand.k)} and ${short(hand.b)}` : ""}${own && ` (the device's own ${own} included)`}\n` +
-        `${verdict(now, hand, this.inDegrees ? "°" : this.isRotary ? "mrad" : "mm")}${this.planned ? ", not applied yet" : ""}${margin(hand)}`
+      ? `${pair(hand.asked).join(" and ")}${isHeld ? ` feel like ${shown(hand.k, 0)} and ${shown(hand.b, 1)}` : ""}${own && ` (the device's own ${own} included)`}\n` +
+        `${verdict(now, hand, ...this.position)}${this.planned ? ", not applied yet" : ""}${margin(hand)}`
       : `${now.stable ? "stable" : "unstable"}${now.states && ` ${now.states}`} (spectral radius ${short(now.spectral_radius)})`;
     for (const { names, k, b } of now.together ?? [])
       for (const [i, name] of names.entries()) {
@@ -72,11 +83,12 @@ export class Plane {
     line(context, left, bottom, right, bottom);
     line(context, left, top, left, bottom);
     context.textAlign = "center";
-    for (const K of ticks(0, mostK, 5)) context.fillText(short(K), x(K), bottom + 15);
+    const [[unitK, perK], [unitB, perB]] = this.units;
+    for (const K of ticks(0, mostK * perK, 5)) context.fillText(short(K), x(K / perK), bottom + 15);
     context.textAlign = "right";
-    for (const B of ticks(0, mostB, 5)) context.fillText(short(B), left - 7, y(B) + 4);
+    for (const B of ticks(0, mostB * perB, 5)) context.fillText(short(B), left - 7, y(B / perB) + 4);
     context.textAlign = "center";
-    context.fillText(this.isRotary ? "stiffness, N·m/rad; up: damping, N·m·s/rad" : "stiffness, N/m; up: damping, N·s/m", (left + right) / 2, height - 4);
+    context.fillText(`stiffness, ${unitK}; up: damping, ${unitB}`, (left + right) / 2, height - 4);
     context.textAlign = "left";
     if (plane?.B.length) written(context, look, "stable", left + 10, top + 18);
     for (const one of at) {
@@ -115,11 +127,11 @@ function shade(context, look, plane, x, y) {
   context.stroke();
 }
 
-/** Whether it is stable, and where. @param {any} now @param {any} hand @param {string} unit */
-function verdict(now, hand, unit) {
+/** Whether it is stable, and where. @param {any} now @param {any} hand @param {string} unit @param {number} factor how many of it are one SI unit */
+function verdict(now, hand, unit, factor) {
   const region = hand.region, whole = now.stable ? "stable" : "unstable";
   if (!region) return whole;
-  const ends = [region.low_m, region.high_m].map((one) => (one === null ? "…" : String(Number(((unit === "°" ? 180 / Math.PI : 1e3) * one).toPrecision(4)))));
+  const ends = [region.low_m, region.high_m].map((one) => (one === null ? "…" : String(Number((factor * one).toPrecision(4)))));
   const kinds = { held: "stable", free: "no spring", snap: "a snap drives the hand on" };
   const here = region.stable ? kinds[/** @type {keyof kinds} */ (region.kind)] : "unstable";
   return `from ${ends.join(" to ")} ${unit}: ${here}${!now.stable && region.stable ? "; unstable elsewhere" : ""}`;

@@ -147,7 +147,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
 def _sentence(run: EndedRun) -> str:
     leap = run.loop.leap
     units = run.scene.units_of(int(leap.channel))
-    bound = units(rounded_down(units.scaled(leap.bound_m, "m")), "m")
+    bound = units(leap.bound_m, "m", rounded_down)
     return (
         f"the position of channel {leap.channel} leapt at tick {run.report.ticks}: {units(leap.leapt_m, 'm', '.4g')} "
         f"away from where its motion led, where no hand gets farther than {bound} (hapsim/STABILITY.md); its force was "

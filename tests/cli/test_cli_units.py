@@ -1,0 +1,92 @@
+"""Text and data of every command for a scene whose file has units: text in these units, data in SI units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Hapsim = Callable[..., Any]
+
+SCENE = """\
+version: 1
+rate: 1000
+device: {clock: lockstep, mass: 200 g, friction: 1000 mN·s/m, force_limit: 8000 mN, travel: [-10 cm, 10 cm]}
+mock: {initial: {position: 0 cm}}
+modules:
+  hand: {type: device, channel: 0}
+  wall: {type: ground}
+  TOUCH
+"""
+SPRING = "touch: {type: viscoelastic, between: [hand, wall], stiffness: 20 N/cm, damping: 5000 mN·s/m}"
+STOP = "touch: {type: buffer, between: [hand, wall], stiffness: 20 N/cm, damping: 5000 mN·s/m}"
+#: By the unit of the file: the SI unit that stands in its place without it, and how many of the former are one.
+UNITS = {"g": ("kg", 1e3), "mN·s/m": ("N·s/m", 1e3), "mN": ("N", 1e3), "N/cm": ("N/m", 0.01)}
+SI, LENGTHS = [si for si, _ in UNITS.values()], ["m", "mm"]
+NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+
+
+@pytest.fixture(params=[SPRING, STOP], ids=["spring", "contact"])
+def scenes(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Path]:
+    """A scene with units, and the same without."""
+    text = SCENE.replace("TOUCH", request.param)
+    factors = {name: factor for name, (_, factor) in UNITS.items()} | {"cm": 100.0}
+
+    def bare(found: re.Match[str]) -> str:
+        return repr(float(found[1]) / factors[found[2]])
+
+    for name, each in (("units", text), ("si", re.sub(rf"({NUMBER}) ([^\s,}}\]]+)", bare, text))):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scene.yaml").write_text(each, encoding="utf-8")
+    return tmp_path / "units" / "scene.yaml", tmp_path / "si" / "scene.yaml"
+
+
+def quantities(text: str, units: list[str]) -> dict[str, list[float]]:
+    """By unit: the numbers before it, and those of the table's row or column that it is the unit of."""
+    found: dict[str, list[float]] = {unit: [] for unit in units}
+    columns: list[str] = []
+    for line in text.splitlines():
+        cells = [cell.strip() for cell in re.split("[│┃]", line)]
+        if "┃" in line:
+            columns = [cell.rpartition("  ")[2] for cell in cells]
+        row = cells[1].rpartition("  ")[2] if len(cells) > 2 else ""
+        for cell, column in zip(cells, columns, strict=False):
+            for unit in {row, column} & {*units} if "%" not in cell else ():
+                found[unit] += [float(one) for one in re.findall(rf"(?<![\w.]){NUMBER}", cell)]
+        for number, unit in re.findall(rf"({NUMBER}) ?([^\s\d;:,.()]+)", line):
+            if unit in units:
+                found[unit].append(float(number))
+    return found
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "check", "check --explain", "check --hand-mass 0:0.5 --hand-stiffness 0:500", "measure --at=-1mm",
+        "measure --at=-0.001 --explain", "measure --impedance --duration 3", "run --duration 0.2",
+        "identify --duration 1", "chart plane", "chart transparency", "chart force", "chart table1",
+    ],
+)  # fmt: skip
+def test_text_is_in_the_units_of_the_file(command: str, scenes: tuple[Path, Path], hapsim: Hapsim) -> None:
+    draws = command.startswith("chart")
+    each = [
+        hapsim(
+            *command.split(),
+            scene,
+            *(["--picture", scene.with_suffix(".svg"), "--data", scene.with_suffix(".csv")] if draws else []),
+        )
+        for scene in scenes
+    ]
+    assert [one.status for one in each] == [0, 0], each[0].err
+    there, here = (one.out for one in each)
+    of_si, of_file = quantities(here, [*SI, *LENGTHS]), quantities(there, [*UNITS, "cm"])
+    for unit, (si, factor) in UNITS.items():
+        assert of_file[unit] == pytest.approx([factor * one for one in of_si[si]], rel=0.1), unit
+    assert len(of_file["cm"]) == len(of_si["m"]) + len(of_si["mm"])
+    assert sum(map(len, of_file.values())) >= (0 if draws or "run" in command else 5)
+    assert not any(quantities(there, [*SI, *LENGTHS]).values())
+    if draws:
+        assert scenes[0].with_suffix(".csv").read_text() == scenes[1].with_suffix(".csv").read_text()
