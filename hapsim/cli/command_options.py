@@ -21,7 +21,7 @@ import typer
 
 from hapsim.cli.output import output_units, print_line, set_output_units
 from hapsim.errors import UsageError
-from hapsim.scene.issue import as_argument, command_line
+from hapsim.scene.issue import as_argument, command_line, quote
 
 _STANDARD_INPUT = "-"
 _TYPER = "typer"
@@ -71,18 +71,17 @@ def position(at: str | None, scene: Any) -> float | None:
     """Returns the position that --at names, m, of a rotary scene rad; it may have a unit. Raises UsageError."""
     if at is None:
         return None
-    degree = math.pi / 180.0
-    angles, lengths = {"mrad": 1e-3, "rad": 1.0, "deg": degree, "°": degree}, {"mm": 1e-3, "m": 1.0}
-    sizes = angles if scene.units.is_rotary else lengths
-    unit = next((unit for unit in sizes if at.endswith(unit)), "")
+    from hapsim.scene.written_units import QUANTITY, UnitError, in_si
+
+    is_quantity, units = QUANTITY.match(at), scene.units
     try:
-        value = float(at.removesuffix(unit)) * sizes.get(unit, 1.0)
-    except ValueError:
-        value = math.nan
+        value = in_si(at, "m", units.motions) if is_quantity else float(at)
+    except (UnitError, ValueError) as error:
+        found, expected = getattr(error, "found", quote(at)), units.si.filled("a position: ‹one m›")
+        raise UsageError(f"--at: found {found}, expected {expected}") from None
     if not math.isfinite(value):
-        expected = "such as 0.26 (rad), 260mrad or 15deg" if scene.units.is_rotary else "such as 0.002 (m) or 2mm"
-        raise UsageError(f"--at: found '{at}', expected a position, {expected}")
-    if not unit and not scene.units.is_rotary and abs(value) >= _FAR_M:
+        raise UsageError(f"--at: found {at}, expected a finite number")
+    if not is_quantity and not units.is_rotary and abs(value) >= _FAR_M:
         raise UsageError(f"--at: found {at}, which is {value:g} m; write {at}mm if you meant mm, or {at}m")
     return value
 

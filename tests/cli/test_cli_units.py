@@ -45,7 +45,7 @@ def scenes(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Path]:
 
 
 def quantities(text: str, units: list[str]) -> dict[str, list[float]]:
-    """By unit: the numbers before it, and those of the table's row or column that it is the unit of."""
+    """Numbers by unit: those before it, and those in a table's row or column of this unit."""
     found: dict[str, list[float]] = {unit: [] for unit in units}
     columns: list[str] = []
     for line in text.splitlines():
