@@ -31,10 +31,13 @@ def probe_arming(probing: Probing) -> bool:
     probing.judge("arm", kept, in_words(status))
     session.run(0, session.zero)
     if not session.samples:
-        other = f"but {in_words(session.others[0])}" if session.others else "nor another frame"
+        frame = session.ended or next(iter(session.others), None)
+        other = f"but {in_words(frame)}" if frame else "nor another frame"
         found = f"no position in the armed format, {other}; {len(session.wire.damaged)} pieces that are no frame"
         words = f"{probing.device.channels} channels: {probing.device.channels} words"
         look_at = f"the armed format of {words}, its start value, its check; the sample timer"
+        if frame and frame.fault == schema.HARDWARE:
+            look_at = "the sensor's wires and supply, and the magnet of a magnetic one: the device's own fault (6)"
         probing.judge("first_position", False, found, look_at)
         probing.wire.release()
         return False

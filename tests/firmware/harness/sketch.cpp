@@ -59,6 +59,8 @@ void attachInterrupt(uint8_t number, void (*handler)(void), int) {
     handlers[number] = handler;
 }
 
+void TwoWire::setWireTimeout(uint32_t, bool) {}
+
 void TwoWire::beginTransmission(uint8_t) {
     at = 0;
 }

@@ -53,13 +53,15 @@ void attachInterrupt(uint8_t number, void (*handler)(void), int) {
 }
 
 static int32_t counts() {
-    return POSITION_SIGN * (int32_t)floor(angle / TRAVEL * COUNTS);
+    return (int32_t)floor(angle / TRAVEL * COUNTS);
 }
 
 int analogRead(uint8_t) {
     const int32_t reading = COUNTS / 2 + counts();
     return reading < 0 ? 0 : reading > COUNTS ? COUNTS : reading;
 }
+
+void TwoWire::setWireTimeout(uint32_t, bool) {}
 
 void TwoWire::beginTransmission(uint8_t) {
     at = 0;
@@ -92,7 +94,7 @@ static int drive() {
 #else
     const int duty = levels[MOTOR_PIN_B] ? duties[MOTOR_PIN_A] : -duties[MOTOR_PIN_A];
 #endif
-    return FORCE_SIGN * duty;
+    return duty;
 }
 
 /* Sets a signal; its change runs the interrupt. */

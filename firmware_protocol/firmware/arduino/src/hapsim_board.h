@@ -71,10 +71,18 @@ static_assert(hapsim_differ(0), "one pin has two uses: compare MOTOR_PIN_A, MOTO
 static_assert(HAPSIM_MAY_BE(digitalPinHasPWM(MOTOR_PIN_A)), "MOTOR_PIN_A: this pin has no PWM");
 static_assert(DRIVER != TWO_PWMS || HAPSIM_MAY_BE(digitalPinHasPWM(MOTOR_PIN_B)), "MOTOR_PIN_B: this pin has no PWM");
 #endif
-#ifdef __AVR_ATmega328P__
-static_assert(MOTOR_PIN_A != 5 && MOTOR_PIN_A != 6 && (DRIVER != TWO_PWMS || (MOTOR_PIN_B != 5 && MOTOR_PIN_B != 6)),
-              "MOTOR_PIN: pins 5 and 6 share the timer of micros(), at 976 Hz; take 3, 9, 10 or 11");
+#if defined(__AVR_ATmega328P__) /* the pins of timer 0, and of a Leonardo's timer 4 */
+#define HAPSIM_IS_SLOW(pin) ((pin) == 5 || (pin) == 6)
+#elif defined(__AVR_ATmega2560__)
+#define HAPSIM_IS_SLOW(pin) ((pin) == 4 || (pin) == 13)
+#elif defined(__AVR_ATmega32U4__)
+#define HAPSIM_IS_SLOW(pin) ((pin) == 3 || (pin) == 11 || (pin) == 6 || (pin) == 13)
+#else
+#define HAPSIM_IS_SLOW(pin) false
 #endif
+static_assert(!HAPSIM_IS_SLOW(MOTOR_PIN_A) && (DRIVER != TWO_PWMS || !HAPSIM_IS_SLOW(MOTOR_PIN_B)),
+              "MOTOR_PIN: the timer of this pin is slow, or that of micros(); take 3, 9, 10 or 11 on an Uno, "
+              "2, 3 or 5 to 12 on a Mega, 5, 9 or 10 on a Leonardo");
 #if SENSOR == ENCODER && defined(digitalPinToInterrupt) && defined(NOT_AN_INTERRUPT)
 static_assert(HAPSIM_MAY_BE(digitalPinToInterrupt(SENSOR_PIN_A) != NOT_AN_INTERRUPT),
               "SENSOR_PIN_A: this pin has no interrupt");
@@ -86,12 +94,31 @@ static_assert(SENSOR_PIN_A >= PIN_A0, "SENSOR_PIN_A: an analogue pin, such as A0
 #endif
 
 static_assert(SENSOR != AS5600 || COUNTS == 4096, "COUNTS: an AS5600 gives 4096 in a turn");
+#if SENSOR == AS5600 && defined(ARDUINO_ARCH_SAMD)
+#error "SENSOR: on this core a broken I2C wire stops loop(), with the motor on; take an encoder or a potentiometer"
+#endif
+#if SENSOR == POTENTIOMETER
+static_assert(COUNTS == 1023 || COUNTS == 4095, "COUNTS: with a potentiometer 1023, or 4095 of 12 bits");
+#endif
 static_assert((COUNTS) > 0 && (TRAVEL) > 0, "COUNTS, TRAVEL: above zero; POSITION_SIGN sets the direction");
 static_assert((FORCE_LIMIT) > 0 && (FORCE_LIMIT) <= (FULL_FORCE), "FORCE_LIMIT: above zero, at most FULL_FORCE");
 static_assert((POSITION_SIGN == 1 || POSITION_SIGN == -1) && (FORCE_SIGN == 1 || FORCE_SIGN == -1),
               "POSITION_SIGN, FORCE_SIGN: 1 or -1");
 static_assert((PWM_TOP) > 0 && (PWM_TOP) <= 16383, "PWM_TOP: 1 to 16383");
 static_assert((RATE_HZ) > 0 && 1000000 % (RATE_HZ) == 0, "RATE_HZ: a sample must last a whole number of microseconds");
-static_assert(230l * (RATE_HZ) <= (BAUD_RATE), "RATE_HZ: at most BAUD_RATE / 230, as an exchange has 23 bytes");
+
+/* The wire and the processor work one after the other. */
+#ifdef __AVR__
+enum { HAPSIM_WORK_US = 8000 / (F_CPU / 1000000l) }; /* of an exchange: 0.5 ms at 16 MHz, from the emulated Uno */
+#else
+enum { HAPSIM_WORK_US = 50 };
+#endif
+static_assert((230000000l / (BAUD_RATE) + HAPSIM_WORK_US) * (RATE_HZ) <= 1000000,
+              "RATE_HZ: too high: 23 bytes at BAUD_RATE, and on an Uno 0.5 ms of work, take longer than a sample");
+#if defined(__AVR__) && !defined(USBCON)
+constexpr long hapsim_baud = F_CPU / 8 / ((F_CPU / 4 / (BAUD_RATE)-1) / 2 + 1); /* that the core sets */
+static_assert(hapsim_baud * 40 > 39l * (BAUD_RATE) && hapsim_baud * 40 < 41l * (BAUD_RATE),
+              "BAUD_RATE: this clock misses it by more than 2.5 %; take 115200 (at 16 MHz), 250000, 500000 or 1000000");
+#endif
 
 #endif

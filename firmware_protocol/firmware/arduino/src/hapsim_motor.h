@@ -112,12 +112,23 @@ static uint8_t hapsim_odd = 2; /* bad readings in a row */
 #if SENSOR == AS5600
 enum { AS5600_ADDRESS = 0x36, AS5600_FILTER = 0x07, AS5600_STATUS = 0x0b, AS5600_MAGNET = 0x20 };
 
+/* Limits a transfer to 1 ms. Else a broken wire stops loop(), with the motor on: on an AVR for ever, on other cores for
+ * 25 to 1000 ms. The compiler takes the function whose call the core has; the last one, where there is none. */
+template <typename W> auto hapsim_limit(W &wire, int) -> decltype(wire.setWireTimeout(1, true)) { /* AVR: us */
+    return wire.setWireTimeout(1000, true);
+}
+template <typename W> auto hapsim_limit(W &wire, int) -> decltype(wire.setTimeOut(1)) { /* ESP32: ms */
+    return wire.setTimeOut(1);
+}
+template <typename W> auto hapsim_limit(W &wire, int) -> decltype(wire.setTimeout(1, true)) { /* RP2040: ms */
+    return wire.setTimeout(1, true);
+}
+template <typename W> void hapsim_limit(W &, ...) {}
+
 static void hapsim_start_sensor() {
     Wire.begin();
     Wire.setClock(400000);
-#ifdef WIRE_HAS_TIMEOUT
-    Wire.setWireTimeout(1000, true); /* us; else a disconnected wire stops loop() for ever */
-#endif
+    hapsim_limit(Wire, 0);
     Wire.beginTransmission(AS5600_ADDRESS);
     Wire.write((uint8_t)AS5600_FILTER);
     Wire.write((uint8_t)3); /* the fastest slow filter: 0.29 ms instead of 2.2 ms */
@@ -180,13 +191,11 @@ static void hapsim_forgive() {}
  * samples. Other boards: PWM_SETUP. */
 static void hapsim_start_pwm(int pin) {
     (void)pin;
-#ifdef __AVR__
+#define HAPSIM_FAST(n) TCCR##n##A |= _BV(WGM##n##0), TCCR##n##B = _BV(WGM##n##2) | _BV(CS##n##0)
+#ifdef TCCR1A /* not the newer AVRs, such as the Nano Every's */
     switch (digitalPinToTimer(pin)) {
     case TIMER1A:
-    case TIMER1B:
-        TCCR1A |= _BV(WGM10);
-        TCCR1B = _BV(WGM12) | _BV(CS10);
-        break;
+    case TIMER1B: HAPSIM_FAST(1); break;
 #ifdef TCCR2A
     case TIMER2A:
     case TIMER2B:
@@ -197,9 +206,15 @@ static void hapsim_start_pwm(int pin) {
 #ifdef TCCR3A
     case TIMER3A:
     case TIMER3B:
-        TCCR3A |= _BV(WGM30);
-        TCCR3B = _BV(WGM32) | _BV(CS30);
-        break;
+    case TIMER3C: HAPSIM_FAST(3); break;
+#endif
+#ifdef TCCR5A /* a Mega; timer 4 of a Leonardo is of another kind */
+    case TIMER4A:
+    case TIMER4B:
+    case TIMER4C: HAPSIM_FAST(4); break;
+    case TIMER5A:
+    case TIMER5B:
+    case TIMER5C: HAPSIM_FAST(5); break;
 #endif
     }
 #endif
@@ -207,7 +222,7 @@ static void hapsim_start_pwm(int pin) {
 
 /* Fast PWM of 8 bits lasts one step longer than its register says, and analogWrite(pin, 0) turns it off. So a single
  * step of 256 is not to be had. */
-#ifdef __AVR__
+#ifdef TCCR1A
 enum { HAPSIM_DUTIES = PWM_TOP + 1, HAPSIM_LEAST_DUTY = 2, HAPSIM_LONGER = 1 };
 #else
 enum { HAPSIM_DUTIES = PWM_TOP, HAPSIM_LEAST_DUTY = 1, HAPSIM_LONGER = 0 };
