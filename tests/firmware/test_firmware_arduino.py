@@ -13,19 +13,22 @@ from typing import Any
 import pytest
 from harness_lines import ARM, ARMED, DISARM, FAULT, IDLE, LATCHED, SKETCH, force, position_of, write_sketch
 
+import firmware_protocol
 import hapsim
 from firmware_protocol import schema
 
+FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 SCENE = Path(__file__).parents[2] / "configs" / "boards" / "arduino.yaml"
 FULL = 32768  # counts of force at full duty
 CPP = {
     "g++": (),
-    "avr-g++": ("-mmcu=atmega328p",),
+    "avr-g++": ("-mmcu=atmega328p", "-DF_CPU=16000000L"),
     "arm-none-eabi-g++": ("-mcpu=cortex-m3", "-mthumb"),
 }
 AS5600: dict[str, object] = {"SENSOR": "AS5600", "COUNTS": 4096}
 POTENTIOMETER: dict[str, object] = {"SENSOR": "POTENTIOMETER", "SENSOR_PIN_A": "A0", "COUNTS": 1023}
 TWO_PWMS: dict[str, object] = {"DRIVER": "TWO_PWMS", "MOTOR_PIN_B": 10}
+CORE = Path("/usr/share/arduino/hardware/arduino/avr")
 Sketch = Callable[..., Callable[[list[str]], list[str]]]
 
 
@@ -69,7 +72,11 @@ WRONG: list[tuple[dict[str, object], str]] = [
     (AS5600 | {"COUNTS": 2400}, "COUNTS: an AS5600 gives 4096 in a turn"),
     ({"FORCE_LIMIT": 0.06}, "FORCE_LIMIT: above zero, at most FULL_FORCE"),
     ({"RATE_HZ": 300}, "RATE_HZ: a sample must last a whole number of microseconds"),
-    ({"RATE_HZ": 1000}, "RATE_HZ: at most BAUD_RATE / 230"),
+    ({"RATE_HZ": 500}, "RATE_HZ: too high: 23 bytes at BAUD_RATE"),
+    ({"COUNTS": 0}, "COUNTS, TRAVEL: above zero; POSITION_SIGN sets the direction"),
+    ({"TRAVEL": -1.0}, "COUNTS, TRAVEL: above zero"),
+    (POTENTIOMETER | {"COUNTS": 2400}, "COUNTS: with a potentiometer 1023, or 4095 of 12 bits"),
+    ({"FORCE_LIMIT": 0}, "FORCE_LIMIT: above zero, at most FULL_FORCE"),
     ({"FORCE_SIGN": 0}, "POSITION_SIGN, FORCE_SIGN: 1 or -1"),
 ]
 
@@ -84,7 +91,10 @@ def test_a_wrong_constant_is_an_error_with_a_sentence(
 @pytest.mark.parametrize(
     ("constants", "sentence"),
     [
-        ({"MOTOR_PIN_A": 5}, "pins 5 and 6 share the timer of micros(), at 976 Hz; take 3, 9, 10 or 11"),
+        ({"MOTOR_PIN_A": 5}, "MOTOR_PIN: the timer of this pin is slow, or that of micros(); take 3, 9, 10 or 11"),
+        ({"BAUD_RATE": 230400}, "BAUD_RATE: this clock misses it by more than 2.5 %; take 115200"),
+        ({"RATE_HZ": 1000, "BAUD_RATE": 250000}, "RATE_HZ: too high"),
+        ({"RATE_HZ": 2000, "BAUD_RATE": 1000000}, "on an Uno 0.5 ms of work, take longer than a sample"),
         ({"MOTOR_PIN_B": 1}, "one pin has two uses"),
         (POTENTIOMETER | {"SENSOR_PIN_A": 0}, "SENSOR_PIN_A: an analogue pin, such as A0"),
     ],
@@ -93,6 +103,75 @@ def test_a_pin_that_an_uno_needs_itself_is_refused(
     constants: dict[str, object], sentence: str, compiled: Callable[..., str]
 ) -> None:
     assert sentence in compiled("avr-g++", constants)
+
+
+@pytest.mark.parametrize(
+    "call", ["setWireTimeout(uint32_t, bool)", "setTimeOut(uint16_t)", "setTimeout(uint32_t, bool)"]
+)
+def test_the_time_of_a_transfer_is_limited_by_the_call_that_the_core_has(
+    call: str, compiled: Callable[..., str], tmp_path: Path
+) -> None:
+    assert compiled("g++", AS5600, f"#define WIRE_LIMIT {call}") == ""
+    assert call.partition("(")[0].encode() in (tmp_path / "motor.o").read_bytes()
+
+
+def test_a_core_that_waits_for_ever_for_a_broken_wire_gets_no_as5600(compiled: Callable[..., str]) -> None:
+    assert "on this core a broken I2C wire stops loop()" in compiled("g++", AS5600, "#define ARDUINO_ARCH_SAMD")
+    assert compiled("g++", POTENTIOMETER, "#define ARDUINO_ARCH_SAMD") == ""
+
+
+@pytest.mark.parametrize(
+    ("mcu", "variant", "pin"),
+    [
+        ("atmega328p", "standard", 9),
+        ("atmega2560", "mega", 6),
+        ("atmega2560", "mega", 44),
+        ("atmega32u4", "leonardo", 5),
+    ],
+)
+@pytest.mark.parametrize("sensor", [{}, AS5600 | TWO_PWMS, POTENTIOMETER])
+def test_it_compiles_with_the_cores_of_avr_boards(
+    mcu: str, variant: str, pin: int, sensor: dict[str, object], built: Path, tmp_path: Path
+) -> None:
+    if not CORE.exists() or shutil.which("avr-g++") is None:
+        pytest.skip("no core of an Uno on this machine (Debian: arduino-core-avr)")
+    sensor = sensor | {"MOTOR_PIN_A": pin, "BAUD_RATE": 500000}
+    if variant == "leonardo" and sensor.get("SENSOR") == "AS5600":
+        sensor |= {"MOTOR_PIN_B": 9}
+    folders = [
+        CORE / "cores/arduino",
+        CORE / "variants" / variant,
+        CORE / "libraries/Wire/src",
+        built / "hapsim_motor/src",
+    ]
+    chip = [
+        f"-mmcu={mcu}",
+        "-DF_CPU=16000000L",
+        *(["-DUSBCON", "-DUSB_VID=1", "-DUSB_PID=1"] if "leonardo" in variant else []),
+    ]
+    words = [
+        "avr-g++",
+        *chip,
+        "-DARDUINO=10800",
+        "-std=gnu++11",
+        "-Os",
+        "-Wall",
+        "-Wextra",
+        *(f"-I{one}" for one in folders),
+    ]
+    words += [
+        "-include",
+        "Arduino.h",
+        "-x",
+        "c++",
+        "-c",
+        str(write_sketch(tmp_path, sensor)),
+        "-o",
+        str(tmp_path / "motor.o"),
+    ]
+    ran = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert "hapsim" not in "".join(line for line in ran.stderr.splitlines() if "warning" in line)
 
 
 def test_pins_that_a_core_knows_only_at_run_time_are_not_checked(compiled: Callable[..., str]) -> None:
@@ -225,3 +304,20 @@ def test_an_emulated_board_is_identified_and_feels_as_predicted(
     predicted, measured = hapsim.predict(scene), hapsim.measure(scene, push=0.02, duration=3.0)
     assert measured.k == pytest.approx(predicted.k, rel=0.03 if uno else 0.015)
     assert measured.b == pytest.approx(predicted.b, rel=0.08)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
+@pytest.mark.parametrize(("baud", "rate"), [(115200, 400), (250000, 500), (500000, 1000)])
+def test_an_uno_holds_the_rates_that_its_compiler_lets_pass(
+    baud: int, rate: int, once: Any, start_board: Callable[..., Any]
+) -> None:
+    """In virtual time: the wire's and the chip's time pass, the host's does not."""
+    constants = {"CONSTANTS": f"BAUD_RATE={baud} RATE_HZ={rate}"}
+    built = once(f"uno_{baud}_{rate}", ["bash", "-c", f'"{FIRMWARE}/build" "$0" arduino'], constants)
+    board = start_board("arduino_uno", built, "lockstep=1", "noise=0")
+    scene = hapsim.load_scene(SCENE)
+    device = scene.device.model_copy(update={"port": board.port, "clock": "lockstep", "baud": baud})
+    trace = hapsim.run(scene.model_copy(update={"device": device, "mock": None, "rate": float(rate)}), duration=2.0)
+    assert trace.report.age_samples.count == 2 * rate
+    assert trace.report.age_samples.p99 == 1
+    assert trace.report.deadline_misses <= 1

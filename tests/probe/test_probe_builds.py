@@ -32,7 +32,7 @@ LEAVE = Leave(force=1.2 * LIMIT, travel=0.2, mass=MASS)
 KNOB = Leave(force=0.012, travel=3.0, mass=1.2e-5)  # N·m, rad, kg·m²
 # In QEMU the samples that come in time are too few to see the knob's response in counts of 14 bits a turn.
 MOTOR = Leave(force=0.024, travel=3.0, mass=2e-5)
-LEAVES = {"simplefoc": KNOB, "simplefoc_cortex_m": None, "arduino": MOTOR}
+LEAVES = {"simplefoc": KNOB, "simplefoc_cortex_m": None, "arduino": MOTOR, "arduino_uno": None}
 ATTEMPTS = 6
 TIMED = STEPS[STEPS.index("arming") :]
 
@@ -41,6 +41,10 @@ UNSENSED = "no velocity is sensed (register 38)"
 PUSHED = ("sign", "delay", "mass", "time_to_live", "limit_cut", "host_time_to_live")
 NOT_PUSHED = "not allowed to push: --push F allows pushes to either side of at most F N·m"
 TOO_SLOW = "3636 frames of 11 B at 250 Hz take 14.5 s: too long to fill what buffers"
+ARDUINO = {
+    "velocities": UNSENSED,
+    **dict.fromkeys(("tick_goes_on", "whole_frames", "watchdog_blocked"), TOO_SLOW),
+}
 NOT_SEEN = {
     "mock": {
         "lockstep": "declared; whether there is a motor cannot be seen on the wire",
@@ -51,10 +55,8 @@ NOT_SEEN = {
     "avr": {"wrong_sensing": SENSES},
     "cortex_m": {"wrong_sensing": SENSES},
     "simplefoc": {"velocities": UNSENSED},
-    "arduino": {
-        "velocities": UNSENSED,
-        **dict.fromkeys(("tick_goes_on", "whole_frames", "watchdog_blocked"), TOO_SLOW),
-    },
+    "arduino": ARDUINO,
+    "arduino_uno": ARDUINO | dict.fromkeys(PUSHED, NOT_PUSHED),
     "simplefoc_cortex_m": {"velocities": UNSENSED, **dict.fromkeys(PUSHED, NOT_PUSHED)},
 }
 # QEMU's clock stands still while it emulates what an interrupt does: its rate is this machine's, 0.85 kHz or so.

@@ -324,7 +324,8 @@ def estimate(positions: Mapping[int, float], forces_of: Callable[[int], Sequence
         forces = forces_of(k) if k - 1 in positions and k + 1 in positions else None
         if forces is not None:
             before, now, after = positions[k - 1], positions[k], positions[k + 1]
-            rows.append((after - 2 * now + before, before, now - before, *forces))
+            # Across both sides: the rounding of a position enters this speed and the second difference independently.
+            rows.append((after - 2 * now + before, before, 0.5 * (after - before), *forces))
     if len(rows) < 8 * _PARTS:
         return None
     table = np.array(rows)

@@ -1,5 +1,5 @@
 /* The harness with the Arduino sketch for its board: what the harness calls of the state machine goes through loop() and
- * the port. Both inputs of a bridge at once, or a change of direction under power, abort it. */
+ * the port. */
 extern "C" {
 #include "hapsim_device.h"
 }
@@ -8,66 +8,20 @@ extern "C" {
 #include <motor.ino>
 
 #include "given_serial.h"
+#include "uno_pins.h"
 
-#include <Wire.h>
 #include <stdio.h>
-#include <stdlib.h>
 
-static int duties[32], levels[32];
-static void (*handlers[2])(void);
 static int32_t reading = COUNTS / 2, phase;
 static bool silent, no_magnet;
 static const bool in_session = HAPSIM_FORCE_COUNTS == 1; /* which says when a tick comes, and places the encoder */
-static uint8_t at;
-TwoWire Wire;
 
 unsigned long micros() {
     return now;
 }
 
-void pinMode(uint8_t, uint8_t) {}
-void noInterrupts() {}
-void interrupts() {}
-
-static bool on(int pin) {
-    return duties[pin] != 0;
-}
-
-void digitalWrite(uint8_t pin, uint8_t level) {
-    if (DRIVER == PWM_AND_DIRECTION && pin == MOTOR_PIN_B && level != levels[pin] && on(MOTOR_PIN_A)) {
-        abort();
-    }
-    levels[pin] = level;
-}
-
-int digitalRead(uint8_t pin) {
-    return levels[pin];
-}
-
-void analogWrite(uint8_t pin, int duty) {
-    duties[pin] = duty;
-    if (DRIVER == TWO_PWMS && on(MOTOR_PIN_A) && on(MOTOR_PIN_B)) {
-        abort();
-    }
-}
-
 int analogRead(uint8_t) {
     return silent ? 0 : reading;
-}
-
-void attachInterrupt(uint8_t number, void (*handler)(void), int) {
-    handlers[number] = handler;
-}
-
-void TwoWire::setWireTimeout(uint32_t, bool) {}
-
-void TwoWire::beginTransmission(uint8_t) {
-    at = 0;
-}
-
-size_t TwoWire::write(uint8_t byte) {
-    at = at ? at : byte;
-    return 1;
 }
 
 uint8_t TwoWire::endTransmission(bool) {
@@ -89,10 +43,7 @@ static void come_round(bool ticks) {
 #endif
     hapsim_due = in_session ? now + !ticks : hapsim_due;
     loop();
-    const int duty = DRIVER == TWO_PWMS      ? duties[MOTOR_PIN_A] - duties[MOTOR_PIN_B]
-                     : levels[MOTOR_PIN_B] ? duties[MOTOR_PIN_A]
-                                             : -duties[MOTOR_PIN_A];
-    put_out[0] = duty;
+    put_out[0] = drive();
 }
 
 void knob_init(void) {

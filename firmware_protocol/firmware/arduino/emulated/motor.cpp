@@ -6,50 +6,24 @@
  * The rotor moves exactly, by one slice of the clock at a time. All of its numbers are guesses. */
 #include <motor.ino>
 
-#include <Wire.h>
+#include "uno_pins.h"
+
 #include <math.h>
 extern "C" {
 #include "hardware.h"
 void on_systick(void);
-int run_board(void);
 }
 
 static const double INERTIA = 2e-5, FRICTION = 5e-5 + 1.25e-4; /* kg m^2, N m s/rad */
 static const double STEP = 1e-6 * SLICE_US;
-enum { PINS = 32 };
 
 static uint32_t slices;
-static int duties[PINS], levels[PINS];
-static void (*handlers[PINS])(void);
 static double angle, speed; /* rad, rad/s */
 static int32_t edges;       /* that the encoder has given */
-static uint8_t at;          /* the register that the AS5600 sends next */
 static int noted;
-
-TwoWire Wire;
 
 unsigned long micros() {
     return slices * SLICE_US;
-}
-
-void pinMode(uint8_t, uint8_t) {}
-void noInterrupts() {}
-void interrupts() {}
-
-void digitalWrite(uint8_t pin, uint8_t level) {
-    levels[pin] = level;
-}
-
-int digitalRead(uint8_t pin) {
-    return levels[pin];
-}
-
-void analogWrite(uint8_t pin, int duty) {
-    duties[pin] = duty;
-}
-
-void attachInterrupt(uint8_t number, void (*handler)(void), int) {
-    handlers[number == 0 ? 2 : 3] = handler;
 }
 
 static int32_t counts() {
@@ -59,18 +33,6 @@ static int32_t counts() {
 int analogRead(uint8_t) {
     const int32_t reading = COUNTS / 2 + counts();
     return reading < 0 ? 0 : reading > COUNTS ? COUNTS : reading;
-}
-
-void TwoWire::setWireTimeout(uint32_t, bool) {}
-
-void TwoWire::beginTransmission(uint8_t) {
-    at = 0;
-}
-
-/* The first byte is the register; those that follow go into it. */
-size_t TwoWire::write(uint8_t byte) {
-    at = at ? at : byte;
-    return 1;
 }
 
 uint8_t TwoWire::endTransmission(bool) {
@@ -87,22 +49,12 @@ int TwoWire::read() {
     return bytes[(at++ - 0x0b) % 3];
 }
 
-/* Returns the duty, positive towards larger positions. */
-static int drive() {
-#if DRIVER == TWO_PWMS
-    const int duty = duties[MOTOR_PIN_A] - duties[MOTOR_PIN_B];
-#else
-    const int duty = levels[MOTOR_PIN_B] ? duties[MOTOR_PIN_A] : -duties[MOTOR_PIN_A];
-#endif
-    return duty;
-}
-
 /* Sets a signal; its change runs the interrupt. */
 static void set_signal(int pin, int level) {
     const bool changes = levels[pin] != level;
     levels[pin] = level;
-    if (changes && handlers[pin]) {
-        handlers[pin]();
+    if (changes) {
+        handlers[pin - 2]();
     }
 }
 
@@ -130,15 +82,5 @@ void on_systick(void) {
     move();
     if (SENSOR == ENCODER) {
         give_edges();
-    }
-}
-
-int run_board(void) {
-    start_hardware();
-    note_force(0, 0); /* the force after the reset */
-    setup();
-    for (;;) {
-        loop();
-        rest();
     }
 }

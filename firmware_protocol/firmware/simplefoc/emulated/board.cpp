@@ -18,7 +18,6 @@ extern "C" {
 #include "hardware.h"
 #include "simulated_mass.h"
 void on_systick(void);
-int run_board(void);
 }
 
 static const double RESISTANCE = 2.645, TORQUE_CONSTANT = 0.015; /* ohm, N m/A = V s/rad */
@@ -115,14 +114,4 @@ void BLDCMotor::loopFOC() {
     }
     move_rotor();
     sensor->update();
-}
-
-int run_board(void) {
-    start_hardware();
-    note_force(0, 0); /* the force after the reset */
-    setup();
-    for (;;) {
-        loop();
-        rest();
-    }
 }

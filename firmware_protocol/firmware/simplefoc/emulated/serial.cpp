@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: MIT */
-/* Arduino's Serial on the serial port of hardware.h. */
+/* Arduino's main loop, and its Serial on the serial port of hardware.h. */
 #include <Arduino.h>
 extern "C" {
 #include "hardware.h"
+int run_board(void);
 [[noreturn]] void __cxa_pure_virtual(void);
 }
 
@@ -29,4 +30,14 @@ int HardwareSerial::availableForWrite() {
 size_t HardwareSerial::write(const uint8_t *bytes, size_t count) {
     send_bytes(bytes, count);
     return count;
+}
+
+int run_board(void) {
+    start_hardware();
+    note_force(0, 0); /* the force after the reset */
+    setup();
+    for (;;) {
+        loop();
+        rest();
+    }
 }
