@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import struct
 import subprocess
@@ -207,6 +208,12 @@ def test_the_duty_is_the_force_while_armed_and_zero_at_any_other_time(
     assert after[10:] == [(IDLE, 0), (IDLE, 0)]
 
 
+def test_a_pin_has_a_duty_before_it_is_given_a_frequency(sketch: Sketch) -> None:
+    """Else an ESP32 keeps its PWM of 1 kHz. The harness aborts then."""
+    setup = "analogWriteFrequency(MOTOR_PIN_A,20000);analogWriteFrequency(MOTOR_PIN_B,20000)"
+    assert sketch(PWM_SETUP=setup, **TWO_PWMS)(["tick"])
+
+
 def test_a_host_that_dies_leaves_no_force_and_the_clock_makes_the_ticks(sketch: Sketch) -> None:
     """A force with a time to live of 50 acts for 51 samples; the watchdog is 100."""
     after = states_and_duties(sketch(), [ARM, force(0, 10000), *["tick"] * 110])
@@ -282,6 +289,14 @@ def test_an_as5600_goes_on_over_whole_turns_that_it_makes_while_idle(sketch: Ske
 def test_scales_and_rate_are_the_doubles_of_the_constants(register: int, value: float, sketch: Sketch) -> None:
     low, high = (int(line) for line in sketch()([f"register {register}", f"register {register + 1}"]))
     assert struct.unpack("<d", struct.pack("<II", low, high))[0] == value
+
+
+def test_the_scene_has_stable_detents_in_place_of_its_spring(tmp_path: Path) -> None:
+    text, found = re.subn(r"  spring: .*\n(.*\n)  # (detent: )", r"\1  \2", SCENE.read_text("utf-8"))
+    path = tmp_path / "detents.yaml"
+    path.write_text(text, "utf-8")
+    assert found == 1
+    assert hapsim.predict(hapsim.load_scene(path)).stable
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")

@@ -22,6 +22,7 @@ void pinMode(uint8_t pin, uint8_t mode);
 void digitalWrite(uint8_t pin, uint8_t level);
 int digitalRead(uint8_t pin);
 void analogWrite(uint8_t pin, int duty);
+void analogWriteFrequency(uint8_t pin, uint32_t frequency);
 int analogRead(uint8_t pin);
 void attachInterrupt(uint8_t number, void (*handler)(void), int mode);
 void noInterrupts();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: MIT */
-/* The pins of a program that is the sketch, included after it: they keep what the sketch writes. Both inputs of a bridge
- * at once, or a change of direction under power, abort the program. */
+/* The pins of a program that is the sketch, included after it: they keep what the sketch writes. Both inputs of a
+ * bridge at once, or a change of direction under power, abort the program. */
 #ifndef UNO_PINS_H
 #define UNO_PINS_H
 
@@ -8,6 +8,7 @@
 #include <stdlib.h>
 
 static int duties[32], levels[32];
+static bool has_duty[32];
 static void (*handlers[2])(void);
 static uint8_t at; /* the register that the AS5600 sends next */
 TwoWire Wire;
@@ -29,7 +30,15 @@ int digitalRead(uint8_t pin) {
 
 void analogWrite(uint8_t pin, int duty) {
     duties[pin] = duty;
+    has_duty[pin] = true;
     if (DRIVER == TWO_PWMS && duties[MOTOR_PIN_A] && duties[MOTOR_PIN_B]) {
+        abort();
+    }
+}
+
+/* As on an ESP32: a pin without a duty takes no frequency. */
+void analogWriteFrequency(uint8_t pin, uint32_t) {
+    if (!has_duty[pin]) {
         abort();
     }
 }

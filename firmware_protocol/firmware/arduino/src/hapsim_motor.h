@@ -319,8 +319,8 @@ static void hapsim_motor_begin() {
     if (DRIVER == TWO_PWMS) {
         hapsim_start_pwm(MOTOR_PIN_B);
     }
+    hapsim_device_init(); /* writes a duty of 0: an ESP32 takes a frequency only for a pin that has one */
     PWM_SETUP;
-    hapsim_device_init();
     hapsim_start_sensor();
     hapsim_sense();
     hapsim_sense(); /* the first reading sets the position */

@@ -11,7 +11,7 @@
 #define ENABLE_PIN NO_PIN        /* the driver's enable or sleep input: high while the device is armed */
 
 #define MOTION ROTARY            /* ROTARY: rad, N m; LINEAR: m, N */
-#define COUNTS 2400              /* of the sensor over TRAVEL: encoder 4 a line; AS5600 4096; potentiometer 1023 or 4095 */
+#define COUNTS 2400              /* over TRAVEL: encoder 4 a line; AS5600 4096; potentiometer 1023 (ESP32: 4095) */
 #define TRAVEL 6.283185307       /* rad: a turn; a potentiometer's angle or, in m, its stroke */
 #define POSITION_SIGN 1          /* 1 or -1: the direction of larger positions */
 #define FORCE_SIGN 1             /* 1 or -1: a positive force must push towards larger positions */
@@ -23,8 +23,9 @@
 #define RATE_HZ 250              /* 500 at 250000 baud, 1000 at 500000 baud or by USB */
 
 #define PWM_TOP 255              /* the duty for FULL_FORCE */
-#define PWM_SETUP                /* AVR: none needed. Teensy, ESP32: analogWriteFrequency(MOTOR_PIN_A, 20000);
-                                    STM32: analogWriteFrequency(20000); RP2040: analogWriteFreq(20000); */
+#define PWM_SETUP                /* AVR: none needed. Teensy, ESP32: analogWriteFrequency(MOTOR_PIN_A, 20000), and with
+                                    TWO_PWMS the same for MOTOR_PIN_B; STM32: analogWriteFrequency(20000);
+                                    RP2040: analogWriteFreq(20000) */
 
 #include <hapsim_motor.h>
 
