@@ -112,13 +112,13 @@ static uint8_t hapsim_odd = 2; /* bad readings in a row */
 #if SENSOR == AS5600
 enum { AS5600_ADDRESS = 0x36, AS5600_FILTER = 0x07, AS5600_STATUS = 0x0b, AS5600_MAGNET = 0x20 };
 
-/* Limits a transfer to 1 ms. Else a broken wire stops loop(), with the motor on: on an AVR for ever, on other cores for
- * 25 to 1000 ms. The compiler takes the function whose call the core has; the last one, where there is none. */
+/* Limits a transfer to 1 or 2 ms. Else a broken wire stops loop(), with the motor on: on an AVR for ever, on other cores
+ * for 25 to 1000 ms. The compiler takes the function whose call the core has; the last one, where there is none. */
 template <typename W> auto hapsim_limit(W &wire, int) -> decltype(wire.setWireTimeout(1, true)) { /* AVR: us */
     return wire.setWireTimeout(1000, true);
 }
-template <typename W> auto hapsim_limit(W &wire, int) -> decltype(wire.setTimeOut(1)) { /* ESP32: ms */
-    return wire.setTimeOut(1);
+template <typename W> auto hapsim_limit(W &wire, int) -> decltype(wire.setTimeOut(2)) { /* ESP32: ticks of 1 ms */
+    return wire.setTimeOut(2);
 }
 template <typename W> auto hapsim_limit(W &wire, int) -> decltype(wire.setTimeout(1, true)) { /* RP2040: ms */
     return wire.setTimeout(1, true);
