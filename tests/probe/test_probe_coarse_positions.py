@@ -1,4 +1,4 @@
-"""How probe sees a response of about one count: the rounding of positions is no friction."""
+"""The response of about one count that probe sees: the rounding of positions is no friction."""
 
 from __future__ import annotations
 

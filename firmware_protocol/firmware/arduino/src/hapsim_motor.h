@@ -281,6 +281,7 @@ void hapsim_port_put_forces(const int32_t *counts) {
     hapsim_drive(duty > 0, duty < 0 ? -duty : duty);
 }
 
+/* On a core whose port never tells its room nothing is sent. */
 bool hapsim_port_write(const uint8_t *bytes, size_t count) {
     return HOST_PORT.availableForWrite() >= (int)count && HOST_PORT.write(bytes, count) == count;
 }
