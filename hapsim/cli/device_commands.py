@@ -13,6 +13,7 @@ from rich.markup import escape
 from hapsim.cli.command_options import Json, SceneFile, flag, load, option
 from hapsim.cli.live import live_line
 from hapsim.cli.output import document, print_message, stderr, stdout, table
+from hapsim.loop.system import missing_calls
 
 Link = Annotated[Path | None, option("PATH", "Symbolic link to create for the port.")]
 
@@ -54,7 +55,8 @@ def ports(json: Json = False) -> None:
     elif found:
         show_ports(stdout(), found)
     else:
-        print_message("No serial port was found. `hapsim mock SCENE` serves a device without hardware.")
+        without = "`hapsim run SCENE` has a mock in memory" if missing_calls() else "`hapsim mock SCENE` serves a device"
+        print_message(f"No serial port was found. {without} without hardware.")
 
 
 def sound(json: Json = False) -> None:

@@ -117,7 +117,9 @@ def _machine(machine: Machine) -> str:
     facts = [
         machine.cpu or "unknown processor",
         f"{machine.cores_allowed or '?'} of {machine.cores_online or '?'} cores{threads}",
-        f"Linux {machine.kernel}, {'PREEMPT_RT' if machine.preempt_rt else 'not a real-time kernel'}",
+        f"Linux {machine.kernel}, {'PREEMPT_RT' if machine.preempt_rt else 'not a real-time kernel'}"
+        if machine.system == "Linux"
+        else machine.system,
         f"clock {machine.clock_source}" if machine.clock_source else "",
         f"governor {', '.join(machine.governors)}" if machine.governors else "",
         f"cores kept free: {machine.isolated}" if machine.isolated else "",
@@ -192,7 +194,7 @@ def examination_document(examination: Examination) -> dict[str, Any]:
         ending = {"error": failed.failure, "exit_status": failed.exit_status}
     made = zip(examination.exchanges, examination.verdicts, strict=True)
     return {
-        **pick(examination, "scene rate_hz steps seconds_each=seconds machine grants load"),
+        **pick(examination, "scene rate_hz steps seconds_each=seconds machine grants load shortest_sleep_s"),
         "wakeups": [{"rate_hz": rate, "lateness": _durations(one)} for rate, one in examination.wakeups.items()],
         "exchanges": [_exchanges_document(run, verdict) for run, verdict in made],
         "in_time_means": IN_TIME,

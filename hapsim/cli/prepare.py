@@ -137,10 +137,12 @@ def service(
     json: Json = False,
 ) -> None:
     """Print a systemd unit that runs SCENE, waits for its device and reports its status to the service manager."""
+    from hapsim.loop.system import require_linux
     from hapsim.prediction import predict
     from hapsim.running.requirements import refusal_to_arm
     from hapsim.running.service import service_access_problem, unit_for, unit_name
 
+    require_linux("a service of systemd", "`hapsim run SCENE --reconnect` waits for the device; start it as a program")
     require_file(scene, "SCENE")
     loaded = load(scene, port)
     on = loaded.device.port

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,6 +71,7 @@ class Machine:
     virtual: str  # the hypervisor of a virtual machine, by its name if that is known
     smt: bool | None  # whether two threads share a core
     isolated: str  # cores that the kernel keeps free of other work, such as 2-3
+    system: str = "Linux"  # with its version where it is another one
 
 
 def machine_of(tree: SystemFiles) -> Machine:
@@ -92,6 +94,12 @@ def machine_of(tree: SystemFiles) -> Machine:
         smt={"1": True, "0": False}.get(tree.text(f"{cpus}/smt/active")),
         isolated=tree.text(f"{cpus}/isolated"),
     )
+
+
+def machine_without_linux() -> Machine:
+    """Returns what Python knows about this machine, whose system has no such files."""
+    cores = os.cpu_count()
+    return Machine(platform.processor(), cores, cores, "", False, (), "", "", None, "", platform.platform())
 
 
 def _count(cores: str) -> int | None:
@@ -179,6 +187,7 @@ class Situation:
     """The real-time privileges that were requested; None if none were."""
     worst_wakeup_s: float | None = None
     keeps_up: bool = True  # whether every rate was a yes
+    shortest_sleep_s: float | None = None  # where the system is not Linux
     again: str = "hapsim doctor"  # what examines the same again, for a shell
     load: Load | None = None
     may_open: Callable[[Path], bool] = lambda path: os.access(path, os.R_OK | os.W_OK)
@@ -196,7 +205,9 @@ Found = Iterator[tuple[str, dict[str, str]]]
 def advice_on(case: Situation) -> list[Advice]:
     """Returns everything that would help, what helps most first."""
     table = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))
-    applies = dict(itertools.chain(_about_machine(case), _about_port(case), _about_limits(case)))
+    on_linux = itertools.chain(_about_machine(case), _about_port(case), _about_limits(case))
+    python_loop = {"system": case.machine.system, "sleep": short_duration(case.shortest_sleep_s)}
+    applies = dict(on_linux) if case.machine.system == "Linux" else {"python_loop": python_loop}
     advice = []
     for name in filter(applies.__contains__, table):
         commands = tuple(command.format(**applies[name]) for command in table[name].pop("commands", ()))

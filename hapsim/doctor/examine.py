@@ -11,11 +11,28 @@ from typing import TYPE_CHECKING
 
 from hapsim.device.connection import describe
 from hapsim.device.open_connection import TransportKind, open_connection
-from hapsim.doctor.advice import Situation, SystemFiles, advice_on, cpu_times, load_between, machine_of
-from hapsim.doctor.exchanges import MOCK, best_rate, exchanges, require_measurable, trials, verdict_on, wake_up_latency
+from hapsim.doctor.advice import (
+    Situation,
+    SystemFiles,
+    advice_on,
+    cpu_times,
+    load_between,
+    machine_of,
+    machine_without_linux,
+)
+from hapsim.doctor.exchanges import (
+    MOCK,
+    best_rate,
+    exchanges,
+    require_measurable,
+    shortest_sleep_s,
+    trials,
+    verdict_on,
+    wake_up_latency,
+)
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.loop.system import require_linux
+from hapsim.loop.system import missing_calls, require_linux
 from hapsim.number_format import frequency
 from hapsim.running.requirements import require_compatible
 from hapsim.scene import Scene, parse_scene
@@ -56,6 +73,7 @@ class Examination:
     verdicts: tuple[Verdict, ...]  # one for each of `exchanges`
     load: Load | None
     advice: tuple[Advice, ...]
+    shortest_sleep_s: float | None = None  # median; None on Linux, where the loop sleeps to a deadline
     steps: int = 0  # how many measurements it is made of
     stopped_after: int | None = None
     """Number of measurements made before an interrupt; None if it was not interrupted."""
@@ -107,11 +125,14 @@ def examine(
 
     tree, run, report = tree or SystemFiles(), run or run_to_end, on_progress or (lambda _: None)
     examined, rates, to_run = _to_measure(scene, seconds, rates, transport)
+    elsewhere = bool(missing_calls())
+    if realtime:
+        require_linux("--realtime", "leave it out")
     (ask or _ask)(to_run[0])
-    before = cpu_times(tree)
+    before, sleep_s = (None, shortest_sleep_s()) if elsewhere else (cpu_times(tree), None)
     wakeups, grants, made = _measure(rates, to_run, seconds, realtime, run, report)
     steps, done, granted = len(rates) + len(to_run), len(wakeups) + len(made), tuple(grants) if realtime else None
-    verdicts, machine = tuple(map(verdict_on, made)), machine_of(tree)
+    verdicts, machine = tuple(map(verdict_on, made)), machine_without_linux() if elsewhere else machine_of(tree)
     case = Situation(
         tree,
         machine,
@@ -119,6 +140,7 @@ def examine(
         granted,
         worst_wakeup_s=max(histogram.maximum for histogram in wakeups.values()),
         keeps_up=all(verdict.answer == "yes" for verdict in verdicts),
+        shortest_sleep_s=sleep_s,
         again=_again(scene, to_run[0].where),
         load=load_between(before, cpu_times(tree), machine.cores_online, tree),
     )
@@ -133,6 +155,7 @@ def examine(
         verdicts,
         case.load,
         tuple(advice_on(case)),
+        sleep_s,
         steps,
         stopped_after=done if done < steps else None,
     )
@@ -144,7 +167,6 @@ def _to_measure(
     """Returns (the scene to examine, the rates, in order, the runs). Raises UsageError."""
     if transport == "loopback":
         raise UsageError("--transport: found loopback, which has no time of its own; expected terminal, or nothing")
-    require_linux("hapsim doctor, which examines the compiled loop,", "`hapsim run --portable` reports how late it is")
     if scene is None:
         from hapsim.scene.shipped import shipped_scene
 

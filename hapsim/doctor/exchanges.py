@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import operator
+import statistics
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -20,6 +22,7 @@ from hapsim.errors import HapsimError, RunError, UsageError
 from hapsim.loop.clocks import GRID, sleep_on_grid
 from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram, histogram_of
+from hapsim.loop.system import missing_calls
 from hapsim.number_format import frequency, share_in_percent
 from hapsim.scene import Clock, Scene
 
@@ -31,6 +34,7 @@ OnProgress = Callable[[float, str], None]
 """Called with the time (s) since a measurement began, and the function that is being compiled for it, or ""."""
 
 _LOOK_S = 0.05
+_SLEEPS = 100
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 1e5
 _MOST_WAKEUPS = 1e12
 
@@ -64,8 +68,10 @@ def wake_up_latency(
     require_measurable(rate_hz, seconds)
     grid = new_record(GRID)
     grid.period_ns = round(1e9 / rate_hz)
-    with on_compilation(lambda name: on_progress(0.0, name)):
-        compile_for(sleep_on_grid, grid)
+    sleep = sleep_on_grid.py_func if missing_calls() else sleep_on_grid  # as the loop sleeps on this system
+    if sleep is sleep_on_grid:
+        with on_compilation(lambda name: on_progress(0.0, name)):
+            compile_for(sleep, grid)
     failures: list[BaseException] = []
 
     def work() -> None:
@@ -73,10 +79,10 @@ def wake_up_latency(
         try:
             with _punctual(realtime) as grants:
                 on_grants(grants)
-                now = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+                now = time.monotonic_ns()
                 grid.due_ns = now + int(grid.period_ns)
                 grid.end_ns = now + round(rate_hz * seconds) * int(grid.period_ns)
-                sleep_on_grid(grid)
+                sleep(grid)
         except BaseException as failure:
             failures.append(failure)
 
@@ -94,6 +100,15 @@ def wake_up_latency(
             raise failure
         raise HapsimError(f"the sleeping thread failed: {failure}") from failure
     return histogram_of(grid.lateness, 1e-9)
+
+
+def shortest_sleep_s() -> float:
+    """Returns the median duration of a sleep of a microsecond, s: the step of the system's timer."""
+    times = [time.perf_counter()]
+    for _ in range(_SLEEPS):
+        time.sleep(1e-6)
+        times.append(time.perf_counter())
+    return statistics.median(map(operator.sub, times[1:], times))
 
 
 @contextlib.contextmanager

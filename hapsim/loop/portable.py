@@ -6,7 +6,6 @@ so forces and guards are the same.
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from typing import Any
@@ -24,6 +23,9 @@ from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_for
 from hapsim.loop.transport import PythonTransport
 
 
+_UNIT_NS = 1_000_000  # of timeouts of Windows' ports
+
+
 class PortableTransport:
     """A port of pyserial."""
 
@@ -36,18 +38,33 @@ class PortableTransport:
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         """Waits for bytes and receives all. Returns their count, or a code of endings.py."""
         try:
-            timeout_s = max(timeout_ns, 0) * 1e-9
-            if sys.platform == "win32":
-                timeout_s = math.ceil(timeout_s * 1e3) * 1e-3  # the unit of its ports
-            if timeout_s != self._serial.timeout:  # on Windows a new one sets up the whole port again
-                self._serial.timeout = timeout_s
-            data = self._serial.read(1)
+            data = self._first_byte(max(timeout_ns, 0))
             if data:
                 data += self._serial.read(min(self._serial.in_waiting, buffer.size - 1))
         except (OSError, TypeError):  # pyserial's own errors are OSErrors; TypeError: the port was closed meanwhile
             return HUNG_UP
         buffer[: len(data)] = np.frombuffer(data, np.uint8)
         return len(data) if data else TIMED_OUT
+
+    def _first_byte(self, timeout_ns: int) -> bytes:
+        """Waits for a byte; returns b"" after the timeout.
+
+        On Windows a new timeout of pyserial sets up the whole port again, so it stays at its unit, a millisecond. Less
+        than that is waited for by looking.
+        """
+        serial, windows = self._serial, sys.platform == "win32"
+        wait_s = _UNIT_NS * 1e-9 if windows else timeout_ns * 1e-9
+        if serial.timeout != wait_s:
+            serial.timeout = wait_s
+        if not windows:
+            return bytes(serial.read(1))
+        give_up = time.monotonic_ns() + timeout_ns
+        while True:
+            left_ns = give_up - time.monotonic_ns()
+            if (serial.in_waiting or left_ns >= _UNIT_NS) and (data := serial.read(1)):
+                return bytes(data)
+            if left_ns <= 0:
+                return b""
 
     def send(self, frame: bytes) -> int:
         """Sends a frame. Returns 0, HUNG_UP, or FAILED if the port takes nothing within its timeout."""

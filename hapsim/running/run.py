@@ -15,6 +15,8 @@ from hapsim.device.connection import Connection, arm
 from hapsim.errors import UsageError
 from hapsim.loop import endings
 from hapsim.loop.compiled_loop import run_loop
+from hapsim.loop.portable import PortableLoop
+from hapsim.loop.system import missing_calls
 from hapsim.recording.recorder import Recorder
 from hapsim.recording.trace import Trace
 from hapsim.running import outcome
@@ -105,19 +107,24 @@ def run_in_memory(scene: Scene, *, duration: float, excitation: Excitation | Per
         raise UsageError(f"device: found clock: {scene.device.clock}, expected lockstep, and no port")
     options = RunOptions(duration=duration, excitation=excitation)
     require_runnable(scene, options)
-    compile_ahead(("loop", *DEVICE_UNITS["loopback"]), Counted(lambda *_: None))
+    loop_units = () if missing_calls() else ("loop",)
+    compile_ahead((*loop_units, *DEVICE_UNITS["loopback"]), Counted(lambda *_: None))
     mock = assemble_mock(scene)
     connection = Connection(loopback_transport(mock), name, close=lambda: None, mock=mock)
     description = from_registers(mock.registers)
     require_compatible(scene, name, description)
     loop = assemble_loop(scene, connection, description, options)
     require_in_time(loop.rendered_scene)
-    compile_for(run_loop, loop.record)
+    body: Callable[[Any], int] = run_loop
+    if missing_calls():
+        body = PortableLoop(loop.record, loop.inbox, connection.transport).run
+    else:
+        compile_for(run_loop, loop.record)
     recorder = Recorder(loop.ring, keep=True)
     arm(connection, description, PACING["lockstep"], loop.watchdog_samples, bool(scene.sensed_links))
     ending = endings.RING_FULL
     while ending == endings.RING_FULL:
-        ending = run_loop(loop.record)
+        ending = body(loop.record)
         recorder.collect()
     trace = outcome.trace_of(scene, loop, recorder, ending)
     released = int(mock.board.state) in (schema.IDLE, schema.LATCHED)

@@ -281,7 +281,8 @@ class Session(SessionView):
             self._over.set()
         if self._reader.ident is None:  # the device was not armed
             self._collect_and_finish()
-        self._done.wait()
+        while not self._done.wait(_COLLECT_S):  # in slices: Windows handles a second Ctrl-C between them
+            pass
         failure, self._failure = self._failure, None
         if failure is not None:
             _open.remove(self)

@@ -59,6 +59,7 @@ def serve_status(path: Path, document: Callable[[], str], idle_priority: bool = 
 def path_for(port: str | None) -> Path:
     """Returns the default path for a run on this port, and makes its directory, which only its owner may enter. Raises
     UsageError if that fails or the directory belongs to another user."""
+    _require_unix_sockets()
     folder = _folders()[0]
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -75,6 +76,7 @@ def path_for(port: str | None) -> Path:
 
 def sockets(port: str | None = None) -> list[Path]:
     """Returns every default socket, of any port or of this one, without those of other users."""
+    _require_unix_sockets()
     name = ("*" if port is None else _name(port)) + _ENDING
     found: dict[Path, None] = {}
     for folder in _folders():
@@ -144,9 +146,13 @@ def _make_room(path: Path) -> None:
     path.unlink()
 
 
-def _unix_socket() -> socket.socket:
+def _require_unix_sockets() -> None:
     if not hasattr(socket, "AF_UNIX"):
         raise UsageError("--status and `hapsim status` take unix sockets, which this system does not have")
+
+
+def _unix_socket() -> socket.socket:
+    _require_unix_sockets()
     made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     made.settimeout(_TIMEOUT_S)
     return made

@@ -14,6 +14,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 import tempfile
 import threading
 import time
@@ -38,7 +39,7 @@ from hapsim.whole_file import file_for_hdf5
 if TYPE_CHECKING:
     import xarray
 
-_LOOK_S = 1.0
+_MOST_ON_WINDOWS = 61  # processes that its system call waits for
 _REACHED_S = 10.0
 
 
@@ -66,24 +67,27 @@ def executor_of(jobs: int, scheduler: str | None, task: Task, first: Any) -> Ite
         yield Here(), 1
     else:
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(jobs, context, initializer=_begin, initargs=(os.getpid(), task, first))
+        jobs = min(jobs, _MOST_ON_WINDOWS) if sys.platform == "win32" else jobs
+        pool = ProcessPoolExecutor(jobs, context, initializer=_begin, initargs=(context.Lock(), task, first))
         try:
             yield pool, jobs
         finally:
             pool.shutdown(cancel_futures=True)
 
 
-def _begin(parent: int, task: Task, first: Any) -> None:
+def _begin(turn: Any, task: Task, first: Any) -> None:
     """Prepares a process of the pool: it ignores Ctrl-C, which its parent handles, and ends with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:
-        while os.getppid() == parent:
-            threading.Event().wait(_LOOK_S)
+        parent = multiprocessing.parent_process()
+        assert parent is not None
+        parent.join()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    ready(task, first)
+    with turn:
+        ready(task, first)
 
 
 def ready(task: Task, first: Any) -> None:

@@ -1,5 +1,4 @@
-"""`hapsim …` as on a system that is not Linux. Commands come as JSON on standard input, `[["run", "scene.yaml"], …]`,
-and answers go, as [status, output, errors] of each, to standard output.
+"""`hapsim …` as on a system that is not Linux, many times in one process (see answers.py).
 
 What such a system lacks is taken away before anything is imported: modules of Python, functions of `os`, `time` and
 `signal`, the system calls of the loop. They are gone for LLVM too, so that whatever is compiled all the same, or was
@@ -10,17 +9,17 @@ that it is another one, stands a port behind which the mock of the scene answers
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import signal
+import socket
 import sys
 import sysconfig
-import tempfile
 import time
 import types
 from typing import Any
 
 import llvmlite.binding
+from answers import answer_all
 
 MODULES = ("crypt", "fcntl", "grp", "nis", "pty", "pwd", "resource", "spwd", "syslog", "termios", "tty")
 CALLS = ("clock_gettime", "clock_nanosleep", "poll", "ppoll", "read", "write", "__errno_location")
@@ -31,6 +30,7 @@ FUNCTIONS: dict[Any, tuple[str, ...]] = {
     ),
     time: tuple(name for name in dir(time) if name.startswith(("clock_", "CLOCK_"))),
     signal: ("SIGHUP",),
+    socket: ("AF_UNIX",),
 }
 
 
@@ -56,7 +56,7 @@ class Serial:
         from hapsim.device.mock.paced_mock import PacedMock
         from hapsim.scene import load_scene
 
-        if port != self.port_of:
+        if port not in (self.port_of, os.devnull):  # `frames` takes an existing file
             raise SerialException(f"could not open port {port!r}")
         self.port, self.baudrate, self.timeout = port, baudrate, timeout
         self._mock = assemble_mock(load_scene(self.scene))
@@ -121,26 +121,11 @@ def become_another_system() -> None:
     sys.modules.update(pyserial())
 
 
-def answer_to(words: list[str]) -> tuple[int, str, str]:
-    """Returns the exit status, output and errors of `hapsim` with these words."""
-    from hapsim.cli import main
-
-    Serial.scene = next((word for word in words if word.endswith(".yaml")), "")
-    sys.argv = ["hapsim", *words]
-    kept, status = [os.dup(number) for number in (1, 2)], 0
-    with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
-        for number, file in enumerate((output, errors), 1):
-            os.dup2(file.fileno(), number)
-        try:
-            main()
-        except SystemExit as end:
-            status = int(end.code or 0)
-        for number, stream in enumerate((sys.stdout, sys.stderr), 1):
-            stream.flush()
-            os.dup2(kept[number - 1], number)
-        return status, *(file.seek(0) or file.read() for file in (output, errors))
+def choose_mock(words: list[str]) -> None:
+    """The port is that of the first scene among a command's words, or of the command before."""
+    Serial.scene = next((word for word in words if word.endswith(".yaml")), Serial.scene)
 
 
 if __name__ == "__main__":
     become_another_system()
-    print(json.dumps([answer_to(words) for words in json.load(sys.stdin)]))
+    answer_all(choose_mock)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import io
 import json
+import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,9 +24,13 @@ from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.paced_mock import PacedMock
 from hapsim.device.ports import open_portable_port
 from hapsim.errors import UsageError
+from hapsim.loop.endings import TIMED_OUT
 from hapsim.loop.portable import PortableTransport
 from hapsim.recording.trace import load_trace
 from hapsim.scene import load_scene
+
+sys.path.insert(0, str(Path(__file__).parent))
+from another_system import FUNCTIONS, MODULES
 
 ANOTHER_SYSTEM = Path(__file__).with_name("another_system.py")
 Hapsim = Callable[..., Any]
@@ -64,8 +71,8 @@ def python(*words: object, given: str = "") -> str:
 
 def elsewhere(*commands: Sequence[object]) -> list[tuple[int, str, str]]:
     """(status, output, errors) of each `hapsim …`, all in one process on another system."""
-    given = json.dumps([list(map(str, words)) for words in commands])
-    return [tuple(answer) for answer in json.loads(python(ANOTHER_SYSTEM, given=given))]
+    given = "".join(json.dumps(list(map(str, words))) + "\n" for words in commands)
+    return [tuple(json.loads(line)) for line in python(ANOTHER_SYSTEM, given=given).splitlines()]
 
 
 def done(*commands: Sequence[object]) -> list[str]:
@@ -122,20 +129,112 @@ def test_what_needs_no_real_time_works(hapsim: Hapsim, scene_file: SceneFile, tm
         np.testing.assert_array_equal(getattr(there, name), getattr(here, name))
 
 
+START = """
+import hapsim
+with hapsim.start(SCENE, duration=0.2) as session:
+    session.set({"touch": {"stiffness": 500.0}})
+    session.wait()
+print(session.trace.report.ending, session.parameters["touch.stiffness"].value)
+"""
+
+
+def test_whatever_opens_a_port_works_on_it(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path) -> None:
+    """What is measured is equal to Linux's; a sweep's numbers, which come without a session, too."""
+    scene, on_port = scene_file("spring"), ("--port", "COM3", "--json")
+    sweep = ("sweep", scene, "touch.stiffness=500,1000", "--json", "--out")
+    kept = tmp_path / "kept.trace"
+    told = done(
+        ("measure", scene, *on_port),
+        ("identify", scene, *on_port),
+        ("probe", "COM3", "--only", "arming", "--json"),
+        ("frames", os.devnull, "--duration", 0.05, "--json"),
+        (*sweep, tmp_path / "there.nc"),
+        ("-c", START.replace("SCENE", repr(str(scene)))),
+        ("run", scene, "--duration", 0.1, "--record", kept),
+        ("replay", kept),
+    )
+    measured, identified, probed, listened = map(json.loads, told[:4])
+    assert measured["measured"] == hapsim("measure", scene, "--json").document["measured"]
+    assert identified["identified"]["mass"]["value"] == pytest.approx(0.2, rel=1e-3)
+    assert (probed["failed"], listened["counters"]["bytes"]) == (0, 0)
+    here = hapsim(*sweep, tmp_path / "here.nc").document
+    assert json.loads(told[4])["variables"] == here["variables"]
+    assert told[5] == "done 500.0\n"
+    assert "all forces are identical" in told[7]
+
+
+def test_the_doctor_measures_the_loop_in_python(scene_file: SceneFile) -> None:
+    device = scene_file("spring", clock="device", rate=100.0)
+    told = done(
+        ("doctor", device, "--port", "COM3", "--seconds", 0.1, "--rates", 100),
+        ("doctor", "--seconds", 0.1, "--rates", "100,200", "--json"),
+    )
+    assert "exchanges of" in told[0].lower()
+    assert "Real-time scheduling, the governor" in " ".join(told[0].split())
+    found = json.loads(told[1])
+    assert found["shortest_sleep_s"] > 0.0
+    assert [one["lateness"]["count"] > 0 for one in found["wakeups"]] == [True] * 3  # and the scene's own rate
+    assert {(one["where"], one["clock"]) for one in found["exchanges"]} == {("mock", "device"), ("mock", "host")}
+    assert all(one["ticks"] > 0 for one in found["exchanges"])
+    (advice,) = found["advice"]
+    assert advice["found"].startswith("This system is not Linux (")
+    assert (found["load"], found["machine"]["governors"]) == (None, [])
+
+
 def test_what_takes_linux_states_it_in_a_sentence(scene_file: SceneFile, tmp_path: Path) -> None:
     device = scene_file("spring", clock="device").rename(tmp_path / "device.yaml")
     lockstep = scene_file("spring")
-    mock = "the mock on a pseudo-terminal takes Linux"
     refused = {
-        ("mock", lockstep): mock,
-        ("run", lockstep, "--realtime"): "--realtime takes Linux",
-        ("doctor", device): "hapsim doctor, which examines the compiled loop, takes Linux",
+        ("mock", lockstep): "the mock on a pseudo-terminal",
+        ("run", lockstep, "--realtime"): "--realtime",
+        ("doctor", device, "--realtime"): "--realtime",
+        ("faults", "noisy_wire", "--port", "COM3"): "faults on a pseudo-terminal",
+        ("service", device, "--port", "COM3"): "a service of systemd",
+        ("run", device, "--transport", "terminal", "--realtime"): "--realtime",
     }
     for told, (status, output, errors) in zip(refused.values(), elsewhere(*refused), strict=True):
         assert (status, output) == (2, "")
         *before, sentence = errors.splitlines()
-        assert sentence.startswith(f"{told}; this system (freebsd14) has no clock_gettime, ")
+        assert sentence.startswith(f"{told} takes Linux; this system (freebsd14) has no clock_gettime, ")
         assert not [line for line in before if not line.startswith("Warning: ")]
+
+
+def test_a_status_takes_unix_sockets(scene_file: SceneFile) -> None:
+    run = ("run", scene_file("spring"), "--duration", 0.05, "--status")
+    for status, _, errors in elsewhere((*run, "auto"), (*run, "here.sock"), ("status",), ("status", "COM3")):
+        assert status == 2
+        assert errors.endswith("--status and `hapsim status` take unix sockets, which this system does not have\n")
+
+
+POSIX_ONLY = {*MODULES, "readline"}
+"""Modules that Python has on POSIX alone."""
+
+
+@pytest.mark.parametrize("package", ["hapsim", "firmware_protocol"])
+def test_no_file_needs_posix_when_it_is_imported(package: str) -> None:
+    """Not those either that an import of everything leaves out, such as the firmware's tools."""
+    names = {one for names in FUNCTIONS.values() for one in names}
+    needed = []
+    for file in Path(str(find_spec(package).submodule_search_locations[0])).rglob("*.py"):  # type: ignore
+        for node in _run_at_import(ast.parse(file.read_text("utf-8")).body):
+            imported = [node.module] if isinstance(node, ast.ImportFrom) else []
+            imported = [alias.name for alias in node.names] if isinstance(node, ast.Import) else imported
+            needed += [f"{file}: {one}" for one in imported if str(one).partition(".")[0] in POSIX_ONLY]
+            if isinstance(node, ast.Attribute) and node.attr in names and isinstance(node.value, ast.Name):
+                needed += [f"{file}: {node.value.id}.{node.attr}"] * (node.value.id in ("os", "time", "signal"))
+    assert needed == []
+
+
+def _run_at_import(statements: Sequence[ast.stmt]) -> Iterator[ast.AST]:
+    """Yields every node that an import evaluates: not the bodies of functions."""
+    ahead: list[ast.AST] = list(statements)
+    while ahead:
+        node = ahead.pop()
+        yield node
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            ahead += [*node.args.defaults, *filter(None, node.args.kw_defaults), *getattr(node, "decorator_list", ())]
+        else:
+            ahead += ast.iter_child_nodes(node)
 
 
 def test_a_port_that_is_no_file_is_new_once(
@@ -194,6 +293,9 @@ def test_a_port_of_windows_is_not_set_up_again_for_each_position(monkeypatch: py
 
     monkeypatch.setattr("hapsim.loop.portable.sys", SimpleNamespace(platform="win32"))
     transport, buffer = PortableTransport(Port()), np.zeros(16, np.uint8)
-    for timeout_ns in (100_000_000, 99_990_000, 99_123_456, 600_000, 1_000_000):
+    for timeout_ns in (100_000_000, 99_990_000, 600_000, 0, 1_000_000):
         assert transport.receive(buffer, timeout_ns) == 4
-    assert timeouts == pytest.approx([0.1, 0.001])
+    assert timeouts == [0.001]
+    monkeypatch.setattr(Port, "in_waiting", 0)
+    monkeypatch.setattr(Port, "read", lambda *_: pytest.fail("a read would wait for a millisecond"))
+    assert transport.receive(buffer, 0) == transport.receive(buffer, 100_000) == TIMED_OUT
