@@ -12,6 +12,8 @@ from typing import Any
 
 from hapsim.errors import UsageError
 
+_LOCKED = (5, 32, 33)  # Windows' numbers: access denied, sharing violation, lock violation
+
 
 @contextlib.contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
@@ -30,7 +32,8 @@ def whole_file(path: str | Path) -> Iterator[Path]:
                 shutil.copymode(place, temporary)
             os.replace(temporary, place)
     except OSError as error:
-        raise UsageError(f"{path}: the file cannot be written: {error.strerror or error}") from error
+        hint = ": is it open in another program?" if getattr(error, "winerror", None) in _LOCKED else ""
+        raise UsageError(f"{path}: the file cannot be written: {error.strerror or error}{hint}") from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()

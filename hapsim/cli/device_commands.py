@@ -55,7 +55,9 @@ def ports(json: Json = False) -> None:
     elif found:
         show_ports(stdout(), found)
     else:
-        without = "`hapsim run SCENE` has a mock in memory" if missing_calls() else "`hapsim mock SCENE` serves a device"
+        without = (
+            "`hapsim run SCENE` has a mock in memory" if missing_calls() else "`hapsim mock SCENE` serves a device"
+        )
         print_message(f"No serial port was found. {without} without hardware.")
 
 

@@ -22,7 +22,6 @@ from hapsim.loop.endings import FAILED, HUNG_UP, RECEIVED, RING_FULL, RUNNING, T
 from hapsim.loop.exchange import HOST_CLOCK, compose_frame, flush_unsent, on_force_sent
 from hapsim.loop.transport import PythonTransport
 
-
 _UNIT_NS = 1_000_000  # of timeouts of Windows' ports
 
 

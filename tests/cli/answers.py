@@ -17,7 +17,10 @@ def answer_to(words: list[str]) -> tuple[int, str, str]:
 
     sys.argv = ["hapsim", *words]
     kept, status = [os.dup(number) for number in (1, 2)], 0
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as output, tempfile.TemporaryFile("w+", encoding="utf-8") as errors:
+    with (
+        tempfile.TemporaryFile("w+", encoding="utf-8") as output,
+        tempfile.TemporaryFile("w+", encoding="utf-8") as errors,
+    ):
         for number, file in enumerate((output, errors), 1):
             os.dup2(file.fileno(), number)
         try:
