@@ -68,8 +68,10 @@ def wake_up_latency(
     require_measurable(rate_hz, seconds)
     grid = new_record(GRID)
     grid.period_ns = round(1e9 / rate_hz)
-    sleep = sleep_on_grid.py_func if missing_calls() else sleep_on_grid  # as the loop sleeps on this system
-    if sleep is sleep_on_grid:
+    sleep: Any = sleep_on_grid
+    if missing_calls():
+        sleep = sleep.py_func  # as the loop sleeps there
+    else:
         with on_compilation(lambda name: on_progress(0.0, name)):
             compile_for(sleep, grid)
     failures: list[BaseException] = []

@@ -139,7 +139,7 @@ print(session.trace.report.ending, session.parameters["touch.stiffness"].value)
 
 
 def test_whatever_opens_a_port_works_on_it(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path) -> None:
-    """What is measured is equal to Linux's; a sweep's numbers, which come without a session, too."""
+    """Measured values are equal to Linux's, a sweep's as well, which come without a session."""
     scene, on_port = scene_file("spring"), ("--port", "COM3", "--json")
     sweep = ("sweep", scene, "touch.stiffness=500,1000", "--json", "--out")
     kept = tmp_path / "kept.trace"

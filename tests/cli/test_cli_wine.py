@@ -24,7 +24,7 @@ from hapsim.scene.shipped import shipped_scenes
 PLACE = Path(os.environ.get("HAPSIM_WINE", Path.home() / ".cache" / "hapsim-wine"))
 CLONE = Path(__file__).parents[2]
 PORT = f"COM{5 + int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])}"
-"""Of this worker."""
+"""Port of this worker's device."""
 
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -282,7 +282,7 @@ with open(table, "w") as file:
     assert not [one for one in tmp_path.iterdir() if one.name.startswith(".")]
 
 
-def test_what_is_not_there_is_said_in_a_sentence(windows: Windows, scene_file: SceneFile) -> None:
+def test_what_is_missing_ends_in_a_sentence(windows: Windows, scene_file: SceneFile) -> None:
     scene, takes = scene_file("spring", clock="device"), "takes Linux; this system (win32) has no clock_gettime, "
     sockets = "take unix sockets, which this system does not have"
     for words, status, sentence in (
