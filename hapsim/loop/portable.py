@@ -37,16 +37,16 @@ class PortableTransport:
     def receive(self, buffer: NDArray[np.uint8], timeout_ns: int) -> int:
         """Waits for bytes and receives all. Returns their count, or a code of endings.py."""
         try:
-            data = self._first_byte(max(timeout_ns, 0))
+            data = self._first_bytes(max(timeout_ns, 0), buffer.size)
             if data:
-                data += self._serial.read(min(self._serial.in_waiting, buffer.size - 1))
+                data += self._serial.read(min(self._serial.in_waiting, buffer.size - len(data)))
         except (OSError, TypeError):  # pyserial's own errors are OSErrors; TypeError: the port was closed meanwhile
             return HUNG_UP
         buffer[: len(data)] = np.frombuffer(data, np.uint8)
         return len(data) if data else TIMED_OUT
 
-    def _first_byte(self, timeout_ns: int) -> bytes:
-        """Waits for a byte; returns b"" after the timeout.
+    def _first_bytes(self, timeout_ns: int, most: int) -> bytes:
+        """Waits for a byte; returns it, or what was there already, and b"" after the timeout.
 
         On Windows a new timeout of pyserial sets up the whole port again, so it stays at its unit, a millisecond. Less
         than that is waited for by looking.
@@ -60,7 +60,8 @@ class PortableTransport:
         give_up = time.monotonic_ns() + timeout_ns
         while True:
             left_ns = give_up - time.monotonic_ns()
-            if (serial.in_waiting or left_ns >= _UNIT_NS) and (data := serial.read(1)):
+            waiting = min(serial.in_waiting, most)
+            if (waiting or left_ns >= _UNIT_NS) and (data := serial.read(waiting or 1)):
                 return bytes(data)
             if left_ns <= 0:
                 return b""
