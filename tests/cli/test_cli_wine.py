@@ -88,12 +88,12 @@ def windows() -> Iterator[Windows]:
 
 
 @contextlib.contextmanager
-def plugged_in(scene: Path) -> Iterator[None]:
-    """The scene's mock, on Linux, is at PORT of Windows inside."""
+def plugged_in(scene: Path | None = None, port: str = "") -> Iterator[None]:
+    """The scene's mock on Linux, or the device at this port of Linux, is at PORT of Windows inside."""
     link = PLACE / "prefix" / "dosdevices" / PORT.lower()
-    with serving(assemble_mock(load_scene(scene))) as port:
+    with serving(assemble_mock(load_scene(scene))) if scene else contextlib.nullcontext(port) as there:
         link.unlink(missing_ok=True)
-        link.symlink_to(port)
+        link.symlink_to(there)
         yield
     link.unlink()
 
@@ -191,6 +191,19 @@ def test_a_device_at_a_com_port_runs_is_measured_identified_and_probed(
     assert "all forces are identical" in windows("replay", record).out
     assert windows("export", record, tmp_path / "kept.csv").status == 0
     assert np.loadtxt(tmp_path / "kept.csv", delimiter=",", skiprows=1).shape[0] == report["ticks"]
+
+
+def test_the_reference_firmware_at_a_com_port_is_run_and_measured(
+    windows: Windows, start_board: Callable[..., Any], built: Path, tmp_path: Path
+) -> None:
+    scene, board = tmp_path / "knob.yaml", start_board("arduino_as5600", built, "lockstep=1")
+    text = (CLONE / "configs" / "boards" / "arduino.yaml").read_text("utf-8")
+    scene.write_text(text.replace("clock: device", "clock: lockstep"), "utf-8")
+    with plugged_in(port=board.port):
+        report = windows("run", scene, "--port", PORT, "--duration", 0.2, "--json").document
+        assert (report["ending"], report["ticks"]) == ("done", 50)
+        found = windows("measure", scene, "--port", PORT, "--json").document
+    assert found["measured"]["k"] == pytest.approx(found["predicted"]["k"], rel=0.05)
 
 
 def test_a_port_that_is_unplugged_ends_the_run_and_the_record_stays(
