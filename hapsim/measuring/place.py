@@ -241,7 +241,13 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
         piece,
         units,
     )
-    if (force := abs(float(hand.force(place.at)))) > (limit := force_limit(scene)):
+    _require_spring(place, abs(float(hand.force(place.at))), force_limit(scene))
+    return place
+
+
+def _require_spring(place: Place, force: float, limit: float) -> None:
+    """Raises UsageError if no spring holds the hand at this place. `force`: of the scene there, N; `limit`: of it."""
+    if force > limit:
         raise UsageError(
             f"at: {place.words()}, the scene asks for {place.units(force, 'N', 4)}, more than the force limit of "
             f"{place.units(limit, 'N')}. The force is clipped there, so the hand feels no spring. Choose a position "
@@ -260,4 +266,3 @@ def place_of(scene: Scene, channel: int, at: float | None) -> Place | None:
         )
     if place.room < _EDGE * min(place.high - place.low, 1.0):
         raise UsageError(f"at: {place.words()}, the hand is on the edge; expected a position within a region")
-    return place
