@@ -61,6 +61,7 @@ of it. Every turn from limit to limit within GAP_S is shaking, and SWINGS of the
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,8 @@ from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick
 from hapsim.number_format import duration, rounded_down, rounded_up
 
 ENERGY_EXCEEDED = -22
-STEADINESS_ADVICE = "`hapsim doctor` reports what would help this machine, and `--realtime` requests it"
+STEADINESS_ADVICE = "`hapsim doctor` reports what would help this machine"
+STEADINESS_ADVICE += ", and `--realtime` requests it" if sys.platform == "linux" else ""
 REFILL_S = 10.0  # time in which the tank of live changes fills
 _MANY_SLEWED = 0.1  # of all ticks
 MOST_STORED = 40.0  # credits: with infinite stored energy the guard would never trip
