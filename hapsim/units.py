@@ -36,8 +36,8 @@ _ROTARY = {
     "newton": "N·m",
     "metres": "radians",
 }
-#: The linear units that a rotary motion replaces.
-OF_MOTION = frozenset(_ROTARY)
+#: The linear units in which reports are; a rotary motion replaces all but that of an energy.
+OF_MOTION = frozenset([*_ROTARY, "J"])
 _SMALLER = {
     "mm": ("m", 1e3),
     "µm": ("m", 1e6),
@@ -45,7 +45,9 @@ _SMALLER = {
     "mm/s": ("m/s", 1e3),
     "mN": ("N", 1e3),
     "µN": ("N", 1e6),
+    "mJ": ("J", 1e3),
 }
+_LARGE = 1e6  # from here on numbers have an exponent
 _MARKED = re.compile("‹(one )?([^›]+)›")
 
 # What has a unit, and how a file may write it.
@@ -149,9 +151,10 @@ class Units:
         if isinstance(value, str):
             return value
         shown = self.scaled(value, unit)
-        if callable(form):
-            return form(shown)
-        return number(shown, form) if isinstance(form, int) else f"{shown:{form}}"
+        text = form(shown) if callable(form) else number(shown, form) if isinstance(form, int) else f"{shown:{form}}"
+        if "e+0" not in text or abs(float(text)) >= _LARGE:
+            return text
+        return f"{float(text):{'+' if text[0] == '+' else ''}.0f}"  # 4000 mN, not 4e+03 mN
 
     def rounded(self, value: float, uncertainty: float, unit: str) -> str:
         """Returns a number without its unit, to the second digit of its uncertainty."""

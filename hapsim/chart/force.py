@@ -12,7 +12,6 @@ from hapsim.chart import style
 from hapsim.chart.figure import drawn_in, figure_to, legend_below
 from hapsim.chart.hand import described
 from hapsim.errors import UsageError
-from hapsim.number_format import number
 from hapsim.prediction import Region, predict
 from hapsim.prediction.characteristic import Characteristic, hand_at
 from hapsim.prediction.correction import felt_error
@@ -130,7 +129,7 @@ def draw_force(chart: ForceChart, path: Path) -> None:
                 axes.axvspan(mm[0], mm[-1], label=_once("unstable", labels), **style.UNSTABLE_REGION)
             if region.kind == "snap":
                 axes.axvspan(mm[0], mm[-1], label=_once("snap", labels), **style.SNAP)
-                energy = f"{number(1e3 * region.snap_energy, 3)} mJ"
+                energy = units(region.snap_energy, "mJ", 3)
                 axes.text(float(mm.mean()), 0.98, energy, transform=axes.get_xaxis_transform(), **style.SNAP_ENERGY)
             look = (
                 style.NOT_HELD if math.isnan(error) else {"color": colours.to_rgba(np.array(max(error, _LEAST_ERROR)))}

@@ -119,7 +119,7 @@ def plane(hands: Sequence[Hand], view: View, scale: Scale) -> Plane:
     sheets = [Sheet(configuration, view, scale) for configuration in configurations]
     several = len(sheets) > 1
     # One set of values for all masses, so that a curve can be followed from mass to mass.
-    values = curves.values_felt(sheets[len(sheets) // 2], *(_MOST_OF_A_FAMILY if several else _MOST))
+    values = curves.values_felt(sheets[len(sheets) // 2], *(_MOST_OF_A_FAMILY if several else _MOST), hands[0].units)
 
     def is_unstable(K: Floats, B: Floats) -> Bools:
         return np.any([~configuration.is_stable(K, B) for configuration in configurations], axis=0)

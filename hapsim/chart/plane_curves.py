@@ -21,6 +21,7 @@ from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
+from hapsim.units import Units
 
 _FAR_SMALLER = 6.0  # an operating point this much below the whole region would sit in its corner
 _AROUND_POINT = 3.0  # so the axes then end at this multiple of the point
@@ -253,8 +254,8 @@ def round_values(last: float, most: int) -> Floats:
     return np.array([float(f"{value:.10g}") for value in values if 0.0 < value <= last * (1.0 + 1e-9)])
 
 
-def values_felt(sheet: Sheet, most_k: int, most_b: int) -> tuple[Floats, Floats]:
-    """Returns round stiffnesses k and dampings b, as drawn, that are felt in the picture."""
+def values_felt(sheet: Sheet, most_k: int, most_b: int, units: Units) -> tuple[Floats, Floats]:
+    """Returns stiffnesses k and dampings b, as drawn, that are felt in the picture and round in `units`."""
     configuration = sheet.configuration
     K, B = sheet.mesh(coarse=2)
     k, b = configuration.equivalent(K, B)
@@ -264,7 +265,8 @@ def values_felt(sheet: Sheet, most_k: int, most_b: int) -> tuple[Floats, Floats]
     # The largest few are felt in a corner only, and would make the step too coarse for all the rest.
     k_last = sheet.scale.of_stiffness(float(np.quantile(k[seen], 0.98)))
     b_last = sheet.scale.of_damping(float(np.quantile(b[seen], 0.98)))
-    return round_values(k_last, most_k), round_values(b_last, most_b)
+    of = (1.0, 1.0) if sheet.scale.normalised else (units.scaled(1.0, "N/m"), units.scaled(1.0, "N·s/m"))
+    return round_values(k_last * of[0], most_k) / of[0], round_values(b_last * of[1], most_b) / of[1]
 
 
 def iso_curves(sheet: Sheet, k_values: Floats, b_values: Floats) -> list[Curve]:

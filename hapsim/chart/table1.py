@@ -125,8 +125,9 @@ def table1(
     configuration, K, B, k, b = _springs(hand, as_scene, corrected=correction != "none")
     b0 = configuration.friction
     if 2.0 * b - b0 < 0.0:
+        felt, real = hand.units(b, "N·s/m", ".4g"), hand.units(b0, "N·s/m", ".4g")
         raise UsageError(
-            f"{hand.name} feels b = {hand.units(b, 'N·s/m', '.4g')}, less than half of its real friction of {b0:.4g}: "
+            f"{hand.name} feels b = {felt}, less than half of its real friction of {real}: "
             "no real damper does that; omit --as-scene, or give more damping"
         )
     built = {

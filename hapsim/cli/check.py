@@ -223,8 +223,8 @@ def _guards(scene: Scene, prediction: Prediction) -> Iterator[str]:
     soft = f", soft start {duration(bounds.soft_start_s)}" if bounds.soft_start_s > 0.0 else ""
     silence = duration(host_silence(prediction.rate).zero_force_after_s)
     yield (
-        f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy {bounds.energy_limit:g} "
-        f"J; zero force {silence} after the host dies"
+        f"Guards: force {scene.units(scene.device.force_limit, 'N', 'g')}{slew}{soft}, energy "
+        f"{scene.units(bounds.energy_limit, 'J', 'g')}; zero force {silence} after the host dies"
     )
 
 

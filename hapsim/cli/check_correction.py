@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from hapsim.cli.output import Line, table
-from hapsim.number_format import between, percent, rounded_up
+from hapsim.number_format import percent, rounded_up
 from hapsim.prediction import Desired, Prediction, predict
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.linear import with_device
@@ -27,15 +27,17 @@ def tolerance_sentences(prediction: Prediction, shares: Sequence[float]) -> Iter
     for felt in prediction.felt:
         for one in prediction.tolerances(felt.name, shares):
             units = prediction.scene.units_of(felt.channel)
-            mass, friction, delay = (_within(*span) for span in (one.mass, one.friction, one.delay))
+            mass, friction = _within(units, one.mass, "kg"), _within(units, one.friction, "N·s/m")
+            delay = _within(units, one.delay, "samples")
             yield (
                 f"{escape(felt.name)} feels what is desired within {percent(one.share)} where its mass is "
-                f"{units(mass, 'kg')}, its friction {units(friction, 'N·s/m')}, or the delay {delay} samples"
+                f"{mass}, its friction {friction}, or the delay {delay}"
             )
 
 
-def _within(least: float, most: float) -> str:
-    return f"{rounded_up(least)} or more" if math.isinf(most) else between(least, most)
+def _within(units: Units, span: tuple[float, float], unit: str) -> str:
+    least, most = span
+    return f"{units(least, unit, rounded_up)} or more" if math.isinf(most) else units.between(least, most, unit)
 
 
 def correction_lines(prediction: Prediction) -> Iterator[Line]:
@@ -57,7 +59,7 @@ def correction_lines(prediction: Prediction) -> Iterator[Line]:
         poles = predict(with_device(prediction.scene, correction="poles"), with_margins=False)
         for felt in prediction.felt:
             for one in poles.tolerances(felt.name, SHARES[:1]):
-                mass = prediction.scene.units_of(felt.channel)(_within(*one.mass), "kg")
+                mass = _within(prediction.scene.units_of(felt.channel), one.mass, "kg")
                 yield f"With correction: poles {escape(felt.name)} would feel it within {percent(one.share)} for {mass}"
     for note in rendering.notes:
         yield f"[yellow]Of the correction:[/yellow] {escape(note)}."

@@ -274,8 +274,9 @@ def force_sentences(scene: Scene, prediction: Prediction) -> Iterator[str]:
         slew = f"with a slew limit of {scene.units(bounds.slew_limit, 'N/s', 'g')}"
     yield (
         f"Force: at most {scene.units(scene.device.force_limit, 'N', 'g')}, {slew}. The force of the first sample "
-        f"{_soft_start(bounds.soft_start_s)}. A run ends if the scene gives the hand more than {bounds.energy_limit:g} "
-        "J, or keeps swinging or shaking at the force limit (as defined in hapsim/STABILITY.md)."
+        f"{_soft_start(bounds.soft_start_s)}. A run ends if the scene gives the hand more than "
+        f"{scene.units(bounds.energy_limit, 'J', 'g')}, or keeps swinging or shaking at the force limit "
+        "(as defined in hapsim/STABILITY.md)."
     )
 
 

@@ -158,7 +158,7 @@ def _verdict(region: Region) -> str:
     if not region.is_stable:
         return f"{slides}[red]unstable: buzzes[/red]"
     if region.kind == "snap":
-        return f"{slides}[yellow]snap[/yellow] {number(1e3 * region.snap_energy, 3)} mJ"
+        return f"{slides}[yellow]snap[/yellow] {region.hand.units(region.snap_energy, 'mJ', 3)}"
     if region.kind == "free":
         return f"{slides}no spring" + (f", {region.hand.units(abs(region.force), 'N', 3)}" if region.force else "")
     return f"{slides}stable{', passive' if region.felt.passive else ''}"

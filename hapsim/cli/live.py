@@ -200,9 +200,10 @@ def _of_a_run(progress: Progress) -> Iterator[str]:
 
 
 def _position_and_force(units: Units, x: float, force: float) -> str:
-    """Returns both, to 0.01 mm or 0.01°, and to 1 mN."""
+    """Returns both, to 0.01 mm or 0.01°, and to 1 mN, 1 mN·m or less."""
     place = 1e-5 if units.name("m") != "°" else 0.01 / units.scaled(1.0, "m")
-    return f"{_fixed(units, x, 'mm', place)} {_fixed(units, force, 'N', 1e-3)}"
+    weak = 1e-5 if units.is_rotary and units.scaled(1.0, "N") > 1.0 else 1e-3  # mN·m in a file are of a small knob
+    return f"{_fixed(units, x, 'mm', place)} {_fixed(units, force, 'N', weak)}"
 
 
 def _fixed(units: Units, value: float, unit: str, step: float) -> str:

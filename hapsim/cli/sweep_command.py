@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hapsim.cli.command_options import Json, PictureOptions, SceneFile, argument, flag, load, option, seconds
 from hapsim.cli.live import live_words
-from hapsim.cli.output import document, output_units, print_line, stderr, stdout, table
+from hapsim.cli.output import document, output_units, print_line, stderr, stdout, table, use_channel_units
 from hapsim.errors import UsageError
 from hapsim.number_format import number, percent, plural
 from hapsim.stopping import note_work
@@ -100,6 +100,8 @@ def sweep(
     drawn = _names_to_draw(kinds, chosen, draw, over) if pictures.wanted else None
     options: dict[str, Any] = {"channel": channel, "duration": duration, "jobs": jobs, "scheduler": scheduler}
     loaded = load(scene)
+    if channel is not None:
+        use_channel_units(channel)
     try:
         with live_words(stderr()) as show:
             dataset = run_sweep(loaded, chosen, out=out, quantities=kinds, on_progress=_Progress(show, out), **options)

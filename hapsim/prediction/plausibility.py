@@ -70,7 +70,7 @@ ROTARY = {
     "m": Range(1e-5, 20.0, "angles are in rad, or written as 90 deg", _ANGLES),
     "travel": Range(1e-3, 200.0, "angles are in rad, or written as 90 deg", _ANGLES),
     "pitch": Range(1e-4, 7.0, "a turn has 6.28 rad", _ANGLES),
-    "m/s": Range(0.0, 500.0, "hands turn at up to 60 rad/s", _ANGLES),
+    "m/s": Range(0.0, 500.0, "hands turn at up to 60 rad/s", (("deg/s", math.pi / 180.0), _MORE)),
     "m per count": Range(1e-13, 0.1, "encoders have counts of 1e-7 to 0.01 rad", _ANGLES),
     "m rms": Range(0.0, 0.02, "angle sensors have less than 0.01 rad of noise", _ANGLES),
 }
@@ -78,6 +78,7 @@ ROTARY = {
 
 # The values below are ratios between keys.
 _DELAYED, _LATE_SAMPLES, _LATE_S = 0.01, 10.0, 0.02  # sample periods; the slowest USB converter takes 16 ms
+_TURNED = 20.0  # rad: where a file has degrees, more are degrees without a unit
 _STOPS_S, _COASTS_S, _FRICTION = 1e-3, 100.0, 50.0  # time in which friction stops a free device; N·s/m
 _CREEPS = 5.0  # times critical damping: with more friction the hand creeps
 _FELT_STIFFNESS, _FELT_DAMPING, _UNDAMPED = 5.0, 2e-3, 4e-4  # of a link at a hand: N/m; N·s/m, times sqrt(K m)
@@ -106,13 +107,14 @@ class _Value(NamedTuple):
     def sentence(self, units: Units) -> str:
         least, most, why, slips = self.range
         low = abs(self.value) < least
-        bound = units(least if low else most, self.unit, short)
-        found = f"{self.path}: found {units(self.value, self.unit)}, {'less' if low else 'more'} than {bound}: {why}."
-        bare = "" if units.name(self.unit) == units.si.name(self.unit) else f" {units.si.name(self.unit)}"
+        si, takes_units = units.si, bool(units.written) and self.unit != "samples"
+        bound = si(least if low else most, self.unit, short)
+        found = f"{self.path}: found {si(self.value, self.unit)}, {'less' if low else 'more'} than {bound}: {why}."
         for meant, factor in slips:
             right = self.value * factor if factor else 1.0 / self.value
             if least <= abs(right) <= most and (factor == 0.0 or (factor > 1.0) is low):
-                return f"{found} If you meant {meant}, write {number(right)}{bare}."
+                write = f"{number(self.value)} {meant}" if takes_units and " " not in meant else number(right)
+                return f"{found} If you meant {meant}, write {write}."
         return found
 
 
@@ -131,7 +133,7 @@ def unlikely(scene: Scene) -> list[str]:
     sentences = []
     for first, *others in (list(same.values()) for same in alike.values()):
         also = f" The same holds for {plural(len(others), 'other module')}." if others else ""
-        sentences.append(first.sentence(scene.units_at(first.module).si) + also)
+        sentences.append(first.sentence(scene.units_at(first.module)) + also)
     is_explained = any(one.unit in ("kg", "m", "N/m", "N") for one in off)
     return [*sentences, *(() if is_explained else _jumps(scene))]
 
@@ -151,13 +153,19 @@ def _ranges(scene: Scene) -> dict[str, Range]:
     """Returns the ranges for this scene's motion; if only some channels turn, from the least to the most of both."""
     turns = set(scene.device.motions(scene.channels))
     if len(turns) == 1:
-        return RANGES | (ROTARY if scene.units.is_rotary else {})
+        turned = ROTARY | ({"travel": ROTARY["travel"]._replace(most=_TURNED)} if scene.units.name("m") == "°" else {})
+        return RANGES | (turned if scene.units.is_rotary else {})
     both = {key: (RANGES.get(key, one), one) for key, one in ROTARY.items()}
     wide = {
         key: two[0]._replace(least=min(one.least for one in two), most=max(one.most for one in two))
         for key, two in both.items()
     }
     return RANGES | wide
+
+
+def _slips(scene: Scene, unit: str) -> tuple[tuple[str, float], ...]:
+    """Returns the units that are written by mistake for this one, which is that of a line."""
+    return _ranges(scene)[unit].slips
 
 
 def _values(part: Part, path: str, ranges: dict[str, Range]) -> Iterator[_Value]:
@@ -214,7 +222,8 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
     for one, scale in zip(device.stiffnesses(scene.channels), scales, strict=True):
         why = f"{named} stretches it by less than {scene.units(scale.rigid, 'mm', 'g')}"
         yield _Value("device.stiffness", one, "N/m", Range(0.0, limit / scale.rigid, why, (_LESS,)))
-    yield _Value("mock.coulomb", mock.coulomb, "N", Range(0.0, limit, f"{named} does not overcome it", _FORCES))
+    weak = f"{named} does not overcome it"
+    yield _Value("mock.coulomb", mock.coulomb, "N", Range(0.0, limit, weak, _slips(scene, "N")))
     for name, point in scene.device_points.items():
         units = scene.units_of(point.channel)
         of_channel = (device.masses, device.frictions, device.stiffnesses)
@@ -225,7 +234,7 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
         if friction > _CREEPS * critical > 0.0:
             why = f"critical damping is {units(critical, 'N·s/m', 3)}, so the hand creeps"
         most = min(mass / _STOPS_S, _FRICTION, _CREEPS * critical or math.inf)
-        yield _Value("device.friction", friction, "N·s/m", Range(mass / _COASTS_S, most, why, _DAMPINGS))
+        yield _Value("device.friction", friction, "N·s/m", Range(mass / _COASTS_S, most, why, _slips(scene, "N·s/m")))
 
 
 def _link_values(scene: Scene) -> Iterator[_Value]:
@@ -251,7 +260,10 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
     for name, structure in scene.structures.items():
         many = len(structure.point_names())
         heavy = Range(
-            0.0, _HEAVY_KG / many, f"{many} of them weigh {scene.units_at(name)(many * structure.mass, 'kg')}", _MASSES
+            0.0,
+            _HEAVY_KG / many,
+            f"{many} of them weigh {scene.units_at(name)(many * structure.mass, 'kg')}",
+            _slips(scene, "kg"),
         )
         yield _Value(f"modules.{name}.mass", structure.mass, "kg", heavy)
 
@@ -278,8 +290,8 @@ def _spring_values(scene: Scene, name: str, mass: float, hand: str, moves: bool 
     takes = frequency(rate * math.sqrt(max(stiffness / hardest, 1.0)))
     hard, soft = f"{why} damping, and needs about {takes}", f"1 cm of it is {units(0.01 * stiffness, 'N', 2)}"
     strong, weak = f"{why} stiffness", f"at {units(0.1, 'm/s')} it is {units(0.1 * damping, 'N', 2)}"
-    k = Range(least[0], most[0], soft if stiffness < least[0] else hard, _STIFFNESSES)
-    b = Range(least[1], most[1], weak if damping < least[1] else strong, _DAMPINGS)
+    k = Range(least[0], most[0], soft if stiffness < least[0] else hard, _slips(scene, "N/m"))
+    b = Range(least[1], most[1], weak if damping < least[1] else strong, _slips(scene, "N·s/m"))
     yield _Value(f"modules.{name}.stiffness", stiffness, "N/m", k)
     yield _Value(f"modules.{name}.damping", damping, "N·s/m", b)
 
@@ -308,9 +320,10 @@ def _jumps(scene: Scene) -> Iterator[str]:
             }
             path, place = max(places.items(), key=lambda one: abs(one[1]))
             hint = f"{path} is {units(place, 'm')}. If you meant mm, write {number(1e-3 * place)}."
-            if abs(place) < _FAR_M or scene.units.is_rotary:
-                if not total > _PRESSES * limit:
-                    continue
+            is_far = abs(place) >= _FAR_M and not units.is_rotary
+            if not is_far and not total > _PRESSES * limit:
+                continue
+            if not is_far or units.name("m") != "m":  # a place in mm was meant so
                 hint = f"check the stiffness of {name} and the positions of its ends."
             pushes = f"at arming the scene pushes {hand} with {units(total, 'N', short)}"
             yield f"{pushes}; the force limit is {units(limit, 'N')}: {hint}"

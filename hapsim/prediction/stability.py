@@ -102,13 +102,14 @@ class Region:
 
     @cached_property
     def snap_energy(self) -> float:
-        """Energy that a hand gains when it pushes through the snap, J; 0 if the region is no snap. It is the work of
-        the force at the start of the snap over its width, minus that of the scene."""
+        """Energy that a hand gains when it pushes through the snap, J, in the direction in which it gains more; 0 if
+        the region is no snap. It is the work of the force at the start of the snap over its width, minus that of the
+        scene."""
         if self.kind != "snap" or not np.isfinite(self.piece.high - self.piece.low):
             return 0.0
         x = np.linspace(*self.piece.within, _POINTS if self.piece.is_curved else 2)
         force = self.hand.force(x)
-        return float(np.trapezoid(np.max(force) - force, x))
+        return float(max(np.trapezoid(np.max(force) - force, x), np.trapezoid(force - np.min(force), x)))
 
 
 @dataclass(eq=False)

@@ -7,11 +7,16 @@ import stat
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from pydantic import BaseModel
+
 from hapsim.errors import SceneError, UsageError
 from hapsim.running.changes import OVER
 from hapsim.running.live_parameters import MOCK_HAND, parts_of
 from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
+from hapsim.scene.quantity import Expectation
+from hapsim.scene.written_units import has_dimension
+from hapsim.units import Units
 
 _OVER_S = 0.05  # the ramp of a change
 _NEXT_START = " (initial state: takes effect at the next start)"
@@ -23,7 +28,7 @@ class EditResult:
     """The result of an edit."""
 
     changed: tuple[str, ...] = ()
-    """Phrases such as "touch.stiffness 2000 → 500"."""
+    """Phrases such as "touch.stiffness 2000 N/m → 500 N/m"."""
     refused: str = ""
     """Reason why nothing was changed."""
 
@@ -90,11 +95,11 @@ def _stamp(path: str) -> tuple[int, ...] | None:
 
 def _differences(before: Scene, after: Scene) -> Iterator[str]:
     """Yields a phrase for each difference between two scenes."""
-    yield from _different_keys("", before, after, ("scheme", "precision"))
+    yield from _different_keys("", before, after, ("scheme", "precision"), after.units)
     if before.mock is not None and after.mock is not None and before.mock.initial != after.mock.initial:
         yield f"mock.initial{_NEXT_START}"
     hand, moved = parts_of(before)[MOCK_HAND], parts_of(after)[MOCK_HAND]
-    yield from _different_keys(f"{MOCK_HAND}.", hand, moved, hand.live)
+    yield from _different_keys(f"{MOCK_HAND}.", hand, moved, hand.live, after.units)
     for name in {**before.modules, **after.modules}:
         old, new = before.modules.get(name), after.modules.get(name)
         if old is None or new is None:
@@ -102,21 +107,28 @@ def _differences(before: Scene, after: Scene) -> Iterator[str]:
         elif old.type != new.type:
             yield f"{name}: {old.type} → {new.type}"
         else:
-            yield from _different_keys(f"{name}.", old, new, type(old).model_fields, old.initial)
+            units = after.units_at(name)
+            yield from _different_keys(f"{name}.", old, new, type(old).model_fields, units, old.initial)
     for name, pick_up in before.sound.items():  # the names are the same: others are rejected
-        yield from _different_keys(f"sound.{name}.", pick_up, after.sound[name], type(pick_up).model_fields)
+        keys = type(pick_up).model_fields
+        yield from _different_keys(f"sound.{name}.", pick_up, after.sound[name], keys, after.units)
 
 
 def _different_keys(
-    prefix: str, before: object, after: object, keys: Iterable[str], initial: Iterable[str] = ()
+    prefix: str, before: BaseModel, after: BaseModel, keys: Iterable[str], units: Units, initial: Iterable[str] = ()
 ) -> Iterator[str]:
     for key in keys:
         old, new = getattr(before, key), getattr(after, key)
         if old != new:
-            yield f"{prefix}{key} {_text(old)} → {_text(new)}{_NEXT_START if key in initial else ''}"
+            expected = (one for one in type(before).model_fields[key].metadata if isinstance(one, Expectation))
+            unit = next((one.unit for one in expected if has_dimension(one.unit)), "")
+            shown = (_text(one, unit, units) for one in (old, new))
+            yield f"{prefix}{key} {' → '.join(shown)}{_NEXT_START if key in initial else ''}"
 
 
-def _text(value: object) -> str:
+def _text(value: object, unit: str, units: Units) -> str:
     if isinstance(value, tuple | list):
-        return f"[{', '.join(map(_text, value))}]"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+        return f"[{', '.join(_text(one, '', units) for one in value)}]"
+    if not isinstance(value, float):
+        return str(value)
+    return units(value, unit, "g") if unit else f"{value:g}"

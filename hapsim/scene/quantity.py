@@ -348,7 +348,7 @@ def _known(value: float, uncertainty: float) -> Known:
 
 def _ascending(pair: Limits) -> Limits:
     if not pair[0] < pair[1]:
-        unexpected(f"the least ({pair[0]:g}) below the most ({pair[1]:g})")
+        unexpected(f"the least ({pair[0]:g} ‹m›) below the most ({pair[1]:g} ‹m›)")
     return pair
 
 

@@ -159,7 +159,7 @@ def written_unit(text: str, unit: str, motion: Motion) -> Written | None:
     si = Units.of([motion]).name(unit)
     if unit not in OF_MOTION:
         return None
-    if angle := ANGLE.match(text):
+    if motion == "rotary" and (angle := ANGLE.match(text)):
         return Written(si, f"°{angle[2] or ''}", 180.0 / math.pi)
     _, _, name = _parted(text)
     factor = _factor(name, unit, motion)

@@ -18,6 +18,7 @@ from hapsim.chart.plane_curves import Curve, round_values, scale_of, stable_regi
 from hapsim.errors import UsageError
 from hapsim.number_format import short
 from hapsim.theory import Configuration
+from hapsim.units import LINEAR, Units, Written, complete
 
 CASES: dict[str, dict[str, Any]] = {
     "6.1": {"hold": "impulse", "delay": 0.0},
@@ -252,9 +253,18 @@ def test_thinned_lines_keep_their_ends_and_their_gaps() -> None:
     assert (curve.K[gap - 1], curve.K[gap + 1]) == (K[3999], K[5000])
 
 
+def test_curves_are_of_values_that_are_round_in_the_units_of_the_file() -> None:
+    (sheet,) = drawn(DEVICE).sheets
+    units = Units.of(["linear"], complete([Written("N/m", "lbf/in", 1.0 / 175.1268352464764)]))
+    k, b = curves.values_felt(sheet, 12, 9, units)
+    for values, unit in ((k, "N/m"), (b, "N·s/m")):
+        shown = units.scaled(values, unit)
+        np.testing.assert_allclose(shown, [float(f"{one:.2g}") for one in shown], rtol=1e-9)
+
+
 def test_few_values_are_felt_where_little_is_stable(monkeypatch: pytest.MonkeyPatch) -> None:
     (sheet,) = drawn(DEVICE).sheets
     nothing: Callable[..., Any] = lambda _, K, B: np.zeros(np.shape(K), bool)  # noqa: ARG005, E731
     monkeypatch.setattr(Configuration, "is_stable", nothing)
-    k, b = curves.values_felt(sheet, 5, 5)
+    k, b = curves.values_felt(sheet, 5, 5, LINEAR)
     assert k.size == b.size == 0

@@ -14,7 +14,8 @@ Hapsim = Callable[..., Any]
 SCENE = """\
 version: 1
 rate: 1000
-device: {clock: lockstep, mass: 200 g, friction: 1000 mN·s/m, force_limit: 8000 mN, travel: [-10 cm, 10 cm]}
+device: {clock: lockstep, mass: 200 g, friction: 1000 mN·s/m, travel: [-10 cm, 10 cm],
+         force_limit: 8000 mN, energy_limit: 500 mJ}
 mock: {initial: {position: 0 cm}}
 modules:
   hand: {type: device, channel: 0}
@@ -24,7 +25,7 @@ modules:
 SPRING = "touch: {type: viscoelastic, between: [hand, wall], stiffness: 20 N/cm, damping: 5000 mN·s/m}"
 STOP = "touch: {type: buffer, between: [hand, wall], stiffness: 20 N/cm, damping: 5000 mN·s/m}"
 #: By the unit of the file: the SI unit that stands in its place without it, and how many of the former are one.
-UNITS = {"g": ("kg", 1e3), "mN·s/m": ("N·s/m", 1e3), "mN": ("N", 1e3), "N/cm": ("N/m", 0.01)}
+UNITS = {"g": ("kg", 1e3), "mN·s/m": ("N·s/m", 1e3), "mN": ("N", 1e3), "N/cm": ("N/m", 0.01), "mJ": ("J", 1e3)}
 SI, LENGTHS = [si for si, _ in UNITS.values()], ["m", "mm"]
 NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 

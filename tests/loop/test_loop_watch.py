@@ -68,7 +68,11 @@ def test_what_is_edited_is_adopted_and_reported_once(path: Path, session: Sessio
     edit(path, "stiffness: 1000, damping: 2", "stiffness: 500, damping: 3")
     edit(path, "position: 0.0", "position: 0.01")
     news = file.check(session)
-    assert news.changed == ("wall.position 0 → 0.01", "touch.stiffness 1000 → 500", "touch.damping 2 → 3")
+    assert news.changed == (
+        "wall.position 0 m → 0.01 m",
+        "touch.stiffness 1000 N/m → 500 N/m",
+        "touch.damping 2 N·s/m → 3 N·s/m",
+    )
     assert session.scene.links["touch"].stiffness == 500.0  # type: ignore[attr-defined]
     assert file.check(session) is None
 
@@ -103,7 +107,7 @@ def test_a_file_that_is_gone_for_a_moment_is_waited_for(path: Path, session: Ses
     assert file.check(session) is None
     path.write_text(text.replace("1000, damping", "700, damping"), encoding="utf-8")
     news = file.check(session)
-    assert news.changed == ("touch.stiffness 1000 → 700",)
+    assert news.changed == ("touch.stiffness 1000 N/m → 700 N/m",)
 
 
 def test_a_file_that_stays_away_is_reported_once(path: Path, session: Session) -> None:
@@ -126,5 +130,5 @@ def test_the_port_of_the_command_counts_more_than_the_files(path: Path) -> None:
         file = WatchedFile(str(path))
         edit(path, "stiffness: 1000", "stiffness: 400")
         news = file.check(session)
-        assert news.changed == ("touch.stiffness 1000 → 400",)
+        assert news.changed == ("touch.stiffness 1000 N/m → 400 N/m",)
         assert session.scene.device.port == scene.device.port

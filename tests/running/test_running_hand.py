@@ -102,9 +102,13 @@ def test_an_edited_hand_is_applied_whether_the_file_had_one_or_not(tmp_path: Pat
     with hapsim.start(load_scene(path)) as session:
         file = WatchedFile(str(path))
         for at, mock, changed in (
-            (2, "mock: {hand: {stiffness: 300, position: 0.01}}", ("stiffness 0 → 300", "position 0 → 0.01")),
-            (3, "mock: {hand: {stiffness: 300, position: [0.02]}}", ("position 0.01 → [0.02]",)),
-            (4, "", ("stiffness 300 → 0", "position [0.02] → 0")),
+            (
+                2,
+                "mock: {hand: {stiffness: 300, position: 0.01}}",
+                ("stiffness 0 N/m → 300 N/m", "position 0 m → 0.01 m"),
+            ),
+            (3, "mock: {hand: {stiffness: 300, position: [0.02]}}", ("position 0.01 m → [0.02]",)),
+            (4, "", ("stiffness 300 N/m → 0 N/m", "position [0.02] → 0 m")),
         ):
             write(mock, at)
             news = file.check(session)

@@ -87,7 +87,10 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
             f"3:27: travel: found 0.1, expected {LIMITS}, or a list of such pairs, one per channel",
         ),
         ("{mass: 1, travel: [0, 1, 2]}", f"3:27: travel: found a list, expected {LIMITS}"),
-        ("{mass: 1, travel: [0.1, 0.1]}", "3:27: travel: found a list, expected the least (0.1) below the most (0.1)"),
+        (
+            "{mass: 1, travel: [0.1, 0.1]}",
+            "3:27: travel: found a list, expected the least (0.1 m) below the most (0.1 m)",
+        ),
         ("{mass: 1, travel: [0, x]}", "3:31: travel[1]: found 'x' (text), expected a number (m)"),
         ("{mass: 1, travel: [[0, .inf]]}", "3:32: travel[0][1]: found .inf, expected a finite number (m)"),
         ("{mass: 1, travel: [[0, 1], 2]}", f"3:36: travel[1]: found 2, expected {LIMITS}"),

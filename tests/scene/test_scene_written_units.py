@@ -280,6 +280,20 @@ def test_reports_are_in_the_units_of_the_file(unit: str, motion: Motion, written
     assert units.si.written == ()
 
 
+def test_large_numbers_have_no_exponent() -> None:
+    units = parse_scene(scene_with("N", "500 mN", "linear")).units
+    assert (units(4.0123, "N", 3), units(-23.5, "N", "+.2g")) == ("4010 mN", "-24000 mN")
+    assert (units(4.0, "N", "+.1g"), units(2e3, "N", 3), units(4e-6, "N", 3)) == ("+4000 mN", "2e+06 mN", "0.004 mN")
+
+
+def test_an_angle_of_a_rotary_module_is_no_unit_of_a_linear_one() -> None:
+    text = scene_with("m", "3 deg", "linear").replace("motion: linear", "motion: [linear, rotary]")
+    more = "  knob: {type: device, channel: 1}\n  turn: {type: viscoelastic, between: [knob, wall], stiffness: 1}\n"
+    text = text.replace("[hand, wall]", "[hand, floor]").replace("  slip:", f"{more}  floor: {{type: ground}}\n  slip:")
+    scene = parse_scene(text)
+    assert [scene.units_of(channel).name("m") for channel in (0, 1)] == ["m", "°"]
+
+
 def test_the_first_unit_of_a_quantity_counts() -> None:
     text = scene_with("m", "30 mm", "linear")
     for unit, first in (("20 cm", "cm"), ("0.2", "mm"), ("0.2 m", "mm")):

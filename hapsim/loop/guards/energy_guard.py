@@ -324,13 +324,15 @@ def _sentence(run: EndedRun) -> str:
     """Returns the finding, and a remedy for late forces."""
     energy, report = run.loop.energy_guard, run.report
     why, account = int(energy.why), int(energy.account)
+    units = run.scene.units
     cause = "each time as far, by late forces" if account == LATE else "faster than any hand moves"
     on_what = "on a scene that is predicted unstable" if is_strict(energy) else ""
     if why == SWINGING:
         found = (
             f"the force swung {on_what or 'at its limit'}: {energy.swings[account]} times in a row, the last at tick "
-            f"{report.ticks}, and gave the hand {rounded_up(energy.work[account])} J over these, above the limit of "
-            f"{rounded_down(energy.swing_limit[account])} J and no less than the declared friction takes"
+            f"{report.ticks}, and gave the hand {units(energy.work[account], 'J', rounded_up)} over these, above the "
+            f"limit of {units(energy.swing_limit[account], 'J', rounded_down)} and no less than the declared friction "
+            "takes"
         )
     elif why == SHAKING:
         found = (
@@ -340,8 +342,8 @@ def _sentence(run: EndedRun) -> str:
     else:
         found = (
             f"by tick {report.ticks} {'late forces' if account == LATE else 'the scene'} had given the hand "
-            f"{rounded_up(energy.given[account])} J more than it received, above the limit of "
-            f"{rounded_down(energy.limit[account])} J"
+            f"{units(energy.given[account], 'J', rounded_up)} more than it received, above the limit of "
+            f"{units(energy.limit[account], 'J', rounded_down)}"
         )
     return f"{found}; the last force was not sent{_late_advice(report) if account == LATE else ''}"
 
