@@ -46,6 +46,8 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
         shared.setdefault(key, []).append(name)
     for (cells, (*sentences, _unit)), names in shared.items():
         yield _table(", ".join(names), cells, prediction.regions[names[0]][0].hand.units)
+        if any(one.piece.is_curved for one in prediction.regions[names[0]]):
+            yield "K, B, felt k and felt b of a curved region hold where the hand rests in it, or else in its middle."
         yield from filter(None, sentences)
     for name, swing in prediction.judge.swings.items():
         if swing is not None:
