@@ -91,3 +91,21 @@ def test_text_is_in_the_units_of_the_file(command: str, scenes: tuple[Path, Path
     assert not any(quantities(there, [*SI, *LENGTHS]).values())
     if draws:
         assert scenes[0].with_suffix(".csv").read_text() == scenes[1].with_suffix(".csv").read_text()
+
+
+def test_a_correction_and_the_end_of_an_axis_are_in_the_units_of_the_file(
+    scenes: tuple[Path, Path], hapsim: Hapsim
+) -> None:
+    for scene in scenes:
+        text = scene.read_text("utf-8").replace("lockstep,", "lockstep, correction: poles,")
+        scene.with_name("corrected.yaml").write_text(text, "utf-8")
+    there, here = (hapsim("check", scene.with_name("corrected.yaml"), "--explain").out for scene in scenes)
+    assert ("feels what is desired within" in there) == ("buffer" not in scenes[0].read_text("utf-8"))
+    of_file, of_si = quantities(there, [*UNITS]), quantities(here, SI)
+    for unit, (si, factor) in UNITS.items():
+        assert of_file[unit] == pytest.approx([factor * one for one in of_si[si]], rel=0.1), unit
+    files = [scene.with_suffix(".csv") for scene in scenes]
+    for scene, file, end in zip(scenes, files, (30, 3000), strict=True):
+        words = ("--to-stiffness", end, "--picture", scene.with_suffix(".svg"), "--data", file)
+        assert hapsim("chart", "plane", scene, "--simulated-stiffness", 2000, *words).status == 0
+    assert files[0].read_text() == files[1].read_text()
