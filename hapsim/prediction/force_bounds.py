@@ -141,15 +141,15 @@ def travel_error(scene: Scene) -> str:
         stable, damping = fade_stiffness(scene, channel), device.scales(scene.channels)[channel].grip_damping
         if not device.force_limit <= stable * margin:
             where = f" on channel {channel}" if scene.channels > 1 else ""
-            hints = "".join(f". {hint.removesuffix('.')}" for hint in unlikely(scene))
+            likely = "".join(f"{hint.removesuffix('.')}. " for hint in unlikely(scene))  # the cause comes first
             units = scene.units_of(channel)
             least = units(device.force_limit / stable, "m", rounded_up)
             return (
-                f"device.travel_margin: the force of up to {units(device.force_limit, 'N', 'g')} fades over "
+                f"{likely}device.travel_margin: the force of up to {units(device.force_limit, 'N', 'g')} fades over "
                 f"{units(margin, 'm', 'g')}{where}, a stiffness of {units(device.force_limit / margin, 'N/m', '.4g')} "
                 f"that shakes the hand: with only the hand's {units(damping, 'N·s/m', 'g')} and the device's friction "
                 f"as dampers, this loop is stable up to {units(stable, 'N/m', '.4g')}; expected at least "
-                f"{least}, or a lower device.force_limit{hints}"
+                f"{least}, or a lower device.force_limit"
             )
     return ""
 
