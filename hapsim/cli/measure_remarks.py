@@ -13,7 +13,7 @@ from hapsim.cli.output import output_units
 from hapsim.errors import UsageError
 from hapsim.loop.ring import FADED, LIMITED, SLEWED
 from hapsim.measuring.diagnosis import Diagnosis
-from hapsim.measuring.measure_trace import Measurement
+from hapsim.measuring.measure_trace import Attempt, Measurement
 from hapsim.number_format import percent
 from hapsim.scene import Scene
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def attempts(measurement: Measurement) -> Iterator[str]:
     """Yields the result of each run before the printed one, and of that one if the hand left its region."""
     for one, following in pairwise(measurement.attempts):
-        why = f"the hand left its region ({one.left})" if one.left else _unsure(one.uncertainty)
+        why = f"the hand left its region ({one.left})" if one.left else _unsure(one)
         most, next_most = output_units()(one.push_n, "N", 3), output_units()(following.push_n, "N", 3)
         yield f"With pushes of {most}, {why}; repeated with {next_most}."
     if measurement.left_region:
@@ -47,10 +47,10 @@ def smaller_push(asked: float | None, measurement: Measurement) -> Iterator[str]
         yield f"Pushed with {pushed} at most: more would exceed the force limit, or take the hand too far."
 
 
-def _unsure(share: float) -> str:
-    return (
-        f"k or b was uncertain by {percent(share, 2)}" if math.isfinite(share) else "the motion was lost in the noise"
-    )
+def _unsure(one: Attempt) -> str:
+    if math.isfinite(one.uncertainty):
+        return f"k or b was uncertain by {percent(one.uncertainty, 2)}"
+    return "the hand moved too little" if math.isnan(one.k) else "the motion was lost in the noise"
 
 
 def dry_friction(scene: Scene, measurement: Measurement, channel: int) -> Iterator[str]:

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Unpack
 
+import numpy as np
+
 from hapsim.errors import DeviceError, GuardError, UsageError
-from hapsim.measuring.measure_trace import Attempt, Measurement, measure_trace
-from hapsim.measuring.measurement_options import Run, RunOptions, largest_push, require_above_zero, require_device_point
+from hapsim.measuring.measure_trace import Attempt, Measurement, TooLittleMotionError, measure_trace
+from hapsim.measuring.measurement_options import (
+    SHARE_OF_LIMIT,
+    Run,
+    RunOptions,
+    force_limit,
+    largest_push,
+    require_above_zero,
+    require_device_point,
+)
 from hapsim.measuring.place import Place, place_of
 from hapsim.measuring.trace_quality import silence
 from hapsim.recording.trace import Trace
@@ -29,6 +40,7 @@ _FINE, _FINE_IN_TIME = 2e-6, 1e-4  # relative uncertainty of k and b that is eno
 _UNSURE = 0.1  # the largest relative uncertainty of k that is reported
 _PLENTY = 1e5  # counts: if the hand may swing farther, the counts are not why nothing is identified
 _LARGER = 1.5  # times the push: a smaller increase is not worth another run
+_CLEAR_COUNTS = 80.0  # of a second run, after one with too little motion
 
 
 def measure(
@@ -45,8 +57,9 @@ def measure(
 
     During the first half of `duration` (s) the motion decays once, from the mock's initial state or from a push of a
     device at rest. Then pushes follow, so that a motion of a few samples is recorded many times. `push`: the largest
-    force of a push, N [default: a quarter of the force limit]. An adaptive correction is pushed all the time. Its
-    second half is identified, with the mass that it has estimated.
+    force of a push, N [default: a quarter of the force limit; if the hand moves too little, a second run pushes
+    harder]. An adaptive correction is pushed all the time. Its second half is identified, with the mass that it has
+    estimated.
 
     `at`: the position in m, from the scene's position 0. The hand is led there first, in 4 to 9 s more, and a constant
     force then holds it. A scene with contacts, tables, detents or dry friction is always measured at a position
@@ -68,8 +81,39 @@ def measure(
     place = place_of(scene, channel, at)
     if place is not None:
         return _measure_at(run, scene, place, duration, push)
+    return _measure_where_it_is(run, scene, channel, duration, push)
+
+
+def _measure_where_it_is(run: Run, scene: Scene, channel: int, duration: float, push: float | None) -> Measurement:
+    """Returns the only run; without a `push` (N) the second, with larger pushes, if the hand moved too little."""
     excitation = pushes(scene, channel, duration, push)
-    return _identified(scene, excitation, *_recorded(run, scene, excitation, duration))
+    trace, failure = _recorded(run, scene, excitation, duration)
+    try:
+        return _identified(scene, excitation, trace, failure)
+    except TooLittleMotionError as nothing:
+        moved = float(np.ptp(trace.position_counts[:, channel].astype(float)))
+        larger = min(_CLEAR_COUNTS / max(moved, 1.0), 1.0 / SHARE_OF_LIMIT)
+        harder = pushes(scene, channel, duration, push, larger=larger)
+        before, now = (one.force * one.ticks for one in (excitation, harder))
+        if push is not None or trace.report.ending != "done" or now <= _LARGER * before:
+            raise
+        return _repeated(run, scene, duration, excitation.force, harder, nothing)
+
+
+def _repeated(
+    run: Run, scene: Scene, duration: float, pushed: float, harder: Excitation, nothing: TooLittleMotionError
+) -> Measurement:
+    """Returns the run with `harder` pushes, after `nothing` was identified with pushes of `pushed` N."""
+    found, unsure = None, math.inf
+    with suppress(TooLittleMotionError):
+        found = _identified(scene, harder, *_recorded(run, scene, harder, duration))
+        unsure = found.k_uncertainty / abs(found.k) if found.k else math.inf
+    if found is None or not unsure <= _UNSURE:
+        units = scene.units_of(harder.channel)
+        limit, first, second = (units(one, "N", 3) for one in (force_limit(scene), pushed, harder.force))
+        raise TooLittleMotionError(f"{nothing}, up to the force limit of {limit}; tried: {first} and {second}")
+    attempts = (Attempt(pushed, "", math.nan, math.inf), Attempt(harder.force, "", found.k, unsure))
+    return replace(found, attempts=attempts)
 
 
 def _recorded(run: Run, scene: Scene, excitation: Excitation, duration: float) -> tuple[Trace, DeviceError | None]:
@@ -162,10 +206,18 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
 
 
 def pushes(
-    scene: Scene, channel: int, duration: float, push: float | None, place: Place | None = None, swing: float = math.inf
+    scene: Scene,
+    channel: int,
+    duration: float,
+    push: float | None,
+    place: Place | None = None,
+    swing: float = math.inf,
+    *,
+    larger: float = 1.0,
 ) -> Excitation:
-    """Returns pushes that move the hand clearly, within the device's force, range and travel. At a `place` they move it
-    by `swing` m, and a push of `push` N lasts one radian of the spring's oscillation."""
+    """Returns pushes that move the hand clearly, within the device's force, range and travel: `larger` times as far as
+    usual. At a `place` they move it by `swing` m, and a push of `push` N lasts one radian of the spring's oscillation.
+    """
     device, mock = scene.device, scene.mock_device
     mass, ticks = device.masses(scene.channels)[channel], math.ceil(duration * scene.rate)
     free = 0 if device.correction == "adaptive" else ticks // 2
@@ -173,10 +225,10 @@ def pushes(
     rests_s = max(free, every) / scene.rate
     # Until the next push even a free mass must stay in the range of its counts. A real device reports its range later.
     range_m = mock.quantum[channel] * _COUNTS if device.port is None else math.inf
-    kick = mass * device.scales(scene.channels)[channel].kick
+    kick = larger * mass * device.scales(scene.channels)[channel].kick
     wanted = kick if push is None else max(kick, push / scene.rate)
     impulse = min(wanted, mass * min(0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s)))
-    most = largest_push(scene, push)
+    most = min(larger * largest_push(scene, push), force_limit(scene))
     longest = every // 2
     if place is not None:
         eigen = math.sqrt(max(place.stiffness, 0.0) / mass)  # rad/s

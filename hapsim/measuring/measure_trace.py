@@ -46,8 +46,12 @@ _FAR_BETTER = 0.5  # of a residual: neither chance nor another order of a fit re
 _SPOILT = LATE_FORCE | BRIDGED | OFF_GRID
 
 
+class TooLittleMotionError(UsageError):
+    """The hand moved by too few counts for a spring and damper to show."""
+
+
 class Attempt(NamedTuple):
-    """One run of a measurement at a position."""
+    """One run of a measurement."""
 
     push_n: float
     """The largest push, N."""
@@ -114,7 +118,8 @@ class Measurement:
     at_m: float | None = field(default=None, compare=False)
     """Position in m to which the hand was led; None if it was not led."""
     attempts: tuple[Attempt, ...] = field(default=(), compare=False)
-    """All runs at that position. The result is from the most certain run in which the hand stayed in its region."""
+    """All runs at that position, or both where a second run pushed harder. The result is from the most certain run in
+    which the hand stayed in its region."""
 
     @property
     def left_region(self) -> str:
@@ -239,7 +244,7 @@ def _fitted(trace: Trace, channel: int, pressed: bool) -> tuple[list[Segment], l
             f"ones ({limited} were at the force limit): at no delay that stays the same a spring and damper is "
             "identified. `hapsim doctor` shows which rates are kept; a slower rate, or a faster port, leaves more time"
         )
-    raise UsageError(
+    raise TooLittleMotionError(
         "too little motion was recorded to identify a spring and damper: record longer, or push harder (--push)"
     )
 

@@ -319,6 +319,10 @@ def test_an_emulated_board_is_identified_and_feels_as_predicted(
     predicted, measured = hapsim.predict(scene), hapsim.measure(scene, push=0.02, duration=3.0)
     assert measured.k == pytest.approx(predicted.k, rel=0.03 if uno else 0.015)
     assert measured.b == pytest.approx(predicted.b, rel=0.08)
+    if not uno:
+        by_default = hapsim.measure(scene)
+        assert [one.push_n for one in by_default.attempts[:-1]] == ([] if name == "arduino_as5600" else [0.005])
+        assert by_default.k == pytest.approx(predicted.k, rel=0.03)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")

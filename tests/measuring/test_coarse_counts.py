@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 import hapsim
+from hapsim.cli.measure_remarks import attempts
 from hapsim.errors import UsageError
+from hapsim.measuring.measure import measure
+from hapsim.running import run
 
 
 def scene_with(quantum: float, **mock: object) -> hapsim.Scene:
@@ -41,10 +46,34 @@ def test_a_larger_push_is_clear_of_coarse_counts_and_never_larger_than_the_range
     document["modules"]["touch"] |= {"stiffness": 24.5, "damping": 0.0855}
     document["mock"]["quantum"] = 1e-5
     scene = hapsim.Scene.model_validate(document)
-    with pytest.raises(UsageError, match="push harder"):
+    with pytest.raises(UsageError, match=r"push harder \(--push\), up to the force limit of 10 N; tried: 0.1 N and 0"):
         hapsim.measure(scene)
     felt, measured = hapsim.predict(scene).felt[0], hapsim.measure(scene, push=2.5)
     assert measured.push_n == 2.5
     assert abs(measured.k - felt.k) < 4.0 * measured.k_uncertainty < 0.02 * felt.k
     document["mock"]["quantum"] = 1e-9  # 2^31 counts are 2 m
     assert hapsim.measure(hapsim.Scene.model_validate(document), push=2.5).push_n == pytest.approx(0.105, rel=0.01)
+
+
+@pytest.mark.parametrize("push", [None, 1.0])
+def test_a_hand_that_moves_too_little_is_pushed_harder_once_if_no_push_was_asked_for(push: float | None) -> None:
+    scene, runs = scene_with(1e-4, initial={}), []
+
+    def counted(scene: hapsim.Scene, **options: Any) -> hapsim.Trace:
+        runs.append(run(scene, **options))
+        return runs[-1]
+
+    if push is not None:
+        with pytest.raises(UsageError, match=r"push harder \(--push\)$"):
+            measure(scene, push=push, run=counted)
+        assert len(runs) == 1
+        return
+    measured = measure(scene, run=counted)
+    first, second = measured.attempts
+    assert len(runs) == 2
+    assert (first.push_n, second.push_n) == (1.0, measured.push_n)
+    assert 2.0 < second.push_n < scene.device.force_limit
+    assert measured.k == pytest.approx(hapsim.predict(scene).k, abs=4 * measured.k_uncertainty)
+    assert measured.k_uncertainty == pytest.approx(second.uncertainty * measured.k)
+    assert second.uncertainty < 0.002
+    assert "With pushes of 1 N, the hand moved too little; repeated with 2.5 N." in attempts(measured)
