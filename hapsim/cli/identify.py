@@ -12,6 +12,7 @@ from hapsim.cli.command_options import (
     PictureOptions,
     flag,
     option,
+    print_next,
     push_option,
     require_file,
     seconds,
@@ -76,6 +77,7 @@ def identify(
         )
     if write:
         require_rewritable(device.scene)
+    asked = channel
     if channel is None:
         channel = next(iter(scene.device_points.values())).channel
     output.use_channel_units(channel)
@@ -101,6 +103,9 @@ def identify(
     _show(device.scene, scene, found, write, json)
     if not json:
         picture.print_written()
+        if write and not found.stopped:
+            of_channel = () if asked is None else ("--channel", str(asked))
+            print_next("measure", device.scene, *device.words(), *of_channel)
 
 
 def _before_pushing(bounds: Bounds, channel: int, port: str | None, seconds: float) -> str:
@@ -155,8 +160,7 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
         for sentence in _sentences(found):
             output.print_line(sentence)
     values = _values_to_write(found, declared, has_span=least < most) if write and not found.stopped else None
-    if values is not None:
-        rewrite_device(path, values, channel)
+    in_file = {} if values is None else rewrite_device(path, values, channel)
     if json:
         print(
             output.document(
@@ -171,7 +175,7 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
         )
         output.print_line(f"The file was not changed: {why}.")
     else:
-        written = ", ".join(f"{name}: {value}" for name, value in values.items())
+        written = ", ".join(f"{name}: {value}" for name, value in in_file.items())
         stays = " The mass stays: the file gives a span for it, and this is one hand's." if least < most else ""
         output.print_line(f"Wrote into `device` of {path}: {written}.{stays}")
 
@@ -228,8 +232,7 @@ def _table(found: DeviceIdentification, declared: Mapping[str, float], name: str
 def _sentences(found: DeviceIdentification) -> list[str]:
     units = output_units()
     pairs = ", ".join(
-        f"({units.number(drive.stiffness, 'N/m', 3)}, {units.number(drive.damping, 'N·s/m', 2)})"
-        for drive in found.drives
+        f"({units(drive.stiffness, 'N/m', 3)}, {units(drive.damping, 'N·s/m', 2)})" for drive in found.drives
     )
     stopped = "Stopped before the recording was complete. " if found.stopped else ""
     sentences = [

@@ -216,7 +216,7 @@ def show_measurement(
             f"{units.number(least, 'kg', 'g')} to {units(most, 'kg', 'g')}; they grow with the mass."
         )
     where = "" if measurement.at_m is None else f", at {units(measurement.at_m, 'm')}"
-    title = f"What the hand feels at {escape(hands[channel])}, channel {channel}{where}"
+    title = f"What the hand feels at {escape(hands[channel])}, channel {channel}{where}{remarks.of_mock(scene)}"
     own = next((one.own_motion for one in prediction.together if channel in one.channels), None)
     out.print(_side_by_side(title, felt or own, measurement, of_mass, desired))
     seen, declared = measurement.seen_rate, measurement.trace.rate

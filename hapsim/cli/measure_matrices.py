@@ -13,6 +13,7 @@ from rich.markup import escape
 from hapsim.cli.check_details import assumption_lines
 from hapsim.cli.command_options import DeviceOptions, ExcitationOptions, PictureOptions, RecordOptions, print_written
 from hapsim.cli.live import live_line
+from hapsim.cli.measure_remarks import of_mock
 from hapsim.cli.output import Table, document, output_units, print_message, show, stderr, stdout, table
 from hapsim.cli.run_command import predict_before_arming, print_warnings, require_stable, with_mock
 from hapsim.documents import pick
@@ -76,7 +77,7 @@ def measure_hands(
         print(document({"scene": device.scene, "warnings": warnings, "hands": hands_document(one, found)}))
         return
     rows = [row for i in range(len(one.names)) for j in range(len(one.names)) for row in _rows(one, found, i, j)]
-    title = f"What {' and '.join(map(escape, one.names))} feel, of the scene and of each other"
+    title = f"What {' and '.join(map(escape, one.names))} feel, of the scene and of each other{of_mock(scene)}"
     stdout().print(table(title, ("", "predicted", "measured", "±", "off by"), rows))
     show(stdout(), assumption_lines(prediction.assumptions))
     if one.felt.reason:
@@ -158,6 +159,8 @@ def measure_impedance(
         shown = list(range(len(predicted.names))) if place is None else [place]
         show_impedance(stdout(), predicted, measured, shown)
         stdout().print("", _width_table(predicted, measured.channels, widths, walls))
+        if of_mock(with_mock(scene, device.kind())):
+            stdout().print("Measured on the built-in mock.")
         picture.print_written()
         print_written("Trace", record.record)
     if measured.stopped:

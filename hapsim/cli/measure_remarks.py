@@ -24,6 +24,11 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 
+def of_mock(scene: Scene) -> str:
+    """Returns the end of a title, which names the mock if that is the device."""
+    return "" if scene.device.port is not None else ", on the built-in mock"
+
+
 def attempts(measurement: Measurement) -> Iterator[str]:
     """Yields the result of each run before the printed one, and of that one if the hand left its region."""
     for one, following in pairwise(measurement.attempts):

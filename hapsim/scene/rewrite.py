@@ -30,9 +30,9 @@ _PER_CHANNEL = ("mass", "friction", "stiffness")
 Values = Mapping[str, str | Known]
 
 
-def rewrite_device(path: str, values: Values, channel: int) -> None:
+def rewrite_device(path: str, values: Values, channel: int) -> dict[str, str]:
     """Writes `values` into the `device` section of a scene's file; where channels may differ, for `channel` alone. The
-    file is replaced as a whole, or stays as it is.
+    file is replaced as a whole, or stays as it is. Returns the text that the file then has for each value.
 
     Raises:
         UsageError: the file cannot be written, is no scene any more, or says these values in a way (an anchor, a merge)
@@ -44,6 +44,9 @@ def rewrite_device(path: str, values: Values, channel: int) -> None:
     rewritten = device_rewritten(text, values, channel, path)
     with whole_file(place) as file:
         file.write_bytes(rewritten.encode("utf-8"))
+    device = _entry(compose(rewritten), "device")
+    nodes = {key: _entry(device, key) for key in values}
+    return {key: rewritten[node.start_mark.index : _end(node)] for key, node in nodes.items() if node is not None}
 
 
 def require_rewritable(path: str) -> None:

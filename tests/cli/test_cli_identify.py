@@ -73,6 +73,18 @@ def test_values_written_are_those_of_the_scene(hapsim: Hapsim, wrong_scene: Path
     assert "# kg, moving part and hand" in wrong_scene.read_text(encoding="utf-8")
 
 
+def test_it_prints_what_stands_in_the_file_and_each_number_with_its_unit(hapsim: Hapsim, wrong_scene: Path) -> None:
+    text = wrong_scene.read_text(encoding="utf-8")
+    wrong_scene.write_text(text.replace("mass: 0.2 ", "mass: 200 g ", 1), encoding="utf-8")
+    answer = hapsim("identify", wrong_scene, "--duration", 1, "--write")
+    line = next(line for line in answer.out.splitlines() if line.startswith("Wrote into `device` of "))
+    found = re.search(r": (mass: \{value: 15\S+ g, uncertainty: \S+ g\}), (friction: \S+), (delay: \S+)\.$", line)
+    assert found, line
+    for entry in found.groups():
+        assert f"\n  {entry} " in wrong_scene.read_text(encoding="utf-8")
+    assert re.search(r"at simulated \(K, B\) of \(\S+ N/m, \S+ N·s/m\), \(", answer.out)
+
+
 def test_a_span_of_masses_stays(hapsim: Hapsim, wrong_scene: Path) -> None:
     text = wrong_scene.read_text(encoding="utf-8")
     wrong_scene.write_text(text.replace("mass: 0.2 ", "mass: {from: 0.1, to: 0.4} ", 1), encoding="utf-8")

@@ -59,6 +59,13 @@ def test_a_mock_in_another_process_is_measured_as_predicted(
         answer = hapsim("measure", scene, "--port", port, "--json")
         assert answer.status == 0, answer.err
         document = answer.document
+        following = hapsim("identify", scene, "--port", port, "--duration", 1, "--write").out.splitlines()[-1]
+        assert following == f"Next: hapsim measure {scene} --port {port}"
+        titles = [hapsim("measure", scene, *at, "--duration", 0.5).out for at in ((), ("--port", port))]
+        assert ["What the hand feels at hand, channel 0, on the built-in mock\n" in one for one in titles] == [
+            True,
+            False,
+        ]
         assert document["measured"]["k"] == pytest.approx(document["predicted"]["k"], rel=1e-5)
         assert document["measured"]["b"] == pytest.approx(document["predicted"]["b"], rel=1e-5)
         assert (document["lost_frames"], document["crc_errors"], document["deadline_misses"]) == (0, 0, 0)

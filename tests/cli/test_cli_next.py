@@ -1,4 +1,4 @@
-"""The command to try next, with which `check` and `measure` end."""
+"""The command to try next, with which `check`, `measure` and `identify --write` end."""
 
 from __future__ import annotations
 
@@ -30,12 +30,17 @@ def next_words(answer: Any) -> list[str]:
         (("check", "spring", "--at", "-2mm"), ("measure", "spring", "--at=-2mm")),
         (("check", "unstable"), ("check", "unstable", "--explain")),
         (("check", "no_number"), ("check", "no_number", "--explain")),
+        (("identify", "spring", "--write"), ("measure", "spring")),
+        (
+            ("identify", "spring", "--write", "--channel", "0", "--transport", "loopback"),
+            ("measure", "spring", "--transport", "loopback", "--channel", "0"),
+        ),
         (("measure", "spring"), ("run", "spring", "--duration", "10")),
         (("measure", "spring", "--mock"), ("run", "spring", "--mock", "--duration", "10")),
         (("measure", "hand_in_hand", "--hands"), ("run", "hand_in_hand", "--duration", "10")),
     ],
 )
-def test_check_and_measure_end_with_a_command_that_runs_as_it_stands(
+def test_they_end_with_a_command_that_runs_as_it_stands(
     hapsim: Hapsim, scene_file: SceneFile, words: tuple[str, ...], following: tuple[str, ...]
 ) -> None:
     path = scene_file(words[1])
@@ -66,6 +71,8 @@ def test_a_path_that_a_shell_would_split_is_quoted(hapsim: Hapsim, scene_file: S
     [
         ("check", "spring", "--json"),
         ("measure", "spring", "--json"),
+        ("identify", "spring"),
+        ("identify", "spring", "--write", "--json"),
         ("check", "unstable", "--explain"),
         ("measure", "unstable"),
         ("measure", "spring", "--unstable"),
