@@ -17,6 +17,7 @@ from harness_lines import ARM, ARMED, DISARM, FAULT, IDLE, LATCHED, SKETCH, forc
 import firmware_protocol
 import hapsim
 from firmware_protocol import schema
+from hapsim.scene.rewrite import rewrite_device
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 SCENE = Path(__file__).parents[2] / "configs" / "boards" / "arduino.yaml"
@@ -289,6 +290,21 @@ def test_an_as5600_goes_on_over_whole_turns_that_it_makes_while_idle(sketch: Ske
 def test_scales_and_rate_are_the_doubles_of_the_constants(register: int, value: float, sketch: Sketch) -> None:
     low, high = (int(line) for line in sketch()([f"register {register}", f"register {register + 1}"]))
     assert struct.unpack("<d", struct.pack("<II", low, high))[0] == value
+
+
+def test_the_comments_of_the_scene_stay_true_when_its_values_are_identified(tmp_path: Path) -> None:
+    path = tmp_path / "knob.yaml"
+    path.write_bytes(SCENE.read_bytes())
+    rewrite_device(str(path), {"mass": "3.1e-05", "friction": "0.0002", "delay": "1.2"}, channel=0)
+    lines = [line for line in path.read_text("utf-8").splitlines() if re.match(r"  (mass|friction|delay): ", line)]
+    assert [re.sub(r" +#.*", "", line) for line in lines] == ["  mass: 3.1e-05", "  friction: 0.0002", "  delay: 1.2"]
+    assert not [line for line in lines if "guess" in line]
+    shipped = hapsim.predict(hapsim.load_scene(SCENE))
+    told = re.search(
+        r"k = (\S+) N·m/rad, b = (\S+) N·m·s/rad, ringing.*\n# These are of the shipped", SCENE.read_text("utf-8")
+    )
+    assert told
+    assert [float(one) for one in told.groups()] == pytest.approx([shipped.k, shipped.b], rel=5e-4)
 
 
 def test_the_scene_has_stable_detents_in_place_of_its_spring(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@
 #define POSITION_SIGN 1          /* 1 or -1: the direction of larger positions */
 #define FORCE_SIGN 1             /* 1 or -1: a positive force must push towards larger positions */
 #define FULL_FORCE 0.05          /* N m or N, at full duty and standstill */
-#define FORCE_LIMIT 0.02         /* N m or N; begin with a tenth of FULL_FORCE */
+#define FORCE_LIMIT 0.02         /* N m or N, at most FULL_FORCE; a tenth of that is careful for a first start */
 
 #define HOST_PORT Serial
 #define BAUD_RATE 115200         /* a port of native USB ignores it: then write 2000000 */
