@@ -18,6 +18,7 @@ from hapsim.cli.command_options import (
     numbers,
     option,
     require_positive,
+    require_units,
     scene_name,
 )
 from hapsim.cli.output import document, output_units, print_line, show, stdout, table, use_channel_units
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 
 Channel = Annotated[int | None, option(None, "Channel of the hand [default: the first]")]
-Mass = Annotated[float | None, option("M", "Mass of hand and handle in kg [default: the scene's]")]
+Mass = Annotated[float | None, option("M", "Mass of hand and handle, such as 200g [default: the scene's]", unit="kg")]
 
 
 def _kind(choice: Any) -> Any:
@@ -49,8 +50,8 @@ class HandOptions:
     scene: str | None = argument("[SCENE]", "Scene file in YAML [default: a hand described by the options]")
     channel: Channel = None
     rate: float | None = option("HZ", "Sample rate in Hz [default: the scene's]")
-    friction: float | None = option("B0", "Friction of the device in N·s/m [default: the scene's, or 0]")
-    stiffness: float | None = option("K0", "Spring of the device in N/m [default: the scene's, or 0]")
+    friction: float | None = option("B0", "Friction of the device in N·s/m [default: the scene's, or 0]", unit="N·s/m")
+    stiffness: float | None = option("K0", "Spring of the device in N/m [default: the scene's, or 0]", unit="N/m")
     delay: float | None = option("N", "Delay in sample periods [default: the scene's, or 1]")
     hold: str | None = _kind(choices.Hold)
     sampling: str | None = _kind(choices.Sampling)
@@ -78,9 +79,11 @@ class HandOptions:
         scene, channel = given.pop("scene", None), given.pop("channel", None)
         if scene is not None:
             hand, others = hands_of(load(scene), channel, given, as_written=as_written)
+            require_units(output_units(), *given.values(), *simulated)
             return hand.with_simulated(*simulated), others
         if channel is not None:
             raise UsageError("--channel: without a SCENE there is one hand only")
+        require_units(output_units(), *given.values(), *simulated)
         return hand_of_options(given).with_simulated(*simulated), []
 
     def normalised(self, masses: list[float]) -> tuple[HandOptions, list[float]]:
@@ -96,8 +99,8 @@ class HandOptions:
 class SimulatedOptions:
     """The simulated spring and damper, in place of the scene's."""
 
-    simulated_stiffness: float | None = option("K", "Simulated stiffness K in N/m [default: the scene's]")
-    simulated_damping: float | None = option("B", "Simulated damping B in N·s/m [default: the scene's]")
+    simulated_stiffness: float | None = option("K", "Simulated stiffness K in N/m [default: the scene's]", unit="N/m")
+    simulated_damping: float | None = option("B", "Simulated damping B in N·s/m [default: the scene's]", unit="N·s/m")
 
     @property
     def pair(self) -> tuple[float | None, float | None]:
@@ -182,7 +185,7 @@ def plane(
     simulated: SimulatedOptions,
     *,
     mass: list[str] | None = option(
-        "M", "Mass of hand and handle in kg. A list (0.1,0.2) draws one family per mass [default: the scene's]"
+        "M", "Mass of hand and handle. A list (0.1,0.2 or 100g,200g) draws one family per mass [default: the scene's]"
     ),
     normalised: bool = flag(
         "--normalised", "Use the paper's units, K T²/m and B T/m. --mass and --rate then default to 1."
@@ -202,10 +205,11 @@ def plane(
     from hapsim.chart.plane_curves import scale_of, view_of
 
     output.choose("plane.svg")
-    masses = numbers("--mass", mass)
+    masses = numbers("--mass", mass, "kg")
     if normalised:
         hand, masses = hand.normalised(masses)
     chosen, others = hand.hands(masses[0] if masses else None, simulated.pair)
+    require_units(output_units(), *masses)
     masses = masses or list(chosen.masses)
     # One hand with each of several masses, or all the hands that share the plane of the chosen one.
     alike = [other for other in others if other.configuration == chosen.configuration]
@@ -300,7 +304,7 @@ def force(
     *,
     channel: Channel = None,
     speed: float | None = option(
-        "V", "Speed of the hand for the loop of friction and damping [default: 0.05 m/s or 2 rad/s]"
+        "V", "Speed of the hand for the loop of friction and damping [default: 0.05 m/s or 2 rad/s]", unit="m/s"
     ),
     output: ChartOutput,
 ) -> None:
@@ -319,6 +323,7 @@ def force(
         known = ", ".join(map(str, hands))
         raise UsageError(f"--channel {channel}: the scene has nothing there; its device points are on: {known}")
     use_channel_units(loaded.device_points[name].channel)
+    require_units(output_units(), speed)
     if speed is None:
         speed = _SPEED[loaded.device.motions(loaded.channels)[loaded.device_points[name].channel]]
     chart = force_chart(loaded, name, speed)

@@ -12,7 +12,7 @@ from rich.markup import escape
 from hapsim.cli import check_details as details
 from hapsim.cli import check_hands
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
-from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, position, print_next, scene_name
+from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, print_next, require_units, scene_name
 from hapsim.cli.live import at_work
 from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.documents import pick
@@ -51,18 +51,20 @@ def check(
         "--explain", "Print every mode, margin and bound. Also compile the scene, and time its parts."
     ),
     hand_mass: str | None = option(
-        "LOW:HIGH", "Check stability in any hand that adds a mass in this range, kg, such as 0.1:2.", "--hand-mass"
+        "LOW:HIGH", "Check stability in any hand that adds a mass in this range, such as 100g:2kg.", "--hand-mass"
     ),
     hand_stiffness: str | None = option(
-        "LOW:HIGH", "Range of the stiffness that such a hand adds, N/m, such as 0:500 [default: 0]", "--hand-stiffness"
+        "LOW:HIGH", "Range of the stiffness that such a hand adds, such as 0:500 (N/m) [default: 0]", "--hand-stiffness"
     ),
 ) -> None:
     """Predict stability, gain margins, and the stiffness and damping that the hand feels. Nothing is run."""
-    loaded, hands = load(scene), check_hands.hand_ranges(hand_mass, hand_stiffness)
+    loaded = load(scene)
+    require_units(loaded.units, at)
+    hands = check_hands.hand_ranges(loaded, hand_mass, hand_stiffness)
     if why := travel_error(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
-        prediction = predict(loaded, at=position(at, loaded))
+        prediction = predict(loaded, at=at)
         on_wire = predict_on_wire(loaded)
         partials = partials_of(loaded, prediction) if loaded.sound else {}
         _ = prediction.margins  # computed while the line above is shown
@@ -92,7 +94,7 @@ def check(
         of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
     show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
     if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and not refused:
-        print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
+        print_next("measure", scene, *(() if at is None else (f"--at={at.text}",)))
     elif not explain:
         print_next("check", scene, "--explain")
 

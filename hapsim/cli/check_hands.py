@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.markup import escape
 
+from hapsim.cli.command_options import quantity, require_units
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
@@ -301,18 +303,21 @@ _ORDINARY = (0.0, 2.0), (0.0, 3000.0)  # kg and N/m that a hand and its arm add
 _CLAMP = 2e4  # N/m: no hand is as stiff
 
 
-def hand_ranges(mass: str | None, stiffness: str | None) -> tuple[Range, Range] | None:
+def hand_ranges(scene: Scene, mass: str | None, stiffness: str | None) -> tuple[Range, Range] | None:
     """Returns the ranges of mass and stiffness that hands add; None if neither option is given. Raises UsageError."""
     if mass is None and stiffness is None:
         return None
-    return _range_of("--hand-mass", mass or "0"), _range_of("--hand-stiffness", stiffness or "0")
+    ranges = _range_of("--hand-mass", mass or "0", "kg"), _range_of("--hand-stiffness", stiffness or "0", "N/m")
+    for point in scene.device_points.values():
+        require_units(scene.units_of(point.channel), *ranges[0], *ranges[1])
+    return ranges
 
 
-def _range_of(option: str, text: str) -> Range:
-    try:
-        low, *high = (float(part) for part in text.split(":"))
-    except ValueError:
-        low, high = -1.0, []
+def _range_of(option: str, text: str, unit: str) -> Range:
+    parts: list[float] = [-1.0]
+    with suppress(ValueError):
+        parts = [quantity(option, part, unit) for part in text.split(":")]
+    low, *high = parts
     if len(high) > 1 or not 0.0 <= low <= (high or [low])[0] < math.inf:
         raise UsageError(f"{option}: found {text}, expected LOW:HIGH or one number, from 0 on, such as 0.1:2")
     return low, (high or [low])[0]

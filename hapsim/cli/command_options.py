@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
@@ -21,17 +22,20 @@ import typer
 
 from hapsim.cli.output import output_units, print_line, set_output_units
 from hapsim.errors import UsageError
-from hapsim.scene.issue import as_argument, command_line, quote
+from hapsim.scene.issue import as_argument, command_line
+from hapsim.units import MOTIONS, Units
 
-_STANDARD_INPUT = "-"
-_TYPER = "typer"
+_STANDARD_INPUT, _AT = "-", "--at"
+_TYPER, _UNIT = "typer", "unit"
 
 
-def option(metavar: str | None, text: str, *names: str, default: Any = None, **of_typer: Any) -> Any:
+def option(metavar: str | None, text: str, *names: str, default: Any = None, unit: str = "", **of_typer: Any) -> Any:
     """Returns the declaration of an option that takes a value, in place of its default: of a field of a dataclass, or
     of an argument of a command. It also stands in an Annotated that several commands share; the default then stands
-    beside it. `default`: ... where it has to be given. `of_typer`: further arguments of typer's Option."""
-    return field(default=default, metadata={_TYPER: typer.Option(*names, metavar=metavar, help=text, **of_typer)})
+    beside it. `default`: ... where it has to be given. `unit`: of a `Quantity`, as of a line, such as N/m. `of_typer`:
+    further arguments of typer's Option."""
+    declared = typer.Option(*names, metavar=metavar, help=text, **of_typer)
+    return field(default=default, metadata={_TYPER: declared, _UNIT: unit})
 
 
 def flag(name: str, text: str) -> Any:
@@ -61,29 +65,51 @@ Watch = Annotated[bool, flag("--watch", "Apply changes of the scene file wheneve
 Baud = Annotated[int, option("B", "Baud rate of the device's port, bit/s.", min=1, max=100_000_000)]
 
 
+class Quantity(float):
+    """The value of an option in SI units, and as it was written: bare, or with a unit of either motion."""
+
+    option = text = unit = ""
+
+
 At = Annotated[
-    str | None,
-    option("X", "Position of the hand, such as 0.002 (m), 2mm or 15deg [default: the scene's equilibrium]", "--at"),
+    Quantity | None,
+    option("X", "Position of the hand, such as 0.002 (m), 2mm or 15deg [default: at equilibrium]", _AT, unit="m"),
 ]
 
 
-def position(at: str | None, scene: Any) -> float | None:
-    """Returns the position that --at names, m, of a rotary scene rad; it may have a unit. Raises UsageError."""
-    if at is None:
-        return None
+def quantity(option: str, text: str, unit: str, units: Units | None = None) -> Quantity:
+    """Returns the value of an option. Raises ValueError if it is no number, UsageError if its unit does not fit.
+
+    `unit`: of the option, as of a line, such as N/m. `units`: of its motion; None: either.
+    """
     from hapsim.scene.written_units import QUANTITY, UnitError, in_si
 
-    is_quantity, units = QUANTITY.match(at), scene.units
+    si = Units.of(MOTIONS) if units is None else units.si
     try:
-        value = in_si(at, "m", units.motions) if is_quantity else float(at)
-    except (UnitError, ValueError) as error:
-        found, expected = getattr(error, "found", quote(at)), units.si.filled("a position: ‹one m›")
-        raise UsageError(f"--at: found {found}, expected {expected}") from None
-    if not math.isfinite(value):
-        raise UsageError(f"--at: found {at}, expected a finite number")
-    if not is_quantity and not units.is_rotary and abs(value) >= _FAR_M:
-        raise UsageError(f"--at: found {at}, which is {value:g} m; write {at}mm if you meant mm, or {at}m")
+        value = Quantity(in_si(text, unit, si.motions) if QUANTITY.match(text) else float(text))
+    except UnitError as error:
+        raise UsageError(f"{option}: found {error.found}, expected {si.filled(error.expected(unit))}") from None
+    value.option, value.text, value.unit = option, text, unit
     return value
+
+
+def require_units(units: Units, *given: object) -> None:
+    """Raises UsageError where a Quantity among the values of options has a unit of another motion than `units`, is not
+    finite, or is a bare number of m or rad that no hand reaches."""
+    from hapsim.scene.written_units import QUANTITY
+
+    for one in given:
+        if not isinstance(one, Quantity):
+            continue
+        option, text, si = one.option, one.text, units.si.name("m")
+        quantity(option, text, one.unit, units)
+        if not math.isfinite(one):
+            raise UsageError(f"{option}: found {text}, expected a finite number")
+        if one.unit == "m" and si in _FAR and not QUANTITY.match(text):
+            most, unit, meant = _FAR[si]
+            if (abs(one) if option == _AT else one) >= most:
+                likely = f"write {text}{unit} if you meant {meant}, or {text}{si}"
+                raise UsageError(f"{option}: found {text}, which is {one:g} {si}; {likely}")
 
 
 def require_positive(option: str, value: float | None, unit: str = "") -> float | None:
@@ -101,11 +127,11 @@ def seconds(text: str) -> Any:
 
 def push_option(*names: str) -> Any:
     """Returns the declaration of `--push`, with its aliases."""
-    help_text = "Largest force of the test pushes, N [default: a quarter of force_limit]"
-    return option("N", help_text, "--push", *names)
+    help_text = "Largest test push, such as 0.5 (N or N·m) or 50mN [default: a quarter of force_limit]"
+    return option("N", help_text, "--push", *names, unit="N")
 
 
-_FAR_M = 1.0  # that no hand reaches: mm were meant
+_FAR = {"m": (1.0, "mm", "mm"), "rad": (20.0, "deg", "degrees")}  # no hand reaches that; what was meant
 _CACHE = "HAPSIM_CACHE"  # `firmware_protocol.code_cache`, which would import numba
 
 
@@ -179,13 +205,18 @@ class ExcitationOptions:
     hands: bool = flag("--hands", "Measure all linked hands: k and b of each, and of each pair.")
     mass: bool = flag("--mass", "Also measure the mass that the hand feels.")
     hand_stiffness: float | None = option(
-        "KH", "With --mass: stiffness of the hand that holds the device, N/m [default: mock.hand.stiffness]"
+        "KH", "With --mass: stiffness of the hand, such as 300 (N/m) [default: mock.hand.stiffness]", unit="N/m"
     )
     impedance: bool = flag("--impedance", "Measure the driving-point impedance over frequency instead of k and b.")
     travel: float | None = option(
-        "M", "With --impedance: largest travel of the hand in m (approximate) [default: 0.001 m or 0.05 rad]"
+        "M", "With --impedance: largest travel (approximate), such as 2mm [default: 0.001 m or 0.05 rad]", unit="m"
     )
     z_width: bool = flag("--z-width", "With --impedance: also measure the Z-width, against the stiffest passive wall.")
+
+    def require_units(self, scene: Any, channels: Iterable[int]) -> None:
+        """Raises UsageError where a quantity does not fit the hands on these channels."""
+        for one in channels:
+            require_units(scene.units_of(one), self.at, self.push, self.travel, self.hand_stiffness)
 
     def for_runs(self, transport: Any, unstable: bool) -> dict[str, Any]:
         """Returns the keyword arguments of every measurement. `transport`: the TransportKind."""
@@ -310,12 +341,12 @@ def names(words: list[str] | None) -> list[str]:
     return ",".join(words).split(",") if words else []
 
 
-def numbers(option: str, words: list[str] | None) -> list[float]:
-    """Returns the numbers of such an option, sorted, each once. Raises UsageError."""
+def numbers(option: str, words: list[str] | None, unit: str = "") -> list[float]:
+    """Returns the numbers of such an option, sorted, each once; with `unit` as `Quantity`. Raises UsageError."""
     found = set()
     for word in names(words):
         try:
-            found.add(float(word))
+            found.add(quantity(option, word, unit) if unit else float(word))
         except ValueError:
             raise UsageError(
                 f"{option}: found '{word}', expected a number, or several with commas between them"
@@ -348,9 +379,9 @@ def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
     return call
 
 
-def _number_parser(kind: type[int | float], option: str, least: Any, most: Any) -> Callable[[Any], float]:
+def _number_parser(kind: Callable[[Any], Any], option: str, least: Any, most: Any) -> Callable[[Any], float]:
     """Returns a function that reads the number of an option. `least`, `most`: its range, or None."""
-    expected = "a whole number" if kind is int else "a number"
+    expected = "a whole number" if kind is int else "a position" if option == _AT else "a number"
     if least is not None:
         expected += f" >= {least}" if most is None else f" from {least} to {most}"
 
@@ -374,11 +405,13 @@ def _as_typer_takes(name: str, annotation: Any, default: Any) -> inspect.Paramet
     if get_origin(annotation) is Annotated:
         kind, declaration = get_args(annotation)
         if isinstance(declaration, Field):
-            declaration = copy(declaration.metadata[_TYPER])
-            number = next((one for one in (int, float) if one in (kind, *get_args(kind))), None)
+            unit, declaration = declaration.metadata.get(_UNIT), copy(declaration.metadata[_TYPER])
+            named = declaration.default  # typer's first argument: the name, if there is one
+            option = named if isinstance(named, str) else "--" + name.replace("_", "-")
+            number: Any = next((one for one in (int, float) if one in (kind, *get_args(kind))), None)
+            if unit:
+                number = partial(quantity, option, unit=unit)
             if number is not None:
-                named = declaration.default  # typer's first argument: the name, if there is one
-                option = named if isinstance(named, str) else "--" + name.replace("_", "-")
                 declaration.parser = _number_parser(number, option, declaration.min, declaration.max)
         declaration.help = (declaration.help or "").replace(
             " [default:", r" \[default:"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
-from hapsim.cli.command_options import Json, SceneFile, load, option, require_positive, scene_name
+from hapsim.cli.command_options import Json, SceneFile, load, option, require_positive, require_units, scene_name
 from hapsim.cli.live import at_work
 from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.number_format import number, rounded_down
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def couple(
     scene: SceneFile,
     json: Json = False,
-    proxy_mass: float | None = option("KG", "Mass of the proxy in kg [default: a tenth of the hand's]", "--proxy-mass"),
+    proxy_mass: float | None = option("KG", "Mass of the proxy in kg [default: a tenth of the hand's]", unit="kg"),
 ) -> None:
     """Choose a virtual coupling: a spring and a damper between the hand and the scene that keep any hand stable.
 
@@ -31,6 +31,8 @@ def couple(
     from hapsim.prediction.virtual_coupling import virtual_couplings
 
     loaded = load(scene)
+    for point in loaded.device_points.values():
+        require_units(loaded.units_of(point.channel), proxy_mass)
     require_positive("--proxy-mass", proxy_mass, loaded.units.si.name("kg"))
     with at_work(stderr(), "searching for the stiffest couplings"):
         found = virtual_couplings(loaded, proxy_mass)

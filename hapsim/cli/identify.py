@@ -15,6 +15,7 @@ from hapsim.cli.command_options import (
     print_next,
     push_option,
     require_file,
+    require_units,
     seconds,
 )
 from hapsim.cli.live import live_line
@@ -52,7 +53,9 @@ def identify(
     device: DeviceOptions,
     channel: int | None = option(None, "Channel to push [default: the first]"),
     push: float | None = push_option("--force"),
-    travel: float | None = option("M", "Largest travel in m. Beyond it the run stops [default: 0.005 m or 0.2 rad]"),
+    travel: float | None = option(
+        "M", "Largest travel, such as 10mm. Beyond it the run stops [default: 0.005 m or 0.2 rad]", unit="m"
+    ),
     duration: float | None = seconds("Duration of the recording in seconds [default: 6]"),
     write: bool = flag("--write", "Write the values into the scene's `device` [default: only print them]"),
     *,
@@ -81,6 +84,7 @@ def identify(
     if channel is None:
         channel = next(iter(scene.device_points.values())).channel
     output.use_channel_units(channel)
+    require_units(output_units(), push, travel)
     scene, travel = _within_travel(scene, channel, travel)
     output.print_message(_before_pushing(bounds_of(scene, channel, push, travel), channel, port, duration or SECONDS))
     with live_line(output.stderr()) as show_progress:

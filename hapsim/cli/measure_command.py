@@ -21,7 +21,6 @@ from hapsim.cli.command_options import (
     RecordOptions,
     Unstable,
     flag,
-    position,
     print_next,
     print_written,
     require_positive,
@@ -142,12 +141,12 @@ def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene
     channel = channels[0] if excitation.channel is None else excitation.channel
     if channel in channels:
         output.use_channel_units(channel)
-    at = position(excitation.at, scene)
+        excitation.require_units(scene, [channel])
     if excitation.mass and channel in channels:
         unit = scene.units_of(channel).si.name("N/m")
         stiffness = require_positive("--hand-stiffness", excitation.hand_stiffness, unit)
         scene = remarks.with_hand(scene, channel, stiffness)
-    return scene, channel, at
+    return scene, channel, excitation.at
 
 
 def _print_next(

@@ -67,6 +67,7 @@ def measure_hands(
     one = next((part for part in prediction.together if channel in part.channels and len(part.names) > 1), None)
     if one is None:
         raise UsageError(f"--hands: the hand on channel {channel} is linked to no other; leave the option out")
+    excitation.require_units(scene, one.channels)
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
     with live_line(stderr()) as show_progress:
@@ -131,6 +132,7 @@ def measure_impedance(
     scene = device.load()
     picture.require_writable()
     place = _place(scene, excitation.channel)
+    excitation.require_units(scene, (point.channel for point in scene.device_points.values()))
     record.require_writable()
     predict_before_arming(device.scene, scene, unstable)
     options = excitation.for_runs(device.kind(), unstable) | {"travel": excitation.travel}

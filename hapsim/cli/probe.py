@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hapsim.bringup.probe import Leave, judge, open_wire, steps_of
-from hapsim.cli.command_options import Json, argument, option, require_positive
+from hapsim.cli.command_options import Json, argument, option, require_positive, require_units
 from hapsim.cli.live import live_words
 from hapsim.cli.output import document, print_message, set_output_units, stderr, stdout
 from hapsim.device.ports import is_first_use
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 def probe(
     port: str = argument("PORT", "Serial port of the device. `hapsim ports` lists the ports.", default=...),
     baud: int = option("B", "Baud rate of the device's port, bit/s.", default=2_000_000),
-    push: float | None = option("N", "Largest push in N, such as 0.5 [default: zero force only]"),
+    push: float | None = option("N", "Largest push, such as 0.5 (N or N·m) or 50mN [default: zero force]", unit="N"),
     travel: float | None = option(
-        "M", "With --push: largest travel in m. Beyond it the push stops [default: 0.005 m or 0.2 rad]"
+        "M", "With --push: largest travel, such as 10mm. Beyond it the push stops [default: 5 mm or 0.2 rad]", unit="m"
     ),
     mass: float | None = option(
-        "KG", "With --push: moving mass in kg, with the hand. Tests force and position scales."
+        "KG", "With --push: moving mass with the hand, such as 200g. Tests force and position scales.", unit="kg"
     ),
     channel: int = option(None, "With --push: channel to push.", default=0),
     only: list[str] | None = option("STEP", "Run this step only. May be repeated."),
@@ -81,7 +81,9 @@ def _leave(push: float | None, travel: float | None, mass: float | None, channel
         raise UsageError(f"--channel: found {channel}, expected 0 or more")
     if push is None and mass is not None:
         raise UsageError("--mass needs --push: only a push shows the mass")
-    return None if push is None else Leave(push, travel or 0.0, channel, mass)
+    if push is None:
+        return None
+    return Leave(push, travel or 0.0, channel, mass, lambda units: require_units(units, push, travel, mass))
 
 
 _STYLE = {"pass": "green", "FAIL": "bold red", "not seen": "yellow"}

@@ -125,6 +125,7 @@ def _run(probing: Probing, steps: tuple[str, ...], on_step: OnStep, announce: Ca
             if not 0 <= channel < channels:
                 expected = f"0 to {channels - 1}: the device has {channels}"
                 raise UsageError(f"--channel: found {channel}, expected {expected}")
+            probing.leave.require(probing.units_of(channel))
             usual = SCALES[probing.device.motions[channel]].travel
             probing.leave = replace(probing.leave, travel=probing.leave.travel or usual)
             announce(what_will_be_done(probing, probing.leave))

@@ -236,6 +236,8 @@ class Leave:
     channel: int = 0
     mass: float | None = None
     """kg, with the hand; None if it is unknown."""
+    require: Callable[[Units], None] = lambda _units: None
+    """Called with the channel's units before it is pushed; raises UsageError where the permission is in others."""
 
 
 class Probing:
