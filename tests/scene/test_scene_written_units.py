@@ -396,7 +396,7 @@ def test_pint_is_loaded_for_a_unit_alone(tmp_path: Path) -> None:
 
     def check(text: str) -> tuple[str, str]:
         path.write_text(text, "utf-8")
-        words = [sys.executable, "-c", program, "check", path, "--json"]
+        words = [sys.executable, "-c", program, "check", path, "--at=0.001", "--hand-mass=0.1:2", "--json"]
         done = subprocess.run(words, check=True, capture_output=True, text=True)
         return done.stdout, done.stderr.splitlines()[-1]
 
