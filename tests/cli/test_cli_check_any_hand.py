@@ -51,7 +51,8 @@ def test_the_friction_needed_and_the_hand_that_oscillates_are_reported(
     )
     hand = one.shaking
     assert hand is not None
-    grows = f"with a clamp of {float(f'{hand.stiffness:.3g}'):.0f} N/m the oscillation grows {hand.growth:.7g}-fold per sample"
+    clamp = f"{float(f'{hand.stiffness:.3g}'):.0f} N/m"
+    grows = f"with a clamp of {clamp} the oscillation grows {hand.growth:.7g}-fold per sample"
     assert f"a mass or a spring makes it oscillate; {grows}" in told
     (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
     assert document["needed_friction"] == one.needed.tolist()
