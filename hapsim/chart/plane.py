@@ -85,9 +85,7 @@ class Plane:
 
     def shown_in(self, units: Units) -> Plane:
         """Returns the same in these units, for a picture."""
-        if self.scale.normalised:
-            return self
-        k, b = units.scaled(1.0, "N/m"), units.scaled(1.0, "N·s/m")
+        k, b = self.scale.in_units(units)
         scale = replace(self.scale, stiffness=self.scale.stiffness / k, damping=self.scale.damping / b)
         changed: dict[str, Any] = {"sheets": tuple(replace(one, scale=scale) for one in self.sheets)}
         changed["points"] = tuple(replace(at, K=at.K * k, B=at.B * b, k=at.k * k, b=at.b * b) for at in self.points)

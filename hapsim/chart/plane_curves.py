@@ -78,6 +78,10 @@ class Scale:
         """Returns a felt damping as drawn, from N·s/m."""
         return b / self.damping
 
+    def in_units(self, units: Units) -> tuple[float, float]:
+        """Returns by what k and b as drawn are multiplied to be in these units: 1 and 1 where they have none."""
+        return (1.0, 1.0) if self.normalised else (units.scaled(1.0, "N/m"), units.scaled(1.0, "N·s/m"))
+
     @property
     def simulated(self) -> str:
         """Name of the quantity on the B axis."""
@@ -265,8 +269,8 @@ def values_felt(sheet: Sheet, most_k: int, most_b: int, units: Units) -> tuple[F
     # The largest few are felt in a corner only, and would make the step too coarse for all the rest.
     k_last = sheet.scale.of_stiffness(float(np.quantile(k[seen], 0.98)))
     b_last = sheet.scale.of_damping(float(np.quantile(b[seen], 0.98)))
-    of = (1.0, 1.0) if sheet.scale.normalised else (units.scaled(1.0, "N/m"), units.scaled(1.0, "N·s/m"))
-    return round_values(k_last * of[0], most_k) / of[0], round_values(b_last * of[1], most_b) / of[1]
+    k_factor, b_factor = sheet.scale.in_units(units)
+    return round_values(k_last * k_factor, most_k) / k_factor, round_values(b_last * b_factor, most_b) / b_factor
 
 
 def iso_curves(sheet: Sheet, k_values: Floats, b_values: Floats) -> list[Curve]:

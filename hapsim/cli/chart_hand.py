@@ -216,13 +216,12 @@ def plane(
     drawn = [chosen.with_mass(mass) for mass in masses] if len(masses) > 1 else [chosen, *alike]
     scale = scale_of(chosen.configuration, normalised=normalised, total=total_damping)
     K_to, B_to = require_positive("--to-stiffness", to_stiffness), require_positive("--to-damping", to_damping)
-    of_axis = (1.0, 1.0) if normalised else (output_units().scaled(1.0, unit) for unit in ("N/m", "N·s/m"))
-    per_k, per_b = of_axis
+    k_factor, b_factor = scale.in_units(output_units())
     view = view_of(
         drawn,
         from_total=total_damping,
-        K_to=K_to and K_to / per_k * scale.stiffness,
-        B_to=B_to and B_to / per_b * scale.damping - scale.offset,
+        K_to=K_to and K_to / k_factor * scale.stiffness,
+        B_to=B_to and B_to / b_factor * scale.damping - scale.offset,
     )
     chart = plane_of(drawn, view, scale)
     title = described(drawn[0].configuration, mass=len(masses) < 2, normalised=normalised, units=output_units())

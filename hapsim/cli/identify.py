@@ -80,7 +80,7 @@ def identify(
         )
     if write:
         require_rewritable(device.scene)
-    asked = channel
+    of_channel = () if channel is None else ("--channel", str(channel))
     if channel is None:
         channel = next(iter(scene.device_points.values())).channel
     output.use_channel_units(channel)
@@ -108,7 +108,6 @@ def identify(
     if not json:
         picture.print_written()
         if write and not found.stopped:
-            of_channel = () if asked is None else ("--channel", str(asked))
             print_next("measure", device.scene, *device.words(), *of_channel)
 
 

@@ -124,15 +124,12 @@ def examine(
     from hapsim.running.run import run_to_end
 
     tree, run, report = tree or SystemFiles(), run or run_to_end, on_progress or (lambda _: None)
-    examined, rates, to_run = _to_measure(scene, seconds, rates, transport)
-    elsewhere = bool(missing_calls())
-    if realtime:
-        require_linux("--realtime", "leave it out")
+    examined, rates, to_run = _to_measure(scene, seconds, rates, transport, realtime)
     (ask or _ask)(to_run[0])
-    before, sleep_s = (None, shortest_sleep_s()) if elsewhere else (cpu_times(tree), None)
+    before, sleep_s = (None, shortest_sleep_s()) if missing_calls() else (cpu_times(tree), None)
     wakeups, grants, made = _measure(rates, to_run, seconds, realtime, run, report)
     steps, done, granted = len(rates) + len(to_run), len(wakeups) + len(made), tuple(grants) if realtime else None
-    verdicts, machine = tuple(map(verdict_on, made)), machine_without_linux() if elsewhere else machine_of(tree)
+    verdicts, machine = tuple(map(verdict_on, made)), machine_without_linux() if missing_calls() else machine_of(tree)
     case = Situation(
         tree,
         machine,
@@ -162,9 +159,11 @@ def examine(
 
 
 def _to_measure(
-    scene: Scene | None, seconds: float, rates: tuple[float, ...], transport: TransportKind
+    scene: Scene | None, seconds: float, rates: tuple[float, ...], transport: TransportKind, realtime: bool
 ) -> tuple[Scene, tuple[float, ...], list[Trial]]:
     """Returns (the scene to examine, the rates, in order, the runs). Raises UsageError."""
+    if realtime:
+        require_linux("--realtime", "leave it out")
     if transport == "loopback":
         raise UsageError("--transport: found loopback, which has no time of its own; expected terminal, or nothing")
     if scene is None:

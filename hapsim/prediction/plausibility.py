@@ -16,7 +16,7 @@ from hapsim.prediction.characteristic import characteristic_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.scene import Mock, Scene
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import Expectation, Known, Span
+from hapsim.scene.quantity import Expectation, Known, Span, expectation_of
 from hapsim.theory.hand.configuration import stiffest_stable
 from hapsim.units import Units
 
@@ -192,7 +192,7 @@ def _values(part: Part, path: str, ranges: dict[str, Range]) -> Iterator[_Value]
 def _keys(kind: type[Part]) -> list[tuple[str, Expectation | None]]:
     """Keys of a kind of part, each with its expected values."""
     fields = kind.model_fields.items()
-    return [(key, next((one for one in field.metadata if isinstance(one, Expectation)), None)) for key, field in fields]
+    return [(key, expectation_of(field)) for key, field in fields]
 
 
 def _numbers(value: Any) -> list[float]:

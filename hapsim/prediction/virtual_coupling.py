@@ -100,6 +100,8 @@ def coupled_scene(scene: Scene, name: str, coupling: Coupling, proxy_mass: float
     coupling joins both."""
     data = scene.model_dump(mode="json", exclude_none=True)
     modules, proxy, link = data["modules"], f"{name}_proxy", f"{name}_coupling"
+    if known := modules.keys() & {proxy, link}:
+        raise UsageError(f"modules: found {min(known)}, so {name} is coupled already; take its coupling out first")
     for module in modules.values():
         if "between" in module:
             module["between"] = [proxy if end == name else end for end in module["between"]]

@@ -18,7 +18,7 @@ from hapsim.scene.issue import did_you_mean
 from hapsim.scene.modules import Module
 from hapsim.scene.modules.links import PickUp
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import Expectation
+from hapsim.scene.quantity import expectation_of
 
 Kind = Literal["number", "numbers", "word", "points"]
 Value = float | str | tuple[Any, ...]
@@ -128,7 +128,7 @@ def _parameter(name: str, kind: type[Part], key: str, value: Any, scene: Scene) 
 def _declared(kind: type[Part], key: str) -> tuple[str, str, float | None, float | None, bool, tuple[str, ...]]:
     """Returns unit, description, bounds and words of a field, as its type declares them."""
     field, alias = next((one, name) for name, one in kind.model_fields.items() if key in (name, one.alias))
-    expectation = next((one for one in field.metadata if isinstance(one, Expectation)), None)
+    expectation = expectation_of(field)
     schema = kind.model_json_schema(by_alias=True)["properties"][field.alias or alias]
     numbers = [schema, *schema.get("anyOf", []), *schema.get("oneOf", [])]
     bounds = {word: one[word] for one in reversed(numbers) for word in one if word.lower().endswith("imum")}

@@ -14,7 +14,7 @@ from hapsim.running.changes import OVER
 from hapsim.running.live_parameters import MOCK_HAND, parts_of
 from hapsim.running.session import Session
 from hapsim.scene import Scene, load_scene
-from hapsim.scene.quantity import Expectation
+from hapsim.scene.quantity import expectation_of
 from hapsim.scene.written_units import has_dimension
 from hapsim.units import Units
 
@@ -120,8 +120,8 @@ def _different_keys(
     for key in keys:
         old, new = getattr(before, key), getattr(after, key)
         if old != new:
-            expected = (one for one in type(before).model_fields[key].metadata if isinstance(one, Expectation))
-            unit = next((one.unit for one in expected if has_dimension(one.unit)), "")
+            expected = expectation_of(type(before).model_fields[key])
+            unit = expected.unit if expected and has_dimension(expected.unit) else ""
             shown = (_text(one, unit, units) for one in (old, new))
             yield f"{prefix}{key} {' → '.join(shown)}{_NEXT_START if key in initial else ''}"
 

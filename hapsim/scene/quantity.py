@@ -12,6 +12,7 @@ from numbers import Integral, Real
 from typing import Any, NoReturn, TypeGuard
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, model_serializer
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError, core_schema
 
 from hapsim.units import LINEAR, MOTIONS, Units
@@ -132,6 +133,11 @@ class Expectation:
         return handler(schema) | {"description": f"{self.description}{unit}{default}"}
 
 
+def expectation_of(field: FieldInfo) -> Expectation | None:
+    """Returns the expected value of a field of a part; None if any is."""
+    return next((one for one in field.metadata if isinstance(one, Expectation)), None)
+
+
 def quantity(
     description: str,
     unit: str,
@@ -177,7 +183,13 @@ def interval(description: str, unit: str, left_out: str) -> Expectation:
     pair_words = f"[the least, the most] (‹{unit}›)"
     words = f"{pair_words}, or a list of such pairs, one per channel"
     limits = _list_of([_number(f"a number (‹{unit}›)", unit)], 2, 2, pair_words)
-    pair = core_schema.no_info_after_validator_function(_ascending, limits)
+
+    def ascending(pair: Limits) -> Limits:
+        if not pair[0] < pair[1]:
+            unexpected(f"the least ({pair[0]:g} ‹{unit}›) below the most ({pair[1]:g} ‹{unit}›)")
+        return pair
+
+    pair = core_schema.no_info_after_validator_function(ascending, limits)
     kinds = {_LIST: pair, _LISTS: _list_of([pair], 1, MOST_CHANNELS, words)}
     return Expectation(description, words, _choice(kinds, words), unit, left_out)
 
@@ -344,12 +356,6 @@ def _known(value: float, uncertainty: float) -> Known:
     if uncertainty >= value:
         unexpected(f"uncertainty ({uncertainty:g}) below value ({value:g})")
     return Known(value=value, uncertainty=uncertainty)
-
-
-def _ascending(pair: Limits) -> Limits:
-    if not pair[0] < pair[1]:
-        unexpected(f"the least ({pair[0]:g} ‹m›) below the most ({pair[1]:g} ‹m›)")
-    return pair
 
 
 def _list_of(entries: list[Any], least: int, most: int, expected: str) -> Schema:

@@ -19,7 +19,7 @@ from hapsim.whole_file import whole_file
 
 from .device import Device
 from .load import parse_scene
-from .quantity import Expectation, Known, Span, per_channel
+from .quantity import Known, Span, expectation_of, per_channel
 from .scene import Scene
 from .written_units import QUANTITY, like
 from .yaml_document import compose
@@ -96,13 +96,14 @@ def _as_text(entries: list[Any], key: str, old: yaml.Node | None, text: str, cha
 def _entry_text(entry: object, key: str, old: yaml.Node | None) -> str:
     """Returns a number or a mapping as text, with the unit of the `old` one if that has a unit."""
     quantity = _quantity_in(old)
-    unit = next(one.unit for one in Device.model_fields[key].metadata if isinstance(one, Expectation))
+    expected = expectation_of(Device.model_fields[key])
+    assert expected is not None
     if not quantity or isinstance(entry, Span):
         return str(entry)
     if isinstance(entry, Known):
-        each = (f"{name}: {like(quantity, str(value), unit)}" for name, value in entry.model_dump().items())
+        each = (f"{name}: {like(quantity, str(value), expected.unit)}" for name, value in entry.model_dump().items())
         return f"{{{', '.join(each)}}}"
-    return like(quantity, str(entry), unit)
+    return like(quantity, str(entry), expected.unit)
 
 
 def _quantity_in(node: yaml.Node | None) -> str:

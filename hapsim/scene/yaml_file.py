@@ -18,7 +18,7 @@ from hapsim.errors import UsageError
 from hapsim.units import LINEAR, Units
 
 from .issue import Issue, LocatedIssue, Path, Place, as_argument, did_you_mean, nearest, one_of, quote
-from .quantity import KINDS, NAME_PATTERN, UNEXPECTED, Expectation
+from .quantity import KINDS, NAME_PATTERN, UNEXPECTED, Expectation, expectation_of
 from .written_units import QUANTITY, has_dimension
 from .yaml_document import Document, YamlSyntaxError, compose, place_in, space_hint
 
@@ -186,7 +186,7 @@ class Layout:
             place = (*path[:2], entry[self.tag], *path[2:])
         for length in range(len(place)):
             field = self.fields(place[:length]).get(str(place[length]))
-            for expectation in (one for one in field.metadata if isinstance(one, Expectation)) if field else ():
+            if field and (expectation := expectation_of(field)):
                 units, last = expectation.units, path[-1]
                 unit = units[last] if units[1:] and isinstance(last, int) and last < len(units) else units[0]
                 return unit if has_dimension(unit) else ""

@@ -20,7 +20,7 @@ from hapsim.errors import UsageError
 from hapsim.scene import Device, Mock, Scene
 from hapsim.scene.issue import did_you_mean, one_of, quote
 from hapsim.scene.load import scene_from_document
-from hapsim.scene.quantity import UNEXPECTED, Expectation
+from hapsim.scene.quantity import UNEXPECTED, expectation_of
 from hapsim.scene.written_units import QUANTITY, UnitError, has_dimension, in_si
 from hapsim.units import Units
 
@@ -275,7 +275,8 @@ class Varied:
         return self._units(path).name(unit) if unit != "1" else ""
 
     def _linear_unit(self, path: str) -> str:
-        return next((one.unit for one in self._fields[path].metadata if isinstance(one, Expectation)), "")
+        expected = expectation_of(self._fields[path])
+        return expected.unit if expected else ""
 
     def _units(self, path: str) -> Units:
         name = path.rpartition(".")[0]

@@ -27,6 +27,8 @@ def test_the_printed_modules_can_be_put_into_the_file(hapsim: Hapsim, scene_file
     (part,) = hapsim("check", scene, "--json").document["any_hands"]
     assert (part["device_points"], part["passive"]) == (["hand"], True)
     assert part["needed_friction"][0] == pytest.approx(float(needed[1]), rel=1e-5)
+    again = hapsim("couple", scene)
+    assert (again.status, "found hand_coupling, so hand is coupled already" in again.err) == (2, True)
     (hand,) = hapsim("couple", scene_file("spring"), "--json").document["hands"]
     assert hand["any_hand"]["stiffness"] == pytest.approx(4.0 * hand["friction"] / (27.0**0.5 * 1e-3), rel=1e-9)
     assert hand["this_hand"]["stiffness"] > hand["any_hand"]["stiffness"]

@@ -63,6 +63,13 @@ def quantities(text: str, units: list[str]) -> dict[str, list[float]]:
     return found
 
 
+def held_regions(text: str) -> list[list[float]]:
+    """K, B, felt k and felt b of each row of a table by regions in which a spring holds the hand."""
+    lines = text.partition("By region")[2].splitlines()
+    rows = [re.findall(rf"(?<= ){NUMBER}(?= )", line) for line in lines if line.startswith(" ") and " stable" in line]
+    return [[float(one) for one in row[-4:]] for row in rows if len(row) >= 4]
+
+
 @pytest.mark.parametrize(
     "command",
     [
@@ -86,8 +93,12 @@ def test_text_is_in_the_units_of_the_file(command: str, scenes: tuple[Path, Path
     of_si, of_file = quantities(here, [*SI, *LENGTHS]), quantities(there, [*UNITS, "cm"])
     for unit, (si, factor) in UNITS.items():
         assert of_file[unit] == pytest.approx([factor * one for one in of_si[si]], rel=0.1), unit
+    rows, rows_of_si = held_regions(there), held_regions(here)
+    assert rows or command != "chart force"
+    assert rows == [pytest.approx([0.01 * K, 1e3 * B, 0.01 * k, 1e3 * b], rel=1e-3) for K, B, k, b in rows_of_si]
     assert len(of_file["cm"]) == len(of_si["m"]) + len(of_si["mm"])
-    assert sum(map(len, of_file.values())) >= (0 if draws or "run" in command else 5)
+    least = {"chart transparency": 0, "run --duration 0.2": 0, "chart plane": 1, "chart force": 0}.get(command, 5)
+    assert sum(map(len, of_file.values())) >= least
     assert not any(quantities(there, [*SI, *LENGTHS]).values())
     if draws:
         assert scenes[0].with_suffix(".csv").read_text() == scenes[1].with_suffix(".csv").read_text()
