@@ -64,6 +64,9 @@ WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
 
 SCHEME = f"Integration of the masses from sample to sample: {_each(_SCHEMES)}"
 
+SENSORS = ("velocity", "acceleration")
+"""Values per channel that a device may send beside its position, in the wire's order."""
+
 CorrectionName = Literal["none", "poles", "predictor", "adaptive"]
 CORRECTION = (
     "What is done so that the hand feels the stiffness and damping of the scene, and not what sampling, hold and delay "

@@ -7,9 +7,11 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
 
 from hapsim.dampers import DAMPERS
+from hapsim.holds import HOLDS
 from hapsim.scales import SCALES
 from hapsim.units import MOTIONS, Motion
 
+from .choices import SENSORS
 from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground
@@ -28,6 +30,9 @@ MOST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
 
 #: Counts of the encoder in a detent: one for each quarter of its force.
 _LEAST_COUNTS = 4
+
+#: The lists that have no value for each channel.
+_LISTS = ("grips", "sensors")
 
 
 def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mapping[str, object]) -> Iterator[Issue]:
@@ -70,6 +75,7 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
             "found adaptive with a known mass; write device.mass: {from: the least, to: the most}, "
             "or correction: predictor",
         )
+    yield from _sensor_issues(device)
     if device.get("travel_margin") is not None and device.get("travel") is None:
         yield Issue(
             ("device", "travel_margin"),
@@ -78,8 +84,27 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
         )
 
 
+def _sensor_issues(device: Mapping[str, object]) -> Iterator[Issue]:
+    sensors, is_sensed = device.get("sensors", ()), device.get("correction") == "sensed"
+    missing = [name for name in SENSORS if name not in sensors] if isinstance(sensors, tuple | list) else []
+    if is_sensed and missing:
+        sentence = f"found sensed without a sensor of the {' and the '.join(missing)}; write device.sensors: "
+        sentence += f"[{', '.join(SENSORS)}] if the device has them, or correction: predictor, which needs none"
+        yield Issue(("device", "correction"), sentence)
+    if is_sensed and isinstance(hold := device.get("hold", "zoh"), str) and not HOLDS[hold].keeps_last_force:
+        sentence = f"found sensed with hold: {hold}, whose force no acceleration shows; expected correction: predictor"
+        yield Issue(("device", "correction"), sentence)
+    if device.get("acceleration_age") and "acceleration" in missing:
+        sentence = "found an age without the sensor; add device.sensors: [acceleration], or omit the age"
+        yield Issue(("device", "acceleration_age"), sentence, at_key=True)
+
+
 def _predicted_mean(device: Mapping[str, object]) -> Iterator[Issue]:
-    if device.get("decimation") == "mean" and (correction := device.get("correction")) in ("predictor", "adaptive"):
+    if device.get("decimation") == "mean" and (correction := device.get("correction")) in (
+        "predictor",
+        "adaptive",
+        "sensed",
+    ):
         yield Issue(
             ("device", "decimation"),
             f"found mean with correction: {correction}, whose force answers one state, that of the last substep; "
@@ -173,7 +198,7 @@ def lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterat
     fields = [((*path, name), value) for path, part in per_channel.items() for name, value in part.items()]
     for path, value in fields:
         one = {"travel": "pair", "motion": "word"}.get(str(path[-1]), "number")
-        if not channels or not isinstance(value, list | tuple) or path[-1] == "grips":
+        if not channels or not isinstance(value, list | tuple) or path[-1] in _LISTS:
             continue
         if len(value) != channels and (one != "pair" or isinstance(value[0], list | tuple)):
             found = f"found {len(value)} {one}{'' if len(value) == 1 else 's'}"

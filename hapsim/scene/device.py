@@ -9,7 +9,18 @@ from pydantic import Field
 from hapsim.scales import Scale, scale_of
 from hapsim.units import MOTIONS, Motion
 
-from .choices import CORRECTION, DECIMATION, HOLD, MOTION, SAMPLING, CorrectionName, Decimation, Hold, Sampling
+from .choices import (
+    CORRECTION,
+    DECIMATION,
+    HOLD,
+    MOTION,
+    SAMPLING,
+    SENSORS,
+    CorrectionName,
+    Decimation,
+    Hold,
+    Sampling,
+)
 from .part import Part
 from .quantity import (
     Curve,
@@ -25,6 +36,7 @@ from .quantity import (
     interval,
     per_channel,
     quantity,
+    some_of,
     text,
     word_per_channel,
 )
@@ -78,6 +90,11 @@ ORIGIN = quantity(
     left_out="where the device powered up or homed",
     word="here",
 )
+ACCELERATION_AGE = count(
+    "Age of the sensed acceleration in forces: measured just after the newest force begins to act (0), or before (1)",
+    0,
+    1,
+)
 _MARGIN_SHARE = 0.1  # of the travel
 
 PORT = text(
@@ -108,6 +125,8 @@ class Device(Part):
     travel: Annotated[LimitsPerChannel | None, TRAVEL] = None
     travel_margin: Annotated[float | None, TRAVEL_MARGIN] = None
     origin: Annotated[WordPerChannel | None, ORIGIN] = None
+    sensors: Annotated[tuple[str, ...], some_of("Sensors of the device beside that of the position", SENSORS)] = ()
+    acceleration_age: Annotated[int, ACCELERATION_AGE] = 0
     correction: CorrectionName = Field(default="none", description=CORRECTION)
     decimation: Decimation = Field(default="last", description=DECIMATION)
 

@@ -229,6 +229,20 @@ def words_of(description: str, words: tuple[str, ...], count: int) -> Expectatio
     return Expectation(description, expected, _list_of([entry], count, count, expected))
 
 
+def some_of(description: str, words: tuple[str, ...]) -> Expectation:
+    """A list of some of these words, each once; it becomes a tuple in their order."""
+    either = " or ".join(words)
+    expected = f"a list of {either}, each once"
+    entries = _list_of([_with_message(core_schema.literal_schema(list(words)), either)], 0, len(words), expected)
+
+    def in_order(found: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(found)) < len(found):
+            unexpected(expected, found="a list that names one twice")
+        return tuple(sorted(found, key=words.index))
+
+    return Expectation(description, expected, core_schema.no_info_after_validator_function(in_order, entries))
+
+
 def word_per_channel(description: str, words: tuple[str, ...]) -> Expectation:
     """One of these words, or a list with one for each channel."""
     either = " or ".join(words)

@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 
 from hapsim.units import Units, Written
 
-from .choices import SCHEME, WITH_SENSOR, SchemeName
+from .choices import SCHEME, SENSORS, WITH_SENSOR, SchemeName
 from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
@@ -178,6 +178,12 @@ class Scene(Part):
     def sensed_links(self) -> tuple[str, ...]:
         """Names of the links whose damper is driven by the device's own velocity sensor."""
         return tuple(name for name, link in self._of(ViscoElastic).items() if link.damper in WITH_SENSOR)
+
+    @property
+    def sensed(self) -> tuple[str, ...]:
+        """The values that the device sends beside its positions, of `SENSORS`, in their order."""
+        wanted = {"velocity": bool(self.sensed_links)}
+        return tuple(name for name in SENSORS if name in self.device.sensors or wanted.get(name))
 
     @property
     def mock_device(self) -> MockDevice:

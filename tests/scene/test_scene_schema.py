@@ -93,6 +93,8 @@ def test_the_defaults_of_the_format_are_in_the_schema(schema: dict[str, Any]) ->
         "hold": "zoh",
         "sampling": "ideal",
         "force_limit": 10.0,
+        "sensors": [],
+        "acceleration_age": 0,
         "correction": "none",
         "decimation": "last",
     }
