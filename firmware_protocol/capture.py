@@ -13,13 +13,13 @@ from typing import Any, Literal, NamedTuple
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import Frame, frames_in, new_decoder
-from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes
+from firmware_protocol.frames import SETUP, Format, every_armed_format, frame_bytes
 
 KEPT = 256
 """Bytes that are kept of a stretch without a delimiter: its last; more than any frame has."""
 
 _SHORTEST = frame_bytes(SETUP, to_device=False) - 1  # without the delimiter
-_EVERY = (SETUP, *(armed_format(n, velocity) for velocity in (False, True) for n in range(1, schema.MAX_CHANNELS + 1)))
+_EVERY = (SETUP, *every_armed_format())
 
 
 class Decoded(NamedTuple):

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from firmware_protocol import schema
 from firmware_protocol.description import Description
-from firmware_protocol.frames import SETUP, Format, armed_format, frame_to_device
+from firmware_protocol.frames import SETUP, Format, armed_format, every_armed_format, frame_to_device
 
 ANSWER_S = 0.25
 """Timeout of one answer (PROTOCOL.md, section 8)."""
@@ -80,10 +80,10 @@ class Client(ABC):
             number %= schema.SAMPLE_MODULUS
         return frame_to_device(wire, kind, number, argument, padded)
 
-    def arm_frame(self, pacing: int, watchdog: int, *, velocity: bool = False, word: int = schema.SCHEMA_HASH) -> bytes:
-        """Returns ARM; `watchdog`: samples, `word`: its schema hash."""
+    def arm_frame(self, pacing: int, watchdog: int, *, parts: int = 0, word: int = schema.SCHEMA_HASH) -> bytes:
+        """Returns ARM; `watchdog`: samples, `parts`: bits of schema.PARTS, `word`: its schema hash."""
         signed = (word & 0xFFFFFFFF) - ((word & 0x80000000) << 1)
-        return self.frame(schema.ARM, watchdog, pacing | (schema.WITH_VELOCITY if velocity else 0), [signed])
+        return self.frame(schema.ARM, watchdog, pacing | parts, [signed])
 
     def wait_for(self, fits: Callable[[Received], bool], seconds: float) -> tuple[Received | None, list[Received]]:
         """Returns the first frame that `fits`, None if none comes within this time; and every frame until then, and
@@ -139,12 +139,12 @@ class Client(ABC):
         pacing: int,
         watchdog: int,
         *,
-        velocity: bool = False,
+        parts: int = 0,
         fits: Callable[[Received], bool] = lambda _: True,
     ) -> tuple[Received | None, list[Received]]:
         """Sends ARM until a STATUS that `fits` answers. Returns that (None if none comes), and every frame."""
-        self.armed = armed_format(device.channels, velocity)
-        return self.ask(self.arm_frame(pacing, watchdog, velocity=velocity), schema.STATUS, fits=fits)
+        self.armed = armed_format(device.channels, parts)
+        return self.ask(self.arm_frame(pacing, watchdog, parts=parts), schema.STATUS, fits=fits)
 
     def release(
         self,
@@ -163,6 +163,5 @@ class Client(ABC):
 
 
 def disarm_in_every_format() -> bytes:
-    """Returns the frames that release a device armed by another host, with any number of channels."""
-    every = (armed_format(n, velocity) for n in range(1, schema.MAX_CHANNELS + 1) for velocity in (False, True))
-    return b"".join(frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels) for wire in every)
+    """Returns the frames that release a device armed by another host, with any number of channels and any parts."""
+    return b"".join(frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels) for wire in every_armed_format())

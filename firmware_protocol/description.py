@@ -29,10 +29,14 @@ class Description:
     """N, which the device itself never exceeds."""
     velocity_scale: tuple[float, ...] = ()
     """(m/s) per count; empty where the device senses no velocity."""
+    acceleration_scale: tuple[float, ...] = ()
+    """(m/s²) per count; empty where the device senses no acceleration."""
     rotary: int = 0
     """Bit c: channel c turns, in rad and N·m. 0: not declared."""
     bridge: int = 0
     """1: the actuators are behind another protocol; what this one promises ends there."""
+    sensors: int = 0
+    """Bit 0: acceleration is sensed. Bits 1 and 2 are kept for forces and for a digital word."""
     version: int = schema.VERSION
     schema_hash: int = schema.SCHEMA_HASH
 
@@ -44,7 +48,18 @@ class Description:
     @property
     def senses_velocity(self) -> bool:
         """True if every channel has a velocity scale above 0."""
-        return bool(self.velocity_scale) and all(scale > 0 for scale in self.velocity_scale)
+        return "velocity" in self.sensed
+
+    @property
+    def sensed(self) -> tuple[str, ...]:
+        """Names of the parts of POSITION that the device can send: those with a scale above 0 on every channel."""
+        scales = {part.name: self.scale(part.name) for part in schema.PARTS}
+        return tuple(name for name, scale in scales.items() if scale and all(one > 0 for one in scale))
+
+    def scale(self, part: str) -> tuple[float, ...]:
+        """Returns the scales of a part of POSITION, in SI units per count; empty where the device has none."""
+        scale: tuple[float, ...] = getattr(self, f"{part}_scale")
+        return scale
 
     @property
     def motions(self) -> tuple[Literal["linear", "rotary"], ...]:
@@ -64,23 +79,27 @@ _WORDS = {
     "max_watchdog_samples": schema.REG_MAX_WATCHDOG,
     "rotary": schema.REG_ROTARY,
     "bridge": schema.REG_BRIDGE,
+    "sensors": schema.REG_SENSORS,
 }
 _NAME = slice(schema.REG_NAME, schema.REG_NAME + schema.NAME_WORDS)
 _NAME_BYTES = 4 * schema.NAME_WORDS
+_DECLARED = [part for part in schema.PARTS if part.declared_by]  # their scales are outside of CHANNEL_REGISTERS
 
 
 def to_registers(description: Description) -> NDArray[np.int64]:
     """Returns every register as an unsigned 32-bit value, shape (REGISTERS,).
 
     A name is cut at 16 characters; what is not printable ASCII becomes a question mark. Raises ValueError unless there
-    are 1 to 16 channels, each with both scales and a limit, and velocity scales for all of them or for none.
+    are 1 to 16 channels, each with both scales and a limit, and scales of velocity for all of them or for none, so of
+    acceleration.
     """
     channels = description.channels
     schema.require_channels(channels)
     if not channels == len(description.force_scale) == len(description.force_limit):
         raise ValueError("every channel needs a position scale, a force scale and a force limit")
-    if len(description.velocity_scale) not in (0, channels):
-        raise ValueError("a device that senses velocity needs a velocity scale for every channel")
+    for part in schema.PARTS:
+        if len(description.scale(part.name)) not in (0, channels):
+            raise ValueError(f"a device that senses {part.name} needs a scale of it for every channel")
     registers = np.zeros(schema.REGISTERS, "<u4")
     for name, register in _WORDS.items():
         registers[register] = getattr(description, name)
@@ -88,15 +107,21 @@ def to_registers(description: Description) -> NDArray[np.int64]:
     doubles[schema.REG_RATE // 2] = description.rate_hz
     for name, register in schema.CHANNEL_REGISTERS.items():
         per_channel[:channels, register // 2] = getattr(description, name) or 0.0
+    for part in _DECLARED:
+        doubles[_scales_at(part, channels)] = description.scale(part.name) or 0.0
     characters = _printable(description.name).encode("ascii")[:_NAME_BYTES]
     registers[_NAME] = np.frombuffer(characters.ljust(_NAME_BYTES, b"\0"), "<u4")
     return registers.astype(np.int64)
 
 
-def registers_of_a_description(channels: int) -> list[int]:
-    """Returns the registers that a host reads once it knows the number of channels."""
+def registers_of_a_description(channels: int, sensors: int) -> list[int]:
+    """Returns the registers that a host reads once it knows the number of channels and REG_SENSORS."""
     wanted = [schema.REG_PACINGS, schema.REG_RATE, schema.REG_RATE + 1, schema.REG_MAX_WATCHDOG]
-    scales = range(schema.REG_CHANNEL, schema.REG_CHANNEL + channels * schema.CHANNEL_WORDS)
+    scales = [*range(schema.REG_CHANNEL, schema.REG_CHANNEL + channels * schema.CHANNEL_WORDS)]
+    for part in _DECLARED:
+        if sensors & part.declared_by:
+            first = range(part.scale_register, part.scale_register + channels * part.register_step, part.register_step)
+            scales += [low + half for low in first for half in (0, 1)]
     return [*wanted, schema.REG_ROTARY, schema.REG_BRIDGE, *range(_NAME.start, _NAME.stop), *scales]
 
 
@@ -104,7 +129,8 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
     """Returns the description in the registers, shape (REGISTERS,), unsigned 32-bit values.
 
     The name ends at the first zero byte. A watchdog longer than sample numbers can distinguish becomes the longest that
-    they can. Velocity scales that are all zero are none. Raises ValueError unless there are 1 to 16 channels.
+    they can. Scales of a part that are all zero, or that REG_SENSORS does not declare, are none. Raises ValueError
+    unless there are 1 to 16 channels.
     """
     words: dict[str, Any] = {name: int(registers[register]) for name, register in _WORDS.items()}
     channels = words.pop("channels")
@@ -115,8 +141,12 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
         name: tuple(per_channel[:channels, register // 2].tolist())
         for name, register in schema.CHANNEL_REGISTERS.items()
     }
-    if not any(scales["velocity_scale"]):
-        scales["velocity_scale"] = ()
+    for part in _DECLARED:
+        declared = words["sensors"] & part.declared_by
+        scales[f"{part.name}_scale"] = tuple(doubles[_scales_at(part, channels)].tolist()) if declared else ()
+    for part in schema.PARTS:
+        if not any(scales[f"{part.name}_scale"]):
+            scales[f"{part.name}_scale"] = ()
     words["max_watchdog_samples"] = min(words["max_watchdog_samples"], schema.MAX_WATCHDOG_SAMPLES)
     characters = held[_NAME].tobytes().partition(b"\0")[0].decode("latin-1")
     rate = float(doubles[schema.REG_RATE // 2])
@@ -126,7 +156,14 @@ def from_registers(registers: NDArray[np.int64]) -> Description:
 def _doubles_of(registers: NDArray[np.uint32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Returns (the registers as doubles, those of the channels with a row for each), which share their memory."""
     doubles = registers.view("<f8")
-    return doubles, doubles[schema.REG_CHANNEL // 2 :].reshape(schema.MAX_CHANNELS, schema.CHANNEL_WORDS // 2)
+    rows = doubles[schema.REG_CHANNEL // 2 : schema.REG_MORE // 2]
+    return doubles, rows.reshape(schema.MAX_CHANNELS, schema.CHANNEL_WORDS // 2)
+
+
+def _scales_at(part: schema.Part, channels: int) -> slice:
+    """Returns the places of a part's scales among the registers as doubles."""
+    first, step = part.scale_register // 2, part.register_step // 2
+    return slice(first, first + channels * step, step)
 
 
 def _printable(name: str) -> str:

@@ -102,18 +102,23 @@ class Format(NamedTuple):
     """The layout of frames; see `armed_format`."""
 
     channels: int
-    velocity: bool
-    """True if frames to the host carry a velocity with each position."""
+    parts: int
+    """ARM's bits of what frames to the host carry beside the positions."""
     long_check: bool
     """True if the check has 32 bits."""
     seed: int
     """The check's start value."""
 
+    @property
+    def part_names(self) -> list[str]:
+        """Names of the parts on the wire, in their order."""
+        return [part.name for part in schema.in_parts(self.parts)]
+
 
 ROOM = 256
-"""Bytes; more than any frame has."""
+"""Bytes; no frame has more before its delimiter."""
 
-SETUP = Format(1, False, False, schema.SETUP_SEED)
+SETUP = Format(1, 0, False, schema.SETUP_SEED)
 """The format of every frame of a device that is not armed, and of DESCRIBE and ARM."""
 
 FRAMING = np.dtype(
@@ -128,15 +133,19 @@ FRAMING = np.dtype(
 """A format in one direction, for compiled code."""
 
 
-def armed_format(channels: int, velocity: bool = False) -> Format:
-    """Returns the format of an armed device with 1 to 16 channels; `velocity`: one that sends its velocities too.
+def armed_format(channels: int, parts: int = 0) -> Format:
+    """Returns the format of an armed device with 1 to 16 channels that sends these `parts` (ARM's bits) too.
 
-    Raises ValueError for any other number of channels.
+    Raises ValueError for any other number of channels, and for more than 62 words in a frame.
     """
-    schema.require_channels(channels)
-    long_check = schema.has_long_check(channels, velocity)
-    word = schema.VELOCITY_SEED_LONG if velocity else schema.ARMED_SEED_LONG
-    return Format(channels, velocity, long_check, word if long_check else schema.folded(word))
+    schema.require_words(channels, parts)
+    long_check, word = schema.has_long_check(channels, parts), schema.seed_word(parts)
+    return Format(channels, parts, long_check, word if long_check else schema.folded(word))
+
+
+def every_armed_format() -> list[Format]:
+    """Returns the formats of all armed devices: of any number of channels, with any parts."""
+    return [armed_format(n, parts) for parts in schema.COMBINATIONS for n in range(1, schema.MAX_CHANNELS + 1)]
 
 
 @cache
@@ -144,7 +153,7 @@ def framing_of(wire: Format, to_device: bool) -> Any:
     """Returns the FRAMING of a format in one direction, to be read and copied only."""
     framing = new_record(FRAMING)
     framing.from_host = to_device
-    framing.words = schema.words(wire.channels, to_device, wire.velocity)
+    framing.words = schema.words(wire.channels, to_device, wire.parts)
     framing.long_check = wire.long_check
     framing.seed = wire.seed
     return framing
@@ -189,7 +198,7 @@ def frame_to_device(wire: Format, frame_type: int, number: int, argument: int, c
 
 def frame_bytes(wire: Format, to_device: bool) -> int:
     """Returns the bytes of a whole frame in this format, with its delimiter."""
-    return schema.frame_bytes(wire.channels, to_device, wire.velocity)
+    return schema.frame_bytes(wire.channels, to_device, wire.parts)
 
 
 def _frame(wire: Format, to_device: bool, frame_type: int, number: int, argument: int, counts: Integers) -> bytes:

@@ -87,6 +87,7 @@ _EXAMPLES = (
     _Example("velocity_1", "position", 300, 0, (-1234567, 20000), "position of sample 300, and its velocity", "counts"),
     _Example("velocity_1", "force", 300, 20, (1000000,), "answers sample 300, time to live 20 samples", "counts"),
     _Example("velocity_2", "position", 301, 0, (1, -1, 256, -256), "two channels, 32-bit check", "counts"),
+    _Example("both_1", "position", 300, 0, (-1234567, 20000, -9810), "position, velocity, acceleration", "counts"),
 )
 
 
@@ -94,8 +95,9 @@ def _document_blocks() -> dict[str, str]:
     return {
         "constants": _constants(),
         "schema": f"```text\n{schema.SCHEMA}```",
-        "time on the wire": _wire_time(velocity=False),
-        "time on the wire with velocities": _wire_time(velocity=True),
+        "time on the wire": _wire_time(0),
+        "time on the wire with velocities": _wire_time(schema.WITH_VELOCITY),
+        "time on the wire with both": _wire_time(schema.PART_BITS),
         "examples": "\n\n".join(_annotated(example) for example in _EXAMPLES),
     }
 
@@ -104,20 +106,24 @@ def _constants() -> str:
     rows = {
         "schema hash": f"{schema.SCHEMA_HASH:08x}",
         "start value, set-up format (CRC-16)": f"{schema.SETUP_SEED:04x}",
-        "start value, armed format of 1 to 3 channels (CRC-16)": f"{schema.ARMED_SEED_SHORT:04x}",
-        "start value, armed format of 4 to 16 channels (CRC-32C)": f"{schema.ARMED_SEED_LONG:08x}",
-        "velocity mark": f"{schema.VELOCITY_MARK:08x}",
-        "start value, armed format with velocities of 1 channel (CRC-16)": f"{schema.VELOCITY_SEED_SHORT:04x}",
-        "start value, armed format with velocities of 2 to 16 channels (CRC-32C)": f"{schema.VELOCITY_SEED_LONG:08x}",
-    }
+    } | {f"{part.name} mark": f"{part.mark:08x}" for part in schema.PARTS}
+    for parts in schema.COMBINATIONS:
+        names = " and ".join(part.name for part in schema.in_parts(parts))
+        of, word = "start value, armed format" + (f" with {names}" if names else ""), schema.seed_word(parts)
+        most = max(n for n in range(1, schema.MAX_CHANNELS) if not schema.has_long_check(n, parts))
+        short = "1 channel" if most == 1 else f"1 to {most} channels"
+        rows |= {
+            f"{of}, {short} (CRC-16)": f"{schema.folded(word):04x}",
+            f"{of}, {most + 1} to {schema.MAX_CHANNELS} channels (CRC-32C)": f"{word:08x}",
+        }
     return _table(("constant", "value"), "ll", ((name, f"`0x{value}`") for name, value in rows.items()))
 
 
-def _wire_time(velocity: bool) -> str:
+def _wire_time(parts: int) -> str:
     bauds = (115_200, 921_600, 2_000_000)
     rows = []
     for channels in range(1, schema.MAX_CHANNELS + 1):
-        host, device = (schema.frame_bytes(channels, to_device, velocity) for to_device in (False, True))
+        host, device = (schema.frame_bytes(channels, to_device, parts) for to_device in (False, True))
         times = (f"{1e3 * (host + device) * BITS_PER_BYTE / baud:.3f} ms" for baud in bauds)
         rows.append((f"{channels}", f"{host} B", f"{device} B", f"{host + device} B", *times))
     return _table(("channels", "to host", "to device", "exchange", *(f"{baud} baud" for baud in bauds)), "r" * 7, rows)
@@ -129,7 +135,7 @@ def _annotated(example: _Example) -> str:
     data = frame(example.format_name, example.kind, example.number, example.argument, list(example.counts))
     checked = len(data) - (6 if wire.long_check else 4)
     where = "set-up" if example.format_name == "setup" else f"armed, {wire.channels} channel{'s'[: wire.channels - 1]}"
-    where += " with velocity" if wire.velocity else ""
+    where += f" with {' and '.join(wire.part_names)}" if wire.parts else ""
     header = struct.pack(">H", code << 12 | example.number)
     rows = [("body", header, f"type {code:#x}, number {example.number:#05x} = {example.number}")]
     if example.kind in TO_DEVICE:

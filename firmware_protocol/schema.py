@@ -7,12 +7,13 @@ an armed device, so that two sides with different meanings reject each other's f
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
 VERSION = 1
 MAX_CHANNELS = 16
-MAX_WORDS = 2 * MAX_CHANNELS  # of a payload: a position and a velocity for every channel
+MAX_WORDS = 62  # of a payload: the longest body that COBS stuffs by a single byte has 253 bytes
 SAMPLE_MODULUS = 4096  # sample numbers travel in 12 bits
 MAX_WATCHDOG_SAMPLES = SAMPLE_MODULUS // 2 - 1  # below half the modulus: an age is never ambiguous
 MAX_TIME_TO_LIVE_SAMPLES = 255
@@ -34,10 +35,9 @@ TYPES = {
 }
 POSITIONS = (POSITION, POSITION_HELD)
 
-# The pacing of an armed device's samples: the low seven bits of ARM's argument.
+# The pacing of an armed device's samples, in ARM's argument beside the bits of PARTS.
 PACED_BY_DEVICE, PACED_BY_HOST, LOCKSTEP = 0, 1, 2
 PACINGS = {PACED_BY_DEVICE: "device", PACED_BY_HOST: "host", LOCKSTEP: "lockstep"}
-WITH_VELOCITY = 0x80  # beside the pacing: the device sends velocities too
 
 # States and faults, in a status frame.
 IDLE, ARMED, LATCHED = 0, 1, 2
@@ -52,7 +52,7 @@ FAULTS = {
     WRONG_PACING: "the device cannot be paced in the way that was asked",
     WRONG_WATCHDOG: "the watchdog asked for is outside what the device allows",
     HARDWARE: "the device found a fault in its own hardware",
-    WRONG_SENSING: "the device does not sense the velocity that was asked for",
+    WRONG_SENSING: "the device does not sense the velocity or acceleration that was asked for",
 }
 
 # Registers of the description, each 32 bits; an f64 takes two, low word first.
@@ -60,6 +60,8 @@ REG_VERSION, REG_SCHEMA, REG_CHANNELS, REG_PACINGS, REG_RATE = range(5)
 REG_MAX_WATCHDOG, REG_FAULT, REG_ACCEPTED, REG_REJECTED, REG_HELD, REG_EXPIRED, REG_LIMITED = range(6, 13)
 REG_ROTARY = 13  # a bit for each channel; not in SCHEMA, whose hash boards in the field have: there it reads 0
 REG_BRIDGE = 14  # 1: guards end at a bridge to another protocol; not in SCHEMA either
+REG_SENSORS = 15  # a bit for each kind of sensor, below; not in SCHEMA either
+SENSES_ACCELERATION, SENSES_FORCE, HAS_DIGITAL_WORD = 1, 2, 4  # the last two are kept for later
 REG_NAME, NAME_WORDS = 16, 4
 REG_CHANNEL, CHANNEL_WORDS = 32, 8  # CHANNEL_WORDS of them for each channel, with these inside:
 REG_POSITION_SCALE, REG_FORCE_SCALE, REG_FORCE_LIMIT, REG_VELOCITY_SCALE = range(0, CHANNEL_WORDS, 2)
@@ -69,7 +71,47 @@ CHANNEL_REGISTERS = {
     "force_limit": REG_FORCE_LIMIT,
     "velocity_scale": REG_VELOCITY_SCALE,
 }
-REGISTERS = REG_CHANNEL + MAX_CHANNELS * CHANNEL_WORDS
+REG_MORE, MORE_WORDS = REG_CHANNEL + MAX_CHANNELS * CHANNEL_WORDS, 16  # again for each channel; not in SCHEMA
+REGISTERS = REG_MORE + MAX_CHANNELS * MORE_WORDS
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of POSITION behind the positions, which ARM requests by its own bit."""
+
+    name: str
+    """As in a scene; `Description` has its scale as `NAME_scale`."""
+    bit: int
+    """Bit of ARM's argument."""
+    mark: int
+    """Word that changes the check's start value where the part is on the wire."""
+    scale_register: int
+    """Register of channel 0's scale: an f64, SI units per count; 0 where the channel senses none."""
+    register_step: int
+    """Registers from one channel to the next."""
+    declared_by: int = 0
+    """Bit of REG_SENSORS without which its scales are not read; 0: they always are."""
+    per_channel: bool = True
+    """False: one word for all channels."""
+
+    def words(self, channels: int) -> int:
+        """Returns its words in a payload."""
+        return channels if self.per_channel else 1
+
+
+# "VEL" and "ACC", and a byte such that a device of one channel never takes the echo of its own position for a frame of
+# the host. A test fails where a changed schema needs another byte.
+PARTS = (
+    Part("velocity", 0x80, 0x56454C01, REG_CHANNEL + REG_VELOCITY_SCALE, CHANNEL_WORDS),
+    Part("acceleration", 0x20, 0x41434302, REG_MORE, MORE_WORDS, SENSES_ACCELERATION),
+)
+"""In their order on the wire. The bits 0x40 and 0x10 are kept for forces and for a digital word."""
+
+WITH_VELOCITY, WITH_ACCELERATION = (part.bit for part in PARTS)
+PART_BITS = WITH_VELOCITY | WITH_ACCELERATION
+"""Any other bit of ARM's argument belongs to the pacing: a device refuses one that it does not know."""
+COMBINATIONS = (0, WITH_VELOCITY, WITH_ACCELERATION, PART_BITS)
+"""Combinations of parts that a host may request."""
 
 SCHEMA = f"""hapsim wire {VERSION}
 frame cobs(header:u16be argument:u8[host] payload:i32le*words) crc7bit zero
@@ -108,9 +150,6 @@ def _crc32c(text: bytes) -> int:
 
 SCHEMA_HASH = _crc32c(SCHEMA.encode("ascii"))
 SETUP_SEED = 0x4853  # "HS": the same in every version, so that versions can name each other
-# "VEL", and a byte such that a device of one channel never takes the echo of its own position for a frame of the host.
-# A test fails where a changed schema needs another byte.
-VELOCITY_MARK = 0x56454C01
 
 
 def folded(word: int) -> int:
@@ -118,10 +157,23 @@ def folded(word: int) -> int:
     return (word ^ (word >> 16)) & 0xFFFF
 
 
-ARMED_SEED_LONG = SCHEMA_HASH
-ARMED_SEED_SHORT = folded(ARMED_SEED_LONG)
-VELOCITY_SEED_LONG = SCHEMA_HASH ^ VELOCITY_MARK
-VELOCITY_SEED_SHORT = folded(VELOCITY_SEED_LONG)
+def parts_of(names: Iterable[str]) -> int:
+    """Returns ARM's bits of the parts with these names."""
+    asked = set(names)
+    return sum(part.bit for part in PARTS if part.name in asked)
+
+
+def in_parts(parts: int) -> list[Part]:
+    """Returns the parts with these bits of ARM, in their order on the wire."""
+    return [part for part in PARTS if parts & part.bit]
+
+
+def seed_word(parts: int) -> int:
+    """Returns the word from which the start value of an armed format is made."""
+    word = SCHEMA_HASH
+    for part in in_parts(parts):
+        word ^= part.mark
+    return word
 
 
 def require_channels(channels: int) -> None:
@@ -130,9 +182,21 @@ def require_channels(channels: int) -> None:
         raise ValueError(f"{channels} channels: the protocol carries 1 to {MAX_CHANNELS}")
 
 
-def words(channels: int, to_device: bool, velocity: bool = False) -> int:
-    """Returns the words of a frame's payload. `velocity`: of a format in which the device sends velocities too."""
-    return 2 * channels if velocity and not to_device else channels
+def words(channels: int, to_device: bool, parts: int = 0) -> int:
+    """Returns the words of a frame's payload. `parts`: ARM's bits of what the device sends beside the positions."""
+    return channels if to_device else channels + sum(part.words(channels) for part in in_parts(parts))
+
+
+def require_words(channels: int, parts: int) -> None:
+    """Raises ValueError for a number of channels or a payload that the protocol does not carry."""
+    require_channels(channels)
+    longest = words(channels, to_device=False, parts=parts)
+    if longest > MAX_WORDS:
+        names = ", ".join(part.name for part in in_parts(parts))
+        raise ValueError(
+            f"{channels} channels with {names}: a frame of {longest} words, expected at most {MAX_WORDS}: "
+            "request fewer parts, or build the device with fewer channels"
+        )
 
 
 def motions(rotary: int, channels: int) -> tuple[Literal["linear", "rotary"], ...]:
@@ -140,20 +204,20 @@ def motions(rotary: int, channels: int) -> tuple[Literal["linear", "rotary"], ..
     return tuple("rotary" if rotary >> channel & 1 else "linear" for channel in range(channels))
 
 
-def has_long_check(channels: int, velocity: bool = False) -> bool:
+def has_long_check(channels: int, parts: int = 0) -> bool:
     """Returns whether the check has 32 bits. The format's longest frame decides for both directions."""
-    return words(channels, to_device=False, velocity=velocity) > SHORT_CRC_WORDS
+    return words(channels, to_device=False, parts=parts) > SHORT_CRC_WORDS
 
 
-def encoded_bytes(channels: int, to_device: bool, velocity: bool = False) -> int:
+def encoded_bytes(channels: int, to_device: bool, parts: int = 0) -> int:
     """Returns the bytes before the check: COBS code, header, argument (to the device only) and payload."""
-    return 1 + 2 + int(to_device) + 4 * words(channels, to_device, velocity)
+    return 1 + 2 + int(to_device) + 4 * words(channels, to_device, parts)
 
 
-def frame_bytes(channels: int, to_device: bool, velocity: bool = False) -> int:
+def frame_bytes(channels: int, to_device: bool, parts: int = 0) -> int:
     """Returns the bytes of a whole frame on the wire, with check and delimiter."""
-    check_bytes = 5 if has_long_check(channels, velocity) else 3  # of seven bits each
-    return encoded_bytes(channels, to_device, velocity) + check_bytes + 1
+    check_bytes = 5 if has_long_check(channels, parts) else 3  # of seven bits each
+    return encoded_bytes(channels, to_device, parts) + check_bytes + 1
 
 
 BITS_PER_BYTE = 10  # start, eight, stop
@@ -213,10 +277,10 @@ class WireTime:
 
 
 def wire_time(
-    channels: int, velocity: bool, rate: float, baud: int | None, turnaround_s: float, host_work_s: float = HOST_WORK_S
+    channels: int, parts: int, rate: float, baud: int | None, turnaround_s: float, host_work_s: float = HOST_WORK_S
 ) -> WireTime:
-    """Returns the times of an armed device at `rate` Hz, which sends velocities too where `velocity`."""
-    to_host = frame_bytes(channels, to_device=False, velocity=velocity)
-    to_device = frame_bytes(channels, to_device=True, velocity=velocity)
+    """Returns the times of an armed device at `rate` Hz, which sends these `parts` (ARM's bits) too."""
+    to_host = frame_bytes(channels, to_device=False, parts=parts)
+    to_device = frame_bytes(channels, to_device=True, parts=parts)
     seconds = 0.0 if baud is None else (to_host + to_device) * BITS_PER_BYTE / baud
     return WireTime(to_host, to_device, seconds, 1.0 / rate, baud, turnaround_s, host_work_s)

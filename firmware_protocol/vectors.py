@@ -31,8 +31,14 @@ from firmware_protocol.frames import (
 FORMATS = (
     {"setup": SETUP}
     | {f"armed_{channels}": armed_format(channels) for channels in (1, 3, 4, 16)}
-    | {f"velocity_{channels}": armed_format(channels, velocity=True) for channels in (1, 2, 16)}
+    | {f"velocity_{channels}": armed_format(channels, schema.WITH_VELOCITY) for channels in (1, 2, 16)}
+    | {f"acceleration_{channels}": armed_format(channels, schema.WITH_ACCELERATION) for channels in (1, 2, 16)}
+    | {f"both_{channels}": armed_format(channels, schema.PART_BITS) for channels in (1, 2, 16)}
 )
+FAMILIES = {0: "armed", schema.WITH_VELOCITY: "velocity", schema.WITH_ACCELERATION: "acceleration"} | {
+    schema.PART_BITS: "both"
+}
+"""Beginning of a format's name, by its parts."""
 NAMES = {code: name.lower() for code, name in schema.TYPES.items()}
 TYPES = {name: code for code, name in NAMES.items()}
 TO_DEVICE = {name: code for name, code in TYPES.items() if code <= schema.DISARM}
@@ -75,7 +81,7 @@ def words_in(format_name: str, kind: str) -> int:
 
 
 def _words(wire: Format, to_device: bool) -> int:
-    return schema.words(wire.channels, to_device, wire.velocity)
+    return schema.words(wire.channels, to_device, wire.parts)
 
 
 def _reading(about: str, direction: str, steps: list[tuple[str, bytes]]) -> Entry:
@@ -116,7 +122,7 @@ def _format_entry(name: str) -> Entry:
     return {
         "name": name,
         "channels": wire.channels,
-        "velocity": wire.velocity,
+        **{part.name: bool(wire.parts & part.bit) for part in schema.PARTS},
         "check_bits": 32 if wire.long_check else 16,
         "seed": wire.seed,
         "bytes_to_device": frame_bytes(wire, to_device=True),
@@ -169,6 +175,9 @@ def _stream_vectors() -> list[Entry]:
         ("velocity_1", "to_host", "position"),
         ("velocity_2", "to_device", "force"),
         ("velocity_16", "to_host", "position"),
+        ("acceleration_1", "to_host", "position"),
+        ("both_2", "to_device", "force"),
+        ("both_16", "to_host", "position"),
     ):
         frames = [frame(name, kind, n, 9, [n - 2] * words_in(name, kind)) for n in (1, 2, 3)]
         entries += [_reading(about, direction, [(name, c) for c in chunks]) for about, chunks in _streams_of(frames)]
@@ -209,9 +218,11 @@ def _arming_streams() -> list[Entry]:
     begun = frame("armed_3", "position", 3, 0, [0, 0, 0])[:6]
     plain = "arming, two positions, a fault; a frame begun in one format is forgotten in the next"
     sensed = "arming with velocities, two positions and their velocities, a fault"
+    both = "arming with velocities and accelerations, two positions with both, a fault"
     return [
         stream(plain, "armed_3", [5, -5, 0], [6, -6, 0], begun),
         stream(sensed, "velocity_1", [5, -500], [-6, 7], b""),
+        stream(both, "both_1", [5, -500, 60000], [-6, 7, -8], b""),
     ]
 
 
@@ -259,16 +270,18 @@ def _flip(data: bytes, at: int, bits: int) -> bytes:
     return data[:at] + bytes([data[at] ^ bits]) + data[at + 1 :]
 
 
+_BOTH, _NEITHER = ({part.name: senses for part in schema.PARTS} for senses in (True, False))
 LIMIT = 1_000_000_000  # counts: 10 N of 1e-8 N
 DEVICES: dict[str, dict[str, Any]] = {
-    "plain": {"channels": 1, "pacings": 3, "max_watchdog": 2047, "velocity": True, "impulse": False},
-    "bare": {"channels": 1, "pacings": 1, "max_watchdog": 100, "velocity": False, "impulse": False},
-    "four": {"channels": 4, "pacings": 3, "max_watchdog": 2047, "velocity": True, "impulse": False},
-    "impulse": {"channels": 1, "pacings": 3, "max_watchdog": 2047, "velocity": True, "impulse": True},
+    "plain": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_BOTH, "impulse": False},
+    "bare": {"channels": 1, "pacings": 1, "max_watchdog": 100, **_NEITHER, "impulse": False},
+    "four": {"channels": 4, "pacings": 3, "max_watchdog": 2047, **_BOTH, "impulse": False},
+    "impulse": {"channels": 1, "pacings": 3, "max_watchdog": 2047, **_BOTH, "impulse": True},
 }
 STATES = ("idle", "armed", "latched")
 
 _SOURCE = Path(__file__).with_name("sessions.yaml")
+_MEASURED = ("position", *(part.name for part in schema.PARTS))
 _OF_SETUP = ("describe", "description", "arm", "status")  # unless a frame names another format
 
 
@@ -299,7 +312,7 @@ class _Session:
     def __init__(self, channels: int) -> None:
         self.channels, self.wire = channels, "setup"
         self.force, self.state = [0] * channels, "idle"
-        self.positions, self.velocities = [0] * channels, [0] * channels
+        self.measured = {name: [0] * channels for name in _MEASURED}
 
     def step(
         self,
@@ -319,18 +332,17 @@ class _Session:
             if "host" in action:
                 action = {"bytes": self._bytes(action["host"]).hex()}
             answered = self._bytes(out or [])
-        self.positions = action.get("position", self.positions)
-        self.velocities = action.get("velocity", self.velocities)
+        self.measured |= {name: counts for name, counts in action.items() if name in _MEASURED}
         self.force, self.state = force or self.force, state or self.state
         expected: Entry = {"out": answered.hex(), "force": self.force, "state": self.state}
         if registers is not None:
             expected["registers"] = {str(getattr(schema, f"REG_{name.upper()}")): registers[name] for name in registers}
         return action | expected
 
-    def _arm(self, watchdog: int = 100, pacing: int = 0, velocity: bool = False) -> tuple[bytes, bytes]:
-        argument = pacing | (schema.WITH_VELOCITY if velocity else 0)
-        host = self._bytes([f"arm {watchdog} hash argument={argument}"])
-        self.wire = f"{'velocity' if velocity else 'armed'}_{self.channels}"
+    def _arm(self, watchdog: int = 100, pacing: int = 0, parts: tuple[str, ...] = ()) -> tuple[bytes, bytes]:
+        asked = schema.parts_of(parts)
+        host = self._bytes([f"arm {watchdog} hash argument={pacing | asked}"])
+        self.wire = f"{FAMILIES[asked]}_{self.channels}"
         return host, self._bytes(["status 0 armed", "position 0"])
 
     def _bytes(self, written: list[str]) -> bytes:
@@ -351,7 +363,8 @@ class _Session:
             words = [words[0] | sum(words[1:]) << 8]
         if kind in ("position", "held"):
             kind = "position_held" if kind == "held" else kind
-            words = self.positions + (self.velocities if wire.startswith("velocity") else [])
+            on_wire = ("position", *FORMATS[wire].part_names)
+            words = [count for name in on_wire for count in self.measured[name]]
         if kind in TYPES:
             words = (words + [0] * schema.MAX_WORDS)[: words_in(wire, kind)]
             whole = frame(wire, kind, number % schema.SAMPLE_MODULUS, argument, words)

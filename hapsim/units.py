@@ -56,6 +56,8 @@ _EXAMPLES = {
     "rad": ("an angle", "0.5 rad or 30 deg"),
     "m/s": ("a velocity", "0.1 m/s or 100 mm/s"),
     "rad/s": ("an angular velocity", "2 rad/s or 90 deg/s"),
+    "m/s²": ("an acceleration", "0.05 m/s² or 50 mm/s²"),
+    "rad/s²": ("an angular acceleration", "2 rad/s² or 90 deg/s²"),
     "N": ("a force", "2 N or 500 mN"),
     "N·m": ("a torque", "0.05 N·m or 50 mN·m"),
     "N/m": ("a stiffness", "2000 N/m or 2 N/mm"),

@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import typer
 
@@ -223,20 +223,37 @@ def _of_port(path: str, connection: Connection, duration: float | None, stopped:
 _NAMED = "version schema channels pacings rate max_watchdog fault accepted rejected held expired limited rotary bridge"
 _REGISTERS: dict[int, str] = {getattr(schema, f"REG_{name.upper()}"): name for name in _NAMED.split(" ")}
 _REGISTERS[schema.REG_RATE + 1] = "rate, high word"
+
+
+class _Part(NamedTuple):
+    plural: str
+    field: str
+    unit: str
+
+
+_PARTS = {
+    "velocity": _Part("velocities", "velocity_m_s", "m/s"),
+    "acceleration": _Part("accelerations", "acceleration_m_s2", "m/s²"),
+}
 _OF_CHANNEL = tuple(schema.CHANNEL_REGISTERS)
 
 
 def _format_name(wire: Format) -> str:
     if wire == SETUP:
         return "set-up"
-    return f"armed, {plural(wire.channels, 'channel')}" + (", velocities" if wire.velocity else "")
+    return f"armed, {plural(wire.channels, 'channel')}" + "".join(
+        f", {_PARTS[name].plural}" for name in wire.part_names
+    )
 
 
 def _register_name(number: int) -> str:
     """Returns the name that PROTOCOL.md has for a register; "" for one that it does not name."""
     if schema.REG_NAME <= number < schema.REG_NAME + schema.NAME_WORDS:
         return "name"
-    if schema.REG_CHANNEL <= number < schema.REGISTERS:
+    channel, within = divmod(number - schema.REG_MORE, schema.MORE_WORDS)
+    if 0 <= channel < schema.MAX_CHANNELS and within < 2:
+        return f"acceleration_scale of channel {channel}" + (", high word" if within else "")
+    if schema.REG_CHANNEL <= number < schema.REG_MORE:
         channel, within = divmod(number - schema.REG_CHANNEL, schema.CHANNEL_WORDS)
         return f"{_OF_CHANNEL[within // 2]} of channel {channel}" + (", high word" if within % 2 else "")
     return _REGISTERS.get(number, "")
@@ -268,11 +285,11 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
         case "DESCRIPTION":
             return {"register": _register_name(found.frame.number), "value": counts[0] & 0xFFFFFFFF}
         case "ARM":
-            word, pacing = counts[0] & 0xFFFFFFFF, argument & (schema.WITH_VELOCITY - 1)
+            word, pacing = counts[0] & 0xFFFFFFFF, argument & ~schema.PART_BITS
             return {
                 "watchdog_samples": found.frame.number,
                 "pacing": schema.PACINGS.get(pacing, str(pacing)),
-                "velocities": bool(argument & schema.WITH_VELOCITY),
+                **{_PARTS[part.name].plural: bool(argument & part.bit) for part in schema.PARTS},
                 "schema": f"{word:08x}",
                 "schema_is_ours": word == schema.SCHEMA_HASH,
             }
@@ -281,19 +298,23 @@ def _meaning(capture: Capture, found: Decoded) -> dict[str, Any]:
             text = schema.FAULTS.get(fault, "unknown")
             return {"state": schema.STATES.get(state, str(state)), "fault": fault, "fault_text": text}
         case "FORCE":
-            force = _scaled(capture, schema.REG_FORCE_SCALE, counts)
+            force = _scaled(capture, schema.REG_CHANNEL + schema.REG_FORCE_SCALE, counts)
             return {"time_to_live_samples": argument, "force_N": force}
         case "POSITION" | "POSITION_HELD":
             channels = found.wire.channels
-            position = {"position_m": _scaled(capture, schema.REG_POSITION_SCALE, counts[:channels])}
-            if not found.wire.velocity:
-                return position
-            return position | {"velocity_m_s": _scaled(capture, schema.REG_VELOCITY_SCALE, counts[channels:])}
+            motion = {"position_m": _scaled(capture, schema.REG_CHANNEL + schema.REG_POSITION_SCALE, counts[:channels])}
+            for i, part in enumerate(schema.in_parts(found.wire.parts), 1):
+                own = counts[i * channels : (i + 1) * channels]
+                motion[_PARTS[part.name].field] = _scaled(capture, part.scale_register, own, part.register_step)
+            return motion
     return {}
 
 
-def _scaled(capture: Capture, which: int, counts: tuple[int, ...]) -> list[float | None]:
-    scales = [capture.registers.scale(which, channel) for channel in range(len(counts))]
+def _scaled(
+    capture: Capture, register: int, counts: tuple[int, ...], step: int = schema.CHANNEL_WORDS
+) -> list[float | None]:
+    """Returns values in SI units; None without a scale. `register`: of channel 0's scale, `step` before the next."""
+    scales = [capture.registers.number(register + channel * step) for channel in range(len(counts))]
     return [None if scale is None else scale * count for scale, count in zip(scales, counts, strict=True)]
 
 
@@ -312,7 +333,7 @@ def text_of(entry: dict[str, Any]) -> str:
 _WORDS = {
     "DESCRIBE": "register {number} ({name})",
     "DESCRIPTION": "register {number} ({name}) = {value} (0x{value:08x})",
-    "ARM": "paced by {pacing}{velocity}, watchdog {watchdog_samples} samples, schema {schema} ({whose})",
+    "ARM": "paced by {pacing}{parts}, watchdog {watchdog_samples} samples, schema {schema} ({whose})",
     "STATUS": "sample {number}: {state}{why}",
     "FORCE": "answers {number}, lives {time_to_live_samples} samples: {forces}",
     "POSITION": "sample {number}: {motion}",
@@ -322,11 +343,14 @@ _WORDS = {
 
 def _words(entry: dict[str, Any]) -> str:
     """Returns the content of a frame in words, from its entry."""
-    counts, positions, velocities = entry["counts"], entry.get("position_m", []), entry.get("velocity_m_s", [])
-    motion = _values(counts[: len(positions)], positions, "m"), _values(counts[len(positions) :], velocities, "m/s")
+    counts, motion, at = entry["counts"], [], 0
+    for _, field, unit in (("", "position_m", "m"), *_PARTS.values()):
+        scaled = entry.get(field, [])
+        motion.append(_values(counts[at : at + len(scaled)], scaled, unit))
+        at += len(scaled)
     words = {
         "name": entry.get("register") or "none",
-        "velocity": ", velocities too" if entry.get("velocities") else "",
+        "parts": "".join(f", {name} too" for name, *_ in _PARTS.values() if entry.get(name)),
         "whose": "ours" if entry.get("schema_is_ours") else "another one",
         "why": f", fault {entry['fault']}: {entry['fault_text']}" if entry.get("fault") else "",
         "forces": _values(counts, entry.get("force_N", []), "N"),

@@ -117,11 +117,11 @@ def describe(connection: Connection) -> Description:
     registers[schema.REG_VERSION] = read_register(
         connection, schema.REG_VERSION, client.FIRST_TRIES, disarm_in_every_format()
     )
-    for number in (schema.REG_SCHEMA, schema.REG_CHANNELS):
+    for number in (schema.REG_SCHEMA, schema.REG_CHANNELS, schema.REG_SENSORS):
         registers[number] = read_register(connection, number)
     _require_same_protocol(connection, registers)
     round_trips = []
-    for number in registers_of_a_description(int(registers[schema.REG_CHANNELS])):
+    for number in registers_of_a_description(*registers[[schema.REG_CHANNELS, schema.REG_SENSORS]].tolist()):
         asked = connection.clock.monotonic()
         registers[number] = read_register(connection, number)
         round_trips.append(connection.clock.monotonic() - asked)
@@ -169,14 +169,12 @@ def _require_same_protocol(connection: Connection, registers: Any) -> None:
         raise DescriptionError(f"{connection.name}: {error}")
 
 
-def arm(
-    connection: Connection, description: Description, pacing: int, watchdog_samples: int, velocity: bool = False
-) -> Format:
-    """Arms the device. Returns the format of its positions, with `velocity` also of velocities.
+def arm(connection: Connection, description: Description, pacing: int, watchdog_samples: int, parts: int = 0) -> Format:
+    """Arms the device. Returns the format of its positions and of the `parts` (schema.PARTS) that it sends with them.
 
     Resets the counts of rejected frames. Raises DeviceError if the device refuses or does not answer.
     """
-    answer, received = connection.arm(description, pacing, watchdog_samples, velocity=velocity, fits=_is_arming_answer)
+    answer, received = connection.arm(description, pacing, watchdog_samples, parts=parts, fits=_is_arming_answer)
     if answer is None:
         raise DeviceError(f"{connection.name}: {_arming_problem(received)}{_rejected_frames(connection)}")
     if answer.state != schema.ARMED:

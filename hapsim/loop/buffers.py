@@ -53,22 +53,26 @@ IO_BUFFER = np.dtype(
         ("address", np.uint64),  # of all this
         ("channels", np.int64),  # of the device: how many of the following are in use
         ("velocities", np.int64),  # 1: they are on the wire
+        ("accelerations", np.int64),  # likewise
         ("measured", np.float64, _EACH),  # m, the newest position, or the predicted one
         ("before", np.float64, _EACH),  # m, the one before
         ("bridge", np.float64, _EACH),  # m, between the two: in substeps, and where positions were lost
         ("velocity", np.float64, _EACH),  # m/s, sensed or predicted with it; else 0
         ("velocity_before", np.float64, _EACH),  # m/s, with the one before
         ("velocity_bridge", np.float64, _EACH),  # m/s, likewise
+        ("acceleration", np.float64, _EACH),  # m/s², sensed; else 0
         ("asked", np.float64, _EACH),  # N, the scene's force
         ("as_hand", np.float64, _EACH),  # N, the part of the excitation that counts as the hand's push
         ("excitation", np.float64, _EACH),  # N, added to the scene's force
         ("position_counts", np.int64, _EACH),  # from the scene's origin on
         ("velocity_counts", np.int64, _EACH),  # as on the wire
+        ("acceleration_counts", np.int64, _EACH),  # likewise
         ("origin_counts", np.int64, _EACH),  # the device's position there,
         ("origin_at_arming", np.int64, _EACH),  # 1: its first one
         ("force_counts", np.int64, _EACH),  # the force after excitation and guards
         ("position_scale", np.float64, _EACH),  # m per count
         ("velocity_scale", np.float64, _EACH),  # (m/s) per count
+        ("acceleration_scale", np.float64, _EACH),  # (m/s²) per count
         ("force_scale", np.float64, _EACH),  # N per count
         ("force_limit", np.float64, _EACH),  # N
         SCRATCH,

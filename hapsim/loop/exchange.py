@@ -205,7 +205,8 @@ def _begin_tick(loop, gap, is_held, now):
 
 @inlined
 def _read_position(io, decoder, is_first):
-    """Converts the decoder's counts to m from the origin (on some channels the place of arming), and to m/s."""
+    """Converts the decoder's counts to m from the origin (on some channels the place of arming), m/s and m/s²."""
+    accelerations = np.uint64(io.channels * (1 + io.velocities))  # behind the positions and the velocities
     for c in range(np.uint64(io.channels)):
         if is_first and io.origin_at_arming[c]:
             io.origin_counts[c] = decoder.counts[c]
@@ -220,6 +221,9 @@ def _read_position(io, decoder, is_first):
             io.velocity[c] = io.velocity_counts[c] * io.velocity_scale[c]
             if is_first:
                 io.velocity_before[c] = io.velocity[c]
+        if io.accelerations:
+            io.acceleration_counts[c] = decoder.counts[accelerations + c]
+            io.acceleration[c] = io.acceleration_counts[c] * io.acceleration_scale[c]
 
 
 @inlined

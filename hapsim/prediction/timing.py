@@ -41,7 +41,7 @@ def wire_time_of(scene: Scene) -> WireTime:
     simulated = wire_of(scene) == "mock"
     host_work_s = 0.0 if simulated and scene.device.clock == "lockstep" else HOST_WORK_S
     baud = mock.baud if simulated else scene.device.baud
-    return wire_time(scene.channels, bool(scene.sensed_links), scene.rate, baud, mock.turnaround, host_work_s)
+    return wire_time(scene.channels, schema.parts_of(scene.sensed), scene.rate, baud, mock.turnaround, host_work_s)
 
 
 def samples_on_wire(scene: Scene) -> int:

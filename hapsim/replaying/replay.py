@@ -166,7 +166,7 @@ class Replay:
 
     def _words(self, piece: Rows, before: int) -> NDArray[np.int64]:
         """Returns rows in the format of `replay_rows`."""
-        channels, velocity = piece["position_counts"].shape[1], self.loop.wire.velocity
+        channels, velocity = piece["position_counts"].shape[1], bool(self.loop.record.io.velocities)
         words = np.zeros((len(piece), VALUES + channels * (1 + velocity)), np.int64)
         flags = piece["flags"].astype(np.int64)
         words[:, :4] = np.transpose([piece["sample"], piece["time_ns"], flags, np.append(before, flags[:-1])])
@@ -291,6 +291,7 @@ def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
         counts[:, c] += round((origin or 0.0) / description.position_scale[c])
     if not has_velocity:
         description = replace(description, velocity_scale=())
+    description = replace(description, acceleration_scale=(), sensors=0)  # rows have none
     samples -= samples[0] if run["first_tick"] else 0
     period = 1.0 / description.rate_hz
     if report["timed_by_device"] and len(samples) > 1:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description
 from firmware_protocol.frames import armed_format, framing_of
@@ -48,14 +49,14 @@ _GRACE_NS = 50_000_000  # beyond the duration, until the host's clock ends the r
 class LoopMemory:
     """A loop that is ready to run, with everything that must stay in memory meanwhile."""
 
-    def __init__(self, connection: Connection, description: Description, velocity: bool, clock: str) -> None:
-        """`clock`: the device's, as in a scene."""
+    def __init__(self, connection: Connection, description: Description, parts: int, clock: str) -> None:
+        """`parts`: those of schema.PARTS on the wire. `clock`: the device's, as in a scene."""
         self.record = new_record(LOOP)
         """LOOP of hapsim.loop.exchange."""
         self.inbox = connection.inbox
-        self.wire = armed_format(description.channels, velocity)
+        self.wire = armed_format(description.channels, parts)
         """Format of an armed device's frames."""
-        rows = row_type(description.channels, velocity, clock == "host")
+        rows = row_type(description.channels, bool(parts & schema.WITH_VELOCITY), clock == "host")
         self.ring = Ring(self.record.ring, rows, _RING_ROWS, waits=clock == "lockstep")
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)
@@ -158,7 +159,7 @@ def assemble_loop(
     `judges_energy`, `judges_sign`, `sound_file` and `unstable`."""
     options = options or RunOptions()
     rendering = rendered(scene)
-    loop = LoopMemory(connection, description, bool(scene.sensed_links), scene.device.clock)
+    loop = LoopMemory(connection, description, schema.parts_of(scene.sensed), scene.device.clock)
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene
@@ -272,14 +273,14 @@ def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, sc
 def _set_io(io: Any, scene: Scene, description: Description) -> None:
     channels = description.channels
     io.channels = channels
-    io.velocities = bool(scene.sensed_links)
+    io.velocities, io.accelerations = ("velocity" in scene.sensed, "acceleration" in scene.sensed)
     io.position_scale[:channels] = description.position_scale
     io.force_scale[:channels] = description.force_scale
     for c, origin in enumerate(scene.device.origins(scene.channels)):
         io.origin_at_arming[c] = origin is None
         io.origin_counts[c] = round((origin or 0.0) / description.position_scale[c])
-    if scene.sensed_links:
-        io.velocity_scale[:channels] = description.velocity_scale
+    for name in scene.sensed:
+        io[f"{name}_scale"][:channels] = description.scale(name)
     # In whole counts, so that rounding does not take a force beyond its limit, nor a count beyond 32 bits.
     scale, limit = np.array(description.force_scale), np.minimum(description.force_limit, scene.device.force_limit)
     with np.errstate(over="ignore"):

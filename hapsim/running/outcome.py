@@ -77,7 +77,7 @@ def counters_of(loop: LoopMemory) -> dict[str, Any]:
         name: int(attrgetter(f"state.{name}" if at == "state" else at)(record)) for name, at in words_at("at").items()
     }
     pending = int(decoder.seen)  # bytes since the last delimiter: garbage if longer than a frame
-    is_frame = pending <= schema.frame_bytes(wire.channels, to_device=False, velocity=wire.velocity)
+    is_frame = pending <= schema.frame_bytes(wire.channels, to_device=False, parts=wire.parts)
     counts |= {
         "parameter_changes": loop.changes,
         "crc_errors": int(decoder.crc_errors + decoder.length_errors + decoder.form_errors),

@@ -157,8 +157,8 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
     around, count_of = ModuleContext.of(scene.modules, scene.units), description.position_scale.__getitem__
     for issue in narrow_detents(around, count_of, "declared by the device"):
         raise UsageError(f"{name}: {'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
-    if scene.sensed_links:
-        _require_velocity(scene, name, description)
+    for sensor in scene.sensed:
+        _require_sensor(sensor, scene, name, description)
 
 
 def require_in_time(scene: Scene) -> None:
@@ -215,13 +215,23 @@ def _require_motion(scene: Scene, name: str, description: Description) -> None:
     )
 
 
-def _require_velocity(scene: Scene, name: str, description: Description) -> None:
-    links, others = scene.sensed_links, [name for name in get_args(DamperScheme) if name not in WITH_SENSOR]
-    if not description.velocity_scale:
+def _require_sensor(sensor: str, scene: Scene, name: str, description: Description) -> None:
+    """Raises UsageError where the device does not send this value, of `Scene.sensed`, with its positions."""
+    links, scale = scene.sensed_links, description.scale(sensor)
+    if not scale and sensor in scene.device.sensors:
+        (register,) = (f"{one.scale_register}" for one in schema.PARTS if one.name == sensor)
+        if sensor == "acceleration":
+            register = f"{schema.REG_SENSORS}, bit 0, and {register}"
+        raise UsageError(
+            f"{name}: found a device that does not sense {sensor} (its registers {register}), expected one that does: "
+            f"device.sensors names it; leave {sensor} out there, or use a firmware that reports it"
+        )
+    if not scale:
+        others = [name for name in get_args(DamperScheme) if name not in WITH_SENSOR]
         raise UsageError(
             f"{name}: the device does not sense velocity, but {', '.join(links)} {'ask' if links[1:] else 'asks'} "
             f"for it with damper: {one_of(WITH_SENSOR)}; write damper: {one_of(others)} there, or use a firmware that "
             "reports velocity"
         )
-    if not description.senses_velocity or not all(np.isfinite(description.velocity_scale)):
-        raise DescriptionError(f"{name}: the device declares a velocity scale that is not a number above 0")
+    if sensor not in description.sensed or not all(np.isfinite(scale)):
+        raise DescriptionError(f"{name}: the device declares a channel's {sensor} scale that is not a number above 0")

@@ -121,7 +121,7 @@ def run_in_memory(scene: Scene, *, duration: float, excitation: Excitation | Per
     else:
         compile_for(run_loop, loop.record)
     recorder = Recorder(loop.ring, keep=True)
-    arm(connection, description, PACING["lockstep"], loop.watchdog_samples, bool(scene.sensed_links))
+    arm(connection, description, PACING["lockstep"], loop.watchdog_samples, loop.wire.parts)
     ending = endings.RING_FULL
     while ending == endings.RING_FULL:
         ending = body(loop.record)

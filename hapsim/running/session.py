@@ -229,8 +229,8 @@ class Session(SessionView):
             if self._options.realtime:
                 self.grants = self._resources.enter_context(realtime(self._thread.native_id or 0))
             note_arming()
-            velocity = bool(scene.sensed_links)
-            arm(self._connection, self._description, PACING[scene.device.clock], loop.watchdog_samples, velocity)
+            pacing, parts = PACING[scene.device.clock], loop.wire.parts
+            arm(self._connection, self._description, pacing, loop.watchdog_samples, parts)
             self._sent_before = self._connection.take_written()
             self._reader.start()
             loop.control.go = 1

@@ -353,7 +353,7 @@ class SessionView:
             force,
             scene.path or "",
             datetime.now(UTC).isoformat(),
-            velocity=loop.wire.velocity,
+            velocity=bool(io.velocities),
             by_host=scene.device.clock == "host",
             run=run,
         )

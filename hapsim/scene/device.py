@@ -234,6 +234,12 @@ class Mock(Part):
         quantity("Step of the force on the wire", "N per count", above=0, left_out="as fine as its 32 bits are"),
     ] = None
     noise: Annotated[float, quantity("Noise of the position sensor", "m rms", least=0)] = 0.0
+    acceleration_noise: Annotated[float, quantity("Rms noise of the acceleration sensor", "m/s²", least=0)] = 0.0
+    acceleration_bandwidth: Annotated[
+        float | None,
+        quantity("Bandwidth of the acceleration sensor", "Hz", above=0, left_out="none: it follows at once"),
+    ] = None
+    acceleration_age: Annotated[int | None, replace(ACCELERATION_AGE, left_out=AS_DEVICE)] = None
     seed: Annotated[int, count("Seed of the noise: the same seed, the same run", 0, 2**32 - 1)] = 0
     baud: Annotated[
         int | None, count("Speed of the mock's UART", 1, 100_000_000, "bit/s", left_out="bytes take no time")
@@ -277,6 +283,9 @@ class MockDevice:
     quantum: tuple[float, ...]
     noise: float
     seed: int
+    acceleration_age: int = 0
+    acceleration_noise: float = 0.0
+    acceleration_bandwidth: float | None = None
     baud: int | None = None
     turnaround: float = 0.0
     misses: float = 0.0
@@ -296,7 +305,18 @@ class MockDevice:
 
 
 #: The fields that a `Mock` says alone.
-_OF_MOCK = ("coulomb", "noise", "seed", "baud", "turnaround", "misses", "force_quantum", "hand")
+_OF_MOCK = (
+    "coulomb",
+    "noise",
+    "acceleration_noise",
+    "acceleration_bandwidth",
+    "seed",
+    "baud",
+    "turnaround",
+    "misses",
+    "force_quantum",
+    "hand",
+)
 
 
 def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
@@ -309,6 +329,7 @@ def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
         delay=device.delay if mock.delay is None else mock.delay,
         hold=mock.hold or device.hold,
         sampling=mock.sampling or device.sampling,
+        acceleration_age=device.acceleration_age if mock.acceleration_age is None else mock.acceleration_age,
         initial_position=per_channel(mock.initial.position, channels),
         initial_velocity=per_channel(mock.initial.velocity, channels),
         force_limit=min(device.force_limit, MOST_FORCE),

@@ -360,12 +360,12 @@ def test_after_a_second_signal_the_force_is_released_without_waiting_for_the_ans
     stops: list[int] = []
     with stopping_on_signals(lambda: stops.append(1)):
         signal.raise_signal(signal.SIGINT)
-        disarm(connection, armed_format(1, False))
+        disarm(connection, armed_format(1))
         assert min(waited) > 0.0
         waited.clear()
         sent.clear()
         signal.raise_signal(signal.SIGTERM)
-        assert not disarm(connection, armed_format(1, False))
+        assert not disarm(connection, armed_format(1))
     assert (len(stops), set(waited)) == (2, {0.0})
     assert len(set(sent)) == 2
 

@@ -22,7 +22,7 @@ from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_device, frame_to_host
 
 Hapsim = Callable[..., Any]
-WIRE = armed_format(2, velocity=True)
+WIRE = armed_format(2, schema.PART_BITS)
 
 
 def in_counts(word: int) -> list[int]:
@@ -31,18 +31,20 @@ def in_counts(word: int) -> list[int]:
 
 def conversation() -> bytes:
     """Describing, arming with velocities, an exchange, a damaged position, a fault."""
-    device = Description("a device", 1000.0, 7, 2047, (1e-6, 2e-6), (0.5, 0.25), (10.0, 10.0), (1e-3, 1e-3))
+    device = Description(
+        "a device", 1000.0, 7, 2047, (1e-6, 2e-6), (0.5, 0.25), (10.0, 10.0), (1e-3, 1e-3), (0.01, 0.02), sensors=1
+    )
     registers = to_registers(device).tolist()
-    asked = [2, *range(schema.REG_CHANNEL, schema.REG_CHANNEL + 16)]
+    asked = [2, *range(schema.REG_CHANNEL, schema.REG_CHANNEL + 16), *(schema.REG_MORE + n for n in (0, 1, 16, 17))]
     said = b"".join(
         frame_to_device(SETUP, schema.DESCRIBE, n, 0, [0])
         + frame_to_host(SETUP, schema.DESCRIPTION, n, in_counts(registers[n]))
         for n in asked
     )
-    arm = frame_to_device(SETUP, schema.ARM, 100, schema.WITH_VELOCITY, in_counts(schema.SCHEMA_HASH))
-    position = frame_to_host(WIRE, schema.POSITION, 0, [100, -100, 7, 0])
+    arm = frame_to_device(SETUP, schema.ARM, 100, schema.PART_BITS, in_counts(schema.SCHEMA_HASH))
+    position = frame_to_host(WIRE, schema.POSITION, 0, [100, -100, 7, 0, 300, -5])
     damaged = bytes([position[0], position[1] ^ 4, *position[2:]])
-    latched = [schema.LATCHED | schema.HOST_QUIET << 8, 0, 0, 0]
+    latched = [schema.LATCHED | schema.HOST_QUIET << 8, 0, 0, 0, 0, 0]
     return (
         said
         + arm
@@ -68,36 +70,39 @@ def test_a_capture_is_printed_field_by_field_in_si_once_the_device_has_described
     assert (told.status, told.err) == (0, "")
     for part in (
         "register 2 (channels) = 2",
-        "paced by device, velocities too, watchdog 100 samples, schema 314a417f (ours)",
+        "paced by device, velocities too, accelerations too, watchdog 100 samples, schema 314a417f (ours)",
         "sample 0: armed",
-        "sample 0: 100 counts (0.0001 m), -100 counts (-0.0002 m); 7 counts (0.007 m/s), 0 counts (0 m/s)",
+        "sample 0: 100 counts (0.0001 m), -100 counts (-0.0002 m); 7 counts (0.007 m/s), 0 counts (0 m/s); "
+        "300 counts (3 m/s²), -5 counts (-0.1 m/s²)",
+        "acceleration_scale of channel 1, high word",
         "answers 0, lives 20 samples: 4 counts (2 N), -4 counts (-1 N)",
-        "refused: 24 bytes; the check is wrong",
+        "refused: 32 bytes; the check is wrong",
         "sample 1: latched, fault 1: the host was quiet",
-        "19 frames from the host, 20 from the device; refused 24 bytes: 1 check.",
+        "23 frames from the host, 24 from the device; refused 32 bytes: 1 check.",
     ):
         assert part in told.out
-    assert "armed, 2 channels, velocities" in told.out
+    assert "armed, 2 channels, velocities, accelerations" in told.out
 
 
 def test_as_json_it_is_one_document(hapsim: Hapsim, capture: Path) -> None:
     document = hapsim("frames", capture, "--json", "--hex").document
     assert document["source"] == str(capture)
     assert document["counters"]["refused"] == {"check": 1, "short": 0, "form": 0, "garbage": 0, "unfinished": 0}
-    assert (document["counters"]["from_host"], document["counters"]["from_device"]) == (19, 20)
+    assert (document["counters"]["from_host"], document["counters"]["from_device"]) == (23, 24)
     position, force, refused, status = document["entries"][-4:]
     assert (position["from"], position["type"], position["number"]) == ("device", "POSITION", 0)
     assert position["position_m"] == pytest.approx([1e-4, -2e-4])
     assert position["velocity_m_s"] == pytest.approx([7e-3, 0.0])
+    assert position["acceleration_m_s2"] == pytest.approx([3.0, -0.1])
     assert (force["force_N"], force["time_to_live_samples"]) == ([2.0, -1.0], 20)
-    assert (refused["refused"], refused["bytes"]) == ("check", 24)
+    assert (refused["refused"], refused["bytes"]) == ("check", 32)
     assert (status["state"], status["fault"]) == ("latched", schema.HOST_QUIET)
     whole = conversation()
     for entry in (position, force, status):
         data = bytes.fromhex(entry["hex"])
         assert whole[entry["offset"] :][: len(data)] == data
     alone = hapsim("frames", capture, "--json", "--from", "device").document
-    assert (alone["counters"]["from_host"], alone["counters"]["from_device"]) == (0, 20)
+    assert (alone["counters"]["from_host"], alone["counters"]["from_device"]) == (0, 24)
 
 
 def test_what_cannot_be_decoded_is_a_sentence(hapsim: Hapsim, tmp_path: Path) -> None:
@@ -161,7 +166,7 @@ def test_standard_input_may_be_a_pipe(hapsim: Hapsim, monkeypatch: pytest.Monkey
     os.close(far)
     with os.fdopen(near, "rb") as stream:
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(stream))
-        assert "19 frames from the host" in hapsim("frames", "-").out
+        assert "23 frames from the host" in hapsim("frames", "-").out
 
 
 @pytest.fixture

@@ -50,9 +50,9 @@ class Host:
         prepare(mock)
         self.mock = mock
         self.channels = int(mock.channels)
-        self.armed_formats = [armed_format(self.channels, velocity) for velocity in (False, True)]
+        self.armed_formats = {parts: armed_format(self.channels, parts) for parts in schema.COMBINATIONS}
         self.wire = self.armed_formats[0]
-        self.decoders = [new_decoder(wire, to_device=False) for wire in (SETUP, *self.armed_formats)]
+        self.decoders = [new_decoder(wire, to_device=False) for wire in (SETUP, *self.armed_formats.values())]
         self.armed = False
         self.misread = 0
 
@@ -80,11 +80,10 @@ class Host:
         return self.listen()
 
     def arm(
-        self, pacing: int = schema.LOCKSTEP, watchdog: int = 100, now: int = 0, velocity: bool = False
+        self, pacing: int = schema.LOCKSTEP, watchdog: int = 100, now: int = 0, parts: int = 0
     ) -> list[DeviceFrame]:
-        self.wire = self.armed_formats[velocity]
-        pacing |= schema.WITH_VELOCITY if velocity else 0
-        return self.send(self.arm_frame(pacing, watchdog), now)
+        self.wire = self.armed_formats[parts]
+        return self.send(self.arm_frame(pacing | parts, watchdog), now)
 
     def force(
         self, sample: int, counts: Sequence[int] = (0,), time_to_live: int = 20, now: int = 0
@@ -187,8 +186,8 @@ def new_host() -> Callable[..., Host]:
 def exchange() -> Callable[..., list[DeviceFrame]]:
     """Arms in lockstep and answers each position with the next of the forces; every frame of the device."""
 
-    def run(host: Host, forces: Iterable[Sequence[int]], velocity: bool = False) -> list[DeviceFrame]:
-        heard = host.arm(velocity=velocity)
+    def run(host: Host, forces: Iterable[Sequence[int]], parts: int = 0) -> list[DeviceFrame]:
+        heard = host.arm(parts=parts)
         for n, counts in enumerate(forces):
             heard += host.force(n, counts)
         return heard

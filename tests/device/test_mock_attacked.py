@@ -38,7 +38,7 @@ def assert_safe(host: Any) -> None:
 def assert_like_new(new: New, host: Any, **fields: Any) -> None:
     """Asserts that after a disarm the attacked mock runs like a new one."""
     fresh = new(**fields)
-    for wire in (*host.armed_formats, SETUP):
+    for wire in (*host.armed_formats.values(), SETUP):
         host.send(b"\0" + frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels))
     counts = np.random.default_rng(0).integers(-(2**31), 2**31, (20, host.channels))
     for one in (host, fresh):
@@ -53,14 +53,17 @@ def assert_like_new(new: New, host: Any, **fields: Any) -> None:
 kinds = st.sampled_from([schema.DESCRIBE, schema.ARM, *[schema.FORCE] * 6, schema.DISARM, 0, 5, 15])
 words = st.one_of(st.sampled_from([0, 1, -1, 2**31 - 1, -(2**31), HASH]), st.integers(-(2**31), 2**31 - 1))
 mostly = st.sampled_from([True, True, True, False])
-arming = st.sampled_from([0, 1, 2, 0, 1, 2, *(pacing | schema.WITH_VELOCITY for pacing in range(3))])
+requested = st.sampled_from([0, 0, 0, *schema.COMBINATIONS])
+arming = st.sampled_from(
+    [0, 1, 2, 0, 1, 2, *(pacing | parts for parts in schema.COMBINATIONS[1:] for pacing in range(3))]
+)
 
 
 @st.composite
 def frames(draw: st.DrawFn, channels: int) -> bytes:
     kind = draw(kinds)
     armed = kind in (schema.FORCE, schema.DISARM)
-    wire = armed_format(channels, velocity=not draw(mostly)) if armed == draw(mostly) else SETUP
+    wire = armed_format(channels, draw(requested)) if armed == draw(mostly) else SETUP
     counts = [draw(words) for _ in range(wire.channels)]
     number, argument = draw(st.integers(0, 4095)), draw(st.integers(0, 255))
     if kind == schema.ARM and draw(mostly):

@@ -23,16 +23,16 @@ def worst_inputs(host: Any) -> dict[str, bytes]:
         "arm": host.arm_frame(),
         "arm and disarm": host.arm_frame() + host.disarm_frame(),
         "refused": host.arm_frame(watchdog=0),
-        "arm with velocities": host.arm_frame(schema.LOCKSTEP | schema.WITH_VELOCITY),
-        "arm with velocities and disarm": host.arm_frame(schema.LOCKSTEP | schema.WITH_VELOCITY)
-        + frame_to_device(host.armed_formats[1], schema.DISARM, 0, 0, [0] * host.channels),
+        "arm with parts": host.arm_frame(schema.LOCKSTEP | schema.PART_BITS),
+        "arm with parts and disarm": host.arm_frame(schema.LOCKSTEP | schema.PART_BITS)
+        + frame_to_device(host.armed_formats[schema.PART_BITS], schema.DISARM, 0, 0, [0] * host.channels),
     }
 
 
 @pytest.mark.parametrize("start", [0.0, 5.0])  # 5 m is out of scale: each arming is answered twice, once at length
 @pytest.mark.parametrize("channels", [1, 16])
 def test_the_answers_to_the_worst_input_fit_the_outbox(new_host: New, channels: int, start: float) -> None:
-    longest = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, velocity=True)
+    longest = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, parts=schema.PART_BITS)
     for name, frame in worst_inputs(new_host(channels)).items():
         stream = np.frombuffer((frame * (2 * INPUT_BYTES // len(frame) + 2)), np.uint8).copy()
         for begun in range(0, len(frame), 7):  # bytes of a frame that came before
@@ -45,12 +45,12 @@ def test_the_answers_to_the_worst_input_fit_the_outbox(new_host: New, channels: 
             assert host.misread == 0
 
 
-@pytest.mark.parametrize("velocity", [False, True])
-def test_a_whole_input_of_forces_is_answered_force_by_force(new_host: New, velocity: bool) -> None:
+@pytest.mark.parametrize("parts", schema.COMBINATIONS)
+def test_a_whole_input_of_forces_is_answered_force_by_force(new_host: New, parts: int) -> None:
     for channels in (1, 2, 16):
         host = new_host(channels)
-        host.arm(velocity=velocity)
-        count = INPUT_BYTES // schema.frame_bytes(channels, to_device=True, velocity=velocity)
+        host.arm(parts=parts)
+        count = INPUT_BYTES // schema.frame_bytes(channels, to_device=True, parts=parts)
         heard = host.send(b"".join(host.force_frame(n) for n in range(count)))
         assert [frame.number for frame in heard] == list(range(1, count + 1))
 

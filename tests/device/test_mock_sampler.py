@@ -96,7 +96,7 @@ def test_an_impulse_gives_what_its_force_gives_in_a_period_however_long_the_samp
     host = new_host(
         device={"mass": m, "delay": delay, "hold": "impulse", "force_limit": 2 * force}, mock={"quantum": quantum}
     )
-    host.arm(schema.PACED_BY_HOST, now=0, velocity=True)
+    host.arm(schema.PACED_BY_HOST, now=0, parts=schema.WITH_VELOCITY)
     speed = force * T / m
     acts = lengths[0] + (delay - 1.0) * lengths[1]
     for n, end in enumerate(np.cumsum(lengths)):
@@ -124,7 +124,9 @@ def test_through_the_wire_positions_and_velocities_are_those_of_an_event_by_even
     plain = [frame.counts for frame in exchange(host, forces) if frame.type == schema.POSITION]
     np.testing.assert_allclose(plain, np.array([[first, *positions]]).T / quantum, rtol=0, atol=0.5 + 1e-6)
     host.disarm()
-    heard = [frame.counts for frame in exchange(host, forces, velocity=True) if frame.type == schema.POSITION]
+    heard = [
+        frame.counts for frame in exchange(host, forces, parts=schema.WITH_VELOCITY) if frame.type == schema.POSITION
+    ]
     assert [counts[:1] for counts in heard] == plain
     sensed = [velocity for _, velocity in heard]
     np.testing.assert_allclose(sensed, np.array([v, *velocities]) / (quantum / T), rtol=0, atol=0.5 + 1e-6)
@@ -191,7 +193,7 @@ def test_the_mean_velocity_is_the_way_that_was_gone_over_the_time_that_the_sampl
         device={"sampling": "average", "mass": 0.01, "friction": 20.0, "delay": 0},
         mock={"initial": {"velocity": 0.5}, "quantum": 1e-9},
     )
-    host.arm(schema.PACED_BY_HOST, now=0, velocity=True)
+    host.arm(schema.PACED_BY_HOST, now=0, parts=schema.WITH_VELOCITY)
     edges = [0, 1_000_000, 1_300_000, 5_300_000]
     for n, (start, stop) in enumerate(itertools.pairwise(edges)):
         (position,) = host.force(n, now=stop)
@@ -208,7 +210,7 @@ def test_velocities_of_all_channels_stand_behind_the_positions_of_all_channels(
         "velocity": [0.25 * (c + 1) for c in range(channels)],
     }
     host = new_host(channels, mock={"initial": initial, "quantum": 1e-6})
-    _, position = host.arm(velocity=True)
+    _, position = host.arm(parts=schema.WITH_VELOCITY)
     assert position.counts[:channels] == tuple(1000 * (c + 1) for c in range(channels))
     assert position.counts[channels:] == tuple(250 * (c + 1) for c in range(channels))
     host.disarm()
@@ -221,7 +223,7 @@ def test_a_velocity_beyond_its_scale_stops_at_the_end_of_it_and_is_no_fault(
     new_host: Callable[..., Any], direction: int
 ) -> None:
     host = new_host(rate=500.0, mock={"quantum": 1e-12, "initial": {"velocity": 1.5 * direction}})  # scale: 1.07 m/s
-    _, position = host.arm(velocity=True)
+    _, position = host.arm(parts=schema.WITH_VELOCITY)
     assert position.counts == (0, direction * 2147483647)
     assert host.state == schema.ARMED
 
@@ -230,7 +232,7 @@ def test_a_device_that_latches_while_it_sends_velocities_reports_it_in_their_for
     new_host: Callable[..., Any],
 ) -> None:
     host = new_host(3)
-    host.arm(schema.PACED_BY_DEVICE, watchdog=1, velocity=True)
+    host.arm(schema.PACED_BY_DEVICE, watchdog=1, parts=schema.WITH_VELOCITY)
     for _ in range(3):
         host.sample_passes()
     (status,) = host.check_watchdog()
@@ -301,7 +303,7 @@ def test_velocities_have_normal_noise_of_their_own_as_many_periods_of_the_positi
 ) -> None:
     n = 2000
     host = new_host(channels=2, rate=2000.0, mock={"noise": 1e-6, "quantum": 1e-9})
-    heard = exchange(host, [[0, 0]] * n, velocity=True)
+    heard = exchange(host, [[0, 0]] * n, parts=schema.WITH_VELOCITY)
     noise = np.array([frame.counts for frame in heard if frame.type == schema.POSITION])
     rms = noise.std(axis=0) * [1e-9, 1e-9, 2e-6, 2e-6]
     assert rms == pytest.approx([1e-6, 1e-6, 2e-3, 2e-3], rel=0.06)

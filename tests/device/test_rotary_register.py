@@ -33,7 +33,7 @@ def test_the_mock_of_a_rotary_scene_declares_each_channel_that_turns() -> None:
     registers = to_registers(describe_mock(scene_of("linear", "rotary", "rotary")))
     assert registers[13] == registers[schema.REG_ROTARY] == 0b110
     assert from_registers(registers).motions == ("linear", "rotary", "rotary")
-    assert schema.REG_ROTARY in registers_of_a_description(1)
+    assert schema.REG_ROTARY in registers_of_a_description(1, 0)
     assert to_registers(describe_mock(scene_of("linear")))[13] == 0
 
 

@@ -288,7 +288,7 @@ def test_a_dead_sensor_goes_on_sending_its_last_position_in_frames_that_are_righ
 
 
 def test_only_the_sensor_of_its_channel_is_dead_and_reports_no_velocity_either() -> None:
-    wire, injector = armed_format(2, velocity=True), injector_of("kind: freeze, channel: 1, after_samples: 1")
+    wire, injector = armed_format(2, schema.WITH_VELOCITY), injector_of("kind: freeze, channel: 1, after_samples: 1")
     sent = [frame_to_host(wire, schema.POSITION, n, [n, 10 + n, 20 + n, 30 + n]) for n in range(3)]
     passed = [one for data in sent for one in injector.take(data, False, 0.001)]
     frames = frames_of(bytes_of(passed), wire=wire)

@@ -72,10 +72,17 @@ def served(scene: Scene) -> Iterator[tuple[Scene, Any]]:
         yield on_port(scene, path), made
 
 
-def frame(number: int, *counts: int, kind: int = schema.POSITION, velocity: Sequence[int] = ()) -> bytes:
+def frame(
+    number: int,
+    *counts: int,
+    kind: int = schema.POSITION,
+    velocity: Sequence[int] = (),
+    acceleration: Sequence[int] = (),
+) -> bytes:
     """A position frame of an armed device, with velocities where given, sample numbers as on the wire."""
-    wire = armed_format(len(counts), velocity=len(velocity) > 0)
-    return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, [*counts, *velocity])
+    parts = (schema.WITH_VELOCITY if velocity else 0) | (schema.WITH_ACCELERATION if acceleration else 0)
+    wire = armed_format(len(counts), parts)
+    return frame_to_host(wire, kind, number % schema.SAMPLE_MODULUS, [*counts, *velocity, *acceleration])
 
 
 def as_it_is(scene: Scene) -> Scene:
@@ -174,8 +181,7 @@ class ScriptedDevice:
             return True
         self._status(schema.ARMED, schema.NO_FAULT)
         self.armed = True
-        velocity = bool(frame.argument & schema.WITH_VELOCITY)
-        use_format(self._decoder, armed_format(self.description.channels, velocity))
+        use_format(self._decoder, armed_format(self.description.channels, frame.argument & schema.PART_BITS))
         return self._next()
 
     def _status(self, state: int, fault: int) -> None:

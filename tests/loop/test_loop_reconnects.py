@@ -254,7 +254,7 @@ def test_the_time_of_every_wait_counts(scene: Scene, bench: Bench, monkeypatch: 
 
 
 def test_a_device_that_stopped_by_itself_is_armed_anew() -> None:
-    stopped = frame_to_host(armed_format(1, velocity=False), schema.STATUS, 1, [schema.LATCHED | 99 << 8])
+    stopped = frame_to_host(armed_format(1), schema.STATUS, 1, [schema.LATCHED | 99 << 8])
     sessions: list[Session] = []
 
     def started(session: Session) -> None:

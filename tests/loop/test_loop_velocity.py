@@ -31,8 +31,8 @@ def looped(scene: Scene, ticks: int) -> LoopMemory:
     with open_connection(scene) as connection:
         description = describe(connection)
         loop = assemble_loop(scene, connection, description, RunOptions(duration=ticks / scene.rate))
-        velocity = bool(scene.sensed_links)
-        assert arm(connection, description, schema.LOCKSTEP, 100, velocity) == loop.wire
+        parts = schema.parts_of(scene.sensed)
+        assert arm(connection, description, schema.LOCKSTEP, 100, parts) == loop.wire
         assert run_loop(loop.record) == DONE
         assert connection.decoder.crc_errors + connection.decoder.form_errors == 0
         disarm(connection, loop.wire)
@@ -145,7 +145,7 @@ def test_the_mock_s_velocity_reaches_the_loop(sampling: str) -> None:
 def test_a_host_that_died_while_velocities_were_sent_does_not_lock_the_next_one_out() -> None:
     with served(scene_of(2, damper="sensed")) as (scene, mock):
         with open_connection(scene) as connection:
-            arm(connection, describe(connection), schema.LOCKSTEP, 100, velocity=True)
+            arm(connection, describe(connection), schema.LOCKSTEP, 100, schema.PART_BITS)
         assert mock.board.state == schema.ARMED
         assert run(scene, duration=0.05).report.ticks == 50
         assert mock.board.state == schema.IDLE

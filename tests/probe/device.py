@@ -8,7 +8,7 @@ import struct
 from itertools import pairwise
 
 SCHEMA = 0x314A417F
-MARK = 0x56454C01
+MARK, ACCELERATION_MARK = 0x56454C01, 0x41434302
 IDLE, ARMED, LATCHED = range(3)
 DESCRIBE, ARM, FORCE, DISARM = 1, 2, 3, 4
 DESCRIPTION, POSITION, HELD, STATUS = 9, 10, 11, 12
@@ -27,11 +27,11 @@ CRC16, CRC32C = table_of(0xA6BC), table_of(0x82F63B78)
 
 
 class Format:
-    def __init__(self, channels, velocity=False, seed=None):
+    def __init__(self, channels, parts=0, seed=None):
         self.channels = channels
-        self.host_words = channels * (2 if velocity else 1)
+        self.host_words = channels * (1 + parts.bit_count())
         self.long = self.host_words > 3
-        word = SCHEMA ^ (MARK if velocity else 0)
+        word = SCHEMA ^ (MARK if parts & 0x80 else 0) ^ (ACCELERATION_MARK if parts & 0x20 else 0)
         self.seed = seed if seed is not None else word if self.long else (word ^ word >> 16) & 0xFFFF
 
     def check(self, encoded):
@@ -43,7 +43,7 @@ class Format:
 
     def to_host(self, kind, number, words):
         body = struct.pack(">H", kind << 12 | number & 4095)
-        body += struct.pack(f"<{self.host_words}i", *([*words, *[0] * 32][: self.host_words]))
+        body += struct.pack(f"<{self.host_words}i", *([*words, *[0] * 48][: self.host_words]))
         encoded = bytearray(b"\0" + body)
         zeros = [0] + [i + 1 for i, byte in enumerate(body) if byte == 0] + [len(body) + 1]
         for here, there in pairwise(zeros):
@@ -98,7 +98,8 @@ class Device:
         self.rate = options.get("rate", 500.0)
         self.pacings = options.get("pacings", 3)
         self.max_watchdog = options.get("max_watchdog", 2047)
-        self.senses = options.get("senses", True)
+        self.senses, self.accelerates = options.get("senses", True), options.get("accelerates", False)
+        self.acceleration = 1e-4 * options.get("acceleration_off_by", 1.0)
         self.scale, self.force_scale, self.limit = options.get("scale", 1e-8), 1e-7, options.get("limit", 10.0)
         self.bodies = [Mass(0.2, 1.0) for _ in range(self.channels)]
         self.wire, self.rest, self.unsent, self.waiting, self.torn = SETUP, b"", b"", b"", False
@@ -123,6 +124,10 @@ class Device:
             velocity = self.scale * 100 if self.senses else 0.0
             for i, value in enumerate((self.scale, self.force_scale, self.limit, velocity)):
                 self.put(own, 32 + 8 * c + 2 * i, value)
+        if self.accelerates:
+            own[15] = 1
+            for c in range(self.channels):
+                self.put(own, 160 + 16 * c, 1e-4)
         own.update({int(number): value for number, value in self.options.get("registers", {}).items()})
         return own
 
@@ -201,26 +206,26 @@ class Device:
     def status(self):
         self.write(self.wire.to_host(STATUS, self.n, [self.state | self.fault << 8]))
 
-    def refusal(self, watchdog, pacing, velocity, word):
+    def refusal(self, watchdog, pacing, parts, word):
         if word != SCHEMA and "any_schema" not in self.faults:
             return 3
         if pacing > 2 or not self.pacings >> pacing & 1:
             return 4
-        if velocity and not self.senses:
+        if (parts & 0x80 and not self.senses) or (parts & 0x20 and not self.accelerates):
             return 7
         return 0 if 1 <= watchdog <= self.max_watchdog else 5
 
     def arm(self, watchdog, argument, word):
-        velocity = bool(argument & 0x80)
-        self.n, self.fault = 0, self.refusal(watchdog, argument & 0x7F, velocity, word)
+        parts, pacing = argument & 0xA0, argument & 0x5F
+        self.n, self.fault = 0, self.refusal(watchdog, pacing, parts, word)
         if self.fault:
             return self.status()
-        self.state, self.pacing, self.watchdog, self.velocity = ARMED, argument & 0x7F, watchdog, velocity
+        self.state, self.pacing, self.watchdog, self.parts = ARMED, pacing, watchdog, parts
         self.answered = self.latest_force = self.expires = -1
         if "keeps_counters" not in self.faults:
             self.counters = dict.fromkeys(self.counters, 0)
         self.status()
-        self.wire = Format(self.channels, velocity)
+        self.wire = Format(self.channels, parts)
         self.force_at, self.life = self.now(), math.inf
         self.due = self.now() + self.period
         self.send_position(POSITION)
@@ -285,8 +290,11 @@ class Device:
         self.farthest = max(self.farthest, *(abs(body.x) for body in self.bodies))
         if "frozen" in self.faults:
             counts = [0] * self.channels
-        if self.velocity:
+        if self.parts & 0x80:
             counts += [round(body.v / (self.scale * 100)) for body in self.bodies]
+        if self.parts & 0x20:
+            pulls = zip(self.bodies, self.output, strict=True)
+            counts += [round((force - body.friction * body.v) / body.mass / self.acceleration) for body, force in pulls]
         self.write(self.wire.to_host(kind, self.n, counts))
 
     def stop(self, state):

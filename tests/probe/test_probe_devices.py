@@ -236,7 +236,7 @@ def test_a_device_that_moves_by_itself_is_not_pushed(new_bench: NewBench) -> Non
         ({37: 0x7FF80000}, "force_limit", "nan"),
         ({45: 0, 44: 0}, "force_limit", "0"),
         ({46: 0, 47: 0}, "velocity_scale", "0"),
-        ({15: 1}, "unknown_registers", "register 15"),
+        ({20: 1}, "unknown_registers", "register 20"),
         ({14: 2}, "bridge", "2: neither 0 nor 1"),
         ({13: 4}, "rotary", "0x4: channel 0 linear"),
     ],

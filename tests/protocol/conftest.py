@@ -90,8 +90,8 @@ class PlainDecoder:
         return frame
 
     def _words(self) -> int:
-        twice = self.wire["velocity"] and self.direction == "to_host"
-        return int(self.wire["channels"]) * (2 if twice else 1)
+        parts = self.wire["velocity"] + self.wire["acceleration"] if self.direction == "to_host" else 0
+        return int(self.wire["channels"]) * (1 + parts)
 
     def _fields(self, body: bytes | None) -> dict[str, Any] | None:
         if body is None or body[0] >> 4 not in TYPES[self.direction]:

@@ -85,11 +85,15 @@ def test_what_came_with_an_answer_is_returned_with_it() -> None:
 
 def test_arming_asks_in_the_set_up_format_and_expects_that_of_the_channels() -> None:
     host = Scripted(lambda _: [received(schema.STATUS, 0, schema.ARMED)])
-    status, _ = host.arm(THREE, schema.PACED_BY_HOST, 100, velocity=True)
+    status, _ = host.arm(THREE, schema.PACED_BY_HOST, 100, parts=schema.PART_BITS)
     assert status is not None
-    assert (status.state, status.fault, host.armed) == (schema.ARMED, schema.NO_FAULT, armed_format(3, velocity=True))
+    assert (status.state, status.fault, host.armed) == (
+        schema.ARMED,
+        schema.NO_FAULT,
+        armed_format(3, schema.PART_BITS),
+    )
     (frame,) = read(host.sent[0])
-    assert (frame.type, frame.number, frame.argument) == (schema.ARM, 100, schema.PACED_BY_HOST | schema.WITH_VELOCITY)
+    assert (frame.type, frame.number, frame.argument) == (schema.ARM, 100, schema.PACED_BY_HOST | schema.PART_BITS)
     assert frame.counts[0] & 0xFFFFFFFF == schema.SCHEMA_HASH
 
 

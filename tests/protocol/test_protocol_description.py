@@ -31,6 +31,8 @@ def descriptions(draw: st.DrawFn) -> Description:
         force_scale=draw(per_channel),
         force_limit=draw(per_channel),
         velocity_scale=draw(st.just(()) | per_channel.filter(any)),
+        acceleration_scale=(acceleration := draw(st.just(()) | per_channel.filter(any))),
+        sensors=draw(st.integers(0, 3)) << 1 | bool(acceleration),
         version=draw(words),
         schema_hash=draw(words),
     )
@@ -59,7 +61,8 @@ def test_the_registers_that_are_asked_for_are_all_that_a_description_needs(descr
         schema.REG_VERSION,
         schema.REG_SCHEMA,
         schema.REG_CHANNELS,
-        *registers_of_a_description(description.channels),
+        schema.REG_SENSORS,
+        *registers_of_a_description(description.channels, description.sensors),
     ):
         asked[register] = every[register]
     assert from_registers(asked) == description
@@ -125,6 +128,7 @@ def test_a_device_of_no_or_too_many_channels_is_an_error(channels: int) -> None:
         {"force_scale": (1.0,)},
         {"force_limit": (1.0, 2.0, 3.0)},
         {"velocity_scale": (1.0,)},
+        {"acceleration_scale": (1.0,)},
     ],
 )
 def test_a_description_that_does_not_fit_together_is_an_error(changed: dict[str, tuple[float, ...]]) -> None:

@@ -15,13 +15,13 @@ import pytest
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes
+from firmware_protocol.frames import SETUP, Format, armed_format, every_armed_format, frame_bytes
 
-EVERY = [SETUP, *(armed_format(n, velocity) for n in range(1, 17) for velocity in (False, True))]
+EVERY = [SETUP, *every_armed_format()]
 
 
 def encoded_bytes(wire: Format, to_device: bool) -> int:
-    return schema.encoded_bytes(wire.channels, to_device, wire.velocity)
+    return schema.encoded_bytes(wire.channels, to_device, wire.parts)
 
 
 def syndromes(codec: Any, wire: Format, encoded: int) -> NDArray[np.int64]:
@@ -60,7 +60,7 @@ def test_the_distance_ends_where_the_document_states(compiled_codec: Any) -> Non
     # A fourth word under the short check would have been too much: the limit is not an accident of the test.
     for wire, longer in (
         (armed_format(schema.SHORT_CRC_WORDS), schema.encoded_bytes(4, to_device=True)),
-        (armed_format(1, velocity=True), schema.encoded_bytes(2, to_device=False, velocity=True)),
+        (armed_format(1, schema.WITH_VELOCITY), schema.encoded_bytes(2, to_device=False, parts=schema.WITH_VELOCITY)),
     ):
         assert not wire.long_check
         pairs = pairs_of(syndromes(compiled_codec, wire, longer))

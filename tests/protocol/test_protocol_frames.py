@@ -28,12 +28,12 @@ from firmware_protocol.vectors import COUNTERS, TO_DEVICE, TO_HOST, sealed
 LOWEST, HIGHEST = -(2**31), 2**31 - 1
 words = st.one_of(st.integers(LOWEST, HIGHEST), st.sampled_from([LOWEST, HIGHEST, 0, -1, 1, 255, 256, -256]))
 codes = st.one_of(st.integers(1, 6), st.integers(1, 255))
-formats = st.one_of(st.just(SETUP), st.builds(armed_format, st.integers(1, 16), st.booleans()))
+formats = st.one_of(st.just(SETUP), st.builds(armed_format, st.integers(1, 16), st.sampled_from(schema.COMBINATIONS)))
 
 
 def words_of(wire: Format, to_device: bool) -> int:
     """Words of a frame's payload in one direction."""
-    return schema.words(wire.channels, to_device, wire.velocity)
+    return schema.words(wire.channels, to_device, wire.parts)
 
 
 def read(wire: Format, to_device: bool, data: bytes) -> tuple[list[Frame], dict[str, int]]:
@@ -49,7 +49,7 @@ def test_a_frame_to_the_host_comes_back_as_it_was(wire: Format, kind: int, numbe
     size = words_of(wire, False)
     counts = data.draw(st.lists(words, min_size=size, max_size=size))
     sent = frame_to_host(wire, kind, number, counts)
-    assert len(sent) == frame_bytes(wire, to_device=False) == schema.frame_bytes(wire.channels, False, wire.velocity)
+    assert len(sent) == frame_bytes(wire, to_device=False) == schema.frame_bytes(wire.channels, False, wire.parts)
     assert sent.index(0) == len(sent) - 1
     assert read(wire, False, sent) == ([Frame(kind, number, 0, tuple(counts))], {"accepted": 1})
 
@@ -61,7 +61,7 @@ def test_a_frame_to_the_device_comes_back_as_it_was(
 ) -> None:
     counts = data.draw(st.lists(words, min_size=wire.channels, max_size=wire.channels))
     sent = frame_to_device(wire, kind, number, argument, counts)
-    assert len(sent) == frame_bytes(wire, to_device=True) == schema.frame_bytes(wire.channels, True, wire.velocity)
+    assert len(sent) == frame_bytes(wire, to_device=True) == schema.frame_bytes(wire.channels, True, wire.parts)
     assert sent.index(0) == len(sent) - 1
     assert read(wire, True, sent) == ([Frame(kind, number, argument, tuple(counts))], {"accepted": 1})
 
@@ -161,10 +161,10 @@ def test_a_device_that_receives_itself_accepts_nothing(wire: Format, kind: int, 
     echo = frame_to_host(wire, kind, number, [word] * words_of(wire, False))
     frames, counted = read(wire, True, echo)
     assert frames == []
-    if not wire.velocity:
+    if not wire.parts:
         assert counted == {"length_errors": 1}
     else:
-        assert counted.pop("garbage_bytes") == 4 * wire.channels - 1
+        assert counted.pop("garbage_bytes") == 4 * (words_of(wire, False) - wire.channels) - 1
         assert sum(counted.values()) == 1
 
 
@@ -175,21 +175,22 @@ def test_a_host_that_receives_itself_accepts_nothing(
 ) -> None:
     frames, counted = read(wire, False, frame_to_device(wire, kind, number, argument, [word] * wire.channels))
     assert frames == []
-    if wire.velocity:
+    if wire.parts:
         assert counted == {"length_errors": 1}
     else:
         assert counted.pop("garbage_bytes") == 1
         assert sum(counted.values()) == 1
 
 
-def test_the_velocity_mark_keeps_a_device_of_one_channel_from_ever_taking_its_own_position_for_a_frame(
-    compiled_codec: Any,
+@pytest.mark.parametrize("part", schema.PARTS, ids=lambda part: part.name)
+def test_a_part_s_mark_keeps_a_device_of_one_channel_from_ever_taking_its_own_position_for_a_frame(
+    compiled_codec: Any, part: schema.Part
 ) -> None:
     # It would look at the last eight encoded bytes of eleven. Their check is the whole frame's only where the three
     # bytes before them (code and header) lead from the start value back to it, whatever follows. If this fails after a
-    # change of the schema, count up the last byte of VELOCITY_MARK until it holds.
-    wire = armed_format(1, velocity=True)
-    front = schema.encoded_bytes(1, False, True) - schema.encoded_bytes(1, True, True)
+    # change of the schema, count up the last byte of the part's mark until it holds.
+    wire = armed_format(1, part.bit)
+    front = schema.encoded_bytes(1, False, part.bit) - schema.encoded_bytes(1, True, part.bit)
     back_to_the_start = compiled_codec.crc_of(wire.long_check, np.zeros(0, np.uint8), 0, 0, wire.seed)
     framing, buffer = framing_of(wire, to_device=False), np.zeros(frame_bytes(wire, to_device=False), np.uint8)
     fronts = set()
@@ -212,18 +213,48 @@ def test_an_echo_s_header_points_beyond_the_end_of_a_short_frame(channels: int) 
     assert min(TO_DEVICE.values()) << 4 > schema.encoded_bytes(channels, to_device=False)
 
 
+@pytest.mark.parametrize("parts", schema.COMBINATIONS[1:])
 @pytest.mark.parametrize("fault", sorted(schema.FAULTS))
-def test_a_device_of_one_channel_never_takes_its_own_status_for_a_frame(fault: int) -> None:
-    # What is left of it once code and header are cut off has type 0, whatever the check says.
-    wire = armed_format(1, velocity=True)
+def test_a_device_of_one_channel_never_takes_its_own_status_for_a_frame(fault: int, parts: int) -> None:
+    # What is left of it once its front is cut off has type 0, whatever the check says.
+    wire = armed_format(1, parts)
+    whole, rest_bytes = schema.encoded_bytes(1, False, parts), schema.encoded_bytes(1, True, parts)
     for number in range(0, schema.SAMPLE_MODULUS, 5):
-        sent = frame_to_host(wire, schema.STATUS, number, [schema.LATCHED | fault << 8, 0])
-        rest = sealed(wire, sent[3:11])
+        sent = frame_to_host(wire, schema.STATUS, number, [schema.LATCHED | fault << 8] + [0] * parts.bit_count())
+        rest = sealed(wire, sent[whole - rest_bytes : whole])
         assert read(wire, True, rest) == ([], {"form_errors": 1})
 
 
+def test_accelerations_stand_last_and_each_part_can_come_alone() -> None:
+    both = armed_format(2, schema.PART_BITS)
+    sent = frame_to_host(both, schema.POSITION_HELD, 5, [1, 2, -3, -4, 6, 7])
+    body = cobs.decode(sent[:-6])
+    assert body == bytes.fromhex("b005 01000000 02000000 fdffffff fcffffff 06000000 07000000")
+    alone = armed_format(1, schema.WITH_ACCELERATION)
+    assert cobs.decode(frame_to_host(alone, schema.POSITION, 5, [1, 9])[:-4]) == bytes.fromhex("a005 01000000 09000000")
+    assert (both.part_names, alone.part_names) == (["velocity", "acceleration"], ["acceleration"])
+    assert schema.parts_of(["acceleration", "velocity"]) == schema.PART_BITS == 0xA0
+    assert len({armed_format(1, parts).seed for parts in schema.COMBINATIONS} | {SETUP.seed}) == 5
+
+
+def test_more_words_than_cobs_stuffs_by_one_byte_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    force = schema.Part("force", 0x40, 0x464F5201, 162, 16, schema.SENSES_FORCE)
+    word = schema.Part("digital word", 0x10, 0x44494701, 400, 0, schema.HAS_DIGITAL_WORD, per_channel=False)
+    monkeypatch.setattr(schema, "PARTS", (*schema.PARTS, force, word))
+    longest = armed_format(15, 0xF0)  # 15 channels of 4 values, and a word: 61
+    counts = list(range(-30, 31))
+    frames, _ = read(longest, False, frame_to_host(longest, schema.POSITION, 1, counts))
+    assert list(frames[0].counts) == counts
+    said = "16 channels with velocity, acceleration, force, digital word: a frame of 65 words, expected at most 62: "
+    with pytest.raises(ValueError, match=said):
+        armed_format(16, 0xF0)
+    assert schema.words(16, False, 0xF0) == 65
+    assert schema.words(16, True, 0xF0) == 16
+    assert 2 + 4 * schema.MAX_WORDS <= LONGEST_BODY < 2 + 4 * (schema.MAX_WORDS + 1)
+
+
 def test_with_velocities_a_frame_to_the_host_carries_the_positions_first_and_then_the_velocities() -> None:
-    wire = armed_format(2, velocity=True)
+    wire = armed_format(2, schema.WITH_VELOCITY)
     sent = frame_to_host(wire, schema.POSITION, 5, [1, 2, -3, -4])
     body = cobs.decode(sent[:-6])
     assert body == bytes.fromhex("a005 01000000 02000000 fdffffff fcffffff")
@@ -239,7 +270,7 @@ def test_with_velocities_a_frame_to_the_host_carries_the_positions_first_and_the
 def test_codes_that_do_not_add_up_under_a_right_check_are_a_form_error(
     wire: Format, to_device: bool, data: st.DataObject
 ) -> None:
-    length = schema.encoded_bytes(wire.channels, to_device, wire.velocity)
+    length = schema.encoded_bytes(wire.channels, to_device, wire.parts)
     encoded = bytes(data.draw(st.lists(codes, min_size=length, max_size=length)))
     try:
         kind = cobs.decode(encoded)[0] >> 4
@@ -249,7 +280,7 @@ def test_codes_that_do_not_add_up_under_a_right_check_are_a_form_error(
     assert read(wire, to_device, sealed(wire, encoded))[1] == ({"accepted": 1} if known else {"form_errors": 1})
 
 
-@pytest.mark.parametrize("wire", [SETUP, armed_format(3), armed_format(16), armed_format(2, True)])
+@pytest.mark.parametrize("wire", [SETUP, armed_format(3), armed_format(16), armed_format(2, schema.PART_BITS)])
 def test_every_constant_bit_of_the_check_is_looked_at(wire: Format) -> None:
     sent = frame_to_device(wire, schema.FORCE, 1, 2, [3] * wire.channels)
     check_bytes = 5 if wire.long_check else 3

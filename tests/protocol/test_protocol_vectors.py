@@ -12,6 +12,7 @@ import pytest
 from cobs import cobs
 
 from firmware_protocol import schema
+from firmware_protocol.client import ANSWER_S, disarm_in_every_format
 from firmware_protocol.make_vectors import DOCUMENT, VECTORS, made_text, with_blocks
 from firmware_protocol.vectors import TO_DEVICE, TO_HOST, TYPES
 
@@ -98,8 +99,11 @@ def test_nothing_comes_out_of_what_has_to_be_refused(vectors: Vectors) -> None:
 def test_every_type_in_every_format_is_there(vectors: Vectors, formats: Vectors) -> None:
     seen = Counter((entry["format"], entry["type"]) for entry in vectors["frames"])
     assert len(seen) == 8 * len(formats)
-    there = {(wire["channels"], wire["velocity"]) for name, wire in formats.items() if name != "setup"}
-    assert there == {(n, False) for n in (1, 3, 4, 16)} | {(n, True) for n in (1, 2, 16)}
+    there = {(wire["channels"], wire["velocity"], wire["acceleration"]) for wire in list(formats.values())[1:]}
+    with_parts = [(True, False), (False, True), (True, True)]
+    assert there == {(n, False, False) for n in (1, 3, 4, 16)} | {
+        (n, *parts) for n in (1, 2, 16) for parts in with_parts
+    }
     counters = Counter(name for e in vectors["streams"] + vectors["refused"] for name, n in e["counters"].items() if n)
     assert set(counters) == {"accepted", "crc_errors", "length_errors", "form_errors", "garbage_bytes"}
 
@@ -145,45 +149,48 @@ def test_the_tables_of_states_and_faults_are_the_schema_s() -> None:
     assert [number for number, _ in faults] == sorted(schema.FAULTS)
     words = {schema.HOST_QUIET: "quiet", schema.POSITION_OUT_OF_RANGE: "range", schema.WRONG_SCHEMA: "schema"}
     words |= {schema.WRONG_PACING: "paced", schema.WRONG_WATCHDOG: "watchdog", schema.HARDWARE: "hardware"}
-    words[schema.WRONG_SENSING] = "velocity"
+    words[schema.WRONG_SENSING] = "velocity or acceleration"
     assert all(words[number] in text for number, text in faults[1:])
 
 
 def test_the_table_of_registers_is_the_schema_s() -> None:
     table = {name: cell for cell, name, *_ in rows(section("5. Registers").split("**Unarmed only.**")[0])[1:]}
     plain = ("version", "schema", "channels", "pacings", "max_watchdog", "fault")
-    counters = ("accepted", "rejected", "held", "expired", "limited", "rotary", "bridge")
+    counters = ("accepted", "rejected", "held", "expired", "limited", "rotary", "bridge", "sensors")
     expected = {name: str(getattr(schema, f"REG_{name.upper()}")) for name in plain + counters}
     expected["rate"] = f"{schema.REG_RATE}, {schema.REG_RATE + 1}"
     expected["name"] = f"{schema.REG_NAME} to {schema.REG_NAME + schema.NAME_WORDS - 1}"
     for name in ("position_scale", "force_scale", "force_limit", "velocity_scale"):
         base = schema.REG_CHANNEL + getattr(schema, f"REG_{name.upper()}")
         expected[name] = f"{base} + {schema.CHANNEL_WORDS}c, +1"
+    expected["acceleration_scale"] = f"{schema.REG_MORE} + {schema.MORE_WORDS}c, +1"
     assert table == expected
 
 
 def test_the_time_on_the_wire_agrees_with_the_vectors(formats: dict[str, Any]) -> None:
-    tables = section("11. Time on the wire").split("With velocities:")
-    for velocity, text in enumerate(tables):
+    tables = re.split("With velocities, or with accelerations:|With both:", section("11. Time on the wire"))
+    assert len(tables) == 3
+    for parts, text in enumerate(tables):
         table = {int(row[0]): row[1:4] for row in rows(text)[1:]}
         assert sorted(table) == list(range(1, 17))
         for wire in formats.values():
             host, device = wire["bytes_to_host"], wire["bytes_to_device"]
-            if wire["velocity"] == bool(velocity):
+            if wire["velocity"] + wire["acceleration"] == parts:
                 assert table[wire["channels"]] == [f"{host} B", f"{device} B", f"{host + device} B"]
     # The largest, by hand: 147 and 211 bytes of ten bits at 115200 baud.
     assert "| 16 | 73 B | 74 B | 147 B | 12.760 ms |" in tables[0]
     assert "| 16 | 137 B | 74 B | 211 B | 18.316 ms |" in tables[1]
+    assert "| 16 | 201 B | 74 B | 275 B | 23.872 ms |" in tables[2]
 
 
 def test_every_type_has_an_example_that_decodes_to_what_stands_next_to_it(
     formats: dict[str, Any], plain_decoder: Any
 ) -> None:
-    pattern = r"\*\*(\w+)\*\*, (set-up|armed, \d+ channels?(?: with velocity)?): .*?\n\n```text\n(.*?)\n```"
+    pattern = r"\*\*(\w+)\*\*, (set-up|armed, \d+ channels?(?: with [a-z ]+)?): .*?\n\n```text\n(.*?)\n```"
     examples = re.findall(pattern, section("12. Examples"), re.DOTALL)
     assert {kind.lower() for kind, _, _ in examples} == set(TYPES)
     for kind, where, lines in examples:
-        family = "velocity" if where.endswith("velocity") else "armed"
+        family = {"": "armed", "velocity and acceleration": "both"}.get(words := where.partition(" with ")[2], words)
         wire = formats["setup" if where == "set-up" else f"{family}_{re.findall(r'[0-9]+', where)[0]}"]
         decoder = plain_decoder(wire, "to_device" if kind.lower() in TO_DEVICE else "to_host")
         sent = re.findall(r"^(?:encoded|check|delimiter)\s+((?:[0-9a-f]{2} ?)+)", lines, re.MULTILINE)
@@ -196,6 +203,14 @@ def test_every_type_has_an_example_that_decodes_to_what_stands_next_to_it(
 def test_the_example_of_stuffing_is_right() -> None:
     body, encoded = re.findall(r"^    (?:body   |encoded) +([0-9a-f ]+)$", section("2. Framing"), re.MULTILINE)
     assert cobs.encode(bytes.fromhex(body)) == bytes.fromhex(encoded)
+
+
+def test_the_frames_for_a_silent_device_are_as_many_bytes_as_stated() -> None:
+    burst = len(disarm_in_every_format())
+    assert f"{burst} bytes, which take {burst * 10 / 115200:.2f} s at 115200" in section(
+        "8. Failures of the other side"
+    )
+    assert burst * 10 / 115200 < ANSWER_S  # else the answer to the question behind them came when the next one leaves
 
 
 def test_the_schema_text_gives_its_hash() -> None:
@@ -212,7 +227,12 @@ def test_the_schema_hash_is_the_one_that_boards_in_the_field_have() -> None:
 
 def test_every_number_of_the_schema_module_that_goes_on_the_wire_is_in_the_schema_text() -> None:
     # A meaning that the text leaves out could change without changing the hash.
-    later = {"REG_ROTARY", "REG_BRIDGE"}  # they came after the hash was fixed, and read 0 on a board from before
+    later = {
+        "REG_ROTARY",
+        "REG_BRIDGE",
+        "REG_SENSORS",
+        "REG_MORE",
+    }  # they came after the hash was fixed, and read 0 on a board from before
     registers = [name for name in vars(schema) if name.startswith("REG_") and name not in later]
     names = [*registers, *NAMES, "PACED_BY_DEVICE", "PACED_BY_HOST", "LOCKSTEP", "IDLE", "ARMED", "LATCHED"]
     names += ["HOST_QUIET", "POSITION_OUT_OF_RANGE", "WRONG_SCHEMA", "WRONG_PACING", "WRONG_WATCHDOG", "HARDWARE"]

@@ -54,13 +54,14 @@ FIELDS: dict[str, tuple[str, Callable[[Scene], Any]]] = {
     "s": ("turnaround: 0", lambda scene: scene.mock and scene.mock.turnaround),
     "m per count": ("quantum: 1e-6", lambda scene: scene.mock and scene.mock.quantum),
     "N per count": ("force_quantum: 1e-6", lambda scene: scene.mock and scene.mock.force_quantum),
+    "m/s²": ("misses: 0", lambda scene: scene.mock and scene.mock.acceleration_noise),
     "m rms": ("noise: 0", lambda scene: scene.mock and scene.mock.noise),
     "J": ("delay: 1", lambda scene: scene.device.energy_limit),
     "N/s": ("delay: 1", lambda scene: scene.device.slew_limit),
     "bit/s": ("delay: 1", lambda scene: scene.device.baud),
     "1": ("misses: 0", lambda scene: scene.mock and scene.mock.misses),
 }
-KEYS = {"J": "energy_limit", "N/s": "slew_limit", "bit/s": "baud"}
+KEYS = {"m/s²": "acceleration_noise", "J": "energy_limit", "N/s": "slew_limit", "bit/s": "baud"}
 
 
 def scene_with(unit: str, written: str, motion: Motion) -> str:
@@ -103,6 +104,7 @@ RIGHT: list[tuple[str, Motion, float, str]] = [
     ("m per count", "linear", 1e-05, "10 µm|10 µm/count|10 um per count|0.01 mm/count"),
     ("N per count", "linear", 0.001, "1 mN|1 mN/count|1 mN per count"),
     ("m rms", "linear", 2e-06, "2 µm|2 µm rms|2 um rms"),
+    ("m/s²", "linear", 0.05, "0.05 m/s²|50 mm/s²|0.05 m/s^2|5 cm/s2"),
     ("J", "linear", 0.2, "200 mJ|0.2 J|0.2 N·m|200 mN·m|0.2 Nm|0.2 W·s"),
     ("N/s", "linear", 1000.0, "1 N/ms|1 kN/s|1000 N/s"),
     ("N/s", "rotary", 10.0, "10 N·m/s|10 mNm/ms"),
@@ -340,7 +342,7 @@ def test_the_schema_takes_a_unit_where_the_field_has_one() -> None:
 OTHERS = {
     "kg": ("g", 3), "kg·m²": ("g·cm²", 7), "m": ("mm", 3), "rad": ("mrad", 3), "m/s": ("mm/s", 3),
     "rad/s": ("mrad/s", 3), "N": ("mN", 3), "N·m": ("mN·m", 3), "N/m": ("N/mm", -3), "N·m/rad": ("mNm/rad", 3),
-    "N·s/m": ("mN·s/m", 3),
+    "N·s/m": ("mN·s/m", 3), "m/s²": ("mm/s²", 3), "rad/s²": ("mrad/s²", 3),
     "N·m·s/rad": ("mNm·s/rad", 3), "Hz": ("kHz", -3), "s": ("ms", 3), "J": ("mJ", 3), "N/s": ("kN/s", -3),
     "N·m/s": ("mNm/s", 3), "bit/s": ("kbit/s", -3), "sample periods": ("samples", 0), "m per count": ("µm", 6),
     "rad per count": ("mrad/count", 3), "N per count": ("mN", 3), "m rms": ("µm rms", 6), "rad rms": ("mrad", 3),

@@ -104,7 +104,7 @@ class Witness:
             return
         if frame.type == schema.ARM:
             self._ended = None
-            self._pacing = frame.argument & (schema.WITH_VELOCITY - 1)
+            self._pacing = frame.argument & ~schema.PART_BITS
         elif frame.type == schema.DISARM:
             self._armed = False
             self._end("disarm", time_s)

@@ -138,13 +138,13 @@ def _judge_velocities(probing: Probing) -> None:
     if not probing.device.senses_velocity:
         probing.not_seen("velocities", "no velocity is sensed (register 38)")
         return
-    session = probing.arm(schema.PACED_BY_DEVICE, probing.device.max_watchdog_samples, velocity=True)
+    session = probing.arm(schema.PACED_BY_DEVICE, probing.device.max_watchdog_samples, parts=schema.WITH_VELOCITY)
     if session is None:
-        look_at = "bit 7 of ARM's argument, beside the pacing in bits 6 to 0"
+        look_at = "bit 7 of ARM's argument, beside the pacing in bits 1 and 0"
         probing.judge("velocities", False, "ARM with velocities is refused", look_at)
         return
     going = session.run(50, session.zero)
-    wrong = [one for one in session.others if not one.wire.velocity]
+    wrong = [one for one in session.others if not one.wire.parts & schema.WITH_VELOCITY]
     words = len(session.samples[0].counts) if session.samples else 0
     other = in_words(wrong[0] if wrong else session.ended) if wrong or session.ended else "nothing else"
     found = f"{len(session.samples)} positions of {words} words; {other}"

@@ -124,14 +124,14 @@ _UNREAD = 1.5  # of the watchdog
 def probe_blocked(probing: Probing) -> None:
     """Always goes on."""
     device = probing.device
-    velocity = device.senses_velocity  # longer frames: filled sooner
-    size = schema.frame_bytes(device.channels, to_device=False, velocity=velocity)
+    parts = schema.parts_of(device.sensed)  # longer frames: filled sooner
+    size = schema.frame_bytes(device.channels, to_device=False, parts=parts)
     samples = _FILL_BYTES // size
     if (lasts := probing.periods(samples)) > _LONGEST_S:
         why = f"{samples} frames of {size} B at {device.rate_hz:g} Hz take {lasts:.3g} s: too long to fill what buffers"
         probing.leave_out("blocked", why)
         return
-    session = probing.arm_by_device("blocked", probing.device.max_watchdog_samples, velocity=velocity)
+    session = probing.arm_by_device("blocked", probing.device.max_watchdog_samples, parts=parts)
     if session is None:
         return
     going = session.run(_BEFORE, session.zero)
@@ -147,7 +147,7 @@ def probe_blocked(probing: Probing) -> None:
         return
     session.disarm()
     watchdog = min(round(0.9 * samples), probing.device.max_watchdog_samples)
-    _judge_watchdog_blocked(probing, watchdog, rate_hz, is_steady, velocity)
+    _judge_watchdog_blocked(probing, watchdog, rate_hz, is_steady, parts)
 
 
 def _judge_tick(probing: Probing, session: Session, samples: int, rate_hz: float) -> bool | None:
@@ -201,9 +201,9 @@ def _write_unread(session: Session, seconds: float, rate_hz: float, pause_s: flo
         clock.sleep(pause_s)
 
 
-def _judge_watchdog_blocked(probing: Probing, watchdog: int, rate_hz: float, is_steady: bool, velocity: bool) -> None:
+def _judge_watchdog_blocked(probing: Probing, watchdog: int, rate_hz: float, is_steady: bool, parts: int) -> None:
     wire = probing.wire
-    session = probing.arm(schema.PACED_BY_DEVICE, watchdog, velocity=velocity)
+    session = probing.arm(schema.PACED_BY_DEVICE, watchdog, parts=parts)
     if session is None:
         probing.not_seen("watchdog_blocked", "the device did not arm again")
         return

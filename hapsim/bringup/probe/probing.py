@@ -34,7 +34,7 @@ def in_words(one: Received | None) -> str:
     what = f"{schema.TYPES[one.kind]} {one.number}" + (f": {one.word}" if one.kind == schema.DESCRIPTION else "")
     if one.kind == schema.STATUS:
         what += f", {schema.STATES.get(one.state, f'state {one.state}')}, fault {one.fault}"
-    format_name = "set-up" if one.wire == SETUP else "armed velocity" if one.wire.velocity else "armed"
+    format_name = "set-up" if one.wire == SETUP else " ".join(["armed", *one.wire.part_names])
     return f"{what}, in the {format_name} format"
 
 
@@ -182,9 +182,9 @@ class Session:
         return answer
 
 
-def arm(wire: Wire, device: Description, pacing: int, watchdog: int, *, velocity: bool = False) -> Session:
+def arm(wire: Wire, device: Description, pacing: int, watchdog: int, *, parts: int = 0) -> Session:
     """Sends ARM. The status of the session says whether the device took it."""
-    answer, received = wire.arm(device, pacing, watchdog, velocity=velocity)
+    answer, received = wire.arm(device, pacing, watchdog, parts=parts)
     session = Session(wire, answer, 0.5 + 20.0 / device.rate_hz)
     session.take([one for one in received if one is not answer])
     return session
@@ -304,19 +304,19 @@ class Probing:
         """Returns how many samples a time has, within bounds."""
         return min(max(round(seconds * self.device.rate_hz), least), most)
 
-    def arm(self, pacing: int, watchdog: int, *, velocity: bool = False) -> Session | None:
+    def arm(self, pacing: int, watchdog: int, *, parts: int = 0) -> Session | None:
         """Arms the device; returns None, and releases it, if it did not arm."""
-        session = arm(self.wire, self.device, pacing, watchdog, velocity=velocity)
+        session = arm(self.wire, self.device, pacing, watchdog, parts=parts)
         if session.status is not None and session.status.state == schema.ARMED:
             return session
         self.wire.release()
         return None
 
-    def arm_by_device(self, step: str, watchdog: int, *, velocity: bool = False) -> Session | None:
+    def arm_by_device(self, step: str, watchdog: int, *, parts: int = 0) -> Session | None:
         """Arms the device, paced by itself; returns None, and leaves out the step, if it did not arm."""
         session = None
         if not self.device.paces(schema.PACED_BY_DEVICE):
             self.leave_out(step, "the device does not declare that it paces (bit 0 of register 3)")
-        elif (session := self.arm(schema.PACED_BY_DEVICE, watchdog, velocity=velocity)) is None:
+        elif (session := self.arm(schema.PACED_BY_DEVICE, watchdog, parts=parts)) is None:
             self.leave_out(step, "the device did not arm")
         return session

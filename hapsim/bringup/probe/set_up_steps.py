@@ -16,7 +16,7 @@ from hapsim.bringup.probe.probing import Probing, Wire, in_words
 _QUIET_S = 0.2
 _NOISE = bytes(1 + (7 * i) % 255 for i in range(300))
 _UNKNOWN_TYPES = (0x0, *range(0x5, 0x10))
-_NO_REGISTERS = (15, 20, 31, schema.REGISTERS, 1000, 4095)
+_NO_REGISTERS = (20, 31, schema.REGISTERS, 1000, 4095)
 _FLIPS = (
     (0, 0x01, "the COBS code"),
     (1, 0x40, "the type"),
@@ -147,7 +147,7 @@ _LEAST_HZ, _MOST_HZ = 1e-3, 1e9
 def probe_registers(probing: Probing) -> bool:
     """Returns whether the device may be armed: it speaks this schema, and its registers make sense."""
     registers, judge = np.zeros(schema.REGISTERS, np.int64), probing.judge
-    if not _read(probing, registers, [schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS]):
+    if not _read(probing, registers, [schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS, schema.REG_SENSORS]):
         return False
     version, word, channels = (int(registers[n]) for n in (schema.REG_VERSION, schema.REG_SCHEMA, schema.REG_CHANNELS))
     other = "" if word == schema.SCHEMA_HASH else f", this hapsim's is 0x{schema.SCHEMA_HASH:08x}"
@@ -155,7 +155,7 @@ def probe_registers(probing: Probing) -> bool:
     is_ours &= judge("schema", word == schema.SCHEMA_HASH, f"0x{word:08x}{other}")
     if not is_ours or not judge("channels", 1 <= channels <= schema.MAX_CHANNELS, f"{channels}"):
         return False
-    if not _read(probing, registers, registers_of_a_description(channels)):
+    if not _read(probing, registers, registers_of_a_description(channels, int(registers[schema.REG_SENSORS]))):
         return False
     name = registers[schema.REG_NAME :][: schema.NAME_WORDS].astype("<u4").tobytes().rstrip(b"\0")
     judge("name", all(0x20 <= byte <= 0x7E for byte in name), repr(name.decode("latin-1")))
@@ -240,7 +240,7 @@ def probe_refusals(probing: Probing) -> None:
     if device.senses_velocity:
         probing.not_seen("wrong_sensing", "the device senses velocity on every channel: nothing to refuse")
     else:
-        frames = {"velocities asked for": wire.arm_frame(good, 1, velocity=True)}
+        frames = {"velocities asked for": wire.arm_frame(good, 1, parts=schema.WITH_VELOCITY)}
         _judge_refused(probing, "wrong_sensing", frames, schema.WRONG_SENSING)
     before = wire.register(schema.REG_FAULT)
     answer, _ = wire.ask(wire.frame(schema.DISARM, 0), schema.STATUS)

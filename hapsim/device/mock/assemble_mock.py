@@ -18,6 +18,9 @@ from hapsim.device.mock.sampler import set_timing
 from hapsim.errors import UsageError
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.scene import Scene
+from hapsim.scene.device import FORCE_COUNTS
+
+_HARDEST = 1000.0  # the largest acceleration on the wire, in that of the largest force alone
 
 
 def describe_mock(scene: Scene) -> Description:
@@ -32,6 +35,8 @@ def describe_mock(scene: Scene) -> Description:
         force_scale=(mock.force_scale,) * channels,
         force_limit=(mock.force_limit,) * channels,
         velocity_scale=tuple(one * scene.rate for one in mock.quantum),
+        acceleration_scale=tuple(_HARDEST * mock.force_limit / FORCE_COUNTS / mass for mass in mock.mass),
+        sensors=schema.SENSES_ACCELERATION,
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
 
@@ -53,6 +58,10 @@ def assemble_mock(scene: Scene) -> Any:
         mock.depth = set_timing(converter, device.hold, device.sampling, device.delay)
     converters["quantum"] = device.quantum
     converters["velocity_quantum"] = description.velocity_scale
+    converters["acceleration_quantum"] = description.acceleration_scale
+    converters["acceleration_noise"] = device.acceleration_noise
+    converters["acceleration_age"] = device.acceleration_age
+    converters["corner"] = 2.0 * math.pi * (device.acceleration_bandwidth or 0.0)
     converters["noise"] = device.noise
     converters["seed"] = _seeds(device.seed, scene.channels)
     _set_wire(mock, scene)
@@ -71,8 +80,8 @@ def described_mock(description: Description) -> Any:
     mock.grips["sample"] = -1
     for formats, to_device in ((mock.host_formats, True), (mock.mock_formats, False)):
         formats.setup = framing_of(SETUP, to_device)
-        formats.armed = framing_of(armed_format(channels), to_device)
-        formats.armed_with_velocity = framing_of(armed_format(channels, velocity=True), to_device)
+        for parts in schema.COMBINATIONS:
+            formats.armed[parts] = framing_of(armed_format(channels, parts), to_device)
     mock.decoder.framing = framing_of(SETUP, to_device=True)
     return mock
 
@@ -96,7 +105,7 @@ def _seeds(entropy: int | tuple[int, int], count: int) -> NDArray[np.uint64]:
 def _set_wire(mock: Any, scene: Scene) -> None:
     """Sets the delays of the wire. In virtual time the host itself takes no time."""
     device = scene.mock_device
-    wire = wire_time(scene.channels, bool(scene.sensed_links), scene.rate, device.baud, device.turnaround, 0.0)
+    wire = wire_time(scene.channels, schema.parts_of(scene.sensed), scene.rate, device.baud, device.turnaround, 0.0)
     late = None if wire.delay_samples is None else wire.delay_samples - 1
     if scene.device.clock == "lockstep":
         _require_passable(wire, late, time_to_live_samples(scene.rate))

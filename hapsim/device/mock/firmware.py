@@ -19,25 +19,28 @@ from firmware_protocol.decoder import DECODER, next_frame, use_framing
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_in_memory, address_of, array_at, function_at, native, record_at
-from hapsim.device.mock.motion import BODY, move, move_of
+from hapsim.device.mock.motion import BODY, move_of
 from hapsim.device.mock.sampler import (
     CONVERTER,
     MOST_AGES,
     advance_body,
+    first_acceleration,
     first_sample,
     first_velocity,
+    release_body,
     sample,
+    sample_acceleration,
     sample_velocity,
     to_counts,
     uniform,
 )
 
-OUTBOX_BYTES = 65536
+OUTBOX_BYTES = 81920
 INPUT_BYTES = 4096  # at most for one `take_bytes`: the answers fit the outbox
 LONGEST_DELAY = 1000  # samples
 MOST_LATE = schema.MAX_TIME_TO_LIVE_SAMPLES  # samples: no later force ever acts
 MOST_GRIPS = 1000
-_LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, velocity=True)
+_LONGEST_ANSWER = schema.frame_bytes(schema.MAX_CHANNELS, to_device=False, parts=schema.PART_BITS)
 _LOCKSTEP_PATIENCE_NS = 10_000_000_000  # twice what hapsim waits for a position: the host is gone
 
 BOARD = np.dtype(
@@ -45,7 +48,7 @@ BOARD = np.dtype(
         ("state", np.int64),  # IDLE, ARMED, LATCHED
         ("fault", np.int64),
         ("pacing", np.int64),
-        ("velocity", np.int64),  # 1: armed to send velocities too
+        ("parts", np.int64),  # of schema.PARTS, which it sends with the positions
         ("watchdog", np.int64),  # samples
         ("n", np.int64),  # the current sample
         ("answered", np.int64),  # the sample that the newest accepted force answers
@@ -78,7 +81,8 @@ _EACH = (schema.MAX_CHANNELS,)
 FORCE_UNDER_WAY = np.dtype([("number", np.int64), ("argument", np.int64), ("counts", np.int64, _EACH)], align=True)
 CHANCE = np.dtype([("share", np.float64), ("seed", np.uint64), ("state", np.uint64)], align=True)
 GRIP = np.dtype([("sample", np.int64), ("mass", np.float64)], align=True)
-FORMATS = np.dtype([("setup", FRAMING), ("armed", FRAMING), ("armed_with_velocity", FRAMING)], align=True)
+FORMATS = np.dtype([("setup", FRAMING), ("armed", FRAMING, (schema.PART_BITS + 1,))], align=True)
+"""`armed`: by the parts that are on the wire."""
 
 MOCK = np.dtype(
     [
@@ -91,7 +95,7 @@ MOCK = np.dtype(
         ("commands", np.float64, (LONGEST_DELAY + MOST_AGES, schema.MAX_CHANNELS)),  # N, a ring of samples
         ("force_scale", np.float64, _EACH),
         ("force_limit", np.float64, _EACH),
-        ("counts", np.int64, (schema.MAX_WORDS,)),  # of the next frame: all positions, then all velocities
+        ("counts", np.int64, (schema.MAX_WORDS,)),  # of the next frame: all positions, then the parts
         ("registers", np.int64, (schema.REGISTERS,)),
         ("host_formats", FORMATS),  # of the host's frames
         ("mock_formats", FORMATS),  # of the mock's frames
@@ -181,14 +185,19 @@ def _take_sample(mock, now):
         body, converter = mock.bodies[c], mock.converters[c]
         advance_body(mock.called.move, body, converter, mock.commands, mock.depth, c, board.n, acts)
         if acts < h:
-            move(mock.called.move, body, 0.0, h - acts)
-        position = sample(body, converter, h)
-        _put_channel(mock, c, position, sample_velocity(body, converter, h) if board.velocity else 0.0)
+            release_body(mock.called.move, body, converter, h - acts)
+        _put_position_of(mock, c, sample(body, converter, h))
+        if board.parts & schema.WITH_VELOCITY:
+            _put_velocity_of(mock, c, sample_velocity(body, converter, h))
     if acts < h:  # the time to live also ends the commands that have not acted yet
         for row in range(mock.depth):
             if row != board.n % mock.depth:
                 mock.commands[row, :] = 0.0
     board.n += 1
+    if board.parts & schema.WITH_ACCELERATION:
+        for c in range(mock.channels):
+            body, converter = mock.bodies[c], mock.converters[c]
+            _put_acceleration_of(mock, c, sample_acceleration(body, converter, mock.commands, mock.depth, c, board.n))
     _put_position(mock, schema.POSITION if fresh else schema.POSITION_HELD)
 
 
@@ -277,21 +286,29 @@ def _decide_command(mock):
 
 
 @helper
-def _put_channel(mock, channel, position, velocity):
-    """Puts a channel into the next frame. A velocity beyond its scale saturates, without a fault."""
-    converter = mock.converters[channel]
-    counts, fits = to_counts(position, converter.quantum)
-    mock.counts[channel] = counts
+def _put_position_of(mock, channel, position):
+    """Puts a channel's position, in m, into the next frame. One beyond the scale is a fault."""
+    mock.counts[channel], fits = to_counts(position, mock.converters[channel].quantum)
     if not fits:
         mock.board.scale_out_of_range = 1
-    if mock.board.velocity:
-        counts, _ = to_counts(velocity, converter.velocity_quantum)
-        mock.counts[mock.channels + channel] = counts
+
+
+@helper
+def _put_velocity_of(mock, channel, velocity):
+    """Puts a channel's velocity, in m/s, into the next frame. One beyond the scale saturates."""
+    mock.counts[mock.channels + channel], _ = to_counts(velocity, mock.converters[channel].velocity_quantum)
+
+
+@helper
+def _put_acceleration_of(mock, channel, acceleration):
+    """Puts a channel's acceleration, in m/s², into the next frame. One beyond the scale saturates."""
+    first = 2 * mock.channels if mock.board.parts & schema.WITH_VELOCITY else mock.channels
+    mock.counts[first + channel], _ = to_counts(acceleration, mock.converters[channel].acceleration_quantum)
 
 
 @inlined
 def _armed(mock, formats):
-    return formats.armed_with_velocity if mock.board.velocity else formats.armed
+    return formats.armed[mock.board.parts]
 
 
 @inlined
@@ -326,13 +343,15 @@ def _describe(mock):
 
 
 @helper
-def _refusal(mock, pacing, velocity):
+def _refusal(mock, pacing, parts):
     """Returns the fault that prevents arming, or NO_FAULT."""
     if mock.decoder.counts[0] & 0xFFFFFFFF != schema.SCHEMA_HASH:
         return schema.WRONG_SCHEMA
     if pacing > schema.LOCKSTEP or not mock.registers[schema.REG_PACINGS] >> pacing & 1:
         return schema.WRONG_PACING
-    if velocity and not mock.converters[0].velocity_quantum > 0.0:
+    if parts & schema.WITH_VELOCITY and not mock.converters[0].velocity_quantum > 0.0:
+        return schema.WRONG_SENSING
+    if parts & schema.WITH_ACCELERATION and not mock.converters[0].acceleration_quantum > 0.0:
         return schema.WRONG_SENSING
     if not 1 <= mock.decoder.number <= mock.registers[schema.REG_MAX_WATCHDOG]:
         return schema.WRONG_WATCHDOG
@@ -343,15 +362,15 @@ def _refusal(mock, pacing, velocity):
 def _arm(mock, now):
     """Arms: begins at sample 0 from the initial state, sends STATUS, and then uses the armed format."""
     board, decoder = mock.board, mock.decoder
-    pacing, velocity = decoder.argument & (schema.WITH_VELOCITY - 1), decoder.argument & schema.WITH_VELOCITY
-    board.fault = _refusal(mock, pacing, velocity)
+    pacing, parts = decoder.argument & ~schema.PART_BITS, decoder.argument & schema.PART_BITS
+    board.fault = _refusal(mock, pacing, parts)
     board.n = 0
     if board.fault != schema.NO_FAULT:
         _put_status(mock, mock.mock_formats.setup)
         return
     disarm(mock, schema.ARMED)
     board.pacing = pacing
-    board.velocity = 1 if velocity else 0
+    board.parts = parts
     board.watchdog = decoder.number
     board.answered = board.accepted = board.expires = -1
     board.accepted_ns = board.sampled_ns = now
@@ -367,8 +386,11 @@ def _arm(mock, now):
     for c in range(mock.channels):
         mock.bodies[c] = mock.initial[c]
         body, converter = mock.bodies[c], mock.converters[c]
-        position = first_sample(body, converter)
-        _put_channel(mock, c, position, first_velocity(body, converter) if board.velocity else 0.0)
+        _put_position_of(mock, c, first_sample(body, converter))
+        if parts & schema.WITH_VELOCITY:
+            _put_velocity_of(mock, c, first_velocity(body, converter))
+        if parts & schema.WITH_ACCELERATION:
+            _put_acceleration_of(mock, c, first_acceleration(body, converter))
     _put_position(mock, schema.POSITION)
 
 

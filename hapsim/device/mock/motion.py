@@ -206,6 +206,17 @@ def _move_with_stops(body, force, h):
 
 
 @helper
+def acceleration(body, force):
+    """Returns the acceleration, in m/s², under this commanded force, in N, and all others; 0 where the mass sticks."""
+    pull = force + body.push - body.stiffness * body.position - body.friction * body.velocity
+    if body.coulomb != 0.0:
+        if body.velocity == 0.0 and abs(pull) <= body.coulomb:
+            return 0.0
+        pull -= math.copysign(body.coulomb, body.velocity if body.velocity != 0.0 else pull)
+    return pull / body.mass
+
+
+@helper
 def strike(body, impulse):
     """Gives the body an impulse in N·s."""
     body.velocity += impulse / body.mass

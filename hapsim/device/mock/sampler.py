@@ -1,4 +1,4 @@
-"""The mock's converters: the hold and delay of a commanded force, and the measurement of position and velocity.
+"""The mock's converters: hold and delay of a commanded force, and measurement of position, velocity and acceleration.
 
 Command c[n], decided during sample n, acts from (n + delay) T on, shaped by its hold. With delay = D + phi, the first
 phi T of sample n has the pieces of c[n-D-1] and earlier commands; the rest also has those of c[n-D].
@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from hapsim.compiling import helper
-from hapsim.device.mock.motion import move, strike
+from hapsim.device.mock.motion import acceleration, move, strike
 from hapsim.holds import HOLDS, Piece
 
 MOST_PIECES, MOST_AGES = 6, 4
+_SLICES = 16  # of a piece of the force, where the sensor of the acceleration has a bandwidth
 
 SAMPLINGS = {"ideal": 0.0, "average": 1.0}
 """Window over which the position is averaged, in sample periods, ending with the sample, by the scene's names; 0: the
@@ -45,6 +46,12 @@ CONVERTER = np.dtype(
         ("quantum", np.float64),  # m per count
         ("velocity_quantum", np.float64),  # (m/s) per count; 0: the device senses no velocity
         ("noise", np.float64),  # m rms; of the velocity, noise / period in m/s rms
+        ("acceleration_quantum", np.float64),  # (m/s²) per count; 0: the device senses no acceleration
+        ("acceleration_noise", np.float64),  # m/s² rms
+        ("acceleration_age", np.int64),  # 0: just after the force of the next sample begins to act; 1: just before
+        ("acting", np.float64),  # N, at the end of the last sample
+        ("corner", np.float64),  # rad/s, of the sensor's low-pass; 0: none
+        ("low_passed", np.float64),  # m/s², its value
         ("before", np.float64),  # m, the position at which the window opened
         ("seed", np.uint64),  # of the noise's generator, at each arming
         ("state", np.uint64),
@@ -104,9 +111,39 @@ def advance_body(how, body, converter, commands, depth, channel, n, h):
             strike(body, impulse * converter.period)
         duration = piece.duration * h if i + 1 < converter.pieces_in_use else h - gone
         body.slope = slope / converter.period
-        move(how, body, force, duration)
+        converter.acting = force + body.slope * duration
+        if converter.corner > 0.0:
+            _move_with_sensor(how, body, converter, force, duration)
+        else:
+            move(how, body, force, duration)
         gone += duration
     body.slope = 0.0
+
+
+@helper
+def release_body(how, body, converter, h):
+    """Moves one channel's body for `h` seconds without a commanded force, after its time to live."""
+    converter.acting = 0.0
+    if converter.corner > 0.0:
+        _move_with_sensor(how, body, converter, 0.0, h)
+    else:
+        move(how, body, 0.0, h)
+
+
+@helper
+def _move_with_sensor(how, body, converter, force, h):
+    """Moves a body as `move` does, and the low-pass of its acceleration: exactly for an acceleration that is a straight
+    line within each of `_SLICES` slices."""
+    slice_s = h / _SLICES
+    u = converter.corner * slice_s
+    kept = math.exp(-u)
+    mean = -math.expm1(-u) / u if u > 0.0 else 1.0  # of exp(-w t) over the slice
+    for i in range(_SLICES):
+        at = force + body.slope * (i * slice_s)
+        before = acceleration(body, at)
+        move(how, body, at, slice_s)
+        after = acceleration(body, at + body.slope * slice_s)
+        converter.low_passed = kept * converter.low_passed + (mean - kept) * before + (1.0 - mean) * after
 
 
 @helper
@@ -114,7 +151,7 @@ def sample(body, converter, h):
     """Returns the measured position, in m, at the end of a sample that lasted `h` seconds."""
     position = body.area / (converter.window * h) if converter.window > 0.0 else body.position
     body.area = 0.0
-    return position + _noise(converter)
+    return position + _noise(converter, converter.noise)
 
 
 @helper
@@ -124,7 +161,7 @@ def first_sample(body, converter):
     position = body.position
     if converter.window > 0.0:
         position -= 0.5 * converter.window * converter.period * body.velocity
-    return position + _noise(converter)
+    return position + _noise(converter, converter.noise)
 
 
 @helper
@@ -136,13 +173,39 @@ def sample_velocity(body, converter, h):
     velocity = body.velocity
     if converter.window > 0.0:
         velocity = (body.position - converter.before) / (converter.window * h)
-    return velocity + _noise(converter) / converter.period
+    return velocity + _noise(converter, converter.noise) / converter.period
 
 
 @helper
 def first_velocity(body, converter):
     """Returns the measured velocity at the start, in m/s. Call it after `first_sample`."""
-    return body.velocity + _noise(converter) / converter.period
+    return body.velocity + _noise(converter, converter.noise) / converter.period
+
+
+@helper
+def sample_acceleration(body, converter, commands, depth, channel, n):
+    """Returns the measured acceleration, in m/s², at the instant at which sample n begins, of a body that `acting` or,
+    at age 0, the force of sample n moves. That of a delay of 0 is not decided yet: then `acting` counts at age 0 too.
+    """
+    force, velocity = converter.acting, body.velocity
+    first = converter.pieces[0]
+    is_known = converter.whole_delay > 0 or (first.level[0] == 0.0 and first.impulse[0] == 0.0)
+    if converter.acceleration_age == 0 and is_known:
+        newest, force = n - converter.whole_delay, 0.0
+        for age in range(converter.ages):
+            command = commands[(newest - age) % depth, channel]
+            force += first.level[age] * command
+            body.velocity += first.impulse[age] * command * converter.period / body.mass
+    value = acceleration(body, force) if converter.corner == 0.0 else converter.low_passed
+    body.velocity = velocity
+    return value + _noise(converter, converter.acceleration_noise)
+
+
+@helper
+def first_acceleration(body, converter):
+    """Returns the measured acceleration at the start, in m/s², without a commanded force. Call it after the others."""
+    converter.acting, converter.low_passed = 0.0, acceleration(body, 0.0)
+    return converter.low_passed + _noise(converter, converter.acceleration_noise)
 
 
 @helper
@@ -155,12 +218,12 @@ def to_counts(value, quantum):
 
 
 @helper
-def _noise(converter):
-    """Returns a normally distributed noise value in m from two uniform ones (Box and Muller)."""
-    if not converter.noise > 0.0:
+def _noise(converter, rms):
+    """Returns a normally distributed noise value from two uniform ones (Box and Muller)."""
+    if not rms > 0.0:
         return 0.0
     first, second = uniform(converter), uniform(converter)
-    return converter.noise * math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
+    return rms * math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
 
 
 @helper

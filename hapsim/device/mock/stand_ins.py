@@ -117,7 +117,8 @@ class RecordedDevice:
             mock.depth = set_timing(converter, "zoh", "ideal", 1.0)
         mock.converters["period"] = self.period_s
         mock.converters["quantum"][:channels] = self.description.position_scale
-        mock.converters["velocity_quantum"][:channels] = self.description.velocity_scale or 0.0
+        for name in ("velocity", "acceleration"):
+            mock.converters[f"{name}_quantum"][:channels] = self.description.scale(name) or 0.0
         mock.recorded = address_of(record)
         mock.called.put_frame = put_recorded_frame.address()
         return mock
