@@ -43,21 +43,23 @@
 #define HAPSIM_VERSION 1u
 #define HAPSIM_SCHEMA_HASH 0x314a417fu
 #define HAPSIM_VELOCITY_MARK 0x56454c01u
+#define HAPSIM_ACCELERATION_MARK 0x41434302u
 #define HAPSIM_SETUP_SEED 0x4853u
 #define HAPSIM_MAX_CHANNELS 16
-#define HAPSIM_MAX_WORDS 32
+#define HAPSIM_MAX_WORDS 62 /* of a payload, so that COBS adds one byte */
 #define HAPSIM_SHORT_CRC_WORDS 3
 #define HAPSIM_SAMPLE_MODULUS 4096u
 #define HAPSIM_MAX_WATCHDOG_SAMPLES 2047u
-#define HAPSIM_MAX_FRAME 137 /* bytes, delimiter included: 16 channels with velocities, to the host */
+#define HAPSIM_MAX_FRAME 201 /* bytes, delimiter included: 16 channels with both parts, to the host */
 
 /* Frame types: host to device, then device to host. */
 enum { HAPSIM_DESCRIBE = 0x1, HAPSIM_ARM = 0x2, HAPSIM_FORCE = 0x3, HAPSIM_DISARM = 0x4 };
 enum { HAPSIM_DESCRIPTION = 0x9, HAPSIM_POSITION = 0xA, HAPSIM_POSITION_HELD = 0xB, HAPSIM_STATUS = 0xC };
 
-/* The argument of ARM: a pacing, and HAPSIM_WITH_VELOCITY if the host asks for velocities. The register `pacings` has
- * one bit for each pacing that the device supports. */
-enum { HAPSIM_PACED_BY_DEVICE = 0, HAPSIM_PACED_BY_HOST = 1, HAPSIM_LOCKSTEP = 2, HAPSIM_WITH_VELOCITY = 0x80 };
+/* The argument of ARM: a pacing, and a bit for each part that the host requests beside the positions. The register
+ * `pacings` has one bit for each pacing that the device supports. */
+enum { HAPSIM_PACED_BY_DEVICE = 0, HAPSIM_PACED_BY_HOST = 1, HAPSIM_LOCKSTEP = 2 };
+enum { HAPSIM_WITH_VELOCITY = 0x80, HAPSIM_WITH_ACCELERATION = 0x20, HAPSIM_PART_BITS = 0xA0 };
 
 /* Payload 0 of a status frame: state | fault << 8. */
 enum { HAPSIM_IDLE = 0, HAPSIM_ARMED = 1, HAPSIM_LATCHED = 2 };
@@ -88,6 +90,7 @@ enum {
     HAPSIM_REG_LIMITED = 12,
     HAPSIM_REG_ROTARY = 13,
     HAPSIM_REG_BRIDGE = 14,
+    HAPSIM_REG_SENSORS = 15,
     HAPSIM_REG_NAME = 16,
     HAPSIM_NAME_WORDS = 4,
     HAPSIM_REG_CHANNEL = 32,
@@ -96,13 +99,18 @@ enum {
     HAPSIM_REG_FORCE_SCALE = 2,
     HAPSIM_REG_FORCE_LIMIT = 4,
     HAPSIM_REG_VELOCITY_SCALE = 6,
-    HAPSIM_REGISTERS = 160
+    HAPSIM_REG_MORE = 160, /* HAPSIM_MORE_WORDS more for each channel, the first two of them the acceleration scale */
+    HAPSIM_MORE_WORDS = 16,
+    HAPSIM_REGISTERS = 416
 };
+
+/* The bits of the register `sensors`. The last two are kept for later. */
+enum { HAPSIM_SENSES_ACCELERATION = 1, HAPSIM_SENSES_FORCE = 2, HAPSIM_HAS_DIGITAL_WORD = 4 };
 
 /* The format of frames, made by hapsim_setup_format or hapsim_armed_format. */
 typedef struct {
     uint8_t channels;
-    bool velocity;   /* frames to the host carry a velocity beside each position */
+    uint8_t parts;   /* bits of ARM: values that frames to the host carry behind the positions */
     bool long_check; /* CRC-32C instead of CRC-16/DNP */
     uint32_t seed;   /* start value of the check */
 } hapsim_format;
@@ -124,28 +132,33 @@ typedef struct {
 } hapsim_decoder;
 
 static inline hapsim_format hapsim_setup_format(void) {
-    hapsim_format format = {1, false, false, HAPSIM_SETUP_SEED};
+    hapsim_format format = {1, 0, false, HAPSIM_SETUP_SEED};
     return format;
 }
 
-/* Returns the format between ARM and DISARM of a device with 1 to 16 channels. `velocity`: the argument of ARM has
- * HAPSIM_WITH_VELOCITY set. */
-static inline hapsim_format hapsim_armed_format(uint8_t channels, bool velocity) {
-    const uint8_t longest = (uint8_t)(velocity ? 2 * channels : channels);
-    hapsim_format format = {channels, velocity, longest > HAPSIM_SHORT_CRC_WORDS, HAPSIM_SCHEMA_HASH};
-    if (velocity) {
+/* Returns the number of words in the payload of a frame to the host: positions, then velocities, then accelerations,
+ * of the last two those that the format has. */
+static inline uint8_t hapsim_words_to_host(const hapsim_format *format) {
+    const uint8_t velocities = (format->parts & HAPSIM_WITH_VELOCITY) ? format->channels : 0;
+    const uint8_t accelerations = (format->parts & HAPSIM_WITH_ACCELERATION) ? format->channels : 0;
+    return (uint8_t)(format->channels + velocities + accelerations);
+}
+
+/* Returns the format between ARM and DISARM of a device with 1 to 16 channels. `parts`: those bits of HAPSIM_PART_BITS
+ * that the argument of ARM has. */
+static inline hapsim_format hapsim_armed_format(uint8_t channels, uint8_t parts) {
+    hapsim_format format = {channels, parts, false, HAPSIM_SCHEMA_HASH};
+    format.long_check = hapsim_words_to_host(&format) > HAPSIM_SHORT_CRC_WORDS;
+    if (parts & HAPSIM_WITH_VELOCITY) {
         format.seed ^= HAPSIM_VELOCITY_MARK;
+    }
+    if (parts & HAPSIM_WITH_ACCELERATION) {
+        format.seed ^= HAPSIM_ACCELERATION_MARK;
     }
     if (!format.long_check) {
         format.seed = (format.seed ^ (format.seed >> 16)) & 0xFFFFu;
     }
     return format;
-}
-
-/* Returns the number of words in the payload of a frame to the host: positions, then velocities if the format has
- * them. */
-static inline uint8_t hapsim_words_to_host(const hapsim_format *format) {
-    return (uint8_t)(format->velocity ? 2 * format->channels : format->channels);
 }
 
 static inline uint8_t hapsim_check_bytes(const hapsim_format *format) {
@@ -221,7 +234,7 @@ static inline bool hapsim_unstuff(uint8_t *buffer, size_t bytes) {
 }
 
 /* Writes a frame of the device into `out`, which has room for HAPSIM_MAX_FRAME bytes. Returns the frame's length.
- * `payload` has hapsim_words_to_host(format) values: one in the set-up format, at most HAPSIM_MAX_WORDS. */
+ * `payload` has hapsim_words_to_host(format) values: one in the set-up format, at most 48. */
 static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *out, uint8_t type, uint16_t number,
                                           const int32_t *payload) {
     size_t at = 1;

@@ -32,8 +32,8 @@ FORMATS = (
     {"setup": SETUP}
     | {f"armed_{channels}": armed_format(channels) for channels in (1, 3, 4, 16)}
     | {f"velocity_{channels}": armed_format(channels, schema.WITH_VELOCITY) for channels in (1, 2, 16)}
-    | {f"acceleration_{channels}": armed_format(channels, schema.WITH_ACCELERATION) for channels in (1, 2, 16)}
-    | {f"both_{channels}": armed_format(channels, schema.PART_BITS) for channels in (1, 2, 16)}
+    | {f"acceleration_{channels}": armed_format(channels, schema.WITH_ACCELERATION) for channels in (1, 2, 4, 16)}
+    | {f"both_{channels}": armed_format(channels, schema.PART_BITS) for channels in (1, 2, 4, 16)}
 )
 FAMILIES = {0: "armed", schema.WITH_VELOCITY: "velocity", schema.WITH_ACCELERATION: "acceleration"} | {
     schema.PART_BITS: "both"

@@ -5,7 +5,15 @@
 #include "hapsim_port.h"
 
 #define CHANNELS HAPSIM_BOARD_CHANNELS
-#define WORDS (2 * CHANNELS) /* of the longest payload: positions and velocities */
+
+/* A board that senses accelerations defines HAPSIM_BOARD_ACCELERATION_SCALE; no other pays for them. */
+#ifdef HAPSIM_BOARD_ACCELERATION_SCALE
+#define SENSED HAPSIM_SENSES_ACCELERATION
+#define WORDS (3 * CHANNELS) /* of the longest payload: positions, velocities and accelerations */
+#else
+#define SENSED 0
+#define WORDS (2 * CHANNELS)
+#endif
 
 #if HAPSIM_BOARD_CHANNELS < 1 || HAPSIM_BOARD_CHANNELS > 16
 #error "HAPSIM_BOARD_CHANNELS: the protocol carries 1 to 16 channels"
@@ -31,6 +39,9 @@ static const hapsim_f64 position_scale[CHANNELS] = HAPSIM_BOARD_POSITION_SCALE;
 static const hapsim_f64 force_scale[CHANNELS] = HAPSIM_BOARD_FORCE_SCALE;
 static const hapsim_f64 force_limit[CHANNELS] = HAPSIM_BOARD_FORCE_LIMIT;
 static const hapsim_f64 velocity_scale[CHANNELS] = HAPSIM_BOARD_VELOCITY_SCALE;
+#ifdef HAPSIM_BOARD_ACCELERATION_SCALE
+static const hapsim_f64 acceleration_scale[CHANNELS] = HAPSIM_BOARD_ACCELERATION_SCALE;
+#endif
 static const int32_t limit_counts[CHANNELS] = HAPSIM_BOARD_FORCE_LIMIT_COUNTS;
 static const char name[4 * HAPSIM_NAME_WORDS + 1] = HAPSIM_BOARD_NAME;
 
@@ -93,7 +104,7 @@ static void release(void) {
 
 static void say_position(uint8_t type) {
     int32_t payload[WORDS] = {0};
-    const uint8_t fault = hapsim_port_measure(payload, device.format.velocity);
+    const uint8_t fault = hapsim_port_measure(payload, device.format.parts);
     if (fault != HAPSIM_NO_FAULT) {
         latch(fault);
     } else {
@@ -162,19 +173,20 @@ static void take_force(void) {
     }
 }
 
-static bool senses_velocity(void) {
-    return (velocity_scale[0].low | velocity_scale[0].high) != 0;
+static bool senses(uint8_t parts) {
+    const bool velocity = (velocity_scale[0].low | velocity_scale[0].high) != 0;
+    return (velocity || !(parts & HAPSIM_WITH_VELOCITY)) && (SENSED || !(parts & HAPSIM_WITH_ACCELERATION));
 }
 
 static uint8_t refusal(void) {
-    const uint8_t pacing = decoder.argument & (HAPSIM_WITH_VELOCITY - 1);
+    const uint8_t pacing = (uint8_t)(decoder.argument & ~HAPSIM_PART_BITS);
     if ((uint32_t)decoder.payload[0] != HAPSIM_SCHEMA_HASH) {
         return HAPSIM_WRONG_SCHEMA;
     }
     if (pacing > HAPSIM_PACED_BY_HOST || !(HAPSIM_BOARD_PACINGS >> pacing & 1)) {
         return HAPSIM_WRONG_PACING;
     }
-    if ((decoder.argument & HAPSIM_WITH_VELOCITY) && !senses_velocity()) {
+    if (!senses(decoder.argument)) {
         return HAPSIM_WRONG_SENSING;
     }
     if (decoder.number < 1 || decoder.number > HAPSIM_BOARD_MAX_WATCHDOG) {
@@ -201,11 +213,11 @@ static void arm(void) {
     }
     put_zero();
     begin_counting();
-    device.pacing = decoder.argument & (HAPSIM_WITH_VELOCITY - 1);
+    device.pacing = (uint8_t)(decoder.argument & ~HAPSIM_PART_BITS);
     device.watchdog = decoder.number;
     device.state = HAPSIM_ARMED;
     say_status();
-    use_format(hapsim_armed_format(CHANNELS, (decoder.argument & HAPSIM_WITH_VELOCITY) != 0));
+    use_format(hapsim_armed_format(CHANNELS, decoder.argument & HAPSIM_PART_BITS));
     hapsim_port_begin();
     device.heard_at = hapsim_port_now();
     say_position(HAPSIM_POSITION);
@@ -297,6 +309,14 @@ static uint32_t half(const hapsim_f64 *value, uint16_t high) {
     return high ? value->high : value->low;
 }
 
+#ifdef HAPSIM_BOARD_ACCELERATION_SCALE
+static uint32_t more_register(uint16_t number) {
+    const uint16_t c = (uint16_t)(number - HAPSIM_REG_MORE) / HAPSIM_MORE_WORDS;
+    const uint16_t field = (uint16_t)(number - HAPSIM_REG_MORE) % HAPSIM_MORE_WORDS;
+    return c < CHANNELS && field < 2 ? half(&acceleration_scale[c], field) : 0;
+}
+#endif
+
 static uint32_t channel_register(uint16_t number) {
     const uint16_t c = (uint16_t)(number - HAPSIM_REG_CHANNEL) / HAPSIM_CHANNEL_WORDS;
     const uint16_t field = (uint16_t)(number - HAPSIM_REG_CHANNEL) % HAPSIM_CHANNEL_WORDS;
@@ -318,6 +338,11 @@ static uint32_t name_register(uint16_t number) {
 }
 
 uint32_t hapsim_device_register(uint16_t number) {
+#ifdef HAPSIM_BOARD_ACCELERATION_SCALE
+    if (number >= HAPSIM_REG_MORE) {
+        return more_register(number);
+    }
+#endif
     if (number >= HAPSIM_REG_CHANNEL) {
         return channel_register(number);
     }
@@ -340,6 +365,7 @@ uint32_t hapsim_device_register(uint16_t number) {
     case HAPSIM_REG_LIMITED: return device.limited;
     case HAPSIM_REG_ROTARY: return HAPSIM_BOARD_ROTARY;
     case HAPSIM_REG_BRIDGE: return HAPSIM_BOARD_BRIDGE;
+    case HAPSIM_REG_SENSORS: return SENSED;
     default: return 0;
     }
 }

@@ -15,10 +15,13 @@
 /* Returns a free-running clock with HAPSIM_BOARD_PERIOD_TICKS per sample period. It wraps at 32 bits. */
 uint32_t hapsim_port_now(void);
 
-/* Measures the positions of all channels now, in counts; if `velocity` is set, the velocities follow them. Returns
- * HAPSIM_NO_FAULT, HAPSIM_POSITION_OUT_OF_RANGE if a position does not fit 32 bits, or HAPSIM_HARDWARE. A velocity that
- * does not fit saturates. The device's zero is where it powered up or homed: this function must not move it. */
-uint8_t hapsim_port_measure(int32_t *counts, bool velocity);
+/* Measures the positions of all channels now, in counts. If `parts` has HAPSIM_WITH_VELOCITY, all velocities follow;
+ * if it has HAPSIM_WITH_ACCELERATION, all accelerations then. It has only parts for which hapsim_board.h has scales: a
+ * board without sensors ignores it. The forces of hapsim_port_put_forces act already, and an acceleration should show
+ * them (age 0). Returns HAPSIM_NO_FAULT, HAPSIM_POSITION_OUT_OF_RANGE if a position does not fit 32 bits, or
+ * HAPSIM_HARDWARE. Other values that do not fit saturate. The device's zero is where it powered up or homed: this
+ * function must not move it. */
+uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts);
 
 /* Puts out the forces of all channels, in counts, until the next call. They are already within the limits. A positive
  * force accelerates towards larger positions. After a reset the outputs must be at zero before the first call. */

@@ -64,7 +64,7 @@ def _compile_harness(compiler: str, device: dict[str, Any], core: Path, to: Path
 
 
 def _defined(device: dict[str, Any]) -> list[str]:
-    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity")
+    keys = ("channels", "pacings", "max_watchdog", "impulse", "velocity", "acceleration")
     return [f"-DHARNESS_{key.upper()}={int(device[key])}" for key in keys]
 
 
@@ -154,6 +154,7 @@ def sketch(compiler: str, built: Path, tmp_path_factory: pytest.TempPathFactory)
 
 
 _PERIOD_NS = 1_000_000
+_SENSED = ("velocity", "acceleration")
 _OUTSIDE_M = 3.0  # no 32 bits of nanometres hold it
 
 
@@ -167,39 +168,46 @@ class MockPlayer:
         real = {"mass": 1e30, "clock": "device", "hold": hold}
         scene = Scene.model_validate({"version": 1, "rate": 1000, "device": real, "modules": modules})
         self.mock = assemble_mock(scene)
-        velocity_scale = (1e-8 if device["velocity"] else 0.0,) * self.channels
+        scales = {f"{name}_scale": (1e-8 if device[name] else 0.0,) * self.channels for name in _SENSED}
         description = replace(
             describe_mock(scene),
             pacings=device["pacings"],
             max_watchdog_samples=device["max_watchdog"],
             force_scale=(1e-8,) * self.channels,
-            velocity_scale=velocity_scale,
+            sensors=schema.SENSES_ACCELERATION if device["acceleration"] else 0,
+            **scales,
         )
         self.mock.registers[:] = to_registers(description)
         self.mock.force_scale[: self.channels] = description.force_scale
-        self.mock.converters["velocity_quantum"][: self.channels] = velocity_scale
+        for name in _SENSED:
+            self.mock.converters[f"{name}_quantum"][: self.channels] = scales[f"{name}_scale"]
         prepare(self.mock)
         self.now, self.full = 10**12, False
-        self._set([0.0] * self.channels, [0.0] * self.channels)
-
-    def _set(self, positions: list[float], velocities: list[float]) -> None:
-        self.positions, self.velocities = positions, velocities
+        self.positions = self.velocities = self.accelerations = [0.0] * self.channels
 
     def _place(self, before_a_sample: bool) -> None:
         """Places the bodies so that the next event measures the set positions."""
         for c in range(self.channels):
-            start = self.positions[c] - before_a_sample * self.velocities[c] * _PERIOD_NS * 1e-9
-            for bodies, position in ((self.mock.bodies, start), (self.mock.initial, self.positions[c])):
+            back, speed, gain = before_a_sample * _PERIOD_NS * 1e-9, self.velocities[c], self.accelerations[c]
+            start = self.positions[c] - back * speed + back**2 * gain / 2
+            here = (self.mock.initial, self.positions[c], speed)
+            for bodies, position, velocity in ((self.mock.bodies, start, speed - back * gain), here):
                 bodies[c]["position"] = position
-                bodies[c]["velocity"] = self.velocities[c]
+                bodies[c]["velocity"] = velocity
+                bodies[c]["push"] = gain * bodies[c]["mass"]
 
     def play(self, step: dict[str, Any]) -> bytes:
         """Takes one step; what the mock said."""
         if "position" in step:
-            self._set([count * 1e-9 for count in step["position"]], [count * 1e-8 for count in step["velocity"]])
+            self.positions, self.velocities = (
+                [count * 1e-9 for count in step["position"]],
+                [count * 1e-8 for count in step["velocity"]],
+            )
+            self.accelerations = [count * 1e-8 for count in step.get("acceleration", [0] * self.channels)]
         elif "finds" in step:
             where = _OUTSIDE_M if step["finds"] == schema.POSITION_OUT_OF_RANGE else 0.0
-            self._set([where] * self.channels, [0.0] * self.channels)
+            self.positions, self.velocities = [where] * self.channels, [0.0] * self.channels
+            self.accelerations = self.velocities
         elif "room" in step:
             self.full = not step["room"]
         elif "bytes" in step:

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from firmware_protocol import schema
@@ -115,6 +116,27 @@ def test_a_board_describes_itself_and_receives_every_frame(name: str, start_boar
     assert description.velocity_scale == (1e-8,)
     assert description.force_scale == (1e-8,)
     assert description.force_limit == (10.0,)
+
+
+def test_the_reference_firmware_sends_the_acceleration_that_its_velocity_then_gains(start_board: Start) -> None:
+    """A mass of 0.2 kg with 1 N·s/m, moved exactly under each force: that which begins at the sample (age 0)."""
+    rows: dict[int, tuple[int, ...]] = {}
+    with connected(start_board("linux")) as connection:
+        description = describe(connection)
+        assert (description.sensed, description.acceleration_scale) == (("velocity", "acceleration"), (5e-8,))
+        wire = arm(connection, description, schema.PACED_BY_DEVICE, 2047, schema.PART_BITS)
+        while len(rows) < 100:
+            (one,) = connection.receive(PATIENCE_S)
+            rows[one.number] = one.counts
+            force = (-1) ** one.number * 3_000_000 * (one.number % 97)  # up to 2.9 N
+            connection.send(connection.frame(schema.FORCE, one.number, 255, [force], armed=True))
+        assert disarm(connection, wire)
+    pairs = [(rows[n], rows[n + 1]) for n in rows if n + 1 in rows]
+    gained = np.array([1e-8 * (after[1] - before[1]) for before, after in pairs])
+    sensed = np.array([5e-8 * before[2] for before, _ in pairs])
+    np.testing.assert_allclose(gained, sensed * -np.expm1(-5.0 * 1e-3) / 5.0, rtol=0, atol=1.1e-8)
+    assert len(pairs) > 50
+    assert abs(np.diff(sensed)).max() > 10.0
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,8 @@ def lines_of(step: dict[str, Any]) -> list[str]:
         return [f"fault {step['finds']}"]
     if "room" in step:
         return [f"room {step['room']}"]
-    return [f"position {_words(step['position'])}", f"velocity {_words(step['velocity'])}"]
+    measured = {"acceleration": [0] * len(step["position"])} | step
+    return [f"{name} {_words(measured[name])}" for name in ("position", "velocity", "acceleration")]
 
 
 def _words(counts: list[int]) -> str:
@@ -72,24 +73,24 @@ def test_the_firmware_does_as_in_the_session(entry: dict[str, Any], harness: Cal
     played(entry, harness({"name": entry["device"]} | DEVICES[entry["device"]]))
 
 
-def asks_for_velocities(entry: dict[str, Any]) -> bool:
-    return any(any(step.get("velocity", ())) for step in entry["steps"])
+def asks_for_parts(entry: dict[str, Any]) -> bool:
+    return any(any(step.get("velocity", ())) or "acceleration" in step for step in entry["steps"])
 
 
 @pytest.mark.parametrize("entry", TOLD, ids=NAMES)
 def test_a_knob_of_simplefoc_does_as_in_the_session(entry: dict[str, Any], knob: Callable[..., Any]) -> None:
     """A knob follows the session from its port to its motor, with a sketch's order of loop() and timer."""
-    if entry["device"] != "plain" or asks_for_velocities(entry):
-        pytest.skip("a knob has one channel, senses no velocity, and holds its torque")
+    if entry["device"] != "plain" or asks_for_parts(entry):
+        pytest.skip("a knob has one channel, senses only the position, and holds its torque")
     played(entry, knob())
 
 
 @pytest.mark.parametrize("entry", TOLD, ids=NAMES)
 def test_an_arduino_sketch_does_as_in_the_session(entry: dict[str, Any], sketch: Callable[..., Any]) -> None:
     """The clock makes the ticks, in loop()."""
-    if entry["device"] != "plain" or asks_for_velocities(entry) or any("finds" in step for step in entry["steps"]):
+    if entry["device"] != "plain" or asks_for_parts(entry) or any("finds" in step for step in entry["steps"]):
         pytest.skip(
-            "the sketch has one channel, senses no velocity, and holds its force; its sensor's faults are its own"
+            "the sketch has one channel, senses only the position, and holds its force; its sensor's faults are its own"
         )
     played(entry, sketch(in_sessions=True, PWM_TOP=1))
 

@@ -1,7 +1,7 @@
 /* Drives hapsim_protocol.h by lines on standard input, one answer or more for each; test_protocol_header.py speaks it.
  *
  *   new                          a decoder as at power-up
- *   format CHANNELS VELOCITY     0: set-up, else armed; VELOCITY 1: with velocities; for reading and writing
+ *   format CHANNELS PARTS        0: set-up, else armed with these bits of ARM; for reading and writing
  *   read HEX                     "frame TYPE NUMBER ARGUMENT COUNT..." for every frame
  *   counters                     accepted, crc, length, form errors, garbage bytes
  *   write TYPE NUMBER COUNT...   a frame to the host, in hexadecimal
@@ -91,8 +91,8 @@ static void obey(char *line) {
         hapsim_decoder_init(&decoder);
     } else if (strncmp(line, "format", 6) == 0) {
         uint8_t channels = (uint8_t)strtol(rest, &rest, 10);
-        bool velocity = strtol(rest, &rest, 10) != 0;
-        hapsim_use_format(&decoder, channels == 0 ? hapsim_setup_format() : hapsim_armed_format(channels, velocity));
+        uint8_t parts = (uint8_t)strtol(rest, &rest, 10);
+        hapsim_use_format(&decoder, channels == 0 ? hapsim_setup_format() : hapsim_armed_format(channels, parts));
     } else if (strncmp(line, "read ", 5) == 0) {
         read_bytes(parse_hex(rest + 1));
     } else if (strncmp(line, "counters", 8) == 0) {

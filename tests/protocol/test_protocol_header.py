@@ -16,9 +16,9 @@ import pytest
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
-from firmware_protocol.frames import SETUP, Format, armed_format, frame_bytes, framing_of
+from firmware_protocol.frames import SETUP, Format, every_armed_format, frame_bytes, framing_of
 from firmware_protocol.make_vectors import VECTORS
-from firmware_protocol.vectors import COUNTERS, TO_DEVICE, TYPES, frame
+from firmware_protocol.vectors import COUNTERS, FORMATS, TO_DEVICE, TYPES, frame
 
 HEADER = VECTORS.with_name("hapsim_protocol.h")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
@@ -47,7 +47,7 @@ def harness(tmp_path_factory: pytest.TempPathFactory) -> Harness:
 
 def wire_name(formats: Vectors, name: str) -> str:
     """Returns the harness's name of a format."""
-    return "0 0" if name == "setup" else f"{formats[name]['channels']} {formats[name]['velocity']:d}"
+    return "0 0" if name == "setup" else f"{formats[name]['channels']} {FORMATS[name].parts}"
 
 
 def answer(fields: Vectors) -> str:
@@ -95,14 +95,14 @@ def test_streams_to_the_device_give_the_file_s_frames_and_counters(
     assert harness(lines) == expected
 
 
-EVERY_FORMAT = [SETUP, *(armed_format(n, velocity) for n in range(1, 17) for velocity in (False, True))]
-IDS = ["setup", *(f"{wire.channels}{'v' if wire.velocity else ''}" for wire in EVERY_FORMAT[1:])]
+EVERY_FORMAT = [SETUP, *every_armed_format()]
+IDS = ["setup", *(f"{wire.channels}{''.join(name[0] for name in wire.part_names)}" for wire in EVERY_FORMAT[1:])]
 
 
 def some_frames(codec: Any, wire: Format, to_device: bool, count: int) -> tuple[list[bytes], list[tuple[int, ...]]]:
     """Random frames of one direction, and their fields: type, number, argument, words. Half of the words are zeros."""
     chance = np.random.default_rng([wire.seed, to_device])
-    words = schema.words(wire.channels, to_device, wire.velocity)
+    words = schema.words(wire.channels, to_device, wire.parts)
     types = chance.integers(1, 5, count) if to_device else chance.integers(9, 13, count)
     numbers, arguments = chance.integers(0, 4096, count), chance.integers(0, 256, count)
     payloads = chance.integers(-(2**31), 2**31, (count, words)) * chance.integers(0, 2, (count, words))
@@ -131,7 +131,7 @@ def test_of_random_frames_and_of_the_same_damaged_it_reads_what_python_reads(
     wire: Format, compiled_codec: Any, harness: Harness
 ) -> None:
     frames, fields = some_frames(compiled_codec, wire, True, 1000)
-    wire_name = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
+    wire_name = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.parts}"
     for stream in (b"".join(frames), damaged(b"".join(frames), wire)):
         decoder = new_decoder(wire, to_device=True)
         read = [
@@ -152,7 +152,7 @@ def test_random_frames_to_the_host_are_written_as_python_writes_them(
     wire: Format, compiled_codec: Any, harness: Harness
 ) -> None:
     frames, fields = some_frames(compiled_codec, wire, False, 300)
-    wire_name = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.velocity:d}"
+    wire_name = "format 0 0" if wire == SETUP else f"format {wire.channels} {wire.parts}"
     lines = [f"write {kind} {number} {' '.join(map(str, counts))}" for kind, number, _, *counts in fields]
     assert harness(["new", wire_name, *lines]) == [data.hex() for data in frames]
     assert {len(data) for data in frames} == {frame_bytes(wire, to_device=False)}
@@ -177,7 +177,7 @@ def test_hundred_thousand_damaged_streams_neither_break_it_nor_keep_it_from_the_
 def test_no_one_two_or_three_flips_get_a_frame_past_it(formats: Vectors, harness: Harness) -> None:
     lines, expected = [], []
     heard = [("setup", "arm"), ("setup", "disarm")]
-    heard += [(name, kind) for name in ("armed_1", "velocity_1") for kind in ("force", "disarm")]
+    heard += [(name, kind) for name in ("armed_1", "velocity_1", "both_1") for kind in ("force", "disarm")]
     for name, kind in heard:
         frames = [frame(name, kind, n, 20, [word]) for n, word in ((1, 77), (0x123, 0x01020408), (3, -78))]
         first, last = len(frames[0]), len(frames[0] + frames[1])
@@ -202,15 +202,16 @@ def test_every_constant_is_the_schema_s() -> None:
     text = HEADER.read_text("utf-8")
     defined = re.findall(r"#define HAPSIM_(\w+) (0x[0-9a-f]+|\d+)u?\b", text)
     listed = re.findall(r"HAPSIM_(\w+) = (0x[0-9A-F]+|\d+)", text)
-    ours = {"MAX_FRAME": schema.frame_bytes(16, to_device=False, velocity=True), "RECENT": 128}
+    ours = {"MAX_FRAME": schema.frame_bytes(16, to_device=False, parts=schema.PART_BITS), "RECENT": 128}
     constants = {name: int(value, 0) for name, value in defined + listed}
+    marks = {f"{part.name.upper()}_MARK": part.mark for part in schema.PARTS}
+    assert {name: constants.pop(name) for name in marks} == marks
     assert constants == {name: ours[name] if name in ours else getattr(schema, name) for name in constants}
     expected = {name for name, value in vars(schema).items() if name.isupper() and isinstance(value, int)}
-    # Start values are computed from the hash; how long a force may live is the host's choice within a byte; bits per
+    # How long a force may live is the host's choice within a byte; bits per
     # byte are a UART's.
-    computed = {f"{kind}_SEED_{length}" for kind in ("ARMED", "VELOCITY") for length in ("SHORT", "LONG")}
-    assert expected - set(constants) == computed | {"MAX_TIME_TO_LIVE_SAMPLES", "BITS_PER_BYTE"}
+    assert expected - set(constants) == {"MAX_TIME_TO_LIVE_SAMPLES", "BITS_PER_BYTE"}
 
 
 def test_a_device_s_memory_holds_the_longest_frame_of_the_host() -> None:
-    assert max(schema.frame_bytes(16, to_device=True, velocity=velocity) for velocity in (False, True)) < 128
+    assert max(schema.frame_bytes(16, to_device=True, parts=parts) for parts in schema.COMBINATIONS) < 128

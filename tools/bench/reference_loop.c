@@ -783,7 +783,7 @@ static loop *new_loop(const options *o) {
     }
     memset(r, 0, sizeof *r); /* every page is there before the first tick */
     l->ring = r;
-    l->seed = hapsim_armed_format(CHANNELS, false).seed;
+    l->seed = hapsim_armed_format(CHANNELS, 0).seed;
     l->stop_at = INT64_MAX;
     l->damping_per_sample = DAMPING * o->rate;
     l->period = llrint(1e9 / o->rate);
@@ -794,7 +794,7 @@ static loop *new_loop(const options *o) {
 /* The device's half, from the protocol's own header: a period of the motion is 64 samples and a bit, so that no two of
  * the frames are alike. */
 static void encode_frames(uint8_t (*frames)[FRAME + 1], double amplitude) {
-    const hapsim_format armed = hapsim_armed_format(CHANNELS, false);
+    const hapsim_format armed = hapsim_armed_format(CHANNELS, 0);
     for (int i = 0; i < FRAMES; i++) {
         const int32_t counts = (int32_t)floor(amplitude * 1e9 * sin(2.0 * PI * 63.0 * i / FRAMES) + 0.5);
         uint8_t frame[HAPSIM_MAX_FRAME];

@@ -128,9 +128,9 @@ static void read_sensors(void) {
     }
 }
 
-uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
+uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
     bool fault = false;
-    (void)velocity;
+    (void)parts;
     read_sensors();
     for (uint8_t c = 0; c < HAPSIM_BOARD_CHANNELS; c++) {
         counts[c] = position[c];

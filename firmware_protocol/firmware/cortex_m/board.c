@@ -44,9 +44,9 @@ void hapsim_port_begin(void) {
     simulated_mass_flick(&mass);
 }
 
-uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
+uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
     const bool fits = simulated_mass_position(&mass, &counts[0]);
-    if (velocity) {
+    if (parts & HAPSIM_WITH_VELOCITY) {
         counts[1] = simulated_mass_velocity(&mass);
     }
     return fits ? HAPSIM_NO_FAULT : HAPSIM_POSITION_OUT_OF_RANGE;

@@ -128,8 +128,8 @@ static void exchange(const double torque[2]) {
     }
 }
 
-uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
-    (void)velocity;
+uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
+    (void)parts;
     const bool failed = fault;
     fault = ends != 0;
     for (int axis = 0; axis < 2 && !failed; axis++) {

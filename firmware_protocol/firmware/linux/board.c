@@ -26,11 +26,15 @@ static simulated_mass mass;
 static int32_t force;
 static volatile sig_atomic_t warned;
 
-uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
+uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
     const bool fits = simulated_mass_position(&mass, &counts[0]);
     counts[0] = BROKEN_POSITION(counts[0]);
-    if (velocity) {
-        counts[1] = simulated_mass_velocity(&mass);
+    int32_t *next = counts + 1;
+    if (parts & HAPSIM_WITH_VELOCITY) {
+        *next++ = simulated_mass_velocity(&mass);
+    }
+    if (parts & HAPSIM_WITH_ACCELERATION) {
+        *next = BROKEN_ACCELERATION(simulated_mass_acceleration(&mass, force));
     }
     return fits ? HAPSIM_NO_FAULT : HAPSIM_POSITION_OUT_OF_RANGE;
 }

@@ -16,6 +16,12 @@
 #define BROKEN_POSITION(counts) (counts)
 #endif
 
+#ifdef HAPSIM_BROKEN_ACCELERATION /* mounted the other way round */
+#define BROKEN_ACCELERATION(counts) (-(counts))
+#else
+#define BROKEN_ACCELERATION(counts) (counts)
+#endif
+
 #ifdef HAPSIM_BROKEN_RATE /* 2 % too fast */
 #define BROKEN_PERIOD(period) ((period) * 50 / 51)
 #else

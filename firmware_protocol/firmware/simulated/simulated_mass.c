@@ -52,7 +52,15 @@ bool simulated_mass_position(const simulated_mass *mass, int32_t *counts) {
     return rounded == *counts;
 }
 
+static int32_t saturated(int64_t counts) {
+    return counts > INT32_MAX ? INT32_MAX : counts < INT32_MIN ? INT32_MIN : (int32_t)counts;
+}
+
 int32_t simulated_mass_velocity(const simulated_mass *mass) {
-    const int64_t rounded = (mass->velocity * 100 + (1l << 23)) >> 24;
-    return rounded > INT32_MAX ? INT32_MAX : rounded < INT32_MIN ? INT32_MIN : (int32_t)rounded;
+    return saturated((mass->velocity * 100 + (1l << 23)) >> 24);
+}
+
+/* (F - b v)/m with b = 1 N s/m and m = 0.2 kg: a count of force (10 nN), and one of velocity (10 nm/s), is 50 nm/s^2. */
+int32_t simulated_mass_acceleration(const simulated_mass *mass, int32_t force) {
+    return saturated((int64_t)force - ((mass->velocity * 100 + (1l << 23)) >> 24));
 }

@@ -7,7 +7,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* On the wire: 1 nm, 10 nN, 10 nm/s per count. */
+/* On the wire: 1 nm, 10 nN, 10 nm/s, 50 nm/s^2 per count. */
 typedef struct {
     int64_t position; /* 2^-24 nm */
     int64_t velocity; /* 2^-24 nm per sample of 1 ms */
@@ -23,5 +23,8 @@ bool simulated_mass_position(const simulated_mass *mass, int32_t *counts);
 
 /* Returns the velocity in counts; one that does not fit 32 bits saturates. */
 int32_t simulated_mass_velocity(const simulated_mass *mass);
+
+/* Returns the acceleration under a force in counts, in counts; one that does not fit 32 bits saturates. */
+int32_t simulated_mass_acceleration(const simulated_mass *mass, int32_t force);
 
 #endif

@@ -5,7 +5,8 @@
  *   tick                 a sample period passes, and the sample timer ticks
  *   pass THOUSANDTHS     so much of a period passes, and the main loop comes round
  *   position COUNT...    what is measured from now on,
- *   velocity COUNT...    and this
+ *   velocity COUNT...    and this,
+ *   acceleration COUNT...    and this
  *   fault NUMBER         what measuring finds from now on: 0 nothing
  *   room 0|1             whether the transmitter takes frames
  *   register NUMBER      tells its value alone
@@ -26,7 +27,7 @@ static unsigned held_off;
 #endif
 
 SHARED uint32_t now;
-SHARED int32_t measured[2 * HAPSIM_BOARD_CHANNELS], put_out[HAPSIM_BOARD_CHANNELS];
+SHARED int32_t measured[3 * HAPSIM_BOARD_CHANNELS], put_out[HAPSIM_BOARD_CHANNELS];
 SHARED uint8_t found = HAPSIM_NO_FAULT;
 SHARED bool room = true;
 SHARED unsigned fed;
@@ -38,8 +39,15 @@ uint32_t hapsim_port_now(void) {
     return now;
 }
 
-uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
-    memcpy(counts, measured, (velocity ? 2 : 1) * HAPSIM_BOARD_CHANNELS * sizeof *counts);
+uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
+    const size_t each = HAPSIM_BOARD_CHANNELS;
+    memcpy(counts, measured, each * sizeof *counts);
+    if (parts & HAPSIM_WITH_VELOCITY) {
+        memcpy(counts += each, measured + each, each * sizeof *counts);
+    }
+    if (parts & HAPSIM_WITH_ACCELERATION) {
+        memcpy(counts + each, measured + 2 * each, each * sizeof *counts);
+    }
     return found;
 }
 
@@ -115,6 +123,8 @@ static void obey(char *line) {
         read_counts(rest, measured);
     } else if (strncmp(line, "velocity", 8) == 0) {
         read_counts(rest, measured + HAPSIM_BOARD_CHANNELS);
+    } else if (strncmp(line, "acceleration", 12) == 0) {
+        read_counts(rest, measured + 2 * HAPSIM_BOARD_CHANNELS);
     } else if (strncmp(line, "fault", 5) == 0) {
         found = (uint8_t)strtoul(rest, NULL, 10);
     } else if (strncmp(line, "lost", 4) == 0) {

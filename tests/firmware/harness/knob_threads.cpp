@@ -25,7 +25,7 @@ static uint32_t heard = UINT32_MAX;
 HardwareSerial Serial;
 
 static void ask(uint8_t type, uint32_t number, uint8_t argument, int32_t word, bool armed) {
-    const hapsim_format format = armed ? hapsim_armed_format(1, false) : hapsim_setup_format();
+    const hapsim_format format = armed ? hapsim_armed_format(1, 0) : hapsim_setup_format();
     size_t at = 1;
     to_device[at++] = (uint8_t)(type << 4 | number >> 8);
     to_device[at++] = (uint8_t)number;

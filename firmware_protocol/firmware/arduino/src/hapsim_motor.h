@@ -268,8 +268,8 @@ uint32_t hapsim_port_now(void) {
     return (uint32_t)micros();
 }
 
-uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
-    (void)velocity;
+uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
+    (void)parts;
     hapsim_sense();
     hapsim_sensed = true;
     counts[0] = POSITION_SIGN * hapsim_position;

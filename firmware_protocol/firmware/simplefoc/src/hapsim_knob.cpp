@@ -180,8 +180,8 @@ void hapsim_port_feed_watchdog(void) {
     }
 }
 
-uint8_t hapsim_port_measure(int32_t *counts, bool velocity) {
-    (void)velocity;
+uint8_t hapsim_port_measure(int32_t *counts, uint8_t parts) {
+    (void)parts;
     counts[0] = read_word(shaft);
     return (uint8_t)(read_word(jumped) || !loop_runs() ? (uint32_t)HAPSIM_HARDWARE : read_word(fault));
 }
