@@ -106,7 +106,7 @@ class Device:
         self.state, self.fault, self.pacing, self.watchdog = IDLE, 0, 0, 0
         self.n = self.answered = self.latest_force = self.expires = 0
         self.counters = dict.fromkeys(("accepted", "rejected", "held", "expired", "limited"), 0)
-        self.output = self.command = [0.0] * self.channels
+        self.output = self.command = self.previous = [0.0] * self.channels
         self.moved_at = self.due = now()
         self.force_at, self.life = 0.0, math.inf
         self.farthest = 0.0  # m
@@ -280,7 +280,7 @@ class Device:
         if self.latest_force != self.n and self.n > self.expires and "never_ends" not in self.faults:
             self.command = [0.0] * self.channels
         self.move(now)
-        self.output = list(self.command)
+        self.previous, self.output = self.output, list(self.command)
         self.n += 2 if "skips" in self.faults and self.n % 50 == 49 else 1
         self.send_position(POSITION if fresh or "always_fresh" in self.faults else HELD)
 
@@ -293,8 +293,12 @@ class Device:
         if self.parts & 0x80:
             counts += [round(body.v / (self.scale * 100)) for body in self.bodies]
         if self.parts & 0x20:
-            pulls = zip(self.bodies, self.output, strict=True)
-            counts += [round((force - body.friction * body.v) / body.mass / self.acceleration) for body, force in pulls]
+            late = self.previous if "late_acceleration" in self.faults else self.output
+            sign = -1 if "inverted_sign" in self.faults else 1
+            pulls = [sign * force - body.friction * body.v for body, force in zip(self.bodies, late, strict=True)]
+            counts += [
+                round(pull / body.mass / self.acceleration) for pull, body in zip(pulls, self.bodies, strict=True)
+            ]
         self.write(self.wire.to_host(kind, self.n, counts))
 
     def stop(self, state):

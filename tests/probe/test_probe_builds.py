@@ -36,13 +36,17 @@ LEAVES = {"simplefoc": KNOB, "simplefoc_cortex_m": None, "arduino": MOTOR, "ardu
 ATTEMPTS = 6
 TIMED = STEPS[STEPS.index("arming") :]
 
-SENSES = "the device senses velocity on every channel: nothing to refuse"
-UNSENSED = "no velocity is sensed (register 38)"
-PUSHED = ("sign", "delay", "mass", "time_to_live", "limit_cut", "host_time_to_live")
+SENSES = "the device senses all parts: nothing to refuse"
+NO_ACCELERATION = {
+    "accelerations": "no acceleration is sensed (register 15)",
+    "acceleration": "no acceleration is sensed (register 15, bit 0)",
+}
+UNSENSED = {"velocities": "no velocity is sensed (register 38)", **NO_ACCELERATION}
+PUSHED = ("sign", "delay", "mass", "acceleration", "time_to_live", "limit_cut", "host_time_to_live")
 NOT_PUSHED = "not allowed to push: --push F allows pushes to either side of at most F N·m"
 TOO_SLOW = "3636 frames of 11 B at 250 Hz take 14.5 s: too long to fill what buffers"
 ARDUINO = {
-    "velocities": UNSENSED,
+    **UNSENSED,
     **dict.fromkeys(("tick_goes_on", "whole_frames", "watchdog_blocked"), TOO_SLOW),
 }
 NOT_SEEN = {
@@ -52,12 +56,12 @@ NOT_SEEN = {
         "limit_cut": "32 bits of counts carry no force above the limit",
     },
     "linux": {"wrong_sensing": SENSES},
-    "avr": {"wrong_sensing": SENSES},
-    "cortex_m": {"wrong_sensing": SENSES},
-    "simplefoc": {"velocities": UNSENSED},
+    "avr": NO_ACCELERATION,
+    "cortex_m": NO_ACCELERATION,
+    "simplefoc": UNSENSED,
     "arduino": ARDUINO,
     "arduino_uno": ARDUINO | dict.fromkeys(PUSHED, NOT_PUSHED),
-    "simplefoc_cortex_m": {"velocities": UNSENSED, **dict.fromkeys(PUSHED, NOT_PUSHED)},
+    "simplefoc_cortex_m": {**UNSENSED, **dict.fromkeys(PUSHED, NOT_PUSHED)},
 }
 # QEMU's clock stands still while it emulates what an interrupt does: its rate is this machine's, 0.85 kHz or so.
 OF_THE_EMULATOR = {"cortex_m": {"rate_kept"}, "simplefoc_cortex_m": {"rate_kept"}}
@@ -134,6 +138,7 @@ def test_a_sound_device_passes_every_check_that_can_be_seen_of_it(name: str, req
 BROKEN = {
     "sign": ("push", "sign (§ 6)", "inverted: 1 N makes -", "swap the motor's two wires, or reverse the encoder"),
     "scale": ("push", "mass (§ 5)", "as if positions were", "position_scale (an encoder's edges counted once, twice"),
+    "acceleration": ("push", "acceleration (§ 6)", "there, -", "acceleration_scale (g or m/s²"),
     "rate": ("arming", "rate_kept (§ 6)", "% from register 4 (1000 Hz)", "the sample timer's divider"),
     "transmitter": ("blocked", "tick_goes_on (§ 8)", "the device went away here", "a tick that died or waits for room"),
     "tick": ("arming", "numbers (§ 6)", "the device went away here", "hardware watchdog, which ends a tick that died"),

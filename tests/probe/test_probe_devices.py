@@ -19,7 +19,7 @@ from hapsim.bringup.probe.probing import SECTIONS
 PROTOCOL = Path(__file__).resolve().parents[2] / "firmware_protocol" / "PROTOCOL.md"
 NewBench = Callable[..., Any]
 GENTLE = Leave(force=0.5, travel=0.005, mass=0.2)
-PUSHES = ("sign", "delay", "mass", "time_to_live", "limit_cut", "host_time_to_live")
+PUSHES = ("sign", "delay", "mass", "acceleration", "time_to_live", "limit_cut", "host_time_to_live")
 
 
 def judged(bench: Any, *only: str, leave: Leave | None = None) -> dict[str, Check]:
@@ -39,11 +39,23 @@ def summary(checks: dict[str, Check]) -> str:
     return "\n".join(f"{check.result} {name}: {check.found}" for name, check in checks.items())
 
 
-@pytest.mark.parametrize("options", [{}, {"channels": 4, "rate": 1000.0}, {"senses": False, "rate": 2000.0}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"channels": 4, "rate": 1000.0},
+        {"senses": False, "rate": 2000.0},
+        {"accelerates": True, "channels": 2},
+        {"senses": False, "accelerates": True},
+    ],
+)
 def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewBench, options: dict[str, Any]) -> None:
     bench = new_bench(**options)
     checks = judged(bench)
-    not_to_be_seen = {*PUSHES, "velocities" if "senses" in options else "wrong_sensing"}
+    not_to_be_seen = {*PUSHES} | ({"velocities"} if "senses" in options else set())
+    not_to_be_seen |= set() if options.get("accelerates") else {"accelerations"}
+    if bench.device.senses and bench.device.accelerates:
+        not_to_be_seen.add("wrong_sensing")
     assert {name for name, check in checks.items() if check.result == "not seen"} == not_to_be_seen, summary(checks)
     assert failed(checks) == set(), summary(checks)
     assert bench.device.largest == 0.0
@@ -51,11 +63,37 @@ def test_a_whole_device_passes_and_is_never_pushed_without_leave(new_bench: NewB
 
 @pytest.mark.parametrize("rate", [500.0, 1000.0])
 def test_a_whole_device_passes_the_pushes_that_stay_within_the_leave(new_bench: NewBench, rate: float) -> None:
-    bench = new_bench(senses=False, limit=0.4, rate=rate)
+    bench = new_bench(accelerates=True, limit=0.4, rate=rate)
     checks = judged(bench, "push", leave=GENTLE)
     assert failed(checks) == set(), summary(checks)
     assert {name: checks[name].result for name in PUSHES} == dict.fromkeys(PUSHES, "pass"), summary(checks)
     assert 0.4 < bench.device.largest <= 0.5
+
+
+@pytest.mark.parametrize(
+    ("fault", "off_by", "result", "says"),
+    [
+        ("", 1.0, "pass", r"^1 N makes 5\.0\d* m/s² there, 1\.01 times that of the positions; acceleration_age: 0$"),
+        ("", 0.8, "pass", r"1\.26 times"),
+        ("", 0.7, "FAIL", r"1\.44 times"),
+        ("", 9.80665, "FAIL", r"0\.103 times"),
+        ("", -1.0, "FAIL", r"-1\.01 times"),
+        ("late_acceleration", 1.0, "pass", "acceleration_age: 1$"),
+        ("inverted_sign", 1.0, "pass", r"1 N makes -5\.0\d* m/s² there, 1\.01 times"),
+    ],
+)
+def test_an_acceleration_that_the_positions_contradict_is_found_with_its_factor(
+    new_bench: NewBench, fault: str, off_by: float, result: str, says: str
+) -> None:
+    """Half a per cent of a factor is the friction, within a sample; the rest of it a position's rounding."""
+    checks = judged(new_bench(fault, accelerates=True, acceleration_off_by=off_by), "push", leave=GENTLE)
+    assert checks["acceleration"].result == result, summary(checks)
+    assert re.search(says, checks["acceleration"].found), checks["acceleration"].found
+
+
+def test_without_the_sensor_no_acceleration_is_judged(new_bench: NewBench) -> None:
+    check = judged(new_bench(), "push", leave=GENTLE)["acceleration"]
+    assert (check.result, check.found) == ("not seen", "no acceleration is sensed (register 15, bit 0)")
 
 
 def test_what_passes_beyond_the_nominal_is_reported_with_what_is_allowed(new_bench: NewBench) -> None:
@@ -237,6 +275,9 @@ def test_a_device_that_moves_by_itself_is_not_pushed(new_bench: NewBench) -> Non
         ({45: 0, 44: 0}, "force_limit", "0"),
         ({46: 0, 47: 0}, "velocity_scale", "0"),
         ({20: 1}, "unknown_registers", "register 20"),
+        ({15: 8}, "sensors", "0x8"),
+        ({15: 1}, "acceleration_scale", "0: no acceleration"),
+        ({15: 1, 160: 0, 161: 0x3F000000, 176: 0, 177: 0xBF000000}, "acceleration_scale", "-"),
         ({14: 2}, "bridge", "2: neither 0 nor 1"),
         ({13: 4}, "rotary", "0x4: channel 0 linear"),
     ],

@@ -52,7 +52,8 @@ def probe_arming(probing: Probing) -> bool:
     found = in_words(answer) + (f"; after it {in_words(after[0])}" if after else "")
     if not probing.judge("disarm_armed", answer is not None and answer.wire == SETUP and not after, found):
         probing.wire.release()
-    _judge_velocities(probing)
+    for part in schema.PARTS:
+        _judge_part(probing, part)
     return True
 
 
@@ -134,21 +135,28 @@ def _judge_ignored(probing: Probing, session: Session) -> None:
     probing.judge("ignores_when_armed", went_on and not came and not pieces, found)
 
 
-def _judge_velocities(probing: Probing) -> None:
-    if not probing.device.senses_velocity:
-        probing.not_seen("velocities", "no velocity is sensed (register 38)")
+_NAMES = {"velocity": "velocities", "acceleration": "accelerations"}
+
+
+def _judge_part(probing: Probing, part: schema.Part) -> None:
+    """Arms the device with a part and those before it that it senses."""
+    name, sensed = _NAMES[part.name], probing.device.sensed
+    if part.name not in sensed:
+        register = part.scale_register if not part.declared_by else schema.REG_SENSORS
+        probing.not_seen(name, f"no {part.name} is sensed (register {register})")
         return
-    session = probing.arm(schema.PACED_BY_DEVICE, probing.device.max_watchdog_samples, parts=schema.WITH_VELOCITY)
+    parts = schema.parts_of(sensed[: sensed.index(part.name) + 1])
+    session = probing.arm(schema.PACED_BY_DEVICE, probing.device.max_watchdog_samples, parts=parts)
     if session is None:
-        look_at = "bit 7 of ARM's argument, beside the pacing in bits 1 and 0"
-        probing.judge("velocities", False, "ARM with velocities is refused", look_at)
+        look_at = f"bit {part.bit.bit_length() - 1} of ARM's argument, beside the pacing in bits 1 and 0"
+        probing.judge(name, False, f"ARM with {name} is refused", look_at)
         return
     going = session.run(50, session.zero)
-    wrong = [one for one in session.others if not one.wire.parts & schema.WITH_VELOCITY]
+    wrong = [one for one in session.others if one.wire.parts != parts]
     words = len(session.samples[0].counts) if session.samples else 0
     other = in_words(wrong[0] if wrong else session.ended) if wrong or session.ended else "nothing else"
     found = f"{len(session.samples)} positions of {words} words; {other}"
-    probing.judge("velocities", going and not wrong, found)
+    probing.judge(name, going and not wrong, found)
     session.disarm()
 
 

@@ -37,6 +37,7 @@ _SURE = 30.0  # standard deviations: then nothing longer is tried
 _SEEN = 6.0  # standard deviations of a response that is one at all
 _CLEAR = 0.03  # of the response: then its lags can be distinguished
 _MASS_WITHIN = 0.25  # of the mass that was given: a hand is never the same
+_ACCELERATION_WITHIN = 0.3  # of that of the positions: some sensors are coarse
 _LARGEST_COUNT = 2**31 - 1  # of the wire's; rounded, the limit of some devices is one more
 
 
@@ -48,7 +49,7 @@ class Pusher:
     """An armed device that is pushed on one channel, within the user's permission."""
 
     def __init__(self, probing: Probing, session: Session, leave: Leave) -> None:
-        device = probing.device
+        self.device = device = probing.device
         self.session, self.leave = session, leave
         self.limit = device.force_limit[leave.channel]
         """N, of the device."""
@@ -64,6 +65,13 @@ class Pusher:
         """N·s²: force times the square of a push's length, at most, while no count changes."""
         self._settling = probing.samples_in(3.0, 100, 20000)
         self._home: float | None = None
+        self.sensed: Estimate | None = None
+        """What the accelerations of the newest pushes show, in m/s² per N."""
+
+    def acceleration(self, sample: Sample) -> float:
+        """Returns m/s², of a device that was armed to send accelerations alone."""
+        channel, device = self.leave.channel, self.device
+        return sample.counts[device.channels + channel] * device.acceleration_scale[channel]
 
     def position(self, sample: Sample) -> float:
         """Returns m."""
@@ -139,7 +147,8 @@ def probe_pushing(probing: Probing) -> None:
             f"not allowed to push: --push F allows pushes to either side of at most F {probing.units.name('newton')}",
         )
         return
-    session = probing.arm_by_device(STEP, min(probing.device.max_watchdog_samples, 500))
+    parts = schema.parts_of({"acceleration"} & {*probing.device.sensed})
+    session = probing.arm_by_device(STEP, min(probing.device.max_watchdog_samples, 500), parts=parts)
     if session is None:
         return
     pusher = Pusher(probing, session, leave)
@@ -181,6 +190,7 @@ def _stages(probing: Probing, pusher: Pusher) -> Iterator[tuple[float, int]]:
 def _respond(probing: Probing, pusher: Pusher) -> None:
     """Pushes more and more until the response is clear, and judges the clearest one."""
     best: Estimate | None = None
+    sensed: Estimate | None = None  # of the accelerations, from the same pushes
     pushes, went_too_far = "", ""
     for force, length in _stages(probing, pusher):
         if best is not None and best.significance > _SEEN:
@@ -191,7 +201,7 @@ def _respond(probing: Probing, pusher: Pusher) -> None:
             break
         found, went_too_far = _pushed(pusher, force, length)
         if found is not None and (best is None or found.significance > best.significance):
-            best, pushes = found, f"pushes of {pusher.units(force, 'N', '.3g')}, {length} long"
+            best, sensed, pushes = found, pusher.sensed, f"pushes of {pusher.units(force, 'N', '.3g')}, {length} long"
         if went_too_far or (best is not None and best.is_clear):
             break
     if best is None or best.significance < _SEEN:
@@ -216,6 +226,7 @@ def _respond(probing: Probing, pusher: Pusher) -> None:
     probing.judge("sign", best.total > 0, f"{inverted}{found_response}, from {best.rows} samples, {pushes}")
     _judge_delay(probing, best)
     _judge_mass(probing, best, 1.0 / abs(probing.response))
+    _judge_acceleration(probing, best, sensed)
 
 
 def _pushed(pusher: Pusher, force: float, length: int) -> tuple[Estimate | None, str]:
@@ -241,7 +252,11 @@ def _pushed(pusher: Pusher, force: float, length: int) -> tuple[Estimate | None,
             return None
         return [pusher.forces.get(n, 0.0) if samples[n + 1].fresh else 0.0 for n in range(k, k - _LAGS, -1)]
 
-    return estimate({n: pusher.position(sample) for n, sample in samples.items()}, by_lag), too_far
+    positions = {n: pusher.position(sample) for n, sample in samples.items()}
+    if session.wire.armed.parts:
+        sensed = {n: pusher.acceleration(sample) for n, sample in samples.items()}
+        pusher.sensed = estimate(positions, by_lag, sensed)
+    return estimate(positions, by_lag), too_far
 
 
 def _judge_delay(probing: Probing, found: Estimate) -> None:
@@ -280,6 +295,29 @@ def _judge_mass(probing: Probing, found: Estimate, mass: float) -> None:
     probing.judge("mass", kept, words)
 
 
+def _judge_acceleration(probing: Probing, found: Estimate, sensed: Estimate | None) -> None:
+    assert probing.leave is not None
+    assert probing.response is not None
+    if sensed is None:
+        probing.not_seen("acceleration", f"no acceleration is sensed (register {schema.REG_SENSORS}, bit 0)")
+        return
+    units = probing.units_of(probing.leave.channel)
+    ratio = sensed.total / probing.response
+    unsure = 3 * math.hypot(1.0 / found.significance, sensed.sum_deviation / abs(probing.response))
+    words = (
+        f"{units(1.0, 'N')} makes {units(sensed.total, 'm/s²', '.4g')} there, {ratio:.3g} times that of the positions"
+    )
+    if unsure > _ACCELERATION_WITHIN:
+        probing.not_seen("acceleration", f"{words}, but ± {100 * unsure:.0f} %: a greater --push shows more")
+        return
+    shares = sensed.values / sensed.total
+    age = 1 if shares[2] > 0.5 else 0
+    is_recent = float(shares[1] + shares[2]) > 1.0 - _ACCELERATION_WITHIN
+    words += f"; acceleration_age: {age}" if is_recent else "; it is older than one force"
+    kept = abs(ratio - 1.0) <= _ACCELERATION_WITHIN + unsure
+    probing.judge("acceleration", kept and is_recent, words)
+
+
 _PARTS = 8  # of the record: what their estimates differ by is the uncertainty
 
 
@@ -311,13 +349,18 @@ class Estimate:
         return np.inf if self.total else 0.0
 
 
-def estimate(positions: Mapping[int, float], forces_of: Callable[[int], Sequence[float] | None]) -> Estimate | None:
+def estimate(
+    positions: Mapping[int, float],
+    forces_of: Callable[[int], Sequence[float] | None],
+    sensed: Mapping[int, float] | None = None,
+) -> Estimate | None:
     """Returns the coefficients of the forces by least squares, their deviations by the jackknife (leaving out one part
     of the record after the other); None if there are too few rows, or a force that is zero in all of them.
 
     Args:
         positions: m, by sample.
         forces_of: returns the forces in N that may explain the second difference at a sample; None to pass it over.
+        sensed: m/s², by sample: accelerations in place of the second differences.
     """
     rows = []
     for k in sorted(positions):
@@ -325,7 +368,8 @@ def estimate(positions: Mapping[int, float], forces_of: Callable[[int], Sequence
         if forces is not None:
             before, now, after = positions[k - 1], positions[k], positions[k + 1]
             # Across both sides: the rounding of a position enters this speed and the second difference independently.
-            rows.append((after - 2 * now + before, before, 0.5 * (after - before), *forces))
+            gained = after - 2 * now + before if sensed is None else sensed[k]
+            rows.append((gained, before, 0.5 * (after - before), *forces))
     if len(rows) < 8 * _PARTS:
         return None
     table = np.array(rows)

@@ -140,6 +140,8 @@ def _ignores_unknown_types(probing: Probing) -> bool:
     return probing.judge("unknown_types", True, f"{len(_UNKNOWN_TYPES)} unknown types and FORCE, none answered")
 
 
+_PART_UNITS = {"velocity": "m/s", "acceleration": "m/s²"}
+
 _LEAST_HZ, _MOST_HZ = 1e-3, 1e9
 """Beyond these a rate is no haptic device's: the two words of the double are more likely swapped."""
 
@@ -172,8 +174,19 @@ def probe_registers(probing: Probing) -> bool:
         probing.not_seen("bridge", found, "the bridge's page; keep a hand near the device's power")
     else:
         judge("bridge", bridge == 0, f"{bridge}: {'neither 0 nor 1' if bridge else 'not declared'}")
+    known = device.sensors & schema.SENSES_ACCELERATION
+    judge("sensors", device.sensors < 8, f"0x{device.sensors:x}: {'acceleration' if known else 'none that is known'}")
     _judge_scales(probing)
-    needed = ("pacings", "max_watchdog", "rate", "position_scale", "force_scale", "force_limit", "velocity_scale")
+    needed = (
+        "pacings",
+        "max_watchdog",
+        "rate",
+        "position_scale",
+        "force_scale",
+        "force_limit",
+        "velocity_scale",
+        "acceleration_scale",
+    )
     return not any(map(probing.has_failed, needed))
 
 
@@ -200,10 +213,12 @@ def _judge_scales(probing: Probing) -> None:
     device, name_of = probing.device, probing.units.name
     scales = {"position_scale": "m per count", "force_scale": "N per count", "force_limit": "N"}
     named = {name: name_of(unit) for name, unit in scales.items()}
-    if device.velocity_scale:
-        named["velocity_scale"] = f"({name_of('m/s')}) per count"
-    else:
-        probing.judge("velocity_scale", True, "0: no velocity is sensed")
+    for part, unit in _PART_UNITS.items():
+        if device.scale(part):
+            named[f"{part}_scale"] = f"({name_of(unit)}) per count"
+        else:
+            missing = part == "acceleration" and device.sensors & schema.SENSES_ACCELERATION
+            probing.judge(f"{part}_scale", not missing, f"0: no {part} is sensed")
     for name, unit in named.items():
         values: tuple[float, ...] = getattr(device, name)
         shown = values[:1] if len(set(values)) == 1 else values
@@ -237,21 +252,26 @@ def probe_refusals(probing: Probing) -> None:
     watchdogs = (0, device.max_watchdog_samples + 1, 4095)
     frames = {f"watchdog {one}": wire.arm_frame(good, one) for one in watchdogs}
     _judge_refused(probing, "wrong_watchdog", frames, schema.WRONG_WATCHDOG)
-    if device.senses_velocity:
-        probing.not_seen("wrong_sensing", "the device senses velocity on every channel: nothing to refuse")
-    else:
-        frames = {"velocities asked for": wire.arm_frame(good, 1, parts=schema.WITH_VELOCITY)}
-        _judge_refused(probing, "wrong_sensing", frames, schema.WRONG_SENSING)
+    missing = [part for part in schema.PARTS if part.name not in device.sensed]
+    for part in missing:
+        frames = {f"{part.name} asked for": wire.arm_frame(good, 1, parts=part.bit)}
+        # A firmware that is older than register 15 takes the bit of its sensors for a pacing.
+        older = [schema.WRONG_PACING] if part.declared_by else []
+        if not _judge_refused(probing, "wrong_sensing", frames, schema.WRONG_SENSING, *older):
+            break
+    if not missing:
+        probing.not_seen("wrong_sensing", "the device senses all parts: nothing to refuse")
     before = wire.register(schema.REG_FAULT)
     answer, _ = wire.ask(wire.frame(schema.DISARM, 0), schema.STATUS)
     kept = answer is not None and (answer.wire, answer.state, answer.fault) == (SETUP, schema.IDLE, before)
     probing.judge("disarm_idle", kept, f"{in_words(answer)}; register 7 read {before}")
 
 
-def _judge_refused(probing: Probing, name: str, frames: dict[str, bytes], fault: int) -> bool:
-    """Sends each ARM, by its words, and judges whether it is refused with this fault."""
+def _judge_refused(probing: Probing, name: str, frames: dict[str, bytes], *faults: int) -> bool:
+    """Sends each ARM, by its words, and judges whether it is refused with one of these faults."""
     for what, frame in frames.items():
         answer, _ = probing.wire.ask(frame, schema.STATUS)
+        fault = answer.fault if answer and answer.fault in faults else faults[0]
         _stays(probing, what, fault, answer)
         state = answer and (answer.wire, answer.number, answer.state, answer.fault)
         if state != (SETUP, 0, schema.IDLE, fault):
