@@ -29,7 +29,7 @@ from hapsim.scene import Scene
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Bools, Floats
 
-DRAWN = ("none", "poles", "predictor")
+DRAWN = ("none", "poles", "predictor", "sensed")
 """Corrections in the picture; an adaptive one that knows its mass is a predictor."""
 WITHIN = (0.01, 0.05, 0.1)
 OF_SHARES = 0.05
@@ -178,7 +178,7 @@ def felt_by(correction: str, declared: Configuration, true: Configuration, plane
     asked = plane.asked(declared)
     kind = CORRECTIONS.get(correction)
     K, B = k - declared.stiffness, b - declared.friction
-    if kind is not None:
+    if kind is not None and kind.solves:
         K, B = kind.seen_by_theory(declared).simulated(k, b)
     had = asked & np.isfinite(K) & np.isfinite(B)
     error, radius = np.full(k.shape, np.inf), np.zeros(k.shape)
@@ -230,13 +230,13 @@ def draw_felt(chart: FeltChart, title: str, path: Path) -> None:
         left, right = below.subplots(1, 2, sharey=True)
         _draw_shares(left, chart.mass_ratio, chart.against_mass, "true mass / declared mass")
         _draw_shares(right, chart.delay, chart.against_delay, "delay  (samples)")
-        label = f"limit of any controller: motions below half the rate, {100.0 * chart.limit:.0f} %"
+        label = f"limit of any controller, {100.0 * chart.limit:.0f} %"
         limit = right.axhline(100.0 * chart.limit, label=label, color="0.4", linewidth=0.8, zorder=0.9)
         right.xaxis.set_major_formatter("{x:g}")
         left.set_xscale("log", base=2)
         left.set_xticks([0.5, 0.7, 1.0, 1.4, 2.0], ["0.5", "0.7", "1", "1.4", "2"])
         left.set_ylabel(f"share felt within {100.0 * OF_SHARES:.0f} %")
-        legend_below(below, 4, handles=[*left.get_lines(), limit])
+        legend_below(below, 5, handles=[*left.get_lines(), limit])
 
 
 def _draw_plane(axes: Axes, chart: FeltChart, name: str) -> None:

@@ -75,6 +75,7 @@ _SHARE_LINE: Look = {"markersize": 3.8, "linewidth": 1.3, "markevery": 0.09}
 CORRECTIONS: dict[str, Look] = {
     "none": _SHARE_LINE | {"color": "#b3541e", "linestyle": (0, (1.2, 1.2)), "marker": "v"},
     "poles": _SHARE_LINE | {"color": "#4c9a8b", "linestyle": (0, (5, 1.6)), "marker": "s"},
+    "sensed": _SHARE_LINE | {"color": "#8a5fa8", "linestyle": (0, (6, 1.4, 1.2, 1.4)), "marker": "^"},
     "predictor": _SHARE_LINE | {"color": "#12355b", "linestyle": "-", "marker": "o"},
 }
 

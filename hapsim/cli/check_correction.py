@@ -11,7 +11,8 @@ from rich.markup import escape
 from hapsim.cli.output import Line, table
 from hapsim.number_format import percent, rounded_up
 from hapsim.prediction import Desired, Prediction, predict
-from hapsim.prediction.felt_alone import SHARES
+from hapsim.prediction.correction import CORRECTIONS, GOOD
+from hapsim.prediction.felt_alone import SHARES, errors_by_mass
 from hapsim.prediction.linear import with_device
 from hapsim.units import Units
 
@@ -85,6 +86,8 @@ def _reached_sentence(desired: Desired, name: str, prediction: Prediction) -> st
             f"Correction {name}: what {desired.name} feels in its region is {100.0 * desired.error:.1f} % off what is "
             f"desired. Contacts are corrected; tables, detents and clicks keep the scene's values.{steady}"
         )
+    if not CORRECTIONS[name].solves:
+        return _sensed_sentence(desired, name, prediction)
     if desired.remedies is None:
         off = f"{100.0 * desired.error:.1f} % off at most" if desired.error >= _SMALL else "less than 0.1 % off"
         off = off if math.isfinite(desired.error) else "not a spring and damper's at some of them"
@@ -96,6 +99,24 @@ def _reached_sentence(desired: Desired, name: str, prediction: Prediction) -> st
     return (
         f"[yellow]Correction {name} does not reach what is desired at {desired.name}[/yellow]: simulated is what comes "
         f"nearest{off}. {_what_would(desired.remedies, units)}"
+    )
+
+
+def _sensed_sentence(desired: Desired, name: str, prediction: Prediction) -> str:
+    """Returns the errors of a correction that leaves the links their values, by mass, and when to take another."""
+    felt = next(one for one in prediction.felt if one.name == desired.name)
+    errors = errors_by_mass(felt, desired.k, desired.b)
+    own, half, twice = (f"{100.0 * one:.2g} %" if math.isfinite(one) else "no spring and damper" for one in errors)
+    sentence = (
+        f"Correction {name}: what {desired.name} feels is {own} off what is desired; with half its mass {half}, with "
+        f"twice {twice}."
+    )
+    if max(errors) <= GOOD:
+        return sentence
+    K, B = felt.configuration.normalised(felt.stiffness, felt.damping)
+    return (
+        f"[yellow]{sentence}[/yellow] It is meant for soft scenes, K T²/m up to 0.1 and B T/m up to 0.2; here they are "
+        f"{K:.2g} and {B:.2g}. Take correction: predictor if the mass is known, or adaptive with a span of masses."
     )
 
 

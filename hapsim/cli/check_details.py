@@ -11,6 +11,8 @@ from rich.markup import escape
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import correction_for, host_silence, robustness_of
+from hapsim.prediction.correction import CORRECTIONS
+from hapsim.prediction.felt_alone import felt_if_sensed
 from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
 from hapsim.prediction.timing import wire_parts, wire_remedies
 from hapsim.theory.interface import damper_named
@@ -50,9 +52,12 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
     desired = next((one for one in prediction.desired if one.name == felt.name), None)
     yield ""
     yield _felt_table(felt, desired)
-    if desired is None and (name := correction_for(felt)):
+    if desired is None and (name := correction_for(felt, prediction.scene.device.sensors)):
         units, device = output_units(felt.channel), felt.configuration
-        k, b = units(felt.stiffness + device.stiffness, "N/m"), units(felt.damping + device.friction, "N·s/m")
+        reached = felt.stiffness + device.stiffness, felt.damping + device.friction
+        if not CORRECTIONS[name].solves:
+            reached = felt_if_sensed(felt).k, felt_if_sensed(felt).b
+        k, b = units(reached[0], "N/m"), units(reached[1], "N·s/m")
         yield f"With `correction: {name}` under `device` the hand would feel k = {k}, b = {b}."
     if felt.reason:
         yield f"No spring and damper is equivalent: {felt.reason}."

@@ -74,18 +74,50 @@ def observe(predictor, io, gap, late, age):
     """Advances the state of every channel to this sample, and corrects it by the measurement. `gap`: samples since the
     last one. `late`: the last force did not act in time. `age`: samples since the position that the acting force
     answers."""
-    forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
+    forces = _forces_of(predictor)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     if predictor.begun:
         for sample in range(gap):
             _keep_forces(predictor, io, forces, sample, late and gap == 1, age)
             for c in range(io.channels):
                 _advance(predictor, forces, numbers, c)
-        for c in range(io.channels):
-            predictor.sent[0, c], predictor.sent[1, c] = _sent(io, c)
+        _keep_sent(predictor, io)
     for c in range(io.channels):
         _correct(predictor, numbers, c, io.measured[c], io.velocity[c], gap)
     predictor.begun = min(predictor.begun + 1, 2)
+
+
+@helper
+def _forces_of(predictor):
+    return _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
+
+
+@helper
+def _keep_sent(predictor, io):
+    for c in range(io.channels):
+        predictor.sent[0, c], predictor.sent[1, c] = _sent(io, c)
+
+
+@hook
+def look_ahead_by_sensors(predictor, tick):
+    """Moves position and velocity ahead of the sensed motion. A channel's numbers are the time, s, and the weights of
+    the forces of the last samples in what is added to the acceleration, 1/kg: it may be older than the newest force."""
+    predictor, tick = _predictor_at(predictor), tick_at(tick)
+    io, forces = io_at(tick.io), _forces_of(predictor)
+    numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
+    if predictor.begun:
+        for sample in range(tick.gap):
+            _keep_forces(predictor, io, forces, sample, tick.late and tick.gap == 1, tick.age)
+        _keep_sent(predictor, io)
+    predictor.begun = 1
+    for c in range(io.channels):
+        first, a = c * predictor.width, io.acceleration[c]
+        ahead = numbers[first]
+        for lag in range(predictor.lags):
+            a += numbers[first + 1 + lag] * forces[((predictor.newest - lag) & predictor.mask) * _ROW + IN_ALL + c]
+        io.measured[c] += ahead * (io.velocity[c] + 0.5 * ahead * a)
+        io.velocity[c] += ahead * a
+    return 0
 
 
 @helper
@@ -158,7 +190,7 @@ def _correct(predictor, numbers, c, position, velocity, gap):
 @helper
 def look_ahead(predictor, io):
     """Replaces position and velocity by those expected at the instant at which the force will act."""
-    forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
+    forces = _forces_of(predictor)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     row = STATES + predictor.lags
     for c in range(io.channels):

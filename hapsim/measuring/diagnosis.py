@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from hapsim.measuring.measure_trace import Measurement, asks_by_one_law
+from hapsim.scene.choices import AHEAD
 
 if TYPE_CHECKING:
     from hapsim.prediction import Felt, Prediction
@@ -87,7 +88,7 @@ def _link_changed(prediction: Prediction, measurement: Measurement, channel: int
     """Returns True if k is missing or far from that of the assumed states, and the force followed no single law."""
     felt = next((one for one in prediction.felt if one.channel == channel), None)
     own = felt or next((one.own_motion for one in prediction.together if channel in one.channels), None)
-    predicts = prediction.scene.device.correction in ("predictor", "adaptive")  # positions that the record lacks
+    predicts = prediction.scene.device.correction in AHEAD  # positions that the record lacks
     if own is None or predicts or not prediction.assumptions:
         return False
     is_near = abs(measurement.k - own.k) <= max(_UNSURE * measurement.k_uncertainty, _FAR * abs(own.k))

@@ -27,6 +27,7 @@ from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
 from hapsim.running.run import run_to_end
 from hapsim.scene import Scene, Spring, ViscoElastic
+from hapsim.scene.choices import AHEAD
 from hapsim.scene.load import SceneSource, as_scene
 
 _SECONDS = 2.0
@@ -184,7 +185,7 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
             if push is not None or place.largest_swing > _PLENTY * count_m or silence(trace, place.channel):
                 raise
         noise_m = max(count_m, 0.0 if found is None else found.residual_m)
-        left = place.left_by(trace, noise_m, scene.device.correction in ("predictor", "adaptive"))
+        left = place.left_by(trace, noise_m, scene.device.correction in AHEAD)
         unsure = math.inf if found is None or not found.dominant else place.share_unknown(found)
         attempts.append(Attempt(excitation.force, left, math.nan if found is None else found.k, unsure))
         if push is not None or not place.has_regions or failure is not None or trace.report.ending != "done":

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -15,6 +15,7 @@ import numpy as np
 from hapsim.prediction.characteristic import Piece
 from hapsim.prediction.correction import (
     CORRECTIONS,
+    GOOD,
     Corrected,
     CorrectionKind,
     Remedies,
@@ -23,10 +24,12 @@ from hapsim.prediction.correction import (
     remedies_for,
     stable_masses,
 )
+from hapsim.prediction.correction.kind import by_sensors
 from hapsim.prediction.linear import LinearScene, hand_of
 from hapsim.scene.choices import WITH_SENSOR
 from hapsim.theory import Configuration, frequency_and_ratio
-from hapsim.theory.correction import PredictedLoop, StatePredictor, plain_predictor
+from hapsim.theory.arrays import Floats
+from hapsim.theory.correction import PredictedLoop, StatePredictor, plain_predictor, white_noise_gain
 
 _PLAIN = 0.01  # an error of k or b that is worth a correction
 _SPAN, _TRIED = 10.0, 81  # masses from a tenth to ten times the declared one
@@ -42,6 +45,8 @@ class Robustness(NamedTuple):
     stable_masses: tuple[float, float]
     """Least and greatest mass with which the loop is stable, kg; 0 and infinity beyond thirty times the declared one.
     NaN if it is stable with none near that."""
+    acceleration_noise_gain: float = math.nan
+    """The same per m/s² rms of white noise on the sensed acceleration; NaN where none is used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +175,13 @@ class Felt:
     def robustness(self) -> Robustness:
         """Quantities besides k and b."""
         c, element = self.configuration, (self.stiffness, self.damping)
+        if c.ahead is not None:
+            return Robustness(
+                steady_stiffness=self.stiffness + c.stiffness,
+                noise_gain=float(np.hypot(*self._force_noise[:2] * (1.0, c.rate))),
+                stable_masses=stable_masses(lambda true: true, c, element),
+                acceleration_noise_gain=float(self._force_noise[2]),
+            )
         loop = PredictedLoop(c, plain_predictor(c) if self.predictor is None else self.predictor)
         with np.errstate(all="ignore"):  # an infinite loop is not stable
             return Robustness(
@@ -177,6 +189,17 @@ class Felt:
                 noise_gain=loop.noise_gain(*element),
                 stable_masses=stable_masses(lambda true: loop._replace(plant=true), c, element),
             )
+
+    @cached_property
+    def _force_noise(self) -> Floats:
+        """Force noise, N rms, per unit rms of white noise on the sensed position (m), velocity and acceleration."""
+        c = self.configuration
+        ahead_s, hand = c.seen_ahead_s, c.normalised_loop
+        read = np.array([self.stiffness, self.damping]) @ [[1.0, ahead_s, 0.5 * ahead_s**2], [0.0, 1.0, ahead_s]]
+        if not self.stable or not hand.damper.senses:
+            return np.full(3, math.nan if self.stable else math.inf)
+        answer = np.array(c.normalised(self.stiffness, self.damping)) @ hand.reads
+        return np.asarray(np.abs(read) * white_noise_gain(hand.change, hand.push, answer))
 
     def with_mass(self, mass: float) -> Felt:
         """Returns the same hand with a true mass of `mass` kg; links and predictor stay made for the other."""
@@ -215,17 +238,31 @@ def felt_of(rendering: Rendering, linear: LinearScene, name: str) -> Felt:
 _felt = lru_cache(1024)(Felt)  # regions in which a hand feels the same
 
 
-def correction_for(felt: Felt) -> str:
+def correction_for(felt: Felt, sensors: Collection[str] = ()) -> str:
     """Returns the simplest correction with which this hand would feel the scene's stiffness and damping; "" if they are
-    within a hundredth without one, or if none achieves it."""
+    within a hundredth without one, or if none achieves it. First of all the one that needs no mass, where the device
+    has its ``sensors`` and it is good for half and for twice the mass."""
     device = felt.configuration
     k, b = felt.stiffness + device.stiffness, felt.damping + device.friction
     if felt.predictor is not None or not felt_error((np.array(felt.k), np.array(felt.b)), (k, b), device.mass) > _PLAIN:
         return ""
+    if {"velocity", "acceleration"} <= {*sensors} and max(errors_by_mass(felt_if_sensed(felt), k, b)) <= GOOD:
+        return "sensed"
     for name in ("poles",) if device.spring_lag else ("poles", "predictor"):
         if np.isfinite(CORRECTIONS[name].seen_by_theory(device).simulated(k, b)).all():
             return name
     return ""
+
+
+def felt_if_sensed(felt: Felt) -> Felt:
+    """Returns the same hand with ``correction: sensed``."""
+    return replace(felt, configuration=by_sensors(felt.configuration))
+
+
+def errors_by_mass(felt: Felt, k: float, b: float) -> list[float]:
+    """Errors of the felt k and b, of `felt_error`, with the declared mass, with half and with twice of it."""
+    hands = [felt.with_mass(share * felt.configuration.mass) for share in (1.0, 0.5, 2.0)]
+    return [float(felt_error((np.array(one.k), np.array(one.b)), (k, b), one.configuration.mass)) for one in hands]
 
 
 def swing(mass: float, k: float, b: float) -> tuple[float, float]:
@@ -239,6 +276,10 @@ def felt_at_rate(felt: Felt, rate_hz: float) -> Felt:
     divides a step by the assumed period, so a damper is stronger by the ratio of the true period to it, and a filter's
     cutoff lower. A sensed velocity does not change."""
     device = replace(felt.configuration, rate=rate_hz)
+    if device.ahead is not None:
+        return replace(
+            felt, configuration=replace(device, ahead=device.ahead._replace(period=rate_hz / felt.configuration.rate))
+        )
     if felt.predictor is not None:
         return replace(felt, configuration=device)
     slower = felt.configuration.rate / rate_hz
@@ -287,7 +328,7 @@ def desired_of(rendering: Rendering, felt: Sequence[Felt], here: Mapping[str, Pi
             masses = np.geomspace(least, most, 1 if least == most else _MASSES).tolist()
             error = max(_error_with(rendering.kind, port, mass) for mass in masses)
         reached = port.reached if piece is None else error < _REACHED
-        given_up = not reached and piece is None and least == most
+        given_up = not reached and piece is None and least == most and rendering.kind.solves
         yield Desired(
             port.name,
             port.channel,

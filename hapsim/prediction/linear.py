@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from hapsim.errors import UsageError
 from hapsim.laws import Linear, line
 from hapsim.scene import Scene, ViscoElastic
 from hapsim.theory import Configuration, Network, NotWorkedOutError
-from hapsim.theory.interface import damper_named, hold_lag
+from hapsim.theory.interface import Ahead, damper_named, hold_lag
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 
@@ -157,7 +157,18 @@ def configuration_of(
         damper=damper,
         cutoff=cutoff,
         spring_lag=mean_lag(scene) if damper == "backward" else 0.0,
+        ahead=ahead_of(scene, [channel]),
     )
+
+
+def ahead_of(scene: Scene, channels: Sequence[int]) -> Ahead | None:
+    """Returns how links see these channels ahead of their readings; None without ``correction: sensed``."""
+    device = scene.device
+    if device.correction != "sensed":
+        return None
+    masses = device.masses(scene.channels)
+    corrected_for = tuple(masses[channel] for channel in channels if device.acceleration_age)
+    return Ahead(device.delay, device.acceleration_age, corrected_for)
 
 
 def mean_lag(scene: Scene) -> float:
@@ -219,6 +230,7 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         outside=tuple(link.outside for link in links),
         substeps=substeps,
         decimation=device.decimation,
+        ahead=ahead_of(scene, channels),
     )
     return network, tuple(points)
 

@@ -15,7 +15,7 @@ from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description
 from hapsim.compiling.native import address_of
-from hapsim.holds import HOLDS
+from hapsim.holds import HOLDS, Hold
 from hapsim.loop.adaptive import (
     ADAPTIVE,
     ADDED,
@@ -28,13 +28,16 @@ from hapsim.loop.adaptive import (
 )
 from hapsim.loop.hooks import Hook, Stage
 from hapsim.loop.posted import Mailbox
-from hapsim.loop.predictor import STATES, predict
+from hapsim.loop.predictor import STATES, look_ahead_by_sensors, predict
 from hapsim.prediction.correction import Corrected, Rendering
 from hapsim.prediction.correction.kind import predictor_for
+from hapsim.scene import Scene
+from hapsim.scene.device import Device
 from hapsim.theory.correction import StatePredictor, forces_in_second_difference
 
 Table = NDArray[np.float64]
 
+_MOST_AGES = 4  # forces that act at once
 _LEAST_STIFFNESS = 1e-9  # N/m
 _KEPT_TABLES = 8  # more of the posted tables than the loop may still read
 
@@ -48,18 +51,15 @@ class LoopCorrection:
         """Adaptive ports by channel; none is added while the scene runs."""
         self.hooks: list[Hook] = []
         """Hooks that the exchange calls."""
-        predictors = rendering.predictors()
+        predictors, self._record = rendering.predictors(), loop.predictor
         self._predicts = bool(predictors)
+        record, device = self._record, rendering.desired.device
+        if device.correction == "sensed":
+            self._look_ahead(device, rendering.desired, loop)
         if not predictors:
             return
-        device, record = rendering.desired.device, loop.predictor
-        self._record, self._lags = record, max(one.lags for one in predictors.values())
-        record.lags, record.readings = self._lags, 1 + any(one.senses for one in predictors.values())
-        rows = 2 << max(self._lags, 1).bit_length()
-        self._forces = np.zeros((rows, 2, schema.MAX_CHANNELS))
-        record.forces, record.mask = address_of(self._forces), rows - 1
-        record.keeps_last_force = HOLDS[device.hold].keeps_last_force
-        record.lives = loop.control.time_to_live
+        self._keep_forces(max(one.lags for one in predictors.values()), device, loop)
+        record.readings = 1 + any(one.senses for one in predictors.values())
         tables = self._channel_tables(rendering)
         record.rows = max(len(table) for table in tables.values())
         record.width = next(iter(tables.values())).shape[1]
@@ -72,6 +72,28 @@ class LoopCorrection:
             self._adapt(rendering, description)
             self.hooks.append(Hook(Stage.ADD, add_difference, record))
         self.hooks.append(Hook(Stage.PREDICT, predict_adaptively if self._ports else predict, record))
+
+    def _keep_forces(self, lags: int, device: Device, loop: Any) -> None:
+        """Makes room for the forces of this many samples."""
+        record, rows = self._record, 2 << max(lags, 1).bit_length()
+        self._lags, self._forces = lags, np.zeros((rows, 2, schema.MAX_CHANNELS))
+        record.lags, record.forces, record.mask = lags, address_of(self._forces), rows - 1
+        record.keeps_last_force = HOLDS[device.hold].keeps_last_force
+        record.lives = loop.control.time_to_live
+
+    def _look_ahead(self, device: Device, scene: Scene, loop: Any) -> None:
+        """Fills the numbers of `look_ahead_by_sensors`."""
+        hold = HOLDS[device.hold]
+        change = _change_at_sample(hold, device.delay) if device.acceleration_age else []
+        self._keep_forces(len(change), device, loop)
+        self._record.width = 1 + len(change)
+        self._numbers = np.zeros((schema.MAX_CHANNELS, self._record.width))
+        window = 1.0 if device.sampling == "average" else 0.0
+        self._numbers[:, 0] = (device.delay + hold.mean_delay + 0.5 * window) * scene.period
+        masses = np.array(device.masses(scene.channels))
+        self._numbers[: masses.size, 1:] = np.array(change) / masses[:, None]
+        self._record.numbers = address_of(self._numbers)
+        self.hooks.append(Hook(Stage.PREDICT, look_ahead_by_sensors, self._record))
 
     def _adapt(self, rendering: Rendering, description: Description) -> None:
         """Fills an ADAPTIVE."""
@@ -164,6 +186,19 @@ class LoopCorrection:
             padded = np.pad(rows, ((0, 0), (0, STATES + self._lags - rows.shape[1])))
             table.append(np.concatenate([padded.ravel(), one.gains.ravel(), one.first.ravel()]))
         return np.array(table)
+
+
+def _change_at_sample(hold: Hold, delay: float) -> list[float]:
+    """Returns by how much the acting force changes at a sample, as weights of the forces that answer the last ones."""
+    whole = math.floor(delay)
+    if not whole or delay != whole:  # no force begins to act at a sample
+        return []
+    pieces = [piece for piece in hold.pieces(0.0) if piece.duration > 0.0]
+    weights = np.zeros(whole + _MOST_AGES)
+    for begin, sign, piece in ((whole - 1, 1.0, pieces[0]), (whole, -1.0, pieces[-1])):
+        weights[begin : begin + len(piece.level)] += sign * np.array(piece.level)
+    weights[whole : whole + len(pieces[-1].slope)] -= pieces[-1].duration * np.array(pieces[-1].slope)
+    return np.trim_zeros(weights, "b").tolist()
 
 
 def _span(port: Corrected) -> tuple[float, float]:

@@ -67,9 +67,12 @@ SCHEME = f"Integration of the masses from sample to sample: {_each(_SCHEMES)}"
 SENSORS = ("velocity", "acceleration")
 """Values per channel that a device may send beside its position, in the wire's order."""
 
-CorrectionName = Literal["none", "poles", "predictor", "adaptive"]
+CorrectionName = Literal["none", "poles", "predictor", "adaptive", "sensed"]
+AHEAD = ("predictor", "adaptive", "sensed")
+"""Corrections with which the links answer an expected motion, not the one that was read."""
 CORRECTION = (
     "What is done so that the hand feels the stiffness and damping of the scene, and not what sampling, hold and delay "
     "make of them: nothing (none); the links at the device are given those that feel so (poles); their force answers "
-    "the state that the mass will have when it acts (predictor); the same for a mass that is estimated (adaptive)"
+    "the state that the mass will have when it acts (predictor); the same for a mass that is estimated (adaptive); "
+    "every link answers the motion that velocity and acceleration sensors expect by then (sensed)"
 )

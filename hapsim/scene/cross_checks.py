@@ -11,7 +11,7 @@ from hapsim.holds import HOLDS
 from hapsim.scales import SCALES
 from hapsim.units import MOTIONS, Motion
 
-from .choices import SENSORS
+from .choices import AHEAD, SENSORS
 from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground
@@ -100,11 +100,7 @@ def _sensor_issues(device: Mapping[str, object]) -> Iterator[Issue]:
 
 
 def _predicted_mean(device: Mapping[str, object]) -> Iterator[Issue]:
-    if device.get("decimation") == "mean" and (correction := device.get("correction")) in (
-        "predictor",
-        "adaptive",
-        "sensed",
-    ):
+    if device.get("decimation") == "mean" and (correction := device.get("correction")) in AHEAD:
         yield Issue(
             ("device", "decimation"),
             f"found mean with correction: {correction}, whose force answers one state, that of the last substep; "

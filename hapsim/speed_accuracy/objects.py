@@ -47,7 +47,7 @@ from hapsim.errors import DeviceError, GuardError, UsageError
 from hapsim.measuring.measure import measure
 from hapsim.prediction import predict
 from hapsim.scene import Buffer, Device, DevicePoint, Ground, Initial, Mass, Mock, Scene, String, ViscoElastic
-from hapsim.scene.choices import CorrectionName
+from hapsim.scene.choices import SENSORS, CorrectionName
 from hapsim.scene.quantity import Span
 from hapsim.speed_accuracy.results import Found, Object
 from hapsim.speed_accuracy.strings import STEADY, StringOfMasses, Vector, frequencies_of, hand_link, held_mass
@@ -56,7 +56,9 @@ MASS, FRICTION = 0.2, 1.0
 STIFFNESS, DAMPING = 2000.0, 5.0
 DELAY_S = 1e-3
 ONE_SAMPLE, ONE_MILLISECOND = "delay of a sample", "delay of 1 ms"
-CORRECTED: dict[str, CorrectionName] = {f"correction: {name}": name for name in ("poles", "predictor", "adaptive")}
+CORRECTED: dict[str, CorrectionName] = {
+    f"correction: {name}": name for name in ("poles", "predictor", "adaptive", "sensed")
+}
 SPAN = Span(least=0.1, most=0.4)  # kg
 
 _FLICK = 0.05  # m/s: it swings by half a millimetre, in the range that counts of a picometre have
@@ -82,6 +84,7 @@ class OneSpring:
             friction=FRICTION,
             delay=DELAY_S * rate if method == ONE_MILLISECOND else 1.0,
             force_limit=1000.0,
+            sensors=SENSORS if correction == "sensed" else (),
             correction=correction,
         )
         modules: dict[str, Any] = {

@@ -171,6 +171,22 @@ def forces_in_second_difference(model: Configuration) -> tuple[Floats, int]:
     return of_forces[acting[0] : acting[-1] + 1], int(acting[0])
 
 
+def white_noise_gain(change: Floats, push: Floats, answer: Floats) -> float:
+    """Force, N rms, of a stable loop per N rms of white noise in it. ``change`` (n, n), ``push`` (n,): of its state
+    without the force; -``answer`` (n,): the force from the state."""
+    closed = np.eye(len(change)) + change - np.outer(push, answer)
+    return math.hypot(1.0, _noise(closed, push[:, None], answer))
+
+
+def _noise(power: Floats, reads: Floats, answers: Floats) -> float:
+    """Returns the rms of ``answers`` on a state that ``power`` moves, from white noise of 1 rms through ``reads``."""
+    spread: Floats = reads @ reads.T
+    while np.abs(power).max() > NEGLIGIBLE:  # twice as many samples of noise each time
+        spread = spread + power @ spread @ power.T
+        power = power @ power
+    return float(np.sqrt(max(float(answers @ spread @ answers), 0.0)))
+
+
 NEGLIGIBLE = 1e-12  # of the oldest noise: its square is beyond rounding
 MOVES = 2  # numbers of the plant's state: position and velocity
 
@@ -228,12 +244,7 @@ class PredictedLoop(NamedTuple):
             return math.inf
         moves, pushes, reads = self._open_loop()
         answers = self._feedback(K, B, len(moves))
-        power: Floats = moves - np.outer(pushes, answers)
-        spread: Floats = reads @ reads.T
-        while np.abs(power).max() > NEGLIGIBLE:  # twice as many samples of noise each time
-            spread = spread + power @ spread @ power.T
-            power = power @ power
-        return float(np.sqrt(max(float(answers @ spread @ answers), 0.0)) * self.plant.stiffness_unit)
+        return _noise(moves - np.outer(pushes, answers), reads, answers) * self.plant.stiffness_unit
 
     def _stiffness_at(self, z: Complexes, K: float, B: float) -> Complexes:
         """Force over the position that is read, (n,) N/m, at z."""

@@ -18,6 +18,23 @@ from hapsim.holds import HOLDS, Piece, Term
 from hapsim.theory.arrays import Complexes, Floats
 
 
+class Ahead(NamedTuple):
+    """Sensed motion as the links see it: ahead of the reading by the mean lag of sampling, delay and hold, with the
+    velocity and the acceleration that the device senses (Florens et al., §6.3).
+
+    Attributes:
+        delay: sample periods, which the loop assumes.
+        age: forces by which the acceleration is older than the newest one that acts: 0 or 1.
+        masses: (C,) kg, for which the change of the force since then is added to it; empty: it is not.
+        period: the sample period that the loop assumes, over the true one.
+    """
+
+    delay: float
+    age: int = 0
+    masses: tuple[float, ...] = ()
+    period: float = 1.0
+
+
 def whole_and_fraction(delay: float) -> tuple[int, float]:
     """Whole samples and the fraction of one, 0 <= fraction < 1, of a delay in sample periods."""
     whole = math.floor(delay)
@@ -58,6 +75,18 @@ def hold_lag(hold: str) -> float:
         weight * (-lag) ** (integrations + 1) / math.factorial(integrations + 1)
         for weight, lag, integrations in HOLDS[hold].terms
     )
+
+
+def acting_at_sample(delay: float, hold: str, age: int) -> list[float]:
+    """Weights of f[n-1], f[n-2], ... in the force that acts just after sample n, or just before it: ``age`` 1. A force
+    that answers its own sample without a delay acts on nothing that is sensed there."""
+    whole, fraction = whole_and_fraction(delay)
+    segments = hold_segments(hold, fraction)
+    if age == 0 and delay > 0.0:
+        return [0.0] * (whole - 1) + list(segments[0].level)[0 if whole else 1 :]
+    duration, _, level, slope = segments[-1]
+    grown = itertools.zip_longest(level, slope, fillvalue=0.0)
+    return [0.0] * whole + [at + duration * by for at, by in grown]
 
 
 def hold_segments(hold: str, fraction: float) -> list[Piece]:

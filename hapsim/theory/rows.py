@@ -237,7 +237,9 @@ def _shifted(new: Rows, lists: list[Indices], before: Rows) -> Rows:
 
 
 def sensed_channels(network: Network) -> Indices:
-    """Numbers of the channels whose sensed velocity a link uses."""
+    """Numbers of the channels whose sensed velocity a link uses: all where it sees them ahead."""
+    if network.ahead is not None:
+        return np.arange(network.channel_mass.size)
     links = [link for link in damping_links(network).tolist() if network.damper[link].senses]
     ends = network.ends[links]
     return np.unique(ends[(ends >= 0) & (ends < network.channel_mass.size)])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
 
 from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, device_step
-from hapsim.theory.interface import SAMPLINGS
+from hapsim.theory.interface import SAMPLINGS, acting_at_sample, hold_lag
 from hapsim.theory.network.network import Network, damping_links
 from hapsim.theory.rows import Rows, Tick, cut, sensed_channels, stack, step_weights, times, unit_rows
 
@@ -29,6 +30,7 @@ class Sample:
     def __init__(self, network: Network, sparse: bool = False) -> None:
         self.network, self.tick, self.sizes = network, Tick(network, sparse), sizes_of(network)
         self._sensed = sensed_channels(network)
+        self._acceleration = _acceleration(network)
         steps = channel_steps(network)
         self._motion = np.array([step.motion for step in steps]).reshape(len(steps), 4, 2)
         self._forces = np.array([step.forces for step in steps]).reshape(len(steps), 4, -1 if steps else 0)
@@ -48,14 +50,27 @@ class Sample:
 
     def points(self, state: dict[str, Rows]) -> Rows:
         """Positions as the computer reads them, (C + M)."""
-        read = state["position"] - state["lag"] if state["lag"].shape[0] else state["position"]
-        return stack([read, state["mass"]])
+        return stack([self._read(state), state["mass"]])
+
+    def _read(self, state: dict[str, Rows]) -> Rows:
+        return state["position"] - state["lag"] if state["lag"].shape[0] else state["position"]
+
+    def _seen(self, state: dict[str, Rows]) -> tuple[Rows, Rows]:
+        """Channels as the links see them: positions (C), and the sensed velocities that a link uses."""
+        x, averaged = self._read(state), state["lag"].shape[0]
+        v = state["mean_velocity"] if averaged else state["velocity"][self._sensed]
+        if self._acceleration is None:
+            return x, v
+        ahead, of_position, of_velocity, *of_forces = self._acceleration
+        a = times(of_position, state["position"]) + times(of_velocity, state["velocity"])
+        for age, weights in enumerate(of_forces):
+            a = a + times(weights, state["held"][age * weights.size : (age + 1) * weights.size])
+        return x + times(ahead, v) + times(0.5 * ahead**2, a), v + times(ahead, a)
 
     def start(self, state: dict[str, Rows]) -> dict[str, Rows]:
         """Returns the state before the first step: the hands at their readings of one sample ago. Over the steps, hands
         and sensed velocities move evenly to the readings of now."""
-        steps, read = self.network.substeps, self.points(state)[: len(self._motion)]
-        sensed = state["mean_velocity"] if state["lag"].shape[0] else state["velocity"][self._sensed]
+        steps, (read, sensed) = self.network.substeps, self._seen(state)
         out = {"hand": read - state["last_step"], "gain": state["last_step"] / steps, "sensed": sensed}
         if steps > 1:
             out |= {"sensed": sensed - state["sensed_change"], "sensed_step": state["sensed_change"] / steps}
@@ -77,17 +92,14 @@ class Sample:
             return out
 
         new = {"position": row(0), "mass": moved["mass"], "velocity": row(1), "mass_step": moved["mass_step"]}
-        last_step = new["position"]
-        if averaged := state["lag"].shape[0]:
-            new["lag"] = row(2) - state["lag"]
-            last_step = last_step - new["lag"]
+        new["lag"] = row(2) - state["lag"] if state["lag"].shape[0] else state["lag"]
+        if state["lag"].shape[0]:
+            new["mean_velocity"] = row(3)[self._sensed] - state["mean_velocity"]
+        new["held"] = stack(ranks)[: self.sizes["held"]] - state["held"]
+        last_step, turned = self._seen(new)
         new["last_step"] = last_step - state["last_step"]
-        turned = new["velocity"][self._sensed]
-        if averaged:
-            turned = new["mean_velocity"] = row(3)[self._sensed] - state["mean_velocity"]
         if network.substeps > 1:
             new["sensed_change"] = turned - state["sensed_change"]
-        new["held"] = stack(ranks)[: self.sizes["held"]] - state["held"]
         new |= {name: moved[name] for name in ("old_steps", "old_rates")}
         return stack([new[name] for name in self.sizes if name in new])
 
@@ -119,7 +131,7 @@ def sizes_of(network: Network) -> dict[str, int]:
         "mean_velocity": sensed * averaged,
         "sensed_change": sensed * stepped,
         "mass_step": masses,
-        "held": sum(step.forces.shape[1] - 1 for step in channel_steps(network)),
+        "held": channels * _held_forces(network),
         "old_steps": sum(len(step_weights(damper)) - 1 for damper in dampers),
         "old_rates": sum(len(damper.of_velocities) for damper in dampers),
     }
@@ -170,6 +182,28 @@ def _power(step: Floats, count: int) -> Floats:
         if bit == "1":
             out = out + step + step @ out
     return out
+
+
+def _held_forces(network: Network) -> int:
+    """Count of the past forces of a channel that a later sample still needs."""
+    steps, sensed = channel_steps(network), _acceleration(network)
+    of_motion = max((step.forces.shape[1] - 1 for step in steps), default=0)
+    return of_motion if sensed is None else max(of_motion, len(sensed) - 3)
+
+
+def _acceleration(network: Network) -> list[Floats] | None:
+    """Returns the samples by which links see the channels ahead, and the weights of position, velocity and T²/m f[n-1],
+    T²/m f[n-2], ... in the sensed T² a, each (C,); None if they see the readings."""
+    if network.ahead is None:
+        return None
+    mass, one = network.channel_mass, np.ones(network.channel_mass.size)
+    delay, age, masses, period = network.ahead
+    lag = period * (delay + hold_lag(network.hold) + SAMPLINGS[network.sampling].lag)
+    added = mass / np.array(masses) if masses else 0.0 * one
+    acting = (acting_at_sample(of, network.hold, old) for of, old in ((network.delay, age), (delay, age), (delay, 0)))
+    own = -network.channel_stiffness / mass / network.rate**2, -network.channel_friction / mass / network.rate
+    forces = (sensed * one + (now - then) * added for sensed, then, now in zip_longest(*acting, fillvalue=0.0))
+    return [lag * one, *own, *forces]
 
 
 def channel_steps(network: Network) -> list[DeviceStep]:

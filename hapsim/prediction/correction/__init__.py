@@ -2,4 +2,4 @@
 
 from hapsim.prediction.correction.element import Remedies, felt_error, remedies_for, stable_masses
 from hapsim.prediction.correction.kind import CORRECTIONS, CorrectionKind
-from hapsim.prediction.correction.rendering import Corrected, Rendering, rendered
+from hapsim.prediction.correction.rendering import GOOD, Corrected, Rendering, rendered

@@ -7,6 +7,9 @@ Figure 4 (Florens et al., §5 and §6); the loop has no further parts.
 then that of a device without delay that senses its velocity. Florens et al., §6.3, ask for this sensor;
 ``theory/correction.py`` describes its substitute. Both poles can be placed anywhere below half the rate.
 
+`sensed` takes that state from sensors of velocity and acceleration, for every link (`theory/sample.py`), and leaves the
+links their values: no mass is in it. A soft element is then felt as desired, whatever the hand weighs.
+
 `adaptive` is the predictor for a mass that is estimated while the temporary hybrid system runs (`Schedule` in
 ``element.py``; ``loop/adaptive.py`` estimates).
 """
@@ -28,6 +31,7 @@ from hapsim.scene.part import Table
 from hapsim.theory import Configuration
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.correction import SLOWEST, PredictedLoop, StatePredictor, state_predictor
+from hapsim.theory.interface import Ahead
 
 
 class ClosedLoop(Protocol):
@@ -61,6 +65,8 @@ class CorrectionKind(NamedTuple):
     """Source of the dampers' velocity at the device; None: as in the scene."""
     predicts: bool
     """True if the loop gives the scene the state in which the mass will receive the force."""
+    solves: bool
+    """True if the links at the device get other values than the scene's."""
     adapts: bool
     """True if the elements follow an estimate of the mass."""
     seen_by_theory: Callable[[Configuration], Configuration]
@@ -148,6 +154,7 @@ POLES = CorrectionKind(
     name="poles",
     with_damper=None,
     predicts=False,
+    solves=True,
     adapts=False,
     seen_by_theory=lambda declared: declared,
     closed=lambda true, _declared, _observer: true,
@@ -195,11 +202,29 @@ PREDICTOR = CorrectionKind(
     name="predictor",
     with_damper="sensed",
     predicts=True,
+    solves=True,
     adapts=False,
     seen_by_theory=without_delay,
     closed=lambda true, declared, observer: PredictedLoop(true, predictor_for(declared, observer), observer.static),
 )
 ADAPTIVE = PREDICTOR._replace(name="adaptive", adapts=True)
 
-CORRECTIONS: dict[str, CorrectionKind] = {kind.name: kind for kind in (POLES, PREDICTOR, ADAPTIVE)}
+
+def by_sensors(declared: Configuration) -> Configuration:
+    """Returns the loop of links that answer the sensed motion ahead of its reading."""
+    ahead = declared.ahead or Ahead(declared.delay)
+    return replace(declared, damper="sensed", cutoff=None, spring_lag=0.0, ahead=ahead)
+
+
+SENSED = CorrectionKind(
+    name="sensed",
+    with_damper="sensed",
+    predicts=False,
+    solves=False,
+    adapts=False,
+    seen_by_theory=by_sensors,
+    closed=lambda true, declared, _observer: replace(by_sensors(true), ahead=by_sensors(declared).ahead),
+)
+
+CORRECTIONS: dict[str, CorrectionKind] = {kind.name: kind for kind in (POLES, PREDICTOR, ADAPTIVE, SENSED)}
 """Kinds by the names of `device.correction`, except "none"."""

@@ -9,7 +9,7 @@ from functools import partial
 from typing import NamedTuple
 
 from hapsim.prediction.correction.coupled import MOST_STATES, is_small, is_stable, match_modes
-from hapsim.prediction.correction.element import Element, Schedule, element_for, schedule_for
+from hapsim.prediction.correction.element import Element, Schedule, element_for, felt_error, schedule_for
 from hapsim.prediction.correction.kind import (
     CORRECTIONS,
     POLES,
@@ -29,6 +29,9 @@ from hapsim.scene import Buffer, Scene
 from hapsim.scene.modules import Module
 from hapsim.theory import Configuration
 from hapsim.theory.correction import StatePredictor
+
+GOOD = 0.05
+"""Error of k and b that a correction which leaves the links their values is meant to stay below."""
 
 _WHY_LEFT = "its force is not that of one spring and damper everywhere"
 
@@ -132,8 +135,11 @@ class _Correction:
         notes: list[str] = []
         elements: dict[str, Element] = {}
         schedules: dict[str, Schedule] = {}
+        if not self.kind.solves:
+            elements = {port.name: self.as_written(port) for port in self.ports}
+        left = [port for port in self.ports if port.name not in elements]
         are_small = any(self.coupling_reason.values()) and is_small(self.scene)
-        for port in (one for one in self.ports if not self.coupling_reason[one.name] or not are_small):
+        for port in (one for one in left if not self.coupling_reason[one.name] or not are_small):
             schedule = self.schedule(port) if self.kind.adapts else None
             if schedule is not None:
                 schedules[port.name] = schedule
@@ -143,7 +149,7 @@ class _Correction:
                     f"{port.name} {why}: its neighbours are assumed fixed, because the scene has more than "
                     f"{MOST_STATES} numbers in its state"
                 )
-        notes += self.match([port for port in self.ports if port.name not in elements and port.linear], elements)
+        notes += self.match([port for port in left if port.name not in elements and port.linear], elements)
         if self.kind.predicts:
             for port in (one for one in self.ports if one.name in elements and one.name not in schedules):
                 element = elements[port.name]
@@ -153,7 +159,7 @@ class _Correction:
         for port in self.ports:
             if port.name in schedules:
                 settled[port.name] = schedules[port.name].settled(self.declared[port.name].mass)
-            notes += [f"{name} is not corrected: {_WHY_LEFT}" for name in port.others]
+            notes += [f"{name} is not corrected: {_WHY_LEFT}" for name in port.others if self.kind.solves]
         run, seen = self.with_elements(elements), self.as_seen(self.with_elements(settled))
         corrected = [
             Corrected(
@@ -189,6 +195,13 @@ class _Correction:
                 changed |= distribute(port, element.stiffness, element.damping, self.kind.with_damper)
                 changed |= self.contacts(port, element)
         return with_modules(self.scene, changed)
+
+    def as_written(self, port: Port) -> Element:
+        """Returns the port's own values, and whether the hand then feels them within `GOOD`."""
+        declared = self.declared[port.name]
+        loop, desired = self.kind.closed(declared, declared, Observer()), self.desired(port)
+        error = felt_error(loop.equivalent(port.stiffness, port.damping), desired, declared.mass)
+        return Element(port.stiffness, port.damping, declared.mass, bool(error <= GOOD))
 
     def lone(self, port: Port, more: tuple[float, float] = (0.0, 0.0)) -> Element:
         """Returns the element of a port with fixed neighbours; `more`: K and B of a contact that is touched."""
@@ -236,7 +249,7 @@ class _Correction:
         """Returns each contact with its addition to the linear links while it is touched. Contacts that do not change
         are omitted: all of them if the links follow an estimate."""
         changed: dict[str, Buffer] = {}
-        for name, contact in ({} if self.kind.adapts else port.contacts).items():
+        for name, contact in (port.contacts if self.kind.solves and not self.kind.adapts else {}).items():
             touched = self.touched(port, contact)
             stiffness, damping = touched.stiffness - base.stiffness, touched.damping - base.damping
             if stiffness >= 0.0 and damping >= 0.0:

@@ -32,7 +32,7 @@ from hapsim.theory.hand.poles import (
     dominance_reasons,
 )
 from hapsim.theory.hand.wall_passivity import needed_friction
-from hapsim.theory.interface import SAMPLINGS, damper_gain, damper_named, delay_and_hold, hold_lag
+from hapsim.theory.interface import SAMPLINGS, Ahead, damper_gain, damper_named, delay_and_hold, hold_lag
 
 MOST_EIGENVALUES = 8  # poles; beyond, a stable interval is sought without eigenvalues, which take too long
 _no_warnings = np.errstate(all="ignore")  # numbers out of range become NaN
@@ -64,6 +64,7 @@ class Configuration:
         spring_lag: sample periods, >= 0. The simulated spring uses an earlier position, interpolated between the last
             two; only with the backward damper, and then B acts as B - K spring_lag T. For the mean of the forces of N
             substeps it is (N - 1)/(2 N).
+        ahead: the element sees the sensed motion ahead of its reading; None: the reading.
 
     Raises:
         ValueError: an argument is out of its range; the message states which, and the range.
@@ -79,6 +80,7 @@ class Configuration:
     damper: str = "backward"
     cutoff: float | None = None
     spring_lag: float = 0.0
+    ahead: Ahead | None = None
 
     def __post_init__(self) -> None:
         for name in ("mass", "rate"):
@@ -203,6 +205,7 @@ class Configuration:
             HOLDS[self.hold].terms != HOLDS["zoh"].terms
             or self.sampling != "ideal"
             or self.normalised_loop.damper.senses
+            or self.ahead is not None
         ):
             raise ValueError(
                 "The passivity condition is derived for the zero-order hold with ideal sampling and a damper that "
@@ -239,7 +242,7 @@ class Configuration:
         """Largest stiffness near the origin, (b0 + B)/(T/2 + delay T), N/m; too large as B grows (Gil et al., 2004).
         T/2 is the zero-order hold's mean delay; averaged sampling adds as much, ``spring_lag`` its own, and the impulse
         hold has none. Infinite without any delay."""
-        lag = self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag + self.spring_lag
+        lag = self._lag + self.spring_lag
         return ((self.friction + np.asarray(B, dtype=float)) / (lag * self.period))[()]
 
     @_no_warnings
@@ -263,6 +266,9 @@ class Configuration:
         jw, theta = 2j * np.pi * f, 2.0 * np.pi * f * self.period
         damping = np.asarray(B) - self.spring_lag * self.period * np.asarray(K)
         element = np.asarray(K) / jw + damping * damper_gain(self.normalised_loop.damper, theta)
+        if self.ahead is not None:
+            turned = jw * self.seen_ahead_s
+            element = np.asarray(K) / jw * (1.0 + turned + 0.5 * turned**2) + damping * (1.0 + turned)
         rendered = element * delay_and_hold(theta, self.delay, self.hold, self.sampling)
         rendered = rendered + self.friction + self.stiffness / jw
         return np.where((theta > 0.0) & (theta < np.pi), rendered, np.nan)[()]
@@ -281,12 +287,25 @@ class Configuration:
         kappa, beta = self._normalised(K, B)
         return np.stack(characteristic(self.normalised_loop, kappa, beta), axis=-1)
 
+    @property
+    def seen_ahead_s(self) -> float:
+        """Time by which the element sees the motion ahead of its reading, s."""
+        if self.ahead is None:
+            return 0.0
+        return (self._lag + self.ahead.delay - self.delay) * self.ahead.period * self.period
+
+    @property
+    def _lag(self) -> float:
+        """Mean lag of sampling, delay and hold, sample periods."""
+        return self.delay + hold_lag(self.hold) + SAMPLINGS[self.sampling].lag
+
     @cached_property
     def normalised_loop(self) -> LoneHand:
         """Loop without an element, in the paper's normalised units (§6), as rows of its state."""
         own = self.friction / self.damping_unit, self.stiffness / self.stiffness_unit
         damper = damper_named(self.damper, self.cutoff, self.rate)
-        return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag)
+        ahead = self.ahead and self.ahead._replace(masses=tuple(one / self.mass for one in self.ahead.masses))
+        return lone_hand(*own, self.delay, self.hold, self.sampling, damper, self.spring_lag, ahead)
 
     def _stable_interval(self, sought: int, given: Floats) -> tuple[Floats, Floats]:
         def is_stable(kappa: Floats, beta: Floats) -> Bools:

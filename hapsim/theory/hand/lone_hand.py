@@ -16,6 +16,7 @@ import numpy as np
 from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Floats
 from hapsim.theory.hand.pole_pair import LinearOnPair, PolePair, quadratic_of_oscillator, total
+from hapsim.theory.interface import Ahead
 from hapsim.theory.network.network import Network
 from hapsim.theory.rows import cut
 from hapsim.theory.sample import loop, sizes_of
@@ -63,13 +64,20 @@ class LoneHand(NamedTuple):
 
 @lru_cache(maxsize=256)
 def lone_hand(
-    damping: float, stiffness: float, delay: float, hold: str, sampling: str, damper: DamperModel, lag: float
+    damping: float,
+    stiffness: float,
+    delay: float,
+    hold: str,
+    sampling: str,
+    damper: DamperModel,
+    lag: float,
+    ahead: Ahead | None = None,
 ) -> LoneHand:
-    """Returns the loop of a normalised real friction b0 T/m and spring k0 T²/m."""
+    """Returns the loop of a normalised real friction b0 T/m and spring k0 T²/m; masses in ``ahead`` relative to its."""
     one = np.ones(1)
     network = Network(
         1.0, one, damping * one, delay, hold, sampling, one[:0], np.array([[0, -1]]), 0.0 * one, UNFELT * one,
-        stiffness * one, (damper,),
+        stiffness * one, (damper,), ahead=ahead,
     )  # fmt: skip
     found, sizes = loop(network, inputs=True), sizes_of(network)
     parts = cut(np.arange(len(found.change)), sizes)

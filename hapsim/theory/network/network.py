@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
 from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, not_negative, one_of, positive, vector
-from hapsim.theory.interface import SAMPLINGS, damper_named
+from hapsim.theory.interface import SAMPLINGS, Ahead, damper_named
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 BACKWARD = damper_named("backward", None, 1.0)
@@ -53,6 +53,8 @@ class Network:
         substeps: N, steps of the masses in a sample period (``theory/sample.py``); for the masses and for ``damper``, T
             and n are then those of a step.
         decimation: force on a channel: that of the "last" step, or the "mean" of all N.
+        ahead: the links see the channels ahead of their readings, as of a device that senses velocity and acceleration;
+            None: at their readings.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -75,6 +77,7 @@ class Network:
     outside: Sequence[bool] = ()
     substeps: int = 1
     decimation: str = "last"
+    ahead: Ahead | None = None
 
     def __post_init__(self) -> None:
         mass = vector("channel_mass", self.channel_mass, above=0.0)

@@ -71,6 +71,8 @@ def no_derivation(network: Network) -> str:
         return "the condition is derived only for a zero-order hold and ideal sampling"
     if any(damper.senses for damper in network.damper):
         return "the condition is not derived for a damper that senses the device's velocity"
+    if network.ahead is not None:
+        return "the condition is not derived for a sensed acceleration"
     return "the scene is too large" if is_large(network) else ""
 
 
