@@ -178,7 +178,7 @@ def felt_by(correction: str, declared: Configuration, true: Configuration, plane
     asked = plane.asked(declared)
     kind = CORRECTIONS.get(correction)
     K, B = k - declared.stiffness, b - declared.friction
-    if kind is not None and kind.solves:
+    if kind is not None and not kind.by_sensors:
         K, B = kind.seen_by_theory(declared).simulated(k, b)
     had = asked & np.isfinite(K) & np.isfinite(B)
     error, radius = np.full(k.shape, np.inf), np.zeros(k.shape)

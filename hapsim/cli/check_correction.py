@@ -86,7 +86,7 @@ def _reached_sentence(desired: Desired, name: str, prediction: Prediction) -> st
             f"Correction {name}: what {desired.name} feels in its region is {100.0 * desired.error:.1f} % off what is "
             f"desired. Contacts are corrected; tables, detents and clicks keep the scene's values.{steady}"
         )
-    if not CORRECTIONS[name].solves:
+    if CORRECTIONS[name].by_sensors:
         return _sensed_sentence(desired, name, prediction)
     if desired.remedies is None:
         off = f"{100.0 * desired.error:.1f} % off at most" if desired.error >= _SMALL else "less than 0.1 % off"

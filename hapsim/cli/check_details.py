@@ -55,7 +55,7 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
     if desired is None and (name := correction_for(felt, prediction.scene.device.sensors)):
         units, device = output_units(felt.channel), felt.configuration
         reached = felt.stiffness + device.stiffness, felt.damping + device.friction
-        if not CORRECTIONS[name].solves:
+        if CORRECTIONS[name].by_sensors:
             reached = felt_if_sensed(felt).k, felt_if_sensed(felt).b
         k, b = units(reached[0], "N/m"), units(reached[1], "N·s/m")
         yield f"With `correction: {name}` under `device` the hand would feel k = {k}, b = {b}."

@@ -74,7 +74,7 @@ def observe(predictor, io, gap, late, age):
     """Advances the state of every channel to this sample, and corrects it by the measurement. `gap`: samples since the
     last one. `late`: the last force did not act in time. `age`: samples since the position that the acting force
     answers."""
-    forces = _forces_of(predictor)
+    forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     if predictor.begun:
         for sample in range(gap):
@@ -88,11 +88,6 @@ def observe(predictor, io, gap, late, age):
 
 
 @helper
-def _forces_of(predictor):
-    return _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
-
-
-@helper
 def _keep_sent(predictor, io):
     for c in range(io.channels):
         predictor.sent[0, c], predictor.sent[1, c] = _sent(io, c)
@@ -103,7 +98,8 @@ def look_ahead_by_sensors(predictor, tick):
     """Moves position and velocity ahead of the sensed motion. A channel's numbers are the time, s, and the weights of
     the forces of the last samples in what is added to the acceleration, 1/kg: it may be older than the newest force."""
     predictor, tick = _predictor_at(predictor), tick_at(tick)
-    io, forces = io_at(tick.io), _forces_of(predictor)
+    io = io_at(tick.io)
+    forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     if predictor.begun:
         for sample in range(tick.gap):
@@ -190,7 +186,7 @@ def _correct(predictor, numbers, c, position, velocity, gap):
 @helper
 def look_ahead(predictor, io):
     """Replaces position and velocity by those expected at the instant at which the force will act."""
-    forces = _forces_of(predictor)
+    forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
     row = STATES + predictor.lags
     for c in range(io.channels):

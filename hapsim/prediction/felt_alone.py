@@ -328,7 +328,7 @@ def desired_of(rendering: Rendering, felt: Sequence[Felt], here: Mapping[str, Pi
             masses = np.geomspace(least, most, 1 if least == most else _MASSES).tolist()
             error = max(_error_with(rendering.kind, port, mass) for mass in masses)
         reached = port.reached if piece is None else error < _REACHED
-        given_up = not reached and piece is None and least == most and rendering.kind.solves
+        given_up = not reached and piece is None and least == most and not rendering.kind.by_sensors
         yield Desired(
             port.name,
             port.channel,

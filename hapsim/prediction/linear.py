@@ -12,6 +12,7 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.laws import Linear, line
 from hapsim.scene import Scene, ViscoElastic
+from hapsim.scene.choices import BY_SENSORS
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.interface import Ahead, damper_named, hold_lag
 from hapsim.theory.schemes import SCHEMES, LinkNature
@@ -162,9 +163,9 @@ def configuration_of(
 
 
 def ahead_of(scene: Scene, channels: Sequence[int]) -> Ahead | None:
-    """Returns how links see these channels ahead of their readings; None without ``correction: sensed``."""
+    """Returns how links see these channels ahead of their readings; None without a correction by sensors."""
     device = scene.device
-    if device.correction != "sensed":
+    if device.correction not in BY_SENSORS:
         return None
     masses = device.masses(scene.channels)
     corrected_for = tuple(masses[channel] for channel in channels if device.acceleration_age)

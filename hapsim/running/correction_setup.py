@@ -54,7 +54,7 @@ class LoopCorrection:
         predictors, self._record = rendering.predictors(), loop.predictor
         self._predicts = bool(predictors)
         record, device = self._record, rendering.desired.device
-        if device.correction == "sensed":
+        if rendering.kind is not None and rendering.kind.by_sensors:
             self._look_ahead(device, rendering.desired, loop)
         if not predictors:
             return

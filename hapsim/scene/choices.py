@@ -68,7 +68,9 @@ SENSORS = ("velocity", "acceleration")
 """Values per channel that a device may send beside its position, in the wire's order."""
 
 CorrectionName = Literal["none", "poles", "predictor", "adaptive", "sensed"]
-AHEAD = ("predictor", "adaptive", "sensed")
+BY_SENSORS = ("sensed",)
+"""Corrections that take the motion ahead from sensors."""
+AHEAD = ("predictor", "adaptive", *BY_SENSORS)
 """Corrections with which the links answer an expected motion, not the one that was read."""
 CORRECTION = (
     "What is done so that the hand feels the stiffness and damping of the scene, and not what sampling, hold and delay "

@@ -11,7 +11,7 @@ from hapsim.holds import HOLDS
 from hapsim.scales import SCALES
 from hapsim.units import MOTIONS, Motion
 
-from .choices import AHEAD, SENSORS
+from .choices import AHEAD, BY_SENSORS, SENSORS
 from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground
@@ -85,7 +85,7 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
 
 
 def _sensor_issues(device: Mapping[str, object]) -> Iterator[Issue]:
-    sensors, is_sensed = device.get("sensors", ()), device.get("correction") == "sensed"
+    sensors, is_sensed = device.get("sensors", ()), device.get("correction") in BY_SENSORS
     missing = [name for name in SENSORS if name not in sensors] if isinstance(sensors, tuple | list) else []
     if is_sensed and missing:
         sentence = f"found sensed without a sensor of the {' and the '.join(missing)}; write device.sensors: "

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hapsim.scene import Buffer, Damper, Scene, Spring, ViscoElastic
-from hapsim.scene.choices import DamperScheme
+from hapsim.scene.choices import BY_SENSORS, DamperScheme
 from hapsim.scene.modules import Link, Module
 from hapsim.scene.part import Table
 from hapsim.theory import Configuration
@@ -65,14 +65,17 @@ class CorrectionKind(NamedTuple):
     """Source of the dampers' velocity at the device; None: as in the scene."""
     predicts: bool
     """True if the loop gives the scene the state in which the mass will receive the force."""
-    solves: bool
-    """True if the links at the device get other values than the scene's."""
     adapts: bool
     """True if the elements follow an estimate of the mass."""
     seen_by_theory: Callable[[Configuration], Configuration]
     """Configuration with the loop's poles if the declared mass is the true one."""
     closed: Callable[[Configuration, Configuration, Observer], ClosedLoop]
     """Loop of a true configuration, the first, with a correction that was made for another, the second."""
+
+    @property
+    def by_sensors(self) -> bool:
+        """True if every link answers the sensed motion ahead of its reading, and keeps the scene's values."""
+        return self.name in BY_SENSORS
 
 
 LINEAR = (ViscoElastic, Spring, Damper)
@@ -154,7 +157,6 @@ POLES = CorrectionKind(
     name="poles",
     with_damper=None,
     predicts=False,
-    solves=True,
     adapts=False,
     seen_by_theory=lambda declared: declared,
     closed=lambda true, _declared, _observer: true,
@@ -202,7 +204,6 @@ PREDICTOR = CorrectionKind(
     name="predictor",
     with_damper="sensed",
     predicts=True,
-    solves=True,
     adapts=False,
     seen_by_theory=without_delay,
     closed=lambda true, declared, observer: PredictedLoop(true, predictor_for(declared, observer), observer.static),
@@ -220,7 +221,6 @@ SENSED = CorrectionKind(
     name="sensed",
     with_damper="sensed",
     predicts=False,
-    solves=False,
     adapts=False,
     seen_by_theory=by_sensors,
     closed=lambda true, declared, _observer: replace(by_sensors(true), ahead=by_sensors(declared).ahead),

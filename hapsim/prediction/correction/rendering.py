@@ -135,7 +135,7 @@ class _Correction:
         notes: list[str] = []
         elements: dict[str, Element] = {}
         schedules: dict[str, Schedule] = {}
-        if not self.kind.solves:
+        if self.kind.by_sensors:
             elements = {port.name: self.as_written(port) for port in self.ports}
         left = [port for port in self.ports if port.name not in elements]
         are_small = any(self.coupling_reason.values()) and is_small(self.scene)
@@ -159,7 +159,7 @@ class _Correction:
         for port in self.ports:
             if port.name in schedules:
                 settled[port.name] = schedules[port.name].settled(self.declared[port.name].mass)
-            notes += [f"{name} is not corrected: {_WHY_LEFT}" for name in port.others if self.kind.solves]
+            notes += [f"{name} is not corrected: {_WHY_LEFT}" for name in port.others if not self.kind.by_sensors]
         run, seen = self.with_elements(elements), self.as_seen(self.with_elements(settled))
         corrected = [
             Corrected(
@@ -249,7 +249,7 @@ class _Correction:
         """Returns each contact with its addition to the linear links while it is touched. Contacts that do not change
         are omitted: all of them if the links follow an estimate."""
         changed: dict[str, Buffer] = {}
-        for name, contact in (port.contacts if self.kind.solves and not self.kind.adapts else {}).items():
+        for name, contact in (port.contacts if not self.kind.by_sensors and not self.kind.adapts else {}).items():
             touched = self.touched(port, contact)
             stiffness, damping = touched.stiffness - base.stiffness, touched.damping - base.damping
             if stiffness >= 0.0 and damping >= 0.0:
