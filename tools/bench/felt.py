@@ -39,6 +39,7 @@ from hapsim.errors import HapsimError
 from hapsim.prediction.correction import felt_error
 from hapsim.running import Excitation
 from hapsim.scene import Device, DevicePoint, Ground, Hand, Initial, Mock, Scene, Span, ViscoElastic
+from hapsim.scene.choices import SENSORS
 
 MASS, RATE = 0.05, 1000.0  # kg, Hz: declared
 FROM, TO, MOST_RATIO = 1e-4, 2.0, 1.5  # K T²/m; damping ratio
@@ -62,11 +63,14 @@ class Contender(NamedTuple):
     settles: float = 0.0
 
 
+SENSED = {"correction": "sensed", "sensors": SENSORS}
 CONTENDERS = (
     Contender("none", {}),
     Contender("poles", {"correction": "poles"}),
     Contender("predictor", {"correction": "predictor"}),
     Contender("adaptive", {"correction": "adaptive", "mass": Span(least=0.5 * MASS, most=2.0 * MASS)}, settles=4.0),
+    Contender("sensed", SENSED),
+    Contender("sensed, one force old", SENSED | {"acceleration_age": 1}),
 )
 NONE = CONTENDERS[0].name
 
