@@ -106,7 +106,7 @@ MEASURED_BAR: Look = {"marker": "d", "linestyle": "", "color": "black", "markers
 # Speed against accuracy: hapsim's methods in colours, its peers in greys, each with a marker.
 METHODS = (
     *("#1f3b73", "#d95f0e", "#1b8a5a", "#b0307c", "#e6a817"),
-    *("#5aa7d6", "#7f4f24", "#c8252b", "#7b5fc0", "#93b83a"),
+    *("#5aa7d6", "#7f4f24", "#c8252b", "#7b5fc0", "#93b83a", "#008080"),
 )
 METHOD: Look = {"marker": "o", "linewidth": 1.1, "markersize": 3.6, "markeredgewidth": 0.9, "zorder": 3.0}
 PEER: Look = {"markerfacecolor": "white", "linewidth": 0.6, "markersize": 3.8, "markeredgewidth": 0.7, "zorder": 2.0}

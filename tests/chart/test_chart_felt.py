@@ -62,6 +62,7 @@ def test_a_predictor_that_knows_the_mass_has_the_whole_plane(device: dict[str, A
 def test_the_error_is_the_one_that_is_measured(correction: Any, mass: float, delay: float) -> None:
     """At two points, on the mock."""
     declared = Configuration(mass=0.2, rate=1000.0, delay=delay)
+    sensors = ("velocity", "acceleration") if correction == "sensed" else ()
     plane = DesiredPlane(np.array([0.002]), np.array([0.03, 0.3]))
     felt = felt_by(correction, declared, replace(declared, mass=0.2 * mass), plane)
     k, b = plane.desired(declared)
@@ -70,7 +71,9 @@ def test_the_error_is_the_one_that_is_measured(correction: Any, mass: float, del
         scene = Scene(
             version=1,
             rate=1000.0,
-            device=Device(clock="lockstep", mass=0.2, delay=delay, correction=correction, force_limit=200.0),
+            device=Device(
+                clock="lockstep", mass=0.2, delay=delay, sensors=sensors, correction=correction, force_limit=200.0
+            ),
             mock=Mock(initial=Initial(velocity=0.1), quantum=1e-10, mass=0.2 * mass),
             modules={"hand": DevicePoint(channel=0), "wall": Ground(), "touch": touch},
         )
@@ -93,7 +96,7 @@ def test_what_the_device_has_more_of_by_itself_does_not_count() -> None:
 
 
 def test_the_better_correction_feels_more_and_the_mass_matters(usual: Any) -> None:
-    none, poles, predictor = (usual.felt[name].share(0.05) for name in DRAWN)
+    none, poles, predictor, sensed = (usual.felt[name].share(0.05) for name in DRAWN)
     assert none < 0.1
     assert poles > 0.7
     assert predictor == usual.limit == 1.0
@@ -104,6 +107,9 @@ def test_the_better_correction_feels_more_and_the_mass_matters(usual: Any) -> No
         assert of_masses.argmax() == here
         assert usual.against_delay[name][np.flatnonzero(usual.delay == 1.0)[0]] == of_masses[here]
     assert (np.diff(usual.against_delay["poles"]) < 0.0).all()
+    assert 0.5 < sensed < poles
+    assert (np.diff(usual.against_mass["sensed"]) > -0.01).all()  # the heavier, the better: no mass is in it
+    assert usual.against_mass["sensed"][0] > usual.against_mass["predictor"][0] + 0.2
 
 
 def test_no_controller_has_what_swings_at_half_the_rate_or_faster() -> None:

@@ -45,6 +45,7 @@ def test_the_scenes_that_ship_are_all_here() -> None:
         "paper_6_1_no_delay",
         "paper_6_2_one_sample",
         "paper_6_3_real_damping",
+        "sensed_acceleration",
         "sensed_velocity",
         "sprung_device",
         "zero_order_hold",
@@ -94,7 +95,9 @@ def test_a_scene_that_ships_stays_within_its_force_limit_and_the_counts_of_the_w
     assert 0 < scene.mock_device.initial_velocity[0] <= 0.1
     assert np.abs(trace.asked_force).max() < 0.5 * scene.device.force_limit
     assert 10_000 < counts < 0.5 * 2**31
-    assert abs(trace.position[-1, 0]) <= 2.0 * scene.mock_device.quantum[0]  # it has come to rest
+    # It has come to rest; a count of the velocity weighs as much as some counts of the position.
+    counts_of_rest = 5.0 if "acceleration" in scene.sensed else 2.0
+    assert abs(trace.position[-1, 0]) <= counts_of_rest * scene.mock_device.quantum[0]
 
 
 @pytest.mark.parametrize(
@@ -111,6 +114,8 @@ def test_the_unstable_neighbours_that_the_comments_name_are_unstable(name: str, 
 def test_the_scene_with_a_sensor_states_what_it_would_be_without() -> None:
     predicted = predict(with_touch("sensed_velocity", damper="backward"))
     assert f"k = {predicted.k:.2f} N/m and b = {predicted.b:.4f} N·s/m" in text_of("sensed_velocity")
+    (light,) = (one.with_mass(0.1) for one in predict(load_scene(FOLDER / "sensed_acceleration.yaml")).felt)
+    assert f"{light.k:.2f} N/m and {light.b:.5f} N·s/m" in text_of("sensed_acceleration")
 
 
 @pytest.mark.parametrize("mass", [2e-6, 1.2e-5, 1e-4])

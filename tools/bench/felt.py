@@ -39,7 +39,6 @@ from hapsim.errors import HapsimError
 from hapsim.prediction.correction import felt_error
 from hapsim.running import Excitation
 from hapsim.scene import Device, DevicePoint, Ground, Hand, Initial, Mock, Scene, Span, ViscoElastic
-from hapsim.scene.choices import SENSORS
 
 MASS, RATE = 0.05, 1000.0  # kg, Hz: declared
 FROM, TO, MOST_RATIO = 1e-4, 2.0, 1.5  # K T²/m; damping ratio
@@ -63,7 +62,7 @@ class Contender(NamedTuple):
     settles: float = 0.0
 
 
-SENSED = {"correction": "sensed", "sensors": SENSORS}
+SENSED = {"correction": "sensed", "sensors": ("velocity", "acceleration")}
 CONTENDERS = (
     Contender("none", {}),
     Contender("poles", {"correction": "poles"}),
