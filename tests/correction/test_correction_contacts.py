@@ -59,7 +59,7 @@ def test_a_contact_feels_as_predicted(seed: int) -> None:
 def test_a_contact_trembles_with_a_mass_outside_of_the_stated_range(seed: int) -> None:
     document = random_contact(100 + seed)
     (felt,) = predict(scene_of(document), with_margins=False).felt
-    static, _, (least, _) = robustness_of(felt)
+    static, _, (least, _), _ = robustness_of(felt)
     for factor, holds in ((0.94, False), (1.06, True)):
         if least > 0.0:  # it begins pressed: a hand that bounces off trembles at other masses too
             mock = {"mass": least * factor, "hand": {"force": -5.0}, "initial": {"position": -5.0 / static}}

@@ -66,7 +66,7 @@ class Pusher:
         self._settling = probing.samples_in(3.0, 100, 20000)
         self._home: float | None = None
         self.sensed: Estimate | None = None
-        """What the accelerations of the newest pushes show, in m/s² per N."""
+        """Gain of acceleration per force in the newest pushes, in m/s² per N."""
 
     def acceleration(self, sample: Sample) -> float:
         """Returns m/s², of a device that was armed to send accelerations alone."""
