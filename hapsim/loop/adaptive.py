@@ -23,6 +23,19 @@ A block counts only if the forces move the mass clearly more than the noise. The
 of them, or, if these disagree after a grip, from the latest FEWEST_BLOCKS. While the uncertainty of both is above
 MOST_UNCERTAINTY, the last known estimate stays, and `age` counts for how long. After lost positions, and after late
 forces in a row, the force that acted is unknown: the sums start anew.
+
+**Accelerations.** If the device senses them, they give the mass once more, without a second difference of positions:
+
+    a[n] = (f - b0 v[n] - k0 x[n] + hand) / m + noise,      f: the force that acts at the instant of a[n]
+
+Both sides are differenced twice over HAND_S, in which a hand's push changes little. That removes the sensor's offset,
+too. The friction is fitted. All that is left is taken for noise, so the data give its size. The blocks are short. If
+the latest two contradict those before, a grip has changed: the motion before it is forgotten, the positions' too.
+
+Positions and accelerations are weighed by their variances. No statistics show a wrong scale of the sensor. So SCALE
+adds to the uncertainty of the accelerations, and so does a distance to the positions that both uncertainties do not
+explain. A wrong scale therefore moves the estimate by less than the uncertainty of the positions. After a grip, until
+these know the mass again, it acts in full; so does a sensor that follows a force in more than a sample.
 """
 
 from __future__ import annotations
@@ -45,6 +58,11 @@ MOST_WEIGHTS = 8
 _FOURTH_DIFFERENCE = 70.0  # the energy of white noise in its fourth difference, over its own
 _UNEXPLAINED = 0.05  # variance of ln m if neither forces nor noise explain any motion: enough for dry friction
 _TINY = 1e-300
+HAND_S = 3e-3  # s, over which a hand's push changes little: the accelerations' span
+_FEWEST_SENSED, _SENSED_SPANS = 2, 8  # blocks of accelerations, and spans in one
+_LEAST_SENSED = 100.0  # least energy that the forces make of the heaviest mass in a block, over the mean of the rest
+_CHANGED = 3.0  # standard deviations by which the latest accelerations contradict the others after a grip
+SCALE = 0.01  # relative uncertainty of the scale of a sensor of acceleration
 _COLOURED = 4.0  # variance of sums of filtered noise, over that of white noise of the same energy
 
 _EACH = (schema.MAX_CHANNELS,)
@@ -83,6 +101,10 @@ MASS_ESTIMATE = np.dtype(
     align=True,
 )
 
+JOINT_ESTIMATE = np.dtype(
+    [(name, MASS_ESTIMATE[name]) for name in ("log_mass", "uncertainty", "age", "explained")], align=True
+)
+
 
 @helper
 def note_sample(estimate, gap, late):
@@ -117,6 +139,17 @@ def estimate_mass(estimate, predictor, forces, c, position):
     U = _difference(ring, _FORCE, seen, 1)
     A = _difference(ring, _POSITION, seen, 1) - 2.0 * _difference(ring, _POSITION, seen - 1, 1)
     A += _difference(ring, _POSITION, seen - 2, 1)
+    _add(sums, P, V, Y)
+    sums[_AA] += A * A
+    sums[_AU] += A * U
+    sums[_UU] += U * U
+    if sums[_COUNT] >= 2 * (estimate.span[c] + D):
+        _close_block(estimate, c)
+    return estimate.log_mass[c]
+
+
+@helper
+def _add(sums, P, V, Y):
     sums[_COUNT] += 1.0
     sums[_PP] += P * P
     sums[_PV] += P * V
@@ -124,12 +157,6 @@ def estimate_mass(estimate, predictor, forces, c, position):
     sums[_PY] += P * Y
     sums[_VY] += V * Y
     sums[_YY] += Y * Y
-    sums[_AA] += A * A
-    sums[_AU] += A * U
-    sums[_UU] += U * U
-    if sums[_COUNT] >= 2 * (estimate.span[c] + D):
-        _close_block(estimate, c)
-    return estimate.log_mass[c]
 
 
 @helper
@@ -168,20 +195,25 @@ def _close_block(estimate, c):
         estimate, c
     )
     if sums[_PP] * math.exp(-2.0 * estimate.log_most[c]) > LEAST_SIGNAL * noise:
-        newest = estimate.block[c] % BLOCKS
-        for i in range(_SUMS):
-            estimate.blocks[c, newest, i] = sums[i]
-        estimate.block[c] += 1
-        if not _fit(estimate, c, min(estimate.block[c], BLOCKS)) and estimate.block[c] > FEWEST_BLOCKS:
+        _keep_block(estimate, c)
+        if estimate.block[c] >= FEWEST_BLOCKS and not _fit(estimate, c, min(estimate.block[c], BLOCKS)):
             _fit(estimate, c, FEWEST_BLOCKS)
     for i in range(_SUMS):
         sums[i] = 0.0
 
 
 @helper
+def _keep_block(estimate, c):
+    newest = estimate.block[c] % BLOCKS
+    for i in range(_SUMS):
+        estimate.blocks[c, newest, i] = estimate.sums[c, i]
+    estimate.block[c] += 1
+
+
+@helper
 def _fit(estimate, c, count):
     """Estimates from the latest `count` blocks. Returns whether the mass is known now."""
-    if count < FEWEST_BLOCKS:
+    if count < 2:
         return False
     blocks, newest, total = estimate.blocks[c], estimate.block[c] + BLOCKS - 1, estimate.total
     for k in range(_SUMS):
@@ -236,9 +268,69 @@ def take_spans(estimate):
         if estimate.next_span[c] != estimate.span[c]:
             estimate.span[c] = estimate.next_span[c]
             estimate.slow_span[c] = min(estimate.span[c], MOST_SLOW_SPAN)
-            estimate.block[c] = estimate.seen = 0
-            for i in range(_SUMS):
-                estimate.sums[c, i] = 0.0
+            _restart(estimate, c)
+
+
+@helper
+def _restart(estimate, c):
+    """Forgets a channel's motion up to now."""
+    estimate.block[c] = estimate.seen = 0
+    for i in range(_SUMS):
+        estimate.sums[c, i] = 0.0
+
+
+@helper
+def _add_acceleration(sensed, estimate, predictor, forces, c, moved):
+    """Adds a sample to the estimate `sensed`. `estimate`: by positions, which has the sample; `moved`: T² a, m."""
+    seen, D, ring, positions = estimate.seen, sensed.span[c], sensed.rings[c], estimate.rings[c]
+    sensed.age[c] += 1
+    acted = -sensed.spring[c] * positions[_POSITION, seen & _MASK]
+    for i in range(sensed.count):
+        row = (predictor.newest - (sensed.first_lag - 1 + i)) & predictor.mask
+        acted += sensed.weights[i] * forces[row * 2 * _ROW + IN_ALL + c]
+    ring[_FORCE, seen & _MASK], ring[_MOVED, seen & _MASK] = acted, moved
+    if seen < 2 * D + 2 + sensed.first_lag + sensed.count:
+        return
+    P, Y = _difference(ring, _FORCE, seen - 1, D), _difference(ring, _MOVED, seen - 1, D)
+    V = 0.5 * (_difference(positions, _POSITION, seen, D) - _difference(positions, _POSITION, seen - 2, D))
+    sums = sensed.sums[c]
+    _add(sums, P, V, Y)
+    if sums[_COUNT] >= _SENSED_SPANS * D:
+        left = sums[_YY] - sums[_PY] * sums[_PY] / max(sums[_PP], _TINY)
+        if sums[_PP] * math.exp(-2.0 * sensed.log_most[c]) * sums[_COUNT] > _LEAST_SENSED * left:
+            _keep_block(sensed, c)
+            _fit_accelerations(sensed, estimate, c)
+        for i in range(_SUMS):
+            sums[i] = 0.0
+
+
+@helper
+def _fit_accelerations(sensed, estimate, c):
+    """Estimates from all kept blocks, or from the latest if they contradict these: a grip has changed, and what was
+    before it is forgotten."""
+    is_known = _fit(sensed, c, min(sensed.block[c], BLOCKS))
+    log_mass, uncertainty = sensed.log_mass[c], sensed.uncertainty[c]
+    if sensed.block[c] > _FEWEST_SENSED and _fit(sensed, c, _FEWEST_SENSED):
+        if uncertainty < math.inf and abs(sensed.log_mass[c] - log_mass) > _CHANGED * sensed.uncertainty[c]:
+            estimate.uncertainty[c] = math.inf
+            sensed.block[c] = 0
+            _restart(estimate, c)
+        elif is_known:
+            sensed.log_mass[c], sensed.uncertainty[c] = log_mass, uncertainty
+
+
+@helper
+def _weigh(joint, estimate, sensed, c):
+    """Sets the estimate by positions and accelerations, each with its weight. A distance beyond their uncertainties is
+    taken for an error of the accelerations."""
+    of_positions, distance = estimate.uncertainty[c] ** 2, sensed.log_mass[c] - estimate.log_mass[c]
+    doubt = max(sensed.uncertainty[c] ** 2 + SCALE * SCALE, distance * distance - of_positions)
+    share = 1.0 / (1.0 + doubt / of_positions) if doubt < math.inf else 0.0
+    log_mass = estimate.log_mass[c] + share * distance
+    joint.log_mass[c] = min(max(log_mass, estimate.log_least[c]), estimate.log_most[c])
+    joint.uncertainty[c] = math.sqrt(share * doubt) if share > 0.0 else estimate.uncertainty[c]
+    joint.age[c] = min(estimate.age[c], sensed.age[c])
+    joint.explained[c] = (estimate if of_positions < math.inf else sensed).explained[c]
 
 
 SLEW_S, LEAST_SLEW = 0.05, 25  # s, samples: for a factor e of the mass
@@ -250,7 +342,11 @@ ADAPTIVE = np.dtype(
         ("log_most", np.float64, _EACH),
         ("log_mass", np.float64, _EACH),  # and the mass for which the force is computed
         ("slew", np.float64),  # the largest change of ln m in a sample
-        ("estimate", MASS_ESTIMATE),
+        ("estimate", MASS_ESTIMATE),  # by positions
+        ("sensed", MASS_ESTIMATE),  # by accelerations
+        ("joint", JOINT_ESTIMATE),  # by both
+        ("senses", np.int64),  # 1: the force follows `joint`
+        ("squared_period", np.float64),  # s²
     ],
     align=True,
 )
@@ -277,13 +373,28 @@ def predict_adaptively(predictor, tick):
     note_sample(adaptive.estimate, tick.gap, tick.late)
     for c in range(io.channels):
         if adaptive.adapts[c]:
-            step = estimate_mass(adaptive.estimate, predictor, forces, c, io.measured[c]) - adaptive.log_mass[c]
+            log_mass = estimate_mass(adaptive.estimate, predictor, forces, c, io.measured[c])
+            step = (adaptive.joint.log_mass[c] if adaptive.senses else log_mass) - adaptive.log_mass[c]
             adaptive.log_mass[c] += min(max(step, -adaptive.slew), adaptive.slew)
             span = adaptive.log_most[c] - adaptive.log_least[c]
             set_numbers(predictor, c, (adaptive.log_mass[c] - adaptive.log_least[c]) / span * (predictor.rows - 1))
         elif follows:
             set_numbers(predictor, c, 0.0)
     look_ahead(predictor, io)
+    return 0
+
+
+@hook
+def read_accelerations(predictor, tick):
+    """Estimates the mass from the accelerations, too. Call it after `predict_adaptively`."""
+    predictor, io = _predictor_at(predictor), io_at(tick_at(tick).io)
+    adaptive = _adaptive_at(predictor.adaptive)
+    forces = _doubles_at(predictor.forces, (predictor.mask + 1) * 2 * _ROW)
+    for c in range(io.channels):
+        if adaptive.adapts[c]:
+            moved = io.acceleration[c] * adaptive.squared_period
+            _add_acceleration(adaptive.sensed, adaptive.estimate, predictor, forces, c, moved)
+            _weigh(adaptive.joint, adaptive.estimate, adaptive.sensed, c)
     return 0
 
 

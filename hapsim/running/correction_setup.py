@@ -19,12 +19,15 @@ from hapsim.holds import HOLDS, Hold
 from hapsim.loop.adaptive import (
     ADAPTIVE,
     ADDED,
+    HAND_S,
     LEAST_SLEW,
     MOST_SLOW_SPAN,
     MOST_SPAN,
+    SCALE,
     SLEW_S,
     add_difference,
     predict_adaptively,
+    read_accelerations,
 )
 from hapsim.loop.hooks import Hook, Stage
 from hapsim.loop.posted import Mailbox
@@ -33,7 +36,7 @@ from hapsim.prediction.correction import Corrected, Rendering
 from hapsim.prediction.correction.kind import predictor_for
 from hapsim.scene import Scene
 from hapsim.scene.device import Device
-from hapsim.theory.correction import StatePredictor, forces_in_second_difference
+from hapsim.theory.correction import StatePredictor, forces_at_sample, forces_in_second_difference
 
 Table = NDArray[np.float64]
 
@@ -71,6 +74,8 @@ class LoopCorrection:
         if self._ports:
             self._adapt(rendering, description)
             self.hooks.append(Hook(Stage.ADD, add_difference, record))
+            if self._adaptive.senses:
+                self.hooks.append(Hook(Stage.ADD, read_accelerations, record))
         self.hooks.append(Hook(Stage.PREDICT, predict_adaptively if self._ports else predict, record))
 
     def _keep_forces(self, lags: int, device: Device, loop: Any) -> None:
@@ -101,17 +106,26 @@ class LoopCorrection:
         self._adaptive = record = new_record(ADAPTIVE)
         self._period = period
         record.slew = 1.0 / max(SLEW_S / period, LEAST_SLEW)
-        estimate = record.estimate
-        numerator, estimate.first_lag = forces_in_second_difference(rendering.ports[0].declared)
-        estimate.count = len(numerator)
-        estimate.weights[: len(numerator)] = period**2 * numerator
-        estimate.uncertainty[:] = math.inf
+        estimate, sensed, scene = record.estimate, record.sensed, rendering.desired
+        record.senses, record.squared_period = "acceleration" in scene.sensed, period**2
+        declared = rendering.ports[0].declared
+        acting = forces_in_second_difference(declared), forces_at_sample(declared, scene.device.acceleration_age)
+        for one, (weights, first_lag) in zip((estimate, sensed), acting, strict=True):
+            one.first_lag, one.count = first_lag, len(weights)
+            one.weights[: len(weights)] = period**2 * weights
+            one.uncertainty[:] = math.inf
+        sensed.span[:] = min(max(round(HAND_S / period), 1), MOST_SPAN)
+        sensed.slow_span[:] = sensed.span
+        sensed.rounding[:] = math.inf  # all that the forces do not explain may be noise
         for channel, port in self._ports.items():
             record.adapts[channel] = 1
-            for spans in (record, estimate):
+            for spans in (record, estimate, sensed):
                 spans.log_least[channel], spans.log_most[channel] = np.log(_span(port))
                 spans.log_mass[channel] = spans.log_least[channel]
-            estimate.spring[channel] = port.declared.stiffness * period**2
+            sensed.log_least[channel] -= 3.0 * SCALE
+            sensed.log_most[channel] += 3.0 * SCALE
+            estimate.spring[channel] = sensed.spring[channel] = port.declared.stiffness * period**2
+            record.joint.log_mass[channel], record.joint.uncertainty[channel] = record.log_least[channel], math.inf
             estimate.rounding[channel] = description.position_scale[channel] ** 2 / 12.0
         for channel, samples in self._spans(rendering):
             estimate.next_span[channel] = samples
@@ -144,7 +158,7 @@ class LoopCorrection:
         if not self._ports:
             return {}
         rows: list[tuple[float | None, ...]] = [(None, None, None, None)] * channels
-        estimate = self._adaptive.estimate
+        estimate = self._adaptive.joint if self._adaptive.senses else self._adaptive.estimate
         for channel, port in self._ports.items():
             (least, most), mass = _span(port), float(np.exp(estimate.log_mass[channel]))
             uncertainty = min(float(estimate.uncertainty[channel]) * mass, most - least)

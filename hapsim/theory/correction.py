@@ -10,6 +10,7 @@ The predictor may assume another mass than the real one: `PredictedLoop` compute
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -185,6 +186,18 @@ def _noise(power: Floats, reads: Floats, answers: Floats) -> float:
         spread = spread + power @ spread @ power.T
         power = power @ power
     return float(np.sqrt(max(float(answers @ spread @ answers), 0.0)))
+
+
+def forces_at_sample(model: Configuration, age: int) -> tuple[Floats, int]:
+    """Returns (weights, first) of the force that acts at a sample: the sum of weights[i] f[n - first - i]. ``age`` 0:
+    just after sample n; 1: just before it, as always if f[n] would act at once. No weights: an impulse is over."""
+    whole, fraction = whole_and_fraction(model.delay)
+    pieces = hold_segments(model.hold, fraction)
+    before = age == 1 or (whole == 0 and any(pieces[0].level[:1]))
+    piece = pieces[-1] if before else pieces[0]
+    gone = piece.duration if before else 0.0
+    both = itertools.zip_longest(piece.level, piece.slope, fillvalue=0.0)
+    return np.array([level + gone * slope for level, slope in both]), whole + before
 
 
 NEGLIGIBLE = 1e-12  # of the oldest noise: its square is beyond rounding

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,19 +19,6 @@ from hapsim.measuring.measure import measure
 from hapsim.recording.report import Report
 from hapsim.running import PeriodicExcitation
 from hapsim.scene import Device, DevicePoint, Ground, Mock, Scene, Span, ViscoElastic
-
-_BENCH = Path(__file__).resolve().parents[2] / "tools" / "bench" / "estimated_mass.py"
-
-
-@pytest.fixture(scope="module")
-def bench() -> Any:
-    """The devices that the figures are made with."""
-    spec = importlib.util.spec_from_file_location("estimated_mass", _BENCH)
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["estimated_mass"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def scene_of(mass: float = 0.3, **mock: Any) -> Scene:
