@@ -287,13 +287,15 @@ class StoredEnergy:
 
     def _links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         scene, grounds, hands = self._scene, self._scene.grounds, self._scene.device_points  # each is made anew
+        at_proxies = scene.links_at_proxies
         for name, link in scene.links.items():
             if not connected & {*_nodes(scene, link)}:
                 continue
             ends = [self._program.numbers[end] for end in link.between]
             at = [self._live(end, "position") if end in grounds else 0 for end in link.between]
             most = self._force_limit if any(end in hands for end in link.between) else np.inf
-            law, is_bristle = link.table(), isinstance(link, Friction)
+            law = link.table() or (link.law() if name in at_proxies else None)
+            is_bristle = isinstance(link, Friction)
             if law is not None:
                 keys = [knot_field(what, name, 0, len(law.knots)) for what in ("edge", "tension")]
                 shape = [self._live(*key) for key in [*keys, *((name, of) for of in ("below", "beyond", "period"))]]

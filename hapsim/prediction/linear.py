@@ -41,6 +41,8 @@ class LinearScene(NamedTuple):
     """Links of the scene, by name."""
     inner: list[LinearLink]
     """Elements of its structures, and the springs that hold its material points."""
+    implicit: frozenset[str]
+    """Points of `masses` with an implicit step."""
     assumptions: list[str]
     """Sentences on the linear forms of links that are not linear."""
 
@@ -91,7 +93,7 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
         masses |= dict(zip(places, elements.masses, strict=True))
         named = [*places, STAYS]  # -1 is the last
         inner += [LinearLink((named[a], named[b]), k, z) for a, b, k, z in elements.links]
-    return LinearScene(masses, frozenset([*scene.grounds, STAYS]), links, inner, assumptions)
+    return LinearScene(masses, frozenset([*scene.grounds, STAYS]), links, inner, frozenset(scene.proxies), assumptions)
 
 
 def links_of(linear: LinearScene, name: str) -> dict[str, LinearLink]:
@@ -221,6 +223,7 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
         hold=device.hold,
         sampling=device.sampling,
         point_mass=np.array(list(linear.masses.values())),
+        implicit=np.array([name in linear.implicit for name in linear.masses], bool),
         ends=np.array([[number[end] for end in link.between] for link in links], int).reshape(-1, 2),
         stiffness=np.array([link.stiffness for link in links]),
         damping=np.array([link.damping for link in links]),

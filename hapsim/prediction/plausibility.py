@@ -240,19 +240,19 @@ def _device_values(scene: Scene) -> Iterator[_Value]:
 def _link_values(scene: Scene) -> Iterator[_Value]:
     """Yields values of links that depend on the masses at their ends, and of structures and cells on their own."""
     spans, limit = scene.device.mass_spans(scene.channels), scene.device.force_limit
-    masses = {name: module.mass for name, module in (scene.material_points | scene.structures).items()}
+    every = scene.material_points | scene.structures
+    masses = {name: module.mass for name, module in every.items() if name not in scene.proxies}  # those have no limit
     for name, mass in masses.items():
         yield from _spring_values(scene, name, mass, "")
-    moved = frozenset(masses)
+    moved = frozenset(every)
     masses |= {name: spans[point.channel][0] for name, point in scene.device_points.items()}
     ranges = _ranges(scene)
     strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {scene.units(limit, 'N')}")
     for name, link in scene.links.items():
         ends = [end.partition(".")[0] for end in link.between]
         hand = next((end for end in ends if end in scene.device_points), "")
-        yield from _spring_values(
-            scene, name, min(masses[end] for end in ends if end in masses), hand, not moved.isdisjoint(ends)
-        )
+        if explicit := [masses[end] for end in ends if end in masses]:
+            yield from _spring_values(scene, name, min(explicit), hand, not moved.isdisjoint(ends))
         if hand:
             yield from (
                 one._replace(range=strong) for one in _values(link, f"modules.{name}.", ranges) if one.unit == "N"

@@ -98,7 +98,8 @@ class Swinging(NamedTuple):
         has_memory = any(math.isfinite(law.reach) or law.grips for law in laws)
         at_the_sample = network.scheme == "cordis" or all(network.outside[link] for link in self.laws)
         is_small = network.channel_mass.size < 2 and state_size(network) <= _MOST_STATES
-        return is_small and network.substeps == 1 and at_the_sample and not has_memory
+        at_once = network.substeps > 1 or network.implicit.any()  # a force acts on others in the same sample
+        return is_small and not at_once and at_the_sample and not has_memory
 
     def swing_at(self, rests: Sequence[Rest], is_all: bool = True) -> Swing | None:
         """Returns the largest oscillation at these rests, all unstable. `is_all`: there are no other unstable ones.

@@ -153,7 +153,8 @@ def _largest(network: Network, links: Any, rate: float) -> float:
     ends = network.ends[links] - hands
     row, side = np.nonzero(ends >= 0)
     mass = ends[row, side]
-    entry = np.sqrt(np.maximum(weight[row], 0.0) / network.point_mass[mass]) * (1.0 - 2.0 * side)
+    moved = np.where(network.implicit, np.inf, network.point_mass)[mass]  # an implicit step has no such limit
+    entry = np.sqrt(np.maximum(weight[row], 0.0) / moved) * (1.0 - 2.0 * side)
     _, column = np.unique(mass, return_inverse=True)
     matrix = coo_array((entry, (row, column)), shape=(links.size, column.max(initial=0) + 1)).tocsr()
     if min(matrix.shape) <= _DENSE:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 
 _EVERY_MODULE = Path(__file__).with_name("every_module.yaml")
+_PROXY = "  cup: {type: proxy, mass: 1, hand: hand, stiffness: 1}\n"  # has no other scheme
 
 
 class CompileUnit(NamedTuple):
@@ -296,7 +297,7 @@ def scenes_with_every_module(precision: str) -> Iterator[Scene]:
         template += f"  {damper}: {{type: viscoelastic, {ends}}}\n"
     for scheme, damping in product(get_args(SchemeName), (0, 1)):
         text = Template(template).substitute(precision=precision, scheme=scheme, damping=damping)
-        yield parse_scene(text, "every module")
+        yield parse_scene(text + _PROXY if scheme == "cordis" else text, "every module")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from hapsim.units import MOTIONS, Motion
 from .choices import AHEAD, BY_SENSORS, SENSORS
 from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
-from .modules.point_modules import DevicePoint, Ground
+from .modules.point_modules import DevicePoint, Ground, Proxy
 from .part import ModuleContext, Part
 from .quantity import Span
 from .written_units import QUANTITY, in_si
@@ -56,12 +56,59 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     if isinstance(substeps, int) and substeps > 1:
         yield from _dampers_across_steps(around)
         yield from _predicted_mean(per_channel[("device",)])
+    if Proxy in kinds:
+        yield from _proxy_issues(around, per_channel[("device",)], scene)
     if isinstance(sound, Mapping):
         yield from sound_issues(sound, around, scene.get("scheme"))
     if per_channel[("device",)].get("port") is None:
         yield from narrow_detents(around, _counts_of_mock(per_channel), "mock.quantum")
     yield from lists_of_another_length(per_channel, _channels(around))
     yield from _links_of_both_motions(around, per_channel[("device",)].get("motion"))
+
+
+def _proxy_issues(around: ModuleContext, device: Mapping[str, object], scene: Mapping[str, object]) -> Iterator[Issue]:
+    """Yields what a proxy's implicit step cannot do."""
+    for path, found, right in (
+        (("scheme",), scene.get("scheme"), "cordis"),
+        (("substeps",), scene.get("substeps"), 1),
+        (("device", "correction"), device.get("correction"), "none"),
+    ):
+        if found not in (None, right):
+            yield Issue(path, f"found {found} in a scene with a proxy, expected {right}: its step is made for no other")
+    least = {name: 0.0 for name, one in around.modules.items() if isinstance(one, Proxy)}
+    for name, link in around.modules.items():
+        if isinstance(link, Link) and around.knows(name, *type(link).model_fields):
+            ends = [end for end in link.between if around.kinds.get(end) is Proxy]
+            if len(ends) > 1:
+                found = f"found {' and '.join(map(quote, ends))}, which are both proxies"
+                yield Issue(("modules", name, "between"), f"{found}; expected a ground, a mass or a hand at one end")
+            elif ends and (unfit := _unfit_at_proxy(link)):
+                found = f"found {quote(ends[0])}, a proxy, at an end of a {link.type}{unfit}; expected a spring, damper, "
+                expected = "viscoelastic (damper: backward), buffer, click, a detent (shape: snap or notch) or a nonlinear"
+                yield Issue(("modules", name, "between"), f"{found}{expected} without force_over_velocity")
+            elif ends and ends[0] in least:
+                least[ends[0]] += min(link.law().sector[0], 0.0)
+    rate = scene.get("rate")
+    for name, slope in least.items():
+        proxy = around.modules[name]
+        if isinstance(proxy, Proxy) and isinstance(rate, int | float) and around.knows(name, *type(proxy).model_fields):
+            holds = proxy.mass * rate**2 + proxy.stiffness + proxy.damping * rate
+            if not holds + slope > 0.0:
+                sentence = (
+                    f"found {proxy.mass:g}, with which links that fall by {-slope:g} {around.units.name('N/m')} leave "
+                    "several places for the proxy in a sample; expected a larger mass"
+                )
+                yield Issue(("modules", name, "mass"), sentence)
+
+
+def _unfit_at_proxy(link: Link) -> str:
+    """Returns words on why this link cannot end on a proxy, to follow its type; "" if it can."""
+    law = link.law()
+    if isinstance(link, ViscoElastic) and link.damper != "backward":
+        return f" with damper: {link.damper}"
+    if law.speeds:
+        return " with force_over_velocity"
+    return " of shape: sine" if law.is_curved else "" if law.memoryless else ", which has a memory"
 
 
 def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
@@ -156,6 +203,10 @@ def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
                 if around.kinds.get(end) is not Ground:
                     neighbours[name].append(end)
                     neighbours[end].append(name)
+    for name, proxy in around.modules.items():
+        if isinstance(proxy, Proxy) and around.knows(name, "hand"):
+            neighbours[name].append(proxy.hand)
+            neighbours[proxy.hand].append(name)
     each = motions if isinstance(motions, list | tuple) else ()
     hands = {name: one for name, one in around.modules.items() if isinstance(one, DevicePoint)}
     channels = {name: one.channel for name, one in hands.items() if around.knows(name, "channel")}

@@ -20,8 +20,8 @@ from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
-from .modules.links import Link, PickUp, ViscoElastic
-from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint
+from .modules.links import Coupling, Link, PickUp, ViscoElastic
+from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
 from .part import Module, ModuleContext, Part, Table
 from .quantity import NAME, count, quantity
@@ -171,8 +171,23 @@ class Scene(Part):
 
     @property
     def links(self) -> dict[str, Link]:
-        """The elements between two points, by name, in the order of the file."""
-        return self._of(Link)
+        """The elements between two points, by name, in the order of the file; then the couplings of the proxies."""
+        couplings: dict[str, Link] = {
+            name: Coupling(type="coupling", between=(one.hand, name), stiffness=one.stiffness, damping=one.damping)
+            for name, one in self.proxies.items()
+        }
+        return self._of(Link) | couplings
+
+    @property
+    def proxies(self) -> dict[str, Proxy]:
+        """The points that stand for hands, by name, in the order of the file."""
+        return self._of(Proxy)
+
+    @property
+    def links_at_proxies(self) -> dict[str, Link]:
+        """The links that end on a proxy, couplings aside."""
+        proxies = self.proxies.keys()
+        return {name: link for name, link in self._of(Link).items() if proxies & {*link.between}}
 
     @property
     def sensed_links(self) -> tuple[str, ...]:

@@ -112,6 +112,10 @@ class Tick:
         )
         self.damping = np.where(damps, network.damping, 0.0) * self._rate
         self._unit_force = 1.0 / network.point_mass / self._rate**2
+        self._implicit = np.flatnonzero(network.implicit)
+        backward = network.stiffness + self.damping * self._step_weights[:, 0]
+        held = abs(self.stretches[:, self._channels + self._implicit]).T @ backward
+        self._implicit_step = 1.0 / (1.0 / self._unit_force[self._implicit] + held)
         self._scheme = None if is_centred(network) else SCHEMES[network.scheme]
         if self._scheme is not None:
             self.inside = np.isin(np.arange(links), inner := inner_links(network)) * 1.0
@@ -142,7 +146,7 @@ class Tick:
         count, of_masses = self._masses, self.stretches[:, self._channels :].T
         if self._scheme is None:
             faster = times(self._unit_force, pushed - of_masses @ pull)
-            return start["mass_step"] + faster, faster
+            return start["mass_step"] + times(1.0 + self._network.implicit, faster), faster
         held = times(self._unit_force / self.unit, pushed - of_masses @ times(1.0 - self.inside, pull))
         z = [start["mass"], start["mass_step"] / self.unit]
         if self._needs_channels:
@@ -159,20 +163,27 @@ class Tick:
         sensed = start["sensed"] + start["sensed_step"] if "sensed_step" in start else start["sensed"]
         return spread(sensed / self._network.substeps, sensed_channels(self._network), self._channels)
 
-    def seen(self, start: dict[str, Rows]) -> tuple[Rows, Rows, Rows]:
-        """Returns what ``forces`` returns, at the instant when the hands have arrived."""
+    def seen(self, start: dict[str, Rows], pushed: Rows | None = None) -> tuple[Rows, ...]:
+        """Returns what ``forces`` returns, at the instant when the hands have arrived. An implicit mass, which would
+        coast to its part of ``start``, is where all forces then balance; ``pushed``: as in ``step``."""
         x, step = stack([start["hand"] + start["gain"], start["mass"]]), stack([start["gain"], start["mass_step"]])
         old_steps, old_rates = _by_lag(start["old_steps"], self.old_steps), _by_lag(start["old_rates"], self.old_rates)
-        return self.forces(x, step, self._sensed(start), old_steps, old_rates)
+        found = self.forces(x, step, self._sensed(start), old_steps, old_rates)
+        if not self._implicit.size:
+            return found
+        at = self._channels + self._implicit
+        force = -(self.stretches[:, at].T @ found[0]) + (0.0 if pushed is None else pushed[self._implicit])
+        moved = spread(times(self._implicit_step, force), at, x.shape[0])
+        return self.forces(x + moved, step + moved, self._sensed(start), old_steps, old_rates)
 
     def step(self, start: dict[str, Rows], pushed: Rows | None = None, unknown: Rows | None = None) -> dict[str, Rows]:
         """Returns the change that a step makes in each part of ``start``: hands arrive, links pull, masses move.
         ``pushed``: other forces on the masses, N. ``unknown``: as in ``masses``; its equation is then the part
         "unknown"."""
         network, gain, still = self._network, start["gain"], 0.0 * start["sensed"]
-        pull, _, rate = self.seen(start)
-        force = -(self.stretches[:, : self._channels].T @ pull)
         pushed = 0.0 * start["mass"] if pushed is None else pushed
+        pull, _, rate = self.seen(start, pushed)
+        force = -(self.stretches[:, : self._channels].T @ pull)
         more, faster, *equation = self.masses(start, pull, pushed, unknown)
         before = self.stretches @ stack([gain, more - faster]) if self.old_steps else start["old_steps"]
         out = {

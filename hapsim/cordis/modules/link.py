@@ -18,6 +18,7 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import NativeFunction
 from hapsim.cordis.build_context import BuildContext, PartType, all_of
 from hapsim.cordis.dispatch import Column, Memory, Part
+from hapsim.scene import Scene
 from hapsim.scene.modules import Link
 
 
@@ -64,7 +65,16 @@ def link_type(
         return Part(own, initialize=initialize, add_forces=add_forces, memory=memory)
 
     gathered = "; ".join(filter(None, ("gathered through unsigned indices", compiled_as)))
-    return PartType(all_of(module, where), build, name=name, compiled_as=gathered)
+    every = all_of(module, where)
+    return PartType(
+        lambda scene: apart_from_proxies(every(scene), scene), build, name=name, compiled_as=gathered
+    )
+
+
+def apart_from_proxies(links: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+    """Returns these links without those that end on a proxy: its part has them."""
+    at_proxies = scene.links_at_proxies if scene.proxies else {}
+    return {name: link for name, link in links.items() if name not in at_proxies}
 
 
 def ends_of(links: Mapping[str, Any], context: BuildContext) -> Ends:

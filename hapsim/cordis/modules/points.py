@@ -10,6 +10,7 @@ are adjacent in memory, and one pass moves them all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -37,7 +38,8 @@ def retarget(grounds, state):
 
 
 class Masses(NamedTuple):
-    """M masses, one type of material point after the other, from point `start` on; `mobility`: T²/m in m/N, (M,)."""
+    """M masses, one type of material point after the other, from point `start` on; `mobility`: T²/m in m/N, (M,). 0 of
+    a proxy, which coasts: its own part moves it on."""
 
     start: np.uint64
     mobility: Column
@@ -87,7 +89,7 @@ def _grounds(grounds: Mapping[str, Any], columns: Sequence[Column], context: Bui
 
 
 def _masses(masses: Mapping[str, Any], _columns: Sequence[Column], context: BuildContext) -> Part:
-    mobility = context.mobility([one.mass for one in masses.values()])
+    mobility = context.mobility([math.inf if one.is_implicit else one.mass for one in masses.values()])
     return Part(Masses(_start(masses, context), mobility), integrate=integrate)
 
 

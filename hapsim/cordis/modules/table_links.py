@@ -23,7 +23,7 @@ from hapsim.compiling import inlined
 from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, knot_field
 from hapsim.cordis.dispatch import Column, Part, action
-from hapsim.cordis.modules.link import Ends, count, ends_of, pull_ends, stretch
+from hapsim.cordis.modules.link import Ends, apart_from_proxies, count, ends_of, pull_ends, stretch
 from hapsim.laws import Law, curve_law, roomy
 from hapsim.scene import Nonlinear, Scene
 from hapsim.scene.modules import Link
@@ -66,7 +66,12 @@ class TableLinks(NamedTuple):
 @action
 def retarget(links, _state):
     """Computes the numbers that depend on the live ones."""
-    links = value_of(links)
+    update_pieces(value_of(links))
+
+
+@inlined
+def update_pieces(links):
+    """Computes the numbers that depend on the live ones."""
     real = links.edge.dtype.type
     for i in range(count(links.ends)):
         first, last, period = links.begin[i], links.begin[i + ONE] - ONE, links.period[i]
@@ -97,7 +102,7 @@ def add_table_forces(links, state):
     for i in range(count(links.ends)):
         d = stretch(links.ends, i, state.position)
         if not d >= links.nothing_from[i]:
-            pull_ends(links.ends, i, _tension_at(links, i, d, state.previous), state.force)
+            pull_ends(links.ends, i, tension_at(links, i, d, state.previous)[0], state.force)
 
 
 @action
@@ -106,13 +111,14 @@ def add_velocity_forces(links, state):
     links, state = value_of(links), value_of(state)
     for i in range(count(links.ends)):
         growth = stretch(links.ends, i, state.position) - stretch(links.ends, i, state.previous)
-        pull_ends(links.ends, i, _tension_at(links, i, growth, state.previous), state.force)
+        pull_ends(links.ends, i, tension_at(links, i, growth, state.previous)[0], state.force)
 
 
 @inlined
-def _tension_at(links, i, d, previous):
-    """Returns link i's tension in N at `d` m, with its points at `previous` a sample before; NaN for NaN."""
-    k, at = links.piece[i], d - links.turn[i]
+def tension_at(links, i, d, previous):
+    """Returns link i's tension in N at `d` m, with its points at `previous` a sample before, NaN for NaN; and its
+    slope there in N/m, in which the damper has its part."""
+    real, k, at = links.edge.dtype.type, links.piece[i], d - links.turn[i]
     slope, damping = links.slope[k], links.damping_per_sample[k]
     if not links.edge[k] <= at < links.until[k]:  # usually the piece is the last one
         k, period, at = links.begin[i], links.period[i], d
@@ -126,7 +132,8 @@ def _tension_at(links, i, d, previous):
     tension = links.tension[k] + slope * (at - links.edge[k])
     if damping != 0:
         tension += damping * (d - stretch(links.ends, i, previous))
-    return min(tension, links.most[i])
+        slope += damping
+    return min(tension, links.most[i]), real(0) if tension > links.most[i] else slope
 
 
 @inlined
@@ -141,7 +148,7 @@ def _piece(links, k, end, at):
     return k
 
 
-def _columns(laws: Mapping[str, Law], rate: float, per: float, over: str) -> list[LiveColumn]:
+def knot_columns(laws: Mapping[str, Law], rate: float, per: float, over: str) -> list[LiveColumn]:
     """Returns the live columns of `TableLinks`. `per`: metres per unit of edges; `over`: prefix of the field names."""
 
     def of_knots(what: str, values: Callable[[Law], Sequence[float]]) -> LiveColumn:
@@ -177,21 +184,27 @@ def _table_type(
         return {name: law for name, link in links.items() if (law := table(link)) is not None}
 
     def select(scene: Scene) -> dict[str, Link]:
-        return {name: scene.links[name] for name in tables(scene.links)}
+        return apart_from_proxies({name: scene.links[name] for name in tables(scene.links)}, scene)
 
     def live(links: Mapping[str, Link], rate: float) -> list[LiveColumn]:
-        return _columns(tables(links), rate, per(rate), over)
+        return knot_columns(tables(links), rate, per(rate), over)
 
     def build(links: Mapping[str, Link], columns: Sequence[Column], context: BuildContext) -> Part:
-        laws = tables(links).values()
-        begin = np.cumsum([0, *(len(law.knots) for law in laws)]).astype(np.uint64)
-        pushes = np.array([law.pushes for law in laws], np.uint8)
-        derived = *np.zeros((2, int(begin[-1])), context.real), *np.zeros((3, len(laws)), context.real)
-        numbers = TableLinks(ends_of(links, context), begin, begin[:-1].copy(), pushes, *derived, *columns)
+        numbers = table_numbers(links, list(tables(links).values()), columns, context)
         return Part(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
 
     words = "gathered through unsigned indices; a search in each one's knots"
     return PartType(select, build, name=name, compiled_as=words, live=live)
+
+
+def table_numbers(
+    links: Mapping[str, Link], laws: Sequence[Law], columns: Sequence[Column], context: BuildContext
+) -> TableLinks:
+    """Returns the numbers of links with these laws."""
+    begin = np.cumsum([0, *(len(law.knots) for law in laws)]).astype(np.uint64)
+    pushes = np.array([law.pushes for law in laws], np.uint8)
+    derived = *np.zeros((2, int(begin[-1])), context.real), *np.zeros((3, len(laws)), context.real)
+    return TableLinks(ends_of(links, context), begin, begin[:-1].copy(), pushes, *derived, *columns)
 
 
 def _over_velocity(link: Link) -> Law | None:

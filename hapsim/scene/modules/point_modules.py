@@ -1,4 +1,4 @@
-"""The points that links join: the device point, the ground, CORDIS's MAS (mass) and CEL (cell)."""
+"""The points that links join: the device point, the ground, CORDIS's MAS (mass) and CEL (cell), the proxy."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pydantic import Field
 
 from hapsim.laws import Law
 
-from ..issue import Issue, quote
+from ..issue import Issue, did_you_mean, quote
 from ..part import Module, ModuleContext, check_of
-from ..quantity import MOST_CHANNELS, count, quantity
+from ..quantity import MOST_CHANNELS, count, quantity, text
 
 
 class DevicePoint(Module):
@@ -55,6 +55,8 @@ class MaterialPoint(Module):
     #: It pulls itself by a force of its own that is more than `held_by` says, or another: it has a part of the program
     #: under every scheme, and a `law`.
     pulls_itself: ClassVar[bool] = False
+    #: Its step is implicit: it is where the forces on it balance in the same sample.
+    is_implicit: ClassVar[bool] = False
     initial: ClassVar[tuple[str, ...]] = ("position", "velocity")
 
     mass: Annotated[float, quantity("Mass", "kg", above=0)]
@@ -100,3 +102,37 @@ class Cell(MaterialPoint):
 
     def held_by(self) -> Held:
         return Held(self.stiffness, self.damping, self.rest)
+
+
+HAND = text("The device point that the coupling joins it to, by name", "the name of a module of type device", ".+")
+
+
+class Proxy(MaterialPoint):
+    """A point that stands for a hand in the scene: a virtual coupling, a spring and a damper, joins both."""
+
+    is_implicit: ClassVar[bool] = True
+    live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
+
+    type: Literal["proxy"] = Field(
+        default="proxy", description="A material point with an implicit step that a virtual coupling joins to a hand"
+    )
+    hand: Annotated[str, HAND]
+    stiffness: Annotated[float, quantity("Stiffness of the coupling", "N/m", least=0)]
+    damping: Annotated[float, quantity("Viscosity of the coupling", "N·s/m", least=0)] = 0.0
+    position: Annotated[float, quantity("Position at the start", "m")] = 0.0
+    velocity: Annotated[float, quantity("Velocity at the start", "m/s")] = 0.0
+
+    def start(self) -> tuple[float, float]:
+        return self.position, self.velocity
+
+    @check_of("hand")
+    def _stands_for_one_hand(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+        if around.kinds.get(self.hand, DevicePoint) not in (None, DevicePoint) or self.hand not in around.kinds:
+            hint = did_you_mean(self.hand, [one for one, kind in around.kinds.items() if kind is DevicePoint])
+            yield Issue(("hand",), f"found {quote(self.hand)}, expected the name of a module of type device{hint}")
+            return
+        others = (one for one, other in around.modules.items() if isinstance(other, Proxy) and around.knows(one, "hand"))
+        first = next(one for one in others if getattr(around.modules[one], "hand", None) == self.hand)
+        if first != name:
+            sentence = f"found {quote(self.hand)}, which {quote(first)} stands for already; expected one proxy for a hand"
+            yield Issue(("hand",), sentence)

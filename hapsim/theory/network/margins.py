@@ -2,7 +2,7 @@
 
 For a small scene under CORDIS's scheme, one eigenvalue problem for each link and quantity gives every factor at which a
 pole crosses the unit circle. For a large one the circle is sampled (both: ``crossings.py``). For the other schemes, and
-with substeps, a search tests the poles at many factors.
+with substeps, a search tests the poles at many factors. So it is with implicit masses, where a change acts on a force in the same sample.
 """
 
 from __future__ import annotations
@@ -124,6 +124,7 @@ def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Searc
     method = f"{SEARCHED}; an unstable range within one step is not seen"
     if not most:
         under = f"under scheme: {network.scheme}" if network.substeps == 1 else "with substeps"
+        under = "with a proxy" if network.implicit.any() else under
         method = f"none was worked out: the scene has too many masses {under}"
     elif links > most:
         method = f"{most} of {links} links, those that touch a hand first; {method}"

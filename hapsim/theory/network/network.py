@@ -35,6 +35,9 @@ class Network:
     the real one at the instant of the sample, before any change of the force at that instant; with averaged sampling
     its mean over the last period.
 
+    An implicit mass moves by m/T² (x[n] - 2 x[n-1] + x[n-2]) = F[n], in which x[n] is that of this equation too. No link
+    joins two of them, and dampers there are backward.
+
     Attributes:
         rate: sample rate, Hz, > 0.
         channel_mass: (C,) real masses, kg, > 0.
@@ -55,6 +58,7 @@ class Network:
         decimation: force on a channel: that of the "last" step, or the "mean" of all N.
         ahead: the links see the channels ahead of their readings, as of a device that senses velocity and acceleration;
             None: at their readings.
+        implicit: (M,) masses with an implicit step, under CORDIS's scheme without substeps. Default: none.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -78,6 +82,7 @@ class Network:
     substeps: int = 1
     decimation: str = "last"
     ahead: Ahead | None = None
+    implicit: Bools = ()  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         mass = vector("channel_mass", self.channel_mass, above=0.0)
@@ -101,17 +106,30 @@ class Network:
             "outside": tuple(self.outside),
             "substeps": int(positive("substeps", self.substeps)),
             "decimation": one_of("decimation", self.decimation, DECIMATIONS),
+            "implicit": np.array(self.implicit if len(self.implicit) else [False] * point_mass.size, bool),
         }
         for name in ("damper", "outside"):
             if checked[name] and len(checked[name]) != len(ends):
                 raise ValueError(f"{name} has {len(checked[name])} elements, but there are {len(ends)} links.")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+        if self.implicit.any():
+            self._require_solvable(ends >= mass.size)
+
+    def _require_solvable(self, at_mass: Bools) -> None:
+        """``at_mass`` (L, 2): which ends are masses."""
+        at = at_mass & np.append(self.implicit, False)[np.where(at_mass, self.ends - self.channel_mass.size, -1)]
+        backward = [self.damper[link] == BACKWARD for link in np.flatnonzero(at.any(axis=1)).tolist()]
+        if at.all(axis=1).any() or not all(backward) or self.scheme != "cordis" or self.substeps > 1:
+            raise ValueError(
+                "implicit masses have links to other points, with backward dampers, under CORDIS's scheme without substeps."
+            )
 
 
 def is_centred(network: Network) -> bool:
-    """Returns whether all points move once a sample, and the masses, if any, by CORDIS's scheme."""
-    return network.substeps == 1 and (SCHEMES[network.scheme] is None or network.point_mass.size == 0)
+    """Returns whether all points move once a sample, and the masses, if any, by CORDIS's scheme, none implicitly."""
+    is_cordis = SCHEMES[network.scheme] is None or network.point_mass.size == 0
+    return network.substeps == 1 and is_cordis and not network.implicit.any()
 
 
 def acting_links(network: Network) -> Indices:
@@ -180,11 +198,13 @@ def part_of(network: Network, points: Indices) -> Network:
     ends = number[network.ends]
     links = np.flatnonzero((ends > -2).all(axis=1) & (ends >= 0).any(axis=1))
     channels = points[points < network.channel_mass.size]
+    masses = points[channels.size :] - network.channel_mass.size
     of_channels = ("channel_mass", "channel_friction", "channel_stiffness")
     return replace(
         network,
         **{name: getattr(network, name)[channels] for name in of_channels},
-        point_mass=network.point_mass[points[channels.size :] - network.channel_mass.size],
+        point_mass=network.point_mass[masses],
+        implicit=network.implicit[masses],
         ends=ends[links],
         stiffness=network.stiffness[links],
         damping=network.damping[links],
@@ -203,7 +223,7 @@ def proves_stability(network: Network) -> bool:
     is outside the unit circle if k, b >= 0 and 4 m >= k T² + 2 b T (Jury). Every v satisfies this if the sum of each
     row's absolute values does (Gershgorin).
     """
-    if network.channel_mass.size or SCHEMES[network.scheme] is not None:
+    if network.channel_mass.size or SCHEMES[network.scheme] is not None or network.implicit.any():
         return False
     links, dampers = acting_links(network), (network.damper[link] for link in damping_links(network).tolist())
     stiffness, damping, ends = network.stiffness[links], network.damping[links], network.ends[links]
