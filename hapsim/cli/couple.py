@@ -16,6 +16,9 @@ from hapsim.number_format import number, rounded_down
 if TYPE_CHECKING:
     from hapsim.prediction.virtual_coupling import FeltCoupling, HandCouplings
     from hapsim.scene import Scene
+    from hapsim.units import Units
+
+_ENOUGH = 1.0 + 1e-9  # times the declared friction
 
 
 def couple(
@@ -26,7 +29,8 @@ def couple(
     """Choose a virtual coupling: a spring and a damper between the hand and the scene that keep any hand stable.
 
     A proxy stands in the scene for the hand, and the coupling joins both. The hand feels the coupling's stiffness at
-    most. Two are shown for each hand: one for any hand, and one for the hand of the scene alone.
+    most. Two are shown for each hand: one for any hand, and one for the hand of the scene alone. A hand that has a
+    proxy is judged too.
     """
     from hapsim.prediction.virtual_coupling import virtual_couplings
 
@@ -44,34 +48,67 @@ def couple(
 
 
 def _lines(scene: Scene, name: str, one: HandCouplings) -> Iterator[Line]:
+    from hapsim.prediction import HAND_STIFFNESS
+
     units, (least, most) = scene.units_of(one.channel), one.masses
     hand = units(least, "kg") if least == most else f"{units.number(least, 'kg')} to {units(most, 'kg')}"
     rows = [
         _row(scene, one, who, of)
-        for who, of in (("any hand", one.any_hand), (f"a hand of {hand}", one.this_hand))
+        for who, of in (("any hand", one.any_hand), (f"a hand of {hand}", one.this_hand), ("(in the scene)", one.present))
         if of is not None
     ]
     headings = ("<stable with", f"Kc  {units.name('N/m')}", f"Bc  {units.name('N·s/m')}", "felt k", "felt b")
     yield table(f"Virtual couplings of {escape(one.name)} in {escape(name)}", headings, rows)
     yield "Felt: while the proxy stands still. No scene holds the hand with more stiffness than Kc."
-    proxy, needed = units(one.proxy_mass, "kg"), units(one.needed_friction, "N·s/m")
-    known = f"{needed} (declared: {units.number(one.friction, 'N·s/m')})"
-    yield (
-        "Stable is every scene behind it that is passive in the backward difference: walls, dampers, friction, masses "
-        f"with implicit steps. Masses of a scene have explicit steps. With a proxy of {proxy} and the first coupling "
-        f"this scene needs a friction of {known if math.isfinite(one.needed_friction) else 'an unknown size'}."
-    )
+    own = one.present or one.any_hand
+    weight = f" and {units(own.free_mass, 'kg', 4)} (of {units(one.proxy_mass, 'kg')}, moved by a hand of "
+    weight = f"{weight}{units(HAND_STIFFNESS, 'N/m')})" if math.isfinite(own.free_mass) else ""
+    whose = "the first coupling" if one.present is None else "the coupling in the scene"
+    yield f"With nothing behind {whose}, the hand feels {units(own.free_b, 'N·s/m')}{weight} and no stiffness."
+    if reason := next((of.reason for of in (one.any_hand, one.this_hand, one.present) if of and of.reason), ""):
+        yield f"–: no felt k and b, because {reason}."
+    yield from _judgement(one, units)
+    if one.present is not None:
+        return
+    if one.misfit:
+        yield f"Not every link of the scene can end on a proxy. {escape(one.misfit)}"
     yield f"In the file, let the links of {escape(one.name)} end at {escape(one.name)}_proxy, and add under modules:"
     stiffness, damping = (rounded_down(value, 6) for value in one.any_hand.coupling)
     lines = (
-        f"  {one.name}_proxy: {{type: mass, mass: {number(one.proxy_mass)}}}",
-        f"  {one.name}_coupling:",
-        "    type: viscoelastic",
-        f"    between: [{one.name}, {one.name}_proxy]",
+        f"  {one.name}_proxy:",
+        "    type: proxy",
+        f"    hand: {one.name}",
+        f"    mass: {number(one.proxy_mass)}",
         f"    stiffness: {stiffness}",
         f"    damping: {damping}",
     )
     yield from map(escape, lines)
+
+
+def _judgement(one: HandCouplings, units: Units) -> Iterator[str]:
+    """Yields what the coupling of the scene, or else the first one, and the scene with it need."""
+    own = one.present or one.any_hand
+    passive = "passive in the backward difference: walls, contacts, springs and dampers that end at the proxy"
+    coupling = "The first coupling" if one.present is None else "The coupling in the scene"
+    declared = f"(declared: {units.number(one.friction, 'N·s/m')})"
+    if not math.isfinite(own.needed_friction):
+        yield f"{coupling} has no stiffness: what it needs is not derived."
+        return
+    needs = units(own.needed_friction, "N·s/m")
+    enough = own.needed_friction <= one.friction * _ENOUGH
+    yield (
+        f"{coupling} needs a friction of {needs} {declared} for any hand and any scene behind it that is {passive}. "
+        f"There is {'enough' if enough else 'too little'}."
+    )
+    if one.is_passive_behind:
+        yield "This scene is one of them."
+    elif not one.misfit:
+        needed = f"{units(one.needed_friction, 'N·s/m')} {declared}"
+        yield (
+            "This scene is none of them: masses have explicit steps, a force falls with distance, or another link ends "
+            f"at the hand. In any hand it needs a friction of "
+            f"{needed if math.isfinite(one.needed_friction) else 'an unknown size'}."
+        )
 
 
 def _row(scene: Scene, one: HandCouplings, who: str, of: FeltCoupling) -> tuple[str, ...]:
@@ -83,8 +120,8 @@ def _row(scene: Scene, one: HandCouplings, who: str, of: FeltCoupling) -> tuple[
 def couplings_document(one: HandCouplings) -> dict[str, Any]:
     """Returns the couplings of one hand as a JSON document."""
 
-    def shown(of: FeltCoupling | None) -> dict[str, float] | None:
-        return None if of is None else {**of.coupling._asdict(), "k": of.k, "b": of.b}
+    def shown(of: FeltCoupling | None) -> dict[str, Any] | None:
+        return None if of is None else {**of.coupling._asdict(), **{k: v for k, v in vars(of).items() if k != "coupling"}}
 
     return {
         "name": one.name,
@@ -92,6 +129,8 @@ def couplings_document(one: HandCouplings) -> dict[str, Any]:
         "friction": one.friction,
         "any_hand": shown(one.any_hand),
         "this_hand": shown(one.this_hand),
+        "present": shown(one.present),
         "proxy_mass": one.proxy_mass,
+        "is_passive_behind": one.is_passive_behind,
         "needed_friction": one.needed_friction,
     }

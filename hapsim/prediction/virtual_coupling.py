@@ -7,24 +7,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hapsim.errors import UsageError
+from hapsim.errors import SceneError, UsageError
+from hapsim.prediction.felt_together import HAND_STIFFNESS
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.predict import predict
 from hapsim.scene import Scene
 from hapsim.scene.load import scene_from_document
-from hapsim.theory.coupling import Coupling, stiffest_coupling, stiffest_for
+from hapsim.theory import Network
+from hapsim.theory.coupling import Coupling, needed_friction, stiffest_coupling, stiffest_for
 from hapsim.theory.hand.configuration import Configuration
+from hapsim.theory.network.felt import felt_mass, felt_pair
 
 _PROXY_SHARE = 0.1  # of the hand's mass
 
 
 @dataclass(frozen=True)
 class FeltCoupling:
-    """A coupling, and what the hand feels of it while the proxy stands still."""
+    """A coupling, and what the hand feels of it."""
 
     coupling: Coupling
+    needed_friction: float
+    """Friction, N·s/m, with which any hand and any passive scene behind the coupling are stable."""
     k: float
+    """While the proxy stands still, N/m; NaN if `reason` is not empty."""
     b: float
+    """While the proxy stands still, N·s/m."""
+    reason: str
+    free_b: float
+    """With nothing behind the proxy, N·s/m."""
+    free_mass: float
+    """With nothing behind the proxy, its mass to a hand of `HAND_STIFFNESS`, kg; NaN for rotary motion."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +53,18 @@ class HandCouplings:
     """For every passive hand."""
     this_hand: FeltCoupling | None
     """For a hand of these masses alone; None if none is found."""
+    present: FeltCoupling | None
+    """Coupling of the hand's proxy in the scene; None if it has none."""
     proxy_mass: float
-    """Mass of the proxy, kg, a mass of the scene."""
+    """Mass of the proxy, kg."""
+    is_passive_behind: bool
+    """True if nothing but the coupling ends at the hand, and behind the proxy are only links to grounds that never fall
+    with distance: then the friction that the coupling needs is enough."""
     needed_friction: float
-    """Friction, N·s/m, that makes the scene with the first coupling and this proxy stable in any hand; infinite if none
-    does, NaN if it is not derived."""
+    """Friction, N·s/m, that makes the scene, with the first coupling and a proxy if it has none, stable in any hand;
+    infinite if none does, NaN if it is not derived."""
+    misfit: str
+    """Why the scene's links cannot end on a proxy; "" if they can."""
 
 
 def virtual_couplings(scene: Scene, proxy_mass: float | None = None) -> list[HandCouplings]:
@@ -64,18 +83,32 @@ def _couplings_of(scene: Scene, name: str, channel: int, proxy_mass: float | Non
     any_hand = stiffest_coupling(hand.friction, hand.period, int(hand.delay))
     this_hand = stiffest_for(hands)
     mass = _PROXY_SHARE * least if proxy_mass is None else proxy_mass
-    lightest = 0.25 * (any_hand.stiffness * hand.period + 2.0 * any_hand.damping) * hand.period
-    if not mass > lightest:
-        units = scene.units_of(channel)
-        raise UsageError(
-            f"--proxy-mass: found {units(mass, 'kg')}, expected more than {units(lightest, 'kg')}: a lighter mass on "
-            "this coupling is unstable by itself"
-        )
-    of_scene = predict(coupled_scene(scene, name, any_hand, mass), with_margins=False)
-    needed = next((one.needed[one.names.index(name)] for one in of_scene.any_hands if name in one.names), math.nan)
-    felt = [None if one is None else _felt(hand, one) for one in (any_hand, this_hand)]
+    present = next(((proxy, one) for proxy, one in scene.proxies.items() if one.hand == name), None)
+    coupled, proxy, misfit = scene, f"{name}_proxy", ""
+    if present is not None:
+        proxy, mass = present[0], present[1].mass
+    else:
+        try:
+            coupled = coupled_scene(scene, name, any_hand, mass)
+        except SceneError as error:
+            misfit = str(error)
+    needed = math.nan
+    if not misfit:
+        of_scene = predict(coupled, with_margins=False).any_hands
+        needed = next((float(one.needed[one.names.index(name)]) for one in of_scene if name in one.names), math.nan)
+    own = None if present is None else Coupling(present[1].stiffness, present[1].damping)
+    is_rotary = scene.device.motions(scene.channels)[channel] == "rotary"
+    felt = [one and _felt(hand, one, mass, is_rotary) for one in (any_hand, this_hand, own)]
     assert felt[0] is not None
-    return HandCouplings(name, channel, hand.friction, (least, most), felt[0], felt[1], mass, float(needed))
+    passive = not misfit and _is_passive_behind(coupled, name, proxy)
+    return HandCouplings(name, channel, hand.friction, (least, most), *felt, mass, passive, needed, misfit)
+
+
+def _is_passive_behind(scene: Scene, name: str, proxy: str) -> bool:
+    """As `HandCouplings.is_passive_behind`."""
+    fixed = {*scene.grounds, proxy}
+    others = (link for own, link in scene.links.items() if own != proxy and {name, proxy} & {*link.between})
+    return all({*link.between} <= fixed and link.law().sector[0] >= 0.0 for link in others)
 
 
 def _require_derived(scene: Scene, hand: Configuration, name: str) -> None:
@@ -85,6 +118,8 @@ def _require_derived(scene: Scene, hand: Configuration, name: str) -> None:
         ("device.hold", hand.hold, hand.hold == "zoh", "zoh"),
         ("device.sampling", hand.sampling, hand.sampling == "ideal", "ideal"),
         ("substeps", str(scene.substeps), scene.substeps == 1, "1"),
+        ("scheme", scene.scheme, scene.scheme == "cordis", "cordis"),
+        ("device.correction", scene.device.correction, scene.device.correction == "none", "none"),
     ):
         if not is_right:
             why = "what makes a coupling stable is derived for no other"
@@ -96,21 +131,25 @@ def _require_derived(scene: Scene, hand: Configuration, name: str) -> None:
 
 
 def coupled_scene(scene: Scene, name: str, coupling: Coupling, proxy_mass: float) -> Scene:
-    """Returns the scene with a proxy, a mass of `proxy_mass` kg: links of the device point `name` end at it, and the
-    coupling joins both."""
+    """Returns the scene with a proxy of `proxy_mass` kg, which this coupling joins to the device point `name`, whose
+    links end at it. Raises SceneError if one of them cannot."""
     data = scene.model_dump(mode="json", exclude_none=True)
-    modules, proxy, link = data["modules"], f"{name}_proxy", f"{name}_coupling"
-    if known := modules.keys() & {proxy, link}:
-        raise UsageError(f"modules: found {min(known)}, so {name} is coupled already; take its coupling out first")
+    modules, proxy = data["modules"], f"{name}_proxy"
+    if proxy in modules:
+        raise UsageError(f"modules: found {proxy}, which is the name of the proxy here; expected another name")
     for module in modules.values():
         if "between" in module:
             module["between"] = [proxy if end == name else end for end in module["between"]]
-    modules[proxy] = {"type": "mass", "mass": proxy_mass}
-    ends = {"between": [name, proxy], "stiffness": coupling.stiffness, "damping": coupling.damping}
-    modules[link] = {"type": "viscoelastic", **ends}
+    modules[proxy] = {"type": "proxy", "mass": proxy_mass, "hand": name, **coupling._asdict()}
     return scene_from_document(data, scene)
 
 
-def _felt(hand: Configuration, coupling: Coupling) -> FeltCoupling:
-    k, b = hand.equivalent(np.array(coupling.stiffness), np.array(coupling.damping))
-    return FeltCoupling(coupling, float(k), float(b))
+def _felt(hand: Configuration, coupling: Coupling, proxy_mass: float, is_rotary: bool) -> FeltCoupling:
+    K, B = map(np.array, coupling)
+    k, b = hand.equivalent(K, B)
+    device = ([hand.mass], [hand.friction], hand.delay, hand.hold, hand.sampling)
+    free = Network(hand.rate, *device, [proxy_mass], [[0, 1]], [K], [B], implicit=[True])  # type: ignore[arg-type]
+    needed = needed_friction(coupling, hand.period, int(hand.delay)) if coupling.stiffness > 0.0 else math.nan
+    mass = math.nan if is_rotary else felt_mass(free, HAND_STIFFNESS)[0]
+    reason = str(hand.why_no_equivalent(K, B))
+    return FeltCoupling(coupling, needed, float(k), float(b), reason, float(felt_pair(free).b[0, 0]), mass)
