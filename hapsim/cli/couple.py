@@ -54,7 +54,11 @@ def _lines(scene: Scene, name: str, one: HandCouplings) -> Iterator[Line]:
     hand = units(least, "kg") if least == most else f"{units.number(least, 'kg')} to {units(most, 'kg')}"
     rows = [
         _row(scene, one, who, of)
-        for who, of in (("any hand", one.any_hand), (f"a hand of {hand}", one.this_hand), ("(in the scene)", one.present))
+        for who, of in (
+            ("any hand", one.any_hand),
+            (f"a hand of {hand}", one.this_hand),
+            ("(in the scene)", one.present),
+        )
         if of is not None
     ]
     headings = ("<stable with", f"Kc  {units.name('N/m')}", f"Bc  {units.name('N·s/m')}", "felt k", "felt b")
@@ -121,7 +125,9 @@ def couplings_document(one: HandCouplings) -> dict[str, Any]:
     """Returns the couplings of one hand as a JSON document."""
 
     def shown(of: FeltCoupling | None) -> dict[str, Any] | None:
-        return None if of is None else {**of.coupling._asdict(), **{k: v for k, v in vars(of).items() if k != "coupling"}}
+        return (
+            None if of is None else {**of.coupling._asdict(), **{k: v for k, v in vars(of).items() if k != "coupling"}}
+        )
 
     return {
         "name": one.name,

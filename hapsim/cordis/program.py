@@ -17,7 +17,16 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
 from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, PresentType
 from hapsim.cordis.dispatch import Column, Part, TickState, calls_of
-from hapsim.cordis.modules import linear_links, membrane, nonlinear_links, pick_ups, points, proxies, string, table_links
+from hapsim.cordis.modules import (
+    linear_links,
+    membrane,
+    nonlinear_links,
+    pick_ups,
+    points,
+    proxies,
+    string,
+    table_links,
+)
 from hapsim.cordis.parameters import LiveValues
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.simd import aligned, padded

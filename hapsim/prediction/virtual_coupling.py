@@ -64,7 +64,7 @@ class HandCouplings:
     """Friction, N·s/m, that makes the scene, with the first coupling and a proxy if it has none, stable in any hand;
     infinite if none does, NaN if it is not derived."""
     misfit: str
-    """Why the scene's links cannot end on a proxy; "" if they can."""
+    """Reason why not every link of the hand can end on a proxy; "" if each can."""
 
 
 def virtual_couplings(scene: Scene, proxy_mass: float | None = None) -> list[HandCouplings]:

@@ -83,8 +83,12 @@ def _proxy_issues(around: ModuleContext, device: Mapping[str, object], scene: Ma
                 found = f"found {' and '.join(map(quote, ends))}, which are both proxies"
                 yield Issue(("modules", name, "between"), f"{found}; expected a ground, a mass or a hand at one end")
             elif ends and (unfit := _unfit_at_proxy(link)):
-                found = f"found {quote(ends[0])}, a proxy, at an end of a {link.type}{unfit}; expected a spring, damper, "
-                expected = "viscoelastic (damper: backward), buffer, click, a detent (shape: snap or notch) or a nonlinear"
+                found = (
+                    f"found {quote(ends[0])}, a proxy, at an end of a {link.type}{unfit}; expected a spring, damper, "
+                )
+                expected = (
+                    "viscoelastic (damper: backward), buffer, click, a detent (shape: snap or notch) or a nonlinear"
+                )
                 yield Issue(("modules", name, "between"), f"{found}{expected} without force_over_velocity")
             elif ends and ends[0] in least:
                 least[ends[0]] += min(link.law().sector[0], 0.0)

@@ -207,6 +207,8 @@ X = 0.03
 BETWEEN = {"between": ["hand", "wall"]}
 CELL = {"cell": {"type": "cell", "mass": 0.1, "stiffness": 50.0}}
 TIED = CELL | {"tied": {"type": "spring", "between": ["hand", "cell"], "stiffness": 10.0}}
+CUP = {"cup": {"type": "proxy", "mass": 0.1, "hand": "hand", "stiffness": 50.0, "position": 0.01}}
+HELD = {"between": ["cup", "wall"]}
 
 
 def link(kind: str, **values: Any) -> dict[str, Any]:
@@ -227,6 +229,13 @@ def link(kind: str, **values: Any) -> dict[str, Any]:
         (TIED, {"cell": {"rest": 0.02}}, 25.0 * 0.02**2),
         (TIED, {"tied": {"stiffness": 20.0}}, 5.0 * X**2),
         (CELL | link("damper", damping=1.0), {"a": {"damping": 2.0}, "cell": {"rest": 1.0}}, 0.0),
+        (CUP, {"cup": {"stiffness": 250.0}}, 100.0 * (X - 0.01) ** 2),
+        (
+            CUP | {"held": HELD | {"type": "spring", "stiffness": 100.0}},
+            {"held": {"stiffness": 300.0}},
+            100.0 * 0.01**2,
+        ),
+        (CUP | {"held": HELD | {"type": "buffer", "stiffness": 100.0}}, {"held": {"distance": 0.05}}, 50.0 * 0.04**2),
     ],
 )
 def test_a_change_adds_its_energy(modules: dict[str, Any], change: dict[str, dict[str, float]], added: float) -> None:

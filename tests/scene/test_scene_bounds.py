@@ -25,6 +25,7 @@ MODULES: dict[str, dict[str, Any]] = {
     "click": {**BETWEEN, "travel": 1.0, "peak": 1.0, "drop": 1.0, "bottom": 1.0},
     "friction": {**BETWEEN, "force": 0.0, "stiffness": 1.0},
     "cell": {"mass": 1.0, "stiffness": 1.0},
+    "proxy": {"mass": 1.0, "stiffness": 1.0, "hand": "hand"},
     "string": {"masses": 100_000, "mass": 1.0, "stiffness": 1.0},
     "membrane": {"rows": 2, "columns": 2, "mass": 1.0, "stiffness": 1.0},
 }
@@ -55,7 +56,7 @@ INCLUSIVE: list[tuple[str, str, Number, Number]] = [
     ("click", "drop", 0.0, BELOW_0),
     ("friction", "force", 0.0, BELOW_0),
     ("friction", "static", 0.0, BELOW_0),
-    *((held, key, 0.0, BELOW_0) for held in ("cell", "string", "membrane") for key in ("stiffness", "damping")),
+    *((one, key, 0.0, BELOW_0) for one in ("cell", "proxy", "string", "membrane") for key in ("stiffness", "damping")),
     *((structure, "friction", 0.0, BELOW_0) for structure in ("string", "membrane")),
     ("string", "bending", 0.0, BELOW_0),
     ("string", "masses", 2, 1),

@@ -191,3 +191,56 @@ def test_a_detent_between_masses_and_one_before_a_port_may_be_as_narrow_as_it_is
     parse_scene(fine.replace("[wall, hand]", "[wall, ball]").replace("  it:", "  ball: {type: mass, mass: 1}\n  it:"))
     assert len(faults(fine.replace("channel: 0", "channel: x"))) == 1  # and nothing of what it would resolve
     parse_scene(fine.replace("mass: 0.2}", "mass: 0.2, port: /dev/ttyACM0}"))
+
+
+CUP = "  cup: {type: proxy, mass: 0.02, hand: hand, stiffness: 700}\n"
+AT_CUP = "{type: %s, between: [cup, wall], %s}"
+FIT = "expected a spring, damper, viscoelastic (damper: backward), buffer, click, a detent (shape: snap or notch) or"
+
+
+@pytest.mark.parametrize(
+    ("module", "sentence"),
+    [
+        (
+            AT_CUP % ("friction", "force: 1, stiffness: 9"),
+            "'cup', a proxy, at an end of a friction, which has a memory; ",
+        ),
+        (AT_CUP % ("plectrum", "stiffness: 9, release: 1"), "a proxy, at an end of a plectrum, which has a memory; "),
+        (AT_CUP % ("detent", "pitch: 1, depth: 1"), "'cup', a proxy, at an end of a detent of shape: sine; "),
+        (AT_CUP % ("viscoelastic", "stiffness: 9, damper: centred"), "end of a viscoelastic with damper: centred; "),
+        (AT_CUP % ("nonlinear", "force_over_velocity: [[0, 0], [1, 1]]"), "nonlinear with force_over_velocity; "),
+    ],
+)
+def test_a_link_that_cannot_end_on_a_proxy_is_reported(faults: Faults, good: str, module: str, sentence: str) -> None:
+    (fault,) = faults(f"{good}{CUP}  it: {module}\n")
+    assert f"9:{fault.split(':')[1]}: between: found " in fault
+    assert f"{sentence}{FIT}" in fault
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("rate: 1000", "rate: 1000\nsubsteps: 2", "found 2 in a scene with a proxy, expected 1"),
+        ("rate: 1000", "rate: 1000\nscheme: rk4", "found rk4 in a scene with a proxy, expected cordis"),
+        ("mass: 0.2", "mass: 0.2, correction: poles", "found poles in a scene with a proxy, expected none"),
+        ("hand: hand", "hand: hnd", "found 'hnd', expected the name of a module of type device; did you mean 'hand'?"),
+        ("hand: hand", "hand: wall", "hand: found 'wall', expected the name of a module of type device"),
+        ("  cup", CUP.replace("cup", "mug") + "  cup", "found 'hand', which 'mug' stands for already; expected one"),
+        (
+            "  cup",
+            "  thumb: {type: device, channel: 1}\n" + CUP.replace("cup", "mug").replace("hand: hand", "hand: thumb")
+            + "  it: {type: spring, between: [cup, mug], stiffness: 1}\n  cup",
+            "between: found 'cup' and 'mug', which are both proxies; expected a ground, a mass or a hand at one end",
+        ),
+        (
+            "  cup",
+            "  it: {type: detent, between: [cup, wall], pitch: 0.001, depth: 10, shape: snap, sharpness: 1}\n  cup",
+            "mass: found 0.02, with which links that fall by 40000 N/m leave several places for the proxy in a sample",
+        ),
+    ],
+)  # fmt: skip
+def test_what_a_proxy_cannot_do_is_reported(faults: Faults, good: str, old: str, new: str, sentence: str) -> None:
+    text = good + CUP
+    assert old in text
+    (fault,) = faults(text.replace(old, new))
+    assert sentence in fault

@@ -17,6 +17,7 @@ from hapsim.scene import (
     Friction,
     Nonlinear,
     Plectrum,
+    Proxy,
     Scene,
     Spring,
     parse_scene,
@@ -37,6 +38,7 @@ MODULES = {
     "friction": "{type: friction, between: [hand, wall], force: 1, stiffness: 2000}",
     "plectrum": "{type: plectrum, between: [hand, wall], stiffness: 500, release: 0.002}",
     "detent": "{type: detent, between: [hand, wall], pitch: 0.005, depth: 0.3}",
+    "proxy": "{type: proxy, mass: 0.01, hand: hand, stiffness: 700}",
     "click": "{type: click, between: [hand, wall], travel: 0.004, peak: 0.6, drop: 0.3, bottom: 5000}",
 }
 
@@ -59,6 +61,7 @@ def test_what_is_left_out_of_a_module_has_the_defaults_of_the_format(good: str) 
         "friction": Friction(between=ends, force=1.0, static=None, stiffness=2000.0, damping=0.0),
         "plectrum": Plectrum(between=ends, stiffness=500.0, damping=0.0, release=0.002),
         "detent": Detent(between=ends, pitch=0.005, depth=0.3, damping=0.0, shape="sine", sharpness=None),
+        "proxy": Proxy(mass=0.01, hand="hand", stiffness=700.0, damping=0.0, position=0.0, velocity=0.0),
         "click": Click(between=ends, travel=0.004, peak=0.6, drop=0.3, bottom=5000.0, damping=0.0),
     }
     assert {kind: scene_with(good, kind).modules["it"] for kind in MODULES} == expected

@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from hapsim.errors import UsageError
+from hapsim.prediction.predict import predict
 from hapsim.prediction.virtual_coupling import virtual_couplings
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration
@@ -120,10 +121,58 @@ def scene_of(device: str, modules: str = "") -> Scene:
     return parse_scene("\n".join(["version: 1", "rate: 1000", f"device: {{{device}}}", "modules:", *lines]))
 
 
-@pytest.mark.parametrize(("mass", "friction"), [(0.02, 1.229158), (0.2, 1.187643), (0.001, 2.050188)])
-def test_an_explicit_mass_behind_the_coupling_needs_more_friction(mass: float, friction: float) -> None:
-    (found,) = virtual_couplings(scene_of("mass: 0.2, friction: 1, delay: 1"), mass)
-    assert found.needed_friction == pytest.approx(friction, rel=1e-6)
+DEVICE = "mass: 0.2, friction: 1, delay: 1"
+
+
+@pytest.mark.parametrize(
+    ("mass", "explicit", "proxy"),
+    [(0.02, 1.229158, 0.9213203), (0.2, 1.187643, 0.9290475), (0.001, 2.050188, 0.6337533)],
+)
+def test_an_explicit_mass_behind_the_coupling_needs_more_friction(mass: float, explicit: float, proxy: float) -> None:
+    (found,) = virtual_couplings(scene_of(DEVICE), mass)
+    assert (found.needed_friction, found.is_passive_behind) == (pytest.approx(proxy, rel=1e-6), True)
+    Kc, Bc = found.any_hand.coupling
+    joined = (
+        f"  ball: {{type: mass, mass: {mass}}}\n  c: {{type: viscoelastic, between: [hand, ball], stiffness: {Kc}, "
+    )
+    (part,) = predict(scene_of(DEVICE, f"{joined}damping: {Bc}}}")).any_hands
+    assert part.needed[0] == pytest.approx(explicit, rel=1e-6)
+
+
+CUP = "  cup: {type: proxy, mass: 0.02, hand: hand, stiffness: 769, damping: 0.3}\n"
+BEHIND = "  it: {type: %s, between: [cup, wall], %s}"
+
+
+@pytest.mark.parametrize(
+    ("modules", "passive"),
+    [
+        ("", True),
+        (BEHIND % ("buffer", "stiffness: 9000, damping: 9"), True),
+        (BEHIND % ("detent", "pitch: 0.01, depth: 1, shape: snap"), False),
+        ("  it: {type: damper, between: [hand, wall], damping: 1}", False),
+        ("  ball: {type: mass, mass: 1}\n  it: {type: spring, between: [cup, ball], stiffness: 9}", False),
+        ("  thumb: {type: device, channel: 1}\n  it: {type: spring, between: [cup, thumb], stiffness: 9}", False),
+    ],
+)
+def test_a_scene_with_a_proxy_is_judged(modules: str, passive: bool) -> None:
+    found = virtual_couplings(scene_of(DEVICE, CUP + modules))[0]
+    assert found.present is not None
+    assert found.present.coupling == (769.0, 0.3)
+    assert found.present.needed_friction == needed_friction(found.present.coupling, T, 1)
+    assert (found.is_passive_behind, found.proxy_mass) == (passive, 0.02)
+
+
+def test_what_is_felt_through_a_coupling_with_nothing_behind() -> None:
+    (found,) = virtual_couplings(scene_of(DEVICE, CUP))
+    (one,) = predict(scene_of(DEVICE, CUP)).together
+    assert found.present is not None
+    assert one.weight is not None
+    assert found.present.free_mass == pytest.approx(one.weight.felt, rel=1e-9)
+    assert found.present.free_b == pytest.approx(float(one.felt.b[0, 0]), rel=1e-9)
+    assert 0.02 < found.present.free_mass < 0.022
+    (knob,) = virtual_couplings(scene_of(f"{DEVICE}, motion: rotary", CUP))
+    assert knob.present is not None
+    assert math.isnan(knob.present.free_mass)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +181,12 @@ def test_an_explicit_mass_behind_the_coupling_needs_more_friction(mass: float, f
         (scene_of("mass: 0.2, friction: 1, delay: 1.5"), None, "device.delay: found 1.5, expected a whole number"),
         (scene_of("mass: 0.2, friction: 1, delay: 1, hold: impulse"), None, "device.hold: found impulse, expected zoh"),
         (scene_of("mass: 0.2, friction: 0, delay: 1"), None, "device.friction: found 0"),
-        (scene_of("mass: 200 g, friction: 1, delay: 1"), 1e-4, "--proxy-mass: found 0.1 g, expected more than 0.333"),
+        (scene_of(f"{DEVICE}, correction: poles"), None, "device.correction: found poles, expected none"),
+        (
+            scene_of(DEVICE, "  hand_proxy: {type: mass, mass: 1}"),
+            None,
+            "found hand_proxy, which is the name of the proxy",
+        ),
     ],
 )
 def test_what_has_no_coupling_is_named(scene: Scene, mass: float | None, sentence: str) -> None:

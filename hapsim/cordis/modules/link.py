@@ -66,9 +66,7 @@ def link_type(
 
     gathered = "; ".join(filter(None, ("gathered through unsigned indices", compiled_as)))
     every = all_of(module, where)
-    return PartType(
-        lambda scene: apart_from_proxies(every(scene), scene), build, name=name, compiled_as=gathered
-    )
+    return PartType(lambda scene: apart_from_proxies(every(scene), scene), build, name=name, compiled_as=gathered)
 
 
 def apart_from_proxies(links: Mapping[str, Any], scene: Scene) -> dict[str, Any]:

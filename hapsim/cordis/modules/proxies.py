@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.compiled import ONE
-from hapsim.compiling import inlined
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, live_columns
 from hapsim.cordis.dispatch import Column, Part, action
@@ -137,5 +136,9 @@ def _build(modules: Mapping[str, Any], columns: Sequence[Column], context: Build
 
 
 PROXY = PartType(
-    _select, _build, name="proxies and their links", compiled_as="Newton's steps over the knots of the links", live=_live
+    _select,
+    _build,
+    name="proxies and their links",
+    compiled_as="Newton's steps over the knots of the links",
+    live=_live,
 )

@@ -131,8 +131,12 @@ class Proxy(MaterialPoint):
             hint = did_you_mean(self.hand, [one for one, kind in around.kinds.items() if kind is DevicePoint])
             yield Issue(("hand",), f"found {quote(self.hand)}, expected the name of a module of type device{hint}")
             return
-        others = (one for one, other in around.modules.items() if isinstance(other, Proxy) and around.knows(one, "hand"))
+        others = (
+            one for one, other in around.modules.items() if isinstance(other, Proxy) and around.knows(one, "hand")
+        )
         first = next(one for one in others if getattr(around.modules[one], "hand", None) == self.hand)
         if first != name:
-            sentence = f"found {quote(self.hand)}, which {quote(first)} stands for already; expected one proxy for a hand"
+            sentence = (
+                f"found {quote(self.hand)}, which {quote(first)} stands for already; expected one proxy for a hand"
+            )
             yield Issue(("hand",), sentence)

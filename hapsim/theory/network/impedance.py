@@ -88,7 +88,13 @@ def device_forces(network: Network, w: Complexes) -> Complexes:
     """Forces (n, C), N z^n, that produce a reading of 1 m z^n on each channel alone, at w = z - 1 (n,)."""
     none = np.zeros(0)
     alone = replace(
-        network, point_mass=none, ends=np.zeros((0, 2), int), stiffness=none, damping=none, damper=(), outside=(),
+        network,
+        point_mass=none,
+        ends=np.zeros((0, 2), int),
+        stiffness=none,
+        damping=none,
+        damper=(),
+        outside=(),
         implicit=(),
     )
     return np.asarray(np.diagonal(_loop_forces(alone, w)[1], axis1=1, axis2=2))

@@ -1,8 +1,8 @@
 """Gain margins: the factors on one link's stiffness, or damping, at which the whole loop becomes unstable.
 
 For a small scene under CORDIS's scheme, one eigenvalue problem for each link and quantity gives every factor at which a
-pole crosses the unit circle. For a large one the circle is sampled (both: ``crossings.py``). For the other schemes, and
-with substeps, a search tests the poles at many factors. So it is with implicit masses, where a change acts on a force in the same sample.
+pole crosses the unit circle. For a large one the circle is sampled (both: ``crossings.py``). For the other schemes,
+substeps and implicit masses a search tests the poles at many factors.
 """
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ class Network:
     the real one at the instant of the sample, before any change of the force at that instant; with averaged sampling
     its mean over the last period.
 
-    An implicit mass moves by m/T² (x[n] - 2 x[n-1] + x[n-2]) = F[n], in which x[n] is that of this equation too. No link
-    joins two of them, and dampers there are backward.
+    An implicit mass moves by m/T² (x[n] - 2 x[n-1] + x[n-2]) = F[n], with F[n] at this same x[n]. No link joins two of
+    them, and dampers there are backward.
 
     Attributes:
         rate: sample rate, Hz, > 0.
@@ -122,7 +122,7 @@ class Network:
         backward = [self.damper[link] == BACKWARD for link in np.flatnonzero(at.any(axis=1)).tolist()]
         if at.all(axis=1).any() or not all(backward) or self.scheme != "cordis" or self.substeps > 1:
             raise ValueError(
-                "implicit masses have links to other points, with backward dampers, under CORDIS's scheme without substeps."
+                "implicit masses have links to other points, with backward dampers, and no other scheme or substeps."
             )
 
 
