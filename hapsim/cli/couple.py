@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from hapsim.prediction.virtual_coupling import FeltCoupling, HandCouplings
     from hapsim.scene import Scene
     from hapsim.units import Units
-
-_ENOUGH = 1.0 + 1e-9  # times the declared friction
 
 
 def couple(
@@ -41,35 +39,21 @@ def couple(
     with at_work(stderr(), "searching for the stiffest couplings"):
         found = virtual_couplings(loaded, proxy_mass)
     if json:
-        print(document({"scene": scene, "hands": [couplings_document(one) for one in found]}))
+        print(document({"scene": scene, "hands": found}))
     else:
         for one in found:
             show(stdout(), _lines(loaded, scene_name(scene), one))
 
 
 def _lines(scene: Scene, name: str, one: HandCouplings) -> Iterator[Line]:
-    from hapsim.prediction import HAND_STIFFNESS
-
     units, (least, most) = scene.units_of(one.channel), one.masses
     hand = units(least, "kg") if least == most else f"{units.number(least, 'kg')} to {units(most, 'kg')}"
-    rows = [
-        _row(scene, one, who, of)
-        for who, of in (
-            ("any hand", one.any_hand),
-            (f"a hand of {hand}", one.this_hand),
-            ("(in the scene)", one.present),
-        )
-        if of is not None
-    ]
+    couplings = {"any hand": one.any_hand, f"a hand of {hand}": one.this_hand, "(in the scene)": one.present}
+    rows = [_row(scene, one, who, of) for who, of in couplings.items() if of is not None]
     headings = ("<stable with", f"Kc  {units.name('N/m')}", f"Bc  {units.name('N·s/m')}", "felt k", "felt b")
     yield table(f"Virtual couplings of {escape(one.name)} in {escape(name)}", headings, rows)
     yield "Felt: while the proxy stands still. No scene holds the hand with more stiffness than Kc."
-    own = one.present or one.any_hand
-    weight = f" and {units(own.free_mass, 'kg', 4)} (of {units(one.proxy_mass, 'kg')}, moved by a hand of "
-    weight = f"{weight}{units(HAND_STIFFNESS, 'N/m')})" if math.isfinite(own.free_mass) else ""
-    whose = "the first coupling" if one.present is None else "the coupling in the scene"
-    yield f"With nothing behind {whose}, the hand feels {units(own.free_b, 'N·s/m')}{weight} and no stiffness."
-    if reason := next((of.reason for of in (one.any_hand, one.this_hand, one.present) if of and of.reason), ""):
+    if reason := next((of.reason for of in couplings.values() if of and of.reason), ""):
         yield f"–: no felt k and b, because {reason}."
     yield from _judgement(one, units)
     if one.present is not None:
@@ -90,53 +74,26 @@ def _lines(scene: Scene, name: str, one: HandCouplings) -> Iterator[Line]:
 
 
 def _judgement(one: HandCouplings, units: Units) -> Iterator[str]:
-    """Yields what the coupling of the scene, or else the first one, and the scene with it need."""
-    own = one.present or one.any_hand
-    passive = "passive in the backward difference: walls, contacts, springs and dampers that end at the proxy"
-    coupling = "The first coupling" if one.present is None else "The coupling in the scene"
-    declared = f"(declared: {units.number(one.friction, 'N·s/m')})"
-    if not math.isfinite(own.needed_friction):
-        yield f"{coupling} has no stiffness: what it needs is not derived."
-        return
-    needs = units(own.needed_friction, "N·s/m")
-    enough = own.needed_friction <= one.friction * _ENOUGH
-    yield (
-        f"{coupling} needs a friction of {needs} {declared} for any hand and any scene behind it that is {passive}. "
-        f"There is {'enough' if enough else 'too little'}."
-    )
-    if one.is_passive_behind:
-        yield "This scene is one of them."
-    elif not one.misfit:
-        needed = f"{units(one.needed_friction, 'N·s/m')} {declared}"
-        yield (
-            "This scene is none of them: masses have explicit steps, a force falls with distance, or another link ends "
-            f"at the hand. In any hand it needs a friction of "
-            f"{needed if math.isfinite(one.needed_friction) else 'an unknown size'}."
-        )
+    """Yields what is felt with nothing behind the scene's coupling, or else the first one, and what it needs."""
+    from hapsim.prediction import HAND_STIFFNESS
+
+    own, whose = (one.any_hand, "the first coupling") if one.present is None else (one.present, "the scene's coupling")
+    weight, declared = "", f"(declared: {units.number(one.friction, 'N·s/m')})"
+    if math.isfinite(own.free_mass):
+        by = f"moved by a hand of {units(HAND_STIFFNESS, 'N/m')}"
+        weight = f" and {units(own.free_mass, 'kg', 4)} (of {units(one.proxy_mass, 'kg')}, {by})"
+    yield f"With nothing behind {whose}, the hand feels {units(own.free_b, 'N·s/m')}{weight} and no stiffness."
+    needs = f"needs a friction of {units(own.needed_friction, 'N·s/m')} {declared} for any hand, if what is behind it"
+    yield f"The friction: {whose} {needs} is passive in the backward difference (walls, contacts, springs, dampers)."
+    if not one.is_passive_behind and not one.misfit:
+        needed = units(one.needed_friction, "N·s/m") if math.isfinite(one.needed_friction) else "unknown"
+        why = "masses have explicit steps, a force falls with distance, or another link ends at the hand"
+        yield f"In this scene it is not ({why}). The friction that the scene needs for any hand is {needed} {declared}."
+    elif one.is_passive_behind:
+        yield "In this scene it is."
 
 
 def _row(scene: Scene, one: HandCouplings, who: str, of: FeltCoupling) -> tuple[str, ...]:
     units = scene.units_of(one.channel)
     (stiffness, damping), k, b = of.coupling, units.number(of.k, "N/m"), units.number(of.b, "N·s/m")
     return who, units.number(stiffness, "N/m"), units.number(damping, "N·s/m"), k, b
-
-
-def couplings_document(one: HandCouplings) -> dict[str, Any]:
-    """Returns the couplings of one hand as a JSON document."""
-
-    def shown(of: FeltCoupling | None) -> dict[str, Any] | None:
-        return (
-            None if of is None else {**of.coupling._asdict(), **{k: v for k, v in vars(of).items() if k != "coupling"}}
-        )
-
-    return {
-        "name": one.name,
-        "channel": one.channel,
-        "friction": one.friction,
-        "any_hand": shown(one.any_hand),
-        "this_hand": shown(one.this_hand),
-        "present": shown(one.present),
-        "proxy_mass": one.proxy_mass,
-        "is_passive_behind": one.is_passive_behind,
-        "needed_friction": one.needed_friction,
-    }

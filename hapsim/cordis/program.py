@@ -17,16 +17,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
 from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, PresentType
 from hapsim.cordis.dispatch import Column, Part, TickState, calls_of
-from hapsim.cordis.modules import (
-    linear_links,
-    membrane,
-    nonlinear_links,
-    pick_ups,
-    points,
-    proxies,
-    string,
-    table_links,
-)
+from hapsim.cordis.modules import linear_links, membrane, nonlinear_links, pick_ups, points, proxy, string, table_links
 from hapsim.cordis.parameters import LiveValues
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.simd import aligned, padded
@@ -35,7 +26,7 @@ from hapsim.errors import UsageError
 from hapsim.scene import Scene
 from hapsim.scene.cross_checks import MOST_SINGLE
 
-_FILES = (points, string, membrane, linear_links, table_links, nonlinear_links, proxies, pick_ups)
+_FILES = (points, string, membrane, linear_links, table_links, nonlinear_links, proxy, pick_ups)
 PART_TYPES = tuple(kind for file in _FILES for kind in vars(file).values() if isinstance(kind, PartType))
 """Types of module that a program can have, in the order in which they act: by file, then as defined there."""
 

@@ -23,25 +23,25 @@ _PROXY_SHARE = 0.1  # of the hand's mass
 
 @dataclass(frozen=True)
 class FeltCoupling:
-    """A coupling, and what the hand feels of it."""
+    """A coupling, the friction that it needs for any hand and any passive scene, and what the hand feels: k and b while
+    the proxy stands still (NaN for a `reason`); of a free proxy b, and a mass to a hand of `HAND_STIFFNESS`."""
+
+    DOCUMENT = "*coupling needed_friction k b reason free_b free_mass"
 
     coupling: Coupling
     needed_friction: float
-    """Friction, N·s/m, with which any hand and any passive scene behind the coupling are stable."""
     k: float
-    """While the proxy stands still, N/m; NaN if `reason` is not empty."""
     b: float
-    """While the proxy stands still, N·s/m."""
     reason: str
     free_b: float
-    """With nothing behind the proxy, N·s/m."""
     free_mass: float
-    """With nothing behind the proxy, its mass to a hand of `HAND_STIFFNESS`, kg; NaN for rotary motion."""
 
 
 @dataclass(frozen=True)
 class HandCouplings:
     """The couplings of one hand."""
+
+    DOCUMENT = "name channel friction any_hand this_hand present proxy_mass is_passive_behind needed_friction misfit"
 
     name: str
     channel: int
@@ -54,7 +54,7 @@ class HandCouplings:
     this_hand: FeltCoupling | None
     """For a hand of these masses alone; None if none is found."""
     present: FeltCoupling | None
-    """Coupling of the hand's proxy in the scene; None if it has none."""
+    """That of its proxy in the scene; None if it has none."""
     proxy_mass: float
     """Mass of the proxy, kg."""
     is_passive_behind: bool
@@ -83,29 +83,26 @@ def _couplings_of(scene: Scene, name: str, channel: int, proxy_mass: float | Non
     any_hand = stiffest_coupling(hand.friction, hand.period, int(hand.delay))
     this_hand = stiffest_for(hands)
     mass = _PROXY_SHARE * least if proxy_mass is None else proxy_mass
-    present = next(((proxy, one) for proxy, one in scene.proxies.items() if one.hand == name), None)
-    coupled, proxy, misfit = scene, f"{name}_proxy", ""
-    if present is not None:
-        proxy, mass = present[0], present[1].mass
-    else:
-        try:
-            coupled = coupled_scene(scene, name, any_hand, mass)
-        except SceneError as error:
-            misfit = str(error)
-    needed = math.nan
-    if not misfit:
+    proxy, own = next(
+        ((proxy, one) for proxy, one in scene.proxies.items() if one.hand == name), (f"{name}_proxy", None)
+    )
+    mass, present = (mass, None) if own is None else (own.mass, Coupling(own.stiffness, own.damping))
+    needed, is_passive, misfit = math.nan, False, ""
+    try:
+        coupled = scene if own is not None else coupled_scene(scene, name, any_hand, mass)
+        is_passive = _is_passive_behind(coupled, name, proxy)
         of_scene = predict(coupled, with_margins=False).any_hands
         needed = next((float(one.needed[one.names.index(name)]) for one in of_scene if name in one.names), math.nan)
-    own = None if present is None else Coupling(present[1].stiffness, present[1].damping)
+    except SceneError as error:
+        misfit = str(error)
     is_rotary = scene.device.motions(scene.channels)[channel] == "rotary"
-    felt = [one and _felt(hand, one, mass, is_rotary) for one in (any_hand, this_hand, own)]
-    assert felt[0] is not None
-    passive = not misfit and _is_passive_behind(coupled, name, proxy)
-    return HandCouplings(name, channel, hand.friction, (least, most), *felt, mass, passive, needed, misfit)
+    first, second, third = (one and _felt(hand, one, mass, is_rotary) for one in (any_hand, this_hand, present))
+    assert first is not None
+    masses = least, most
+    return HandCouplings(name, channel, hand.friction, masses, first, second, third, mass, is_passive, needed, misfit)
 
 
 def _is_passive_behind(scene: Scene, name: str, proxy: str) -> bool:
-    """As `HandCouplings.is_passive_behind`."""
     fixed = {*scene.grounds, proxy}
     others = (link for own, link in scene.links.items() if own != proxy and {name, proxy} & {*link.between})
     return all({*link.between} <= fixed and link.law().sector[0] >= 0.0 for link in others)
@@ -149,7 +146,7 @@ def _felt(hand: Configuration, coupling: Coupling, proxy_mass: float, is_rotary:
     k, b = hand.equivalent(K, B)
     device = ([hand.mass], [hand.friction], hand.delay, hand.hold, hand.sampling)
     free = Network(hand.rate, *device, [proxy_mass], [[0, 1]], [K], [B], implicit=[True])  # type: ignore[arg-type]
-    needed = needed_friction(coupling, hand.period, int(hand.delay)) if coupling.stiffness > 0.0 else math.nan
+    needed = needed_friction(coupling, hand.period, int(hand.delay))
     mass = math.nan if is_rotary else felt_mass(free, HAND_STIFFNESS)[0]
     reason = str(hand.why_no_equivalent(K, B))
     return FeltCoupling(coupling, needed, float(k), float(b), reason, float(felt_pair(free).b[0, 0]), mass)

@@ -68,51 +68,44 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
 
 def _proxy_issues(around: ModuleContext, device: Mapping[str, object], scene: Mapping[str, object]) -> Iterator[Issue]:
     """Yields what a proxy's implicit step cannot do."""
-    for path, found, right in (
-        (("scheme",), scene.get("scheme"), "cordis"),
-        (("substeps",), scene.get("substeps"), 1),
-        (("device", "correction"), device.get("correction"), "none"),
-    ):
-        if found not in (None, right):
+    alone = {("scheme",): (scene, "cordis"), ("substeps",): (scene, 1), ("device", "correction"): (device, "none")}
+    for path, (part, right) in alone.items():
+        if (found := part.get(path[-1], right)) != right:
             yield Issue(path, f"found {found} in a scene with a proxy, expected {right}: its step is made for no other")
-    least = {name: 0.0 for name, one in around.modules.items() if isinstance(one, Proxy)}
+    falls: defaultdict[str, float] = defaultdict(float)
     for name, link in around.modules.items():
-        if isinstance(link, Link) and around.knows(name, *type(link).model_fields):
-            ends = [end for end in link.between if around.kinds.get(end) is Proxy]
+        if not isinstance(link, Link) or not around.knows(name, *type(link).model_fields):
+            continue
+        ends = [end for end in link.between if around.kinds.get(end) is Proxy]
+        for end in ends[:1]:
+            falls[end] -= min(link.law().sector[0], 0.0)
+            words, fit = f"{quote(end)}, a proxy, at an end of a {link.type}{_unfit_at_proxy(link)}", _FIT_AT_PROXY
             if len(ends) > 1:
-                found = f"found {' and '.join(map(quote, ends))}, which are both proxies"
-                yield Issue(("modules", name, "between"), f"{found}; expected a ground, a mass or a hand at one end")
-            elif ends and (unfit := _unfit_at_proxy(link)):
-                found = (
-                    f"found {quote(ends[0])}, a proxy, at an end of a {link.type}{unfit}; expected a spring, damper, "
-                )
-                expected = (
-                    "viscoelastic (damper: backward), buffer, click, a detent (shape: snap or notch) or a nonlinear"
-                )
-                yield Issue(("modules", name, "between"), f"{found}{expected} without force_over_velocity")
-            elif ends and ends[0] in least:
-                least[ends[0]] += min(link.law().sector[0], 0.0)
-    rate = scene.get("rate")
-    for name, slope in least.items():
-        proxy = around.modules[name]
-        if isinstance(proxy, Proxy) and isinstance(rate, int | float) and around.knows(name, *type(proxy).model_fields):
-            holds = proxy.mass * rate**2 + proxy.stiffness + proxy.damping * rate
-            if not holds + slope > 0.0:
-                sentence = (
-                    f"found {proxy.mass:g}, with which links that fall by {-slope:g} {around.units.name('N/m')} leave "
-                    "several places for the proxy in a sample; expected a larger mass"
-                )
-                yield Issue(("modules", name, "mass"), sentence)
+                words, fit = " and ".join(map(quote, ends)), "a proxy at one end only"
+            if len(ends) > 1 or _unfit_at_proxy(link):
+                yield Issue(("modules", name, "between"), f"found {words}; expected {fit}")
+    for name, fall in falls.items():
+        proxy, rate = around.modules.get(name), scene.get("rate")
+        if not isinstance(proxy, Proxy) or not isinstance(rate, int | float) or around.faulty.get(name):
+            continue
+        if fall >= proxy.mass * rate**2 + proxy.stiffness + proxy.damping * rate:
+            found = f"found {proxy.mass:g}: links that fall by {fall:g} {around.units.name('N/m')}"
+            sentence = f"{found} push it to several places at once; expected a larger mass"
+            yield Issue(("modules", name, "mass"), sentence)
+
+
+_FIT_AT_PROXY = (
+    "a spring, damper, viscoelastic (damper: backward), buffer, click, a detent (shape: snap or notch) or a nonlinear "
+    "without force_over_velocity"
+)
 
 
 def _unfit_at_proxy(link: Link) -> str:
     """Returns words on why this link cannot end on a proxy, to follow its type; "" if it can."""
-    law = link.law()
-    if isinstance(link, ViscoElastic) and link.damper != "backward":
-        return f" with damper: {link.damper}"
-    if law.speeds:
-        return " with force_over_velocity"
-    return " of shape: sine" if law.is_curved else "" if law.memoryless else ", which has a memory"
+    law, damper = link.law(), getattr(link, "damper", "backward")
+    unfit = {f" with damper: {damper}": damper != "backward", " with force_over_velocity": bool(law.speeds)}
+    unfit |= {" of shape: sine": law.is_curved, ", which has a memory": not law.memoryless}
+    return next((words for words, is_so in unfit.items() if is_so), "")
 
 
 def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:

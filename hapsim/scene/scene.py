@@ -20,7 +20,7 @@ from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
-from .modules.links import Coupling, Link, PickUp, ViscoElastic
+from .modules.links import Link, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
 from .part import Module, ModuleContext, Part, Table
@@ -173,7 +173,7 @@ class Scene(Part):
     def links(self) -> dict[str, Link]:
         """The elements between two points, by name, in the order of the file; then the couplings of the proxies."""
         couplings: dict[str, Link] = {
-            name: Coupling(type="coupling", between=(one.hand, name), stiffness=one.stiffness, damping=one.damping)
+            name: ViscoElastic(between=(one.hand, name), stiffness=one.stiffness, damping=one.damping)
             for name, one in self.proxies.items()
         }
         return self._of(Link) | couplings

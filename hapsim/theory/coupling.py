@@ -47,6 +47,8 @@ def needed_friction(coupling: Coupling, period: float, delay: int) -> float:
 
     `period`: T, s; `delay`: whole sample periods, 0 or more."""
     kappa = 0.5 * coupling.stiffness * period
+    if not kappa > 0.0:
+        return coupling.damping
     return kappa * _most(1.0 + coupling.damping / kappa, delay)[0]
 
 

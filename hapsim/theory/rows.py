@@ -146,7 +146,8 @@ class Tick:
         count, of_masses = self._masses, self.stretches[:, self._channels :].T
         if self._scheme is None:
             faster = times(self._unit_force, pushed - of_masses @ pull)
-            return start["mass_step"] + times(1.0 + self._network.implicit, faster), faster
+            moved = times(1.0 + self._network.implicit, faster) if self._implicit.size else faster
+            return start["mass_step"] + moved, faster
         held = times(self._unit_force / self.unit, pushed - of_masses @ times(1.0 - self.inside, pull))
         z = [start["mass"], start["mass_step"] / self.unit]
         if self._needs_channels:

@@ -17,7 +17,7 @@ def test_the_printed_modules_can_be_put_into_the_file(hapsim: Hapsim, scene_file
     found = hapsim("couple", scene)
     (first,) = hapsim("couple", scene, "--json").document["hands"]
     assert found.status == 0
-    assert "This scene is one of them." in found.out
+    assert "In this scene it is." in found.out
     modules = found.out.partition("add under modules:\n")[2]
     assert "type: proxy" in modules
     text = scene.read_text("utf-8")
@@ -41,7 +41,7 @@ def test_a_coupling_in_the_scene_is_judged(hapsim: Hapsim, scene_file: SceneFile
     needed = one["present"]["needed_friction"]
     assert needed > one["friction"]
     assert f"needs a friction of {needed:.6g} N·s/m (declared: {one['friction']:g}) for any hand" in text
-    assert "There is too little. This scene is one of them." in text
+    assert "In this scene it is." in text
     assert "(in the scene)" in text
     assert "add under modules" not in text
     ball = {"type": "mass", "mass": 0.05}
@@ -51,7 +51,7 @@ def test_a_coupling_in_the_scene_is_judged(hapsim: Hapsim, scene_file: SceneFile
     (one,) = hapsim("couple", moved, "--json").document["hands"]
     (part,) = hapsim("check", moved, "--json").document["any_hands"]
     assert one["needed_friction"] == part["needed_friction"][0]
-    assert f"In any hand it needs a friction of {one['needed_friction']:.6g} N·s/m" in text
+    assert f"The friction that the scene needs for any hand is {one['needed_friction']:.6g} N·s/m" in text
 
 
 def test_a_dash_is_explained(hapsim: Hapsim, scene_file: SceneFile) -> None:

@@ -198,7 +198,7 @@ def test_the_kernel_remembers_what_the_theory_states() -> None:
     remember = {name for name, one in linear.items() if not (one.memoryless and is_memoryless(dampers[name]))}
     assert remembering(scene) == remember != set()
     in_a_matrix = {name for name, one in linear.items() if one.in_a_matrix}
-    assert {scene.links[name].type for name in in_a_matrix} == {"viscoelastic", "spring", "damper", "coupling"}
+    assert {scene.links[name].type for name in in_a_matrix} == {"viscoelastic", "spring", "damper"}
     assert all(dampers[name] == BACKWARD for name in in_a_matrix)
 
 

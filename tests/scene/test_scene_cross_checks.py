@@ -225,17 +225,17 @@ def test_a_link_that_cannot_end_on_a_proxy_is_reported(faults: Faults, good: str
         ("mass: 0.2", "mass: 0.2, correction: poles", "found poles in a scene with a proxy, expected none"),
         ("hand: hand", "hand: hnd", "found 'hnd', expected the name of a module of type device; did you mean 'hand'?"),
         ("hand: hand", "hand: wall", "hand: found 'wall', expected the name of a module of type device"),
-        ("  cup", CUP.replace("cup", "mug") + "  cup", "found 'hand', which 'mug' stands for already; expected one"),
+        ("  cup", CUP.replace("cup", "mug") + "  cup", "found 'hand', which 'mug' stands for; expected one"),
         (
             "  cup",
             "  thumb: {type: device, channel: 1}\n" + CUP.replace("cup", "mug").replace("hand: hand", "hand: thumb")
             + "  it: {type: spring, between: [cup, mug], stiffness: 1}\n  cup",
-            "between: found 'cup' and 'mug', which are both proxies; expected a ground, a mass or a hand at one end",
+            "between: found 'cup' and 'mug'; expected a proxy at one end only",
         ),
         (
             "  cup",
             "  it: {type: detent, between: [cup, wall], pitch: 0.001, depth: 10, shape: snap, sharpness: 1}\n  cup",
-            "mass: found 0.02, with which links that fall by 40000 N/m leave several places for the proxy in a sample",
+            "mass: found 0.02: links that fall by 40000 N/m push it to several places at once; expected a larger",
         ),
     ],
 )  # fmt: skip

@@ -132,10 +132,8 @@ def test_an_explicit_mass_behind_the_coupling_needs_more_friction(mass: float, e
     (found,) = virtual_couplings(scene_of(DEVICE), mass)
     assert (found.needed_friction, found.is_passive_behind) == (pytest.approx(proxy, rel=1e-6), True)
     Kc, Bc = found.any_hand.coupling
-    joined = (
-        f"  ball: {{type: mass, mass: {mass}}}\n  c: {{type: viscoelastic, between: [hand, ball], stiffness: {Kc}, "
-    )
-    (part,) = predict(scene_of(DEVICE, f"{joined}damping: {Bc}}}")).any_hands
+    joined = f"c: {{type: viscoelastic, between: [hand, ball], stiffness: {Kc}, damping: {Bc}}}"
+    (part,) = predict(scene_of(DEVICE, f"  ball: {{type: mass, mass: {mass}}}\n  {joined}")).any_hands
     assert part.needed[0] == pytest.approx(explicit, rel=1e-6)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType, all_of
 from hapsim.cordis.dispatch import Column, Memory, Part, action, fma_action
-from hapsim.scene import Cell, Ground
+from hapsim.scene import Cell, Ground, Proxy
 
 
 class Grounds(NamedTuple):
@@ -89,7 +89,7 @@ def _grounds(grounds: Mapping[str, Any], columns: Sequence[Column], context: Bui
 
 
 def _masses(masses: Mapping[str, Any], _columns: Sequence[Column], context: BuildContext) -> Part:
-    mobility = context.mobility([math.inf if one.is_implicit else one.mass for one in masses.values()])
+    mobility = context.mobility([math.inf if isinstance(one, Proxy) else one.mass for one in masses.values()])
     return Part(Masses(_start(masses, context), mobility), integrate=integrate)
 
 

@@ -184,7 +184,8 @@ def _table_type(
         return {name: law for name, link in links.items() if (law := table(link)) is not None}
 
     def select(scene: Scene) -> dict[str, Link]:
-        return apart_from_proxies({name: scene.links[name] for name in tables(scene.links)}, scene)
+        links = scene.links
+        return apart_from_proxies({name: links[name] for name in tables(links)}, scene)
 
     def live(links: Mapping[str, Link], rate: float) -> list[LiveColumn]:
         return knot_columns(tables(links), rate, per(rate), over)

@@ -148,17 +148,6 @@ class Damper(Link):
         return line(0.0, self.damping, in_a_matrix=True)
 
 
-class Coupling(Link):
-    """The spring and damper of a proxy, which a scene lists among its links by the proxy's name."""
-
-    type: Literal["coupling"]
-    stiffness: float
-    damping: float
-
-    def law(self) -> Law:
-        return line(self.stiffness, self.damping, in_a_matrix=True)
-
-
 OVER_DISTANCE = curve(
     "Tension with which it pulls its ends together, over the first end minus the second", "m", "N", "none"
 )

@@ -55,8 +55,6 @@ class MaterialPoint(Module):
     #: It pulls itself by a force of its own that is more than `held_by` says, or another: it has a part of the program
     #: under every scheme, and a `law`.
     pulls_itself: ClassVar[bool] = False
-    #: Its step is implicit: it is where the forces on it balance in the same sample.
-    is_implicit: ClassVar[bool] = False
     initial: ClassVar[tuple[str, ...]] = ("position", "velocity")
 
     mass: Annotated[float, quantity("Mass", "kg", above=0)]
@@ -110,7 +108,6 @@ HAND = text("The device point that the coupling joins it to, by name", "the name
 class Proxy(MaterialPoint):
     """A point that stands for a hand in the scene: a virtual coupling, a spring and a damper, joins both."""
 
-    is_implicit: ClassVar[bool] = True
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
     type: Literal["proxy"] = Field(
@@ -127,16 +124,11 @@ class Proxy(MaterialPoint):
 
     @check_of("hand")
     def _stands_for_one_hand(self, name: str, around: ModuleContext) -> Iterator[Issue]:
-        if around.kinds.get(self.hand, DevicePoint) not in (None, DevicePoint) or self.hand not in around.kinds:
+        others = {one: other.hand for one, other in around.modules.items() if isinstance(other, Proxy)}
+        first = next(one for one, hand in others.items() if hand == self.hand)
+        if self.hand not in around.kinds or around.kinds[self.hand] not in (None, DevicePoint):
             hint = did_you_mean(self.hand, [one for one, kind in around.kinds.items() if kind is DevicePoint])
             yield Issue(("hand",), f"found {quote(self.hand)}, expected the name of a module of type device{hint}")
-            return
-        others = (
-            one for one, other in around.modules.items() if isinstance(other, Proxy) and around.knows(one, "hand")
-        )
-        first = next(one for one in others if getattr(around.modules[one], "hand", None) == self.hand)
-        if first != name:
-            sentence = (
-                f"found {quote(self.hand)}, which {quote(first)} stands for already; expected one proxy for a hand"
-            )
+        elif first != name:
+            sentence = f"found {quote(self.hand)}, which {quote(first)} stands for; expected one proxy for a hand"
             yield Issue(("hand",), sentence)

@@ -28,7 +28,7 @@ from hapsim.theory.interface import delay_and_hold
 from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.felt import matrices
 from hapsim.theory.network.large_loop import PIVOTS, factorised, sparse_transition
-from hapsim.theory.network.network import Network, is_centred
+from hapsim.theory.network.network import Network, is_centred, part_of
 from hapsim.theory.rows import times, unit_rows
 from hapsim.theory.sample import is_large, loop, state_size
 
@@ -86,17 +86,7 @@ def desired_impedance(network: Network, frequency: ArrayLike) -> Complexes:
 
 def device_forces(network: Network, w: Complexes) -> Complexes:
     """Forces (n, C), N z^n, that produce a reading of 1 m z^n on each channel alone, at w = z - 1 (n,)."""
-    none = np.zeros(0)
-    alone = replace(
-        network,
-        point_mass=none,
-        ends=np.zeros((0, 2), int),
-        stiffness=none,
-        damping=none,
-        damper=(),
-        outside=(),
-        implicit=(),
-    )
+    alone = part_of(replace(network, ends=np.full_like(network.ends, -1)), np.arange(network.channel_mass.size))
     return np.asarray(np.diagonal(_loop_forces(alone, w)[1], axis1=1, axis2=2))
 
 

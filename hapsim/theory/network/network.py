@@ -106,24 +106,18 @@ class Network:
             "outside": tuple(self.outside),
             "substeps": int(positive("substeps", self.substeps)),
             "decimation": one_of("decimation", self.decimation, DECIMATIONS),
-            "implicit": np.array(self.implicit if len(self.implicit) else [False] * point_mass.size, bool),
+            "implicit": np.array(self.implicit, bool) if len(self.implicit) else point_mass < 0.0,
         }
         for name in ("damper", "outside"):
             if checked[name] and len(checked[name]) != len(ends):
                 raise ValueError(f"{name} has {len(checked[name])} elements, but there are {len(ends)} links.")
+        if checked["implicit"].any():
+            at = np.concatenate([mass < 0.0, checked["implicit"], [False]])[ends]  # the last is a ground
+            backward = np.array([one == BACKWARD for one in checked["damper"]], bool)
+            if (at.sum(axis=1) > backward).any() or (self.scheme, self.substeps) != ("cordis", 1):
+                raise ValueError("implicit masses take no link between two, backward dampers alone, no other scheme.")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        if self.implicit.any():
-            self._require_solvable(ends >= mass.size)
-
-    def _require_solvable(self, at_mass: Bools) -> None:
-        """``at_mass`` (L, 2): which ends are masses."""
-        at = at_mass & np.append(self.implicit, False)[np.where(at_mass, self.ends - self.channel_mass.size, -1)]
-        backward = [self.damper[link] == BACKWARD for link in np.flatnonzero(at.any(axis=1)).tolist()]
-        if at.all(axis=1).any() or not all(backward) or self.scheme != "cordis" or self.substeps > 1:
-            raise ValueError(
-                "implicit masses have links to other points, with backward dampers, and no other scheme or substeps."
-            )
 
 
 def is_centred(network: Network) -> bool:

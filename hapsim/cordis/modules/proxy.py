@@ -2,12 +2,11 @@
 
     (m / T²) (x[n] - 2 x[n-1] + x[n-2]) = Kc d[n] + (Bc / T) (d[n] - d[n-1]) - F[n],        d: the hand minus x
 
-F[n] is the sum of the links that end on it, at x[n] too: a tick that has the hand's position solves for x[n]. All these
-links have knots (`table_links.py`), a spring a single one. So the left side minus the right rises with x from one
-straight piece to the next, and Newton's steps find the piece; a step that leaves the interval which is known to hold x
-becomes a bisection. Where a contact's damper begins, the force jumps: there x is the edge, and the force lies between.
-
-Where a tick begins, the proxy is at 2 x[n-1] - x[n-2], where it would coast (`Masses`).
+F[n], the sum over the links that end on it, is that at x[n] too. All of them have knots (`table_links.py`), a spring a
+single one. So the left side minus the right rises with x from one straight piece to the next, and Newton's steps find
+the piece. A step that leaves the interval in which x is known to be becomes a bisection. Where a contact's damper
+begins, the force jumps: there x is the edge, and the force lies between. A tick finds the proxy where it would coast,
+at 2 x[n-1] - x[n-2] (`Masses`).
 """
 
 from __future__ import annotations
@@ -32,14 +31,8 @@ _MOST_STEPS = 200  # halvings of an interval need some 60; none is reached but w
 
 
 class Proxies(NamedTuple):
-    """P proxies and their links; those of proxy p are begin[p] to before begin[p + 1].
-
-    Attributes:
-        point, hand: (P,) by number.
-        inertia: (P,) m/T², N/m.
-        digit: (1,) relative error of a number.
-        stiffness, damping_per_sample: (P,) Kc and Bc/T, N/m; live.
-    """
+    """P proxies and their links; those of proxy p are begin[p] to before begin[p + 1]. Points by number, m/T², Kc and
+    Bc/T in N/m, (P,); `digit`: relative error of a number, (1,)."""
 
     links: TableLinks
     begin: NDArray[np.uint64]
@@ -65,7 +58,6 @@ def add_forces(proxies, state):
     for p in range(np.uint64(proxies.point.size)):
         at, hand, coasts = proxies.point[p], proxies.hand[p], x[proxies.point[p]]
         K, B, before = proxies.stiffness[p], proxies.damping_per_sample[p], state.previous[hand] - state.previous[at]
-        close = proxies.digit[0] * (abs(coasts) + abs(x[hand]) + abs(state.previous[hand]))
         low, high, below, above, share = real(-np.inf), real(np.inf), real(0), real(0), real(0)
         for _ in range(_MOST_STEPS):
             d = x[hand] - x[at]
@@ -75,7 +67,7 @@ def add_forces(proxies, state):
                 tension, steepness = tension_at(links, i, stretch(links.ends, i, x), state.previous)
                 excess += tension if links.ends.first[i] == at else -tension
                 slope += steepness
-            step = excess / slope
+            step, close = excess / slope, proxies.digit[0] * (abs(coasts) + abs(x[hand]) + abs(x[at]))
             if not abs(step) > close:
                 x[at] -= step
                 break
@@ -135,10 +127,4 @@ def _build(modules: Mapping[str, Any], columns: Sequence[Column], context: Build
     return Part(numbers, initialize=retarget, retarget=retarget, add_forces=add_forces)
 
 
-PROXY = PartType(
-    _select,
-    _build,
-    name="proxies and their links",
-    compiled_as="Newton's steps over the knots of the links",
-    live=_live,
-)
+PROXY = PartType(_select, _build, name="proxies and their links", compiled_as="steps over the links' knots", live=_live)
