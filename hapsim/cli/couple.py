@@ -78,19 +78,19 @@ def _judgement(one: HandCouplings, units: Units) -> Iterator[str]:
     from hapsim.prediction import HAND_STIFFNESS
 
     own, whose = (one.any_hand, "the first coupling") if one.present is None else (one.present, "the scene's coupling")
-    weight, declared = "", f"(declared: {units.number(one.friction, 'N·s/m')})"
-    if math.isfinite(own.free_mass):
-        by = f"moved by a hand of {units(HAND_STIFFNESS, 'N/m')}"
-        weight = f" and {units(own.free_mass, 'kg', 4)} (of {units(one.proxy_mass, 'kg')}, {by})"
-    yield f"With nothing behind {whose}, the hand feels {units(own.free_b, 'N·s/m')}{weight} and no stiffness."
+    declared = f"(declared: {units.number(one.friction, 'N·s/m')})"
+    if math.isfinite(own.free_b):
+        by = f"(of {units(one.proxy_mass, 'kg')}, moved by a hand of {units(HAND_STIFFNESS, 'N/m')})"
+        weight = f" and {units(own.free_mass, 'kg', 4)} {by}" if math.isfinite(own.free_mass) else ""
+        yield f"With nothing behind {whose}, the hand feels {units(own.free_b, 'N·s/m')}{weight} and no stiffness."
     needs = f"needs a friction of {units(own.needed_friction, 'N·s/m')} {declared} for any hand, if what is behind it"
-    yield f"The friction: {whose} {needs} is passive in the backward difference (walls, contacts, springs, dampers)."
-    if not one.is_passive_behind and not one.misfit:
-        needed = units(one.needed_friction, "N·s/m") if math.isfinite(one.needed_friction) else "unknown"
-        why = "masses have explicit steps, a force falls with distance, or another link ends at the hand"
-        yield f"In this scene it is not ({why}). The friction that the scene needs for any hand is {needed} {declared}."
-    elif one.is_passive_behind:
+    yield f"{whose.capitalize()} {needs} is passive in the backward difference (walls, contacts, springs, dampers)."
+    if one.is_passive_behind:
         yield "In this scene it is."
+    elif not one.misfit:
+        needed = units(one.needed_friction, "N·s/m") if math.isfinite(one.needed_friction) else "unknown"
+        why = "it has masses with explicit steps, a force that falls with distance, or another link at the hand"
+        yield f"In this scene it is not: {why}. The friction that the scene needs for any hand is {needed} {declared}."
 
 
 def _row(scene: Scene, one: HandCouplings, who: str, of: FeltCoupling) -> tuple[str, ...]:

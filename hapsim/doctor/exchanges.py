@@ -24,7 +24,7 @@ from hapsim.loop.counts import Progress
 from hapsim.loop.histogram import Histogram, histogram_of
 from hapsim.loop.system import missing_calls
 from hapsim.number_format import frequency, share_in_percent
-from hapsim.scene import Clock, Scene
+from hapsim.scene import Clock, Link, Scene
 
 if TYPE_CHECKING:
     from hapsim.loop.realtime import PrivilegeResult
@@ -212,7 +212,7 @@ def trials(scene: Scene, rates: tuple[float, ...], transport: TransportKind) -> 
 def powerless(scene: Scene) -> Scene:
     """Returns the scene without its links, and with a limit that lets no force through: the hand is never pushed."""
     modules = type(scene.modules)(  # type: ignore[call-arg]
-        {name: module for name, module in scene.modules.items() if name not in scene.links}
+        {name: module for name, module in scene.modules.items() if not isinstance(module, Link)}
     )
     return _changed(scene, scene.rate, force_limit=_NO_FORCE).model_copy(update={"modules": modules})
 
