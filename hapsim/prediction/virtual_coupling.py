@@ -54,7 +54,7 @@ class HandCouplings:
     this_hand: FeltCoupling | None
     """For a hand of these masses alone; None if none is found."""
     present: FeltCoupling | None
-    """That of its proxy in the scene; None if it has none."""
+    """Coupling of its proxy in the scene; None if it has none."""
     proxy_mass: float
     """Mass of the proxy, kg."""
     is_passive_behind: bool

@@ -160,17 +160,17 @@ def test_where_a_damper_begins_a_proxy_may_rest_on_the_edge() -> None:
     assert points["ball"][-1] < 0.0
 
 
-def test_a_pick_up_of_its_force_hears_mass_times_acceleration() -> None:
+def test_a_pick_up_of_its_force_reads_mass_times_acceleration() -> None:
     modules = {"cup": CUP, "link": link("viscoelastic", ("cup", "wall"))}
     program, hand = compile_scene(scene_of(modules, sound={"ear": {"from": "cup", "of": "force"}})), swing(100)
     start(program, hand[:1])
-    heard, force, cup = [], np.zeros(1), [0.0, 0.0]
+    read, force, cup = [], np.zeros(1), [0.0, 0.0]
     for at in hand:
         tick(program, np.array([at]), np.zeros(1), force)
-        heard.append(program.pick_up_values[0])
+        read.append(program.pick_up_values[0])
         cup.append(positions_of(program)[1][program.numbers["cup"]])
     expected = CUP["mass"] * RATE**2 * np.diff(cup, 2)
-    np.testing.assert_allclose(heard, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(read, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
 def test_no_energy_comes_from_a_proxy() -> None:

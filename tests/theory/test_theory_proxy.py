@@ -18,7 +18,8 @@ from hapsim.theory.interface import damper_named
 from hapsim.theory.network import SURELY, poles_of
 from hapsim.theory.network.modes import snap_to_rest
 from hapsim.theory.network.scene_passivity import HeldScene, Passivity, passivity_of
-from hapsim.theory.sample import loop
+from hapsim.theory.rows import cut
+from hapsim.theory.sample import loop, sizes_of
 
 T = 1e-3
 BACKWARD, CENTRED = (damper_named(name, None, 1.0 / T) for name in ("backward", "centred"))
@@ -210,6 +211,17 @@ def test_sparse_rows_are_those_of_the_matrix() -> None:
     dense, sparse = (loop(scene, inputs=True, sparse=kind) for kind in (False, True))
     np.testing.assert_allclose(sparse.change.toarray(), dense.change, rtol=0, atol=1e-15)
     np.testing.assert_allclose(sparse.push.toarray(), dense.push, rtol=0, atol=1e-15)
+
+
+def test_a_push_on_a_proxy_moves_it_in_the_same_sample() -> None:
+    coupling = stiffest_coupling(1.0, T, 1)
+    scene = network(Hand(0.2, 0.0, 1.0), coupling, Behind(0.02, 500.0, 1.0), 1)
+    moved = cut(loop(scene, inputs=True).push[:, 1:], sizes_of(scene))
+    held = coupling.stiffness + coupling.damping / T
+    way = 1.0 / (0.02 / T**2 + held + 500.0 + 1.0 / T)
+    assert moved["mass_step"].item() == pytest.approx(way, rel=1e-12)
+    assert moved["mass"].item() == pytest.approx(2.0 * way, rel=1e-12)  # where it would coast
+    assert moved["held"].item() == pytest.approx(held * way * T**2 / 0.2, rel=1e-12)
 
 
 @pytest.mark.parametrize(
