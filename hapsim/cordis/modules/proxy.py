@@ -1,8 +1,8 @@
 """The proxy: a material point with an implicit step that a virtual coupling, Kc and Bc, joins to a device point.
 
-    (m / T²) (x[n] - 2 x[n-1] + x[n-2]) = Kc d[n] + (Bc / T) (d[n] - d[n-1]) - F[n],        d: the hand minus x
+    (m / T²) (x[n] - 2 x[n-1] + x[n-2]) = Kc d[n] + (Bc / T) (d[n] - d[n-1]) + F[n],        d: the hand minus x
 
-F[n], the sum over the links that end on it, is that at x[n] too. All of them have knots (`table_links.py`), a spring a
+F[n], the force of the links that end on it, is that at x[n] too. All of them have knots (`table_links.py`), a spring a
 single one. So the left side minus the right rises with x from one straight piece to the next, and Newton's steps find
 the piece. A step that leaves the interval in which x is known to be becomes a bisection. Where a contact's damper
 begins, the force jumps: there x is the edge, and the force lies between. A tick finds the proxy where it would coast,
