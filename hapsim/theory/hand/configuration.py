@@ -241,8 +241,8 @@ class Configuration:
     def linear_stiffness_limit(self, B: ArrayLike) -> Floats:
         """Largest stiffness near the origin, (b0 + B)/(T/2 + delay T), N/m; too large as B grows (Gil et al., 2004).
         T/2 is the zero-order hold's mean delay; averaged sampling adds as much, ``spring_lag`` its own, and the impulse
-        hold has none. Infinite without any delay."""
-        lag = self._lag + self.spring_lag
+        hold has none. Infinite without any delay, and where the element sees as far ahead."""
+        lag = max(self._lag + self.spring_lag - self.seen_ahead_s * self.rate, 0.0)
         return ((self.friction + np.asarray(B, dtype=float)) / (lag * self.period))[()]
 
     @_no_warnings
