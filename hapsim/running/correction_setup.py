@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description
 from hapsim.compiling.native import address_of
-from hapsim.holds import HOLDS, Hold
+from hapsim.holds import HOLDS
 from hapsim.loop.adaptive import (
     ADAPTIVE,
     ADDED,
@@ -37,10 +38,10 @@ from hapsim.prediction.correction.kind import predictor_for
 from hapsim.scene import Scene
 from hapsim.scene.device import Device
 from hapsim.theory.correction import StatePredictor, forces_at_sample, forces_in_second_difference
+from hapsim.theory.interface import acting_at_sample
 
 Table = NDArray[np.float64]
 
-_MOST_AGES = 4  # forces that act at once
 _LEAST_STIFFNESS = 1e-9  # N/m
 _KEPT_TABLES = 8  # more of the posted tables than the loop may still read
 
@@ -88,8 +89,9 @@ class LoopCorrection:
 
     def _look_ahead(self, device: Device, scene: Scene, loop: Any) -> None:
         """Fills the numbers of `look_ahead_by_sensors`."""
-        hold = HOLDS[device.hold]
-        change = _change_at_sample(hold, device.delay) if device.acceleration_age else []
+        hold, ages = HOLDS[device.hold], (0, device.acceleration_age)
+        newest, sensed = (acting_at_sample(device.delay, device.hold, age) for age in ages)
+        change = [now - then for now, then in zip_longest(newest, sensed, fillvalue=0.0)] if any(ages) else []
         self._keep_forces(len(change), device, loop)
         self._record.width = 1 + len(change)
         self._numbers = np.zeros((schema.MAX_CHANNELS, self._record.width))
@@ -200,19 +202,6 @@ class LoopCorrection:
             padded = np.pad(rows, ((0, 0), (0, STATES + self._lags - rows.shape[1])))
             table.append(np.concatenate([padded.ravel(), one.gains.ravel(), one.first.ravel()]))
         return np.array(table)
-
-
-def _change_at_sample(hold: Hold, delay: float) -> list[float]:
-    """Returns by how much the acting force changes at a sample, as weights of the forces that answer the last ones."""
-    whole = math.floor(delay)
-    if not whole or delay != whole:  # no force begins to act at a sample
-        return []
-    pieces = [piece for piece in hold.pieces(0.0) if piece.duration > 0.0]
-    weights = np.zeros(whole + _MOST_AGES)
-    for begin, sign, piece in ((whole - 1, 1.0, pieces[0]), (whole, -1.0, pieces[-1])):
-        weights[begin : begin + len(piece.level)] += sign * np.array(piece.level)
-    weights[whole : whole + len(pieces[-1].slope)] -= pieces[-1].duration * np.array(pieces[-1].slope)
-    return np.trim_zeros(weights, "b").tolist()
 
 
 def _span(port: Corrected) -> tuple[float, float]:

@@ -10,7 +10,6 @@ The predictor may assume another mass than the real one: `PredictedLoop` compute
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import NamedTuple
 
@@ -24,7 +23,14 @@ from hapsim.theory.hand import Configuration
 from hapsim.theory.hand.lone_hand import lone_hand
 from hapsim.theory.hand.pole_pair import oscillator_of_quadratic
 from hapsim.theory.hand.poles import pair_of_poles
-from hapsim.theory.interface import SAMPLINGS, damper_named, delay_and_hold, hold_segments, whole_and_fraction
+from hapsim.theory.interface import (
+    SAMPLINGS,
+    acting_at_sample,
+    damper_named,
+    delay_and_hold,
+    hold_segments,
+    whole_and_fraction,
+)
 from hapsim.theory.network.network import BACKWARD
 
 READING, MEAN_VELOCITY = 2, 3  # rows of a DeviceStep
@@ -191,13 +197,9 @@ def _noise(power: Floats, reads: Floats, answers: Floats) -> float:
 def forces_at_sample(model: Configuration, age: int) -> tuple[Floats, int]:
     """Returns (weights, first) of the force that acts at a sample: the sum of weights[i] f[n - first - i]. ``age`` 0:
     just after sample n; 1: just before it, as always if f[n] would act at once. No weights: an impulse is over."""
-    whole, fraction = whole_and_fraction(model.delay)
-    pieces = hold_segments(model.hold, fraction)
-    before = age == 1 or (whole == 0 and any(pieces[0].level[:1]))
-    piece = pieces[-1] if before else pieces[0]
-    gone = piece.duration if before else 0.0
-    both = itertools.zip_longest(piece.level, piece.slope, fillvalue=0.0)
-    return np.array([level + gone * slope for level, slope in both]), whole + before
+    weights = np.array(acting_at_sample(model.delay, model.hold, age))
+    acting = np.flatnonzero(weights)
+    return (weights[acting[0] : acting[-1] + 1], int(acting[0]) + 1) if acting.size else (weights[:0], 1)
 
 
 NEGLIGIBLE = 1e-12  # of the oldest noise: its square is beyond rounding
