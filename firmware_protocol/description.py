@@ -46,11 +46,6 @@ class Description:
         return len(self.position_scale)
 
     @property
-    def senses_velocity(self) -> bool:
-        """True if every channel has a velocity scale above 0."""
-        return "velocity" in self.sensed
-
-    @property
     def sensed(self) -> tuple[str, ...]:
         """Names of the parts of POSITION that the device can send: those with a scale above 0 on every channel."""
         scales = {part.name: self.scale(part.name) for part in schema.PARTS}

@@ -45,7 +45,7 @@ def test_the_description_states_the_values_of_the_scene(new_host: New) -> None:
     assert (said.position_scale, said.force_limit) == ((2e-7, 2e-7), (7.5, 7.5))
     assert said.force_scale[0] * -(2**31) == -7.5
     assert said.velocity_scale == (2e-7 * 2500.0,) * 2
-    assert said.senses_velocity
+    assert said.sensed == ("velocity", "acceleration")
     assert all(said.paces(pacing) for pacing in (DEVICE, HOST, LOCKSTEP))
     assert struct.pack("<4I", *registers[schema.REG_NAME :][:4]).rstrip(b"\0") == b"hapsim mock"
 

@@ -68,6 +68,13 @@ def test_the_registers_that_are_asked_for_are_all_that_a_description_needs(descr
     assert from_registers(asked) == description
 
 
+def test_scales_of_accelerations_are_read_only_from_a_board_that_declares_them() -> None:
+    assert not [n for n in registers_of_a_description(16, 6) if n >= 160]
+    assert [n for n in registers_of_a_description(2, 1) if n >= 160] == [160, 161, 176, 177]
+    undeclared = from_registers(to_registers(plain(acceleration_scale=(1e-3, 1e-3))))
+    assert (undeclared.acceleration_scale, undeclared.sensed) == ((), ())
+
+
 def test_what_is_not_a_number_travels_too() -> None:
     returned = from_registers(to_registers(plain(rate_hz=math.nan, force_limit=(math.inf, -0.0))))
     assert math.isnan(returned.rate_hz)
@@ -151,8 +158,8 @@ def test_a_device_senses_velocity_where_every_channel_has_a_scale_above_0(
     scale: tuple[float, ...], senses: bool
 ) -> None:
     description = plain(velocity_scale=scale)
-    assert description.senses_velocity == senses
-    assert from_registers(to_registers(description)).senses_velocity == senses
+    assert ("velocity" in description.sensed) == senses
+    assert ("velocity" in from_registers(to_registers(description)).sensed) == senses
 
 
 def test_each_pacing_has_its_bit() -> None:
