@@ -237,10 +237,11 @@ static inline bool hapsim_unstuff(uint8_t *buffer, size_t bytes) {
  * `payload` has hapsim_words_to_host(format) values: one in the set-up format, at most 48. */
 static inline size_t hapsim_write_to_host(const hapsim_format *format, uint8_t *out, uint8_t type, uint16_t number,
                                           const int32_t *payload) {
+    const uint8_t words = hapsim_words_to_host(format);
     size_t at = 1;
     out[at++] = (uint8_t)((type << 4) | ((number >> 8) & 0xF));
     out[at++] = (uint8_t)(number & 0xFF);
-    for (uint8_t i = 0; i < hapsim_words_to_host(format); i++) {
+    for (uint8_t i = 0; i < words; i++) {
         uint32_t word = (uint32_t)payload[i];
         for (uint8_t byte = 0; byte < 4; byte++, word >>= 8) { /* on an AVR a variable shift is a loop */
             out[at++] = (uint8_t)(word & 0xFFu);
