@@ -6,11 +6,13 @@ instead, so that the reader can make room, and no row is ever lost.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from firmware_protocol import schema
 from hapsim.compiling import fence, inlined
 from hapsim.compiling.native import array_at
 
@@ -40,7 +42,7 @@ RING = np.dtype(
     align=True,
 )
 
-# Words of a row; then C each of position, force, asked force and velocity.
+# Words of a row; then C each of position, force, asked force, and what is sensed beside the position.
 _SAMPLE, _TIME, _FLAGS, _TICK, _ASKED, _SENT, _VALUES = range(7)
 _words_at = array_at(np.int64)
 
@@ -51,21 +53,29 @@ ROWS = ("sample", "time_ns", "flags", "position_counts", "force_counts", "asked_
 BEFORE = ("tick_before_ns", "asked_before_ns", "sent_before_ns")
 """Columns of a run that the host paces: time in ns from the loop's wake-up, from its last request, and from the end of
 that sending, to this position."""
-VELOCITY = "velocity_counts"
-"""Column of velocities that the device senses."""
+SENSED = {part.name: f"{part.name}_counts" for part in schema.PARTS}
+"""Columns of what the device senses beside its positions, by name, in their order in a row."""
 
 
-def row_type(channels: int, velocity: bool = False, by_host: bool = False) -> np.dtype[Any]:
-    """Returns the type of a row for its reader and in files: little-endian, without gaps. `velocity`: with sensed
-    velocities. `by_host`: with BEFORE."""
+def row_type(channels: int, sensed: Collection[str] = (), by_host: bool = False) -> np.dtype[Any]:
+    """Returns the type of a row for its reader and in files: little-endian, without gaps. `sensed`: names of SENSED.
+    `by_host`: with BEFORE."""
     types: list[Any] = ["<i8", "<i8", "u1", *((kind, (channels,)) for kind in ("<i4", "<i4", "<f8"))]
-    columns = [*zip(ROWS, types, strict=True), *((VELOCITY, "<i4", (channels,)) for _ in range(velocity))]
+    columns: list[Any] = [*zip(ROWS, types, strict=True)]
+    columns += [(column, "<i4", (channels,)) for name, column in SENSED.items() if name in sensed]
     return np.dtype(columns + [(name, "<i4") for name in BEFORE if by_host])
+
+
+def sensed_in(rows: NDArray[Any], scale_of: Callable[[str], ArrayLike]) -> dict[str, NDArray[np.float64]]:
+    """Returns what the device sensed beside its positions, (N, C) in SI units by name. `scale_of(name)`: SI units per
+    count, by channel."""
+    names = rows.dtype.names or ()
+    return {name: rows[column] * np.asarray(scale_of(name)) for name, column in SENSED.items() if column in names}
 
 
 class Ring:
     """The reader's side of a ring. A row is contiguous in memory: sample, time in ns, flags, positions and forces in
-    counts, and the bits of the scene's force in N before excitation, limit and rounding."""
+    counts, the bits of the scene's force in N before excitation, limit and rounding, and what is sensed, in counts."""
 
     def __init__(self, record: object, of: np.dtype[Any], capacity: int, waits: bool) -> None:
         """Makes an empty ring in `record`, a RING. `of`: type of the rows that are read. `capacity`: a power of two."""
@@ -73,7 +83,7 @@ class Ring:
         self.of = of
         """Type of the rows, from `row_type`."""
         channels = of["position_counts"].shape[0]
-        self._rows = np.zeros((capacity, _VALUES + 4 * channels), np.int64)
+        self._rows = np.zeros((capacity, _VALUES + (3 + len(SENSED)) * channels), np.int64)
         self._rows.fill(0)  # so that the loop causes no page fault
         self.record.rows = self._rows.ctypes.data
         self.record.capacity, self.record.width = self._rows.shape
@@ -87,12 +97,13 @@ class Ring:
         self.record.tail = head
         rows = np.empty(len(taken), self.of)
         rows["sample"], rows["time_ns"], rows["flags"] = taken[:, :_TICK].T
-        position, force, asked, velocity = np.split(taken[:, _VALUES:], 4, axis=1)
+        position, force, asked, *sensed = np.split(taken[:, _VALUES:], 3 + len(SENSED), axis=1)
         rows["position_counts"], rows["force_counts"] = position, force
         rows["asked_force"] = np.ascontiguousarray(asked).view(np.float64)
         names = self.of.names or ()
-        if VELOCITY in names:
-            rows[VELOCITY] = velocity
+        for column, counts in zip(SENSED.values(), sensed, strict=True):
+            if column in names:
+                rows[column] = counts
         for word, name in enumerate(BEFORE if BEFORE[0] in names else (), _TICK):
             rows[name] = np.minimum(taken[:, word], np.iinfo(np.int32).max)
         return rows
@@ -114,7 +125,8 @@ def push(ring, state, time_ns, flags, io):
         row[np.uint64(_VALUES) + c] = io.position_counts[c]
         row[np.uint64(_VALUES) + channels + c] = io.force_counts[c]
         row[np.uint64(_VALUES) + channels + channels + c] = np.float64(io.asked[c]).view(np.int64)
-        row[np.uint64(_VALUES) + channels + channels + channels + c] = io.velocity_counts[c]
+        row[np.uint64(_VALUES + 3 * ring.channels) + c] = io.velocity_counts[c]
+        row[np.uint64(_VALUES + 4 * ring.channels) + c] = io.acceleration_counts[c]
     ring.unpublished += 1
 
 

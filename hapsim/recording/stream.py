@@ -29,12 +29,12 @@ from pydantic import Field
 
 from firmware_protocol import schema
 from hapsim.errors import UsageError
-from hapsim.loop.ring import row_type
+from hapsim.loop.ring import SENSED, row_type
 from hapsim.recording.report import NO_RECORD, read_summary, validated
 
 MAGIC = b"hapsim trace\r\n\x1a\n"
-VERSION = 2
-_READ = (1, 2)  # 1 has no `run`, and no notes
+VERSION = 3
+_READ = (1, 2, 3)  # 1 has no `run`, and no notes; 2 no accelerations
 MOST_ROWS = 1 << 15
 """Largest number of rows in a chunk, which a reader has in memory at once."""
 
@@ -63,6 +63,8 @@ class Head(NamedTuple):
     """UTC, ISO 8601."""
     velocity: bool = False
     """True if its rows have the velocities that the device sensed."""
+    acceleration: bool = False
+    """Likewise, the accelerations."""
     by_host: bool = False
     """True if the host paced the run; its rows then have the times at which forces left."""
     run: dict[str, Any] | None = None
@@ -71,7 +73,17 @@ class Head(NamedTuple):
     @property
     def rows(self) -> np.dtype[Any]:
         """The type of its rows."""
-        return row_type(self.channels, self.velocity, self.by_host)
+        return row_type(self.channels, self.sensed, self.by_host)
+
+    @property
+    def sensed(self) -> tuple[str, ...]:
+        """Names of what its rows have beside the positions, of SENSED."""
+        return tuple(name for name in SENSED if getattr(self, name))
+
+    def sensed_scale(self, name: str) -> list[float]:
+        """Returns the scales of a name of `sensed`, SI units per count, by channel."""
+        scale: list[float] = (self.run or {})["description"][f"{name}_scale"]
+        return scale
 
     @property
     def channels(self) -> int:

@@ -7,7 +7,7 @@ import json
 import os
 import zipfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.loop.histogram import Histogram
-from hapsim.loop.ring import LATE_FORCE, LIMITED, ROWS, row_type
+from hapsim.loop.ring import LATE_FORCE, LIMITED, ROWS, row_type, sensed_in
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.report import NOT_FINISHED, Report, Statistics, read_summary, report_from, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter, is_stream
@@ -55,6 +55,9 @@ class Trace:
     """(C,) N per count."""
     statistics: Statistics
     report: Report
+    sensed: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    """(N, C) of each value that the device sent beside its positions: "velocity", m/s, "acceleration", m/s². `save`
+    does not write them; a .trace that `hapsim run --record` writes has them."""
 
     def __repr__(self) -> str:
         samples = f" (samples {self.sample[0]} to {self.sample[-1]})" if self.sample.size else ""
@@ -75,7 +78,8 @@ class Trace:
 
     def since(self, tick: int) -> Trace:
         """Returns the rows from this tick on, with the same report."""
-        return replace(self, **{name: getattr(self, name)[tick:] for name in ROWS})
+        sensed = {name: values[tick:] for name, values in self.sensed.items()}
+        return replace(self, sensed=sensed, **{name: getattr(self, name)[tick:] for name in ROWS})
 
     def save(self, path: str | Path) -> None:
         """Writes a .npz or .trace (unchanged arrays) or a .csv (SI units). Raises UsageError if it cannot."""
@@ -242,6 +246,7 @@ def _load_stream(path: Path) -> Trace:
         force_scale=np.array(reader.head.force_scale),
         statistics=statistics,
         report=report if reader.is_finished else _report_of_rows(report, rows),
+        sensed=sensed_in(rows, reader.head.sensed_scale) if reader.head.run else {},  # where it has the scales
     )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hapsim.documents import plain
 from hapsim.errors import UsageError
 from hapsim.loop import ring
-from hapsim.loop.ring import LATE_FORCE, VELOCITY
+from hapsim.loop.ring import LATE_FORCE, SENSED, sensed_in
 from hapsim.prediction.timing import time_to_live_samples
 from hapsim.recording.background_file import require_writable
 from hapsim.recording.recorder import Scales
@@ -213,8 +213,8 @@ class Columns:
         self.count, self.channels = self.reader.count, self.head.channels
         motions = [*self.report.get("motion", ()), *["linear"] * self.channels]
         self._units = [Units.of([motion]) for motion in motions[: self.channels]]
-        self.has_velocity = VELOCITY in (self.head.rows.names or ())
-        self.all = [column for column in _COLUMNS if self.has_velocity or column.name != "sensed_velocity"]
+        absent = {f"sensed_{name}" for name in SENSED if name not in self.head.sensed}
+        self.all = [column for column in _COLUMNS if column.name not in absent]
         notes = self.reader.notes
         self.markers = [(note["sample"], note["marker"]) for note in notes if "marker" in note]
         """The sample and the text of each marker."""
@@ -273,8 +273,7 @@ class Columns:
                 "age": np.minimum(age_of_each, time_to_live_samples(rate) + 2),
                 "lost": np.diff(samples.sample, prepend=samples.sample[0] - 1 if before is None else before) - 1,
             }
-            if self.has_velocity:
-                values["sensed_velocity"] = rows[VELOCITY] * np.array(self.documents["device"]["velocity_scale"])
+            values |= {f"sensed_{name}": of for name, of in sensed_in(rows, self.head.sensed_scale).items()}
             age, before = int(age_of_each[-1]), samples.sample[-1]
             yield values
 
@@ -294,6 +293,7 @@ _COLUMNS = (
     Column("position", "m", "measured by the device, from the scene's origin", "f8", True),
     Column("velocity", "m/s", "backward difference of the positions", "f8", True),
     Column("sensed_velocity", "m/s", "measured by the device", "f8", True),
+    Column("sensed_acceleration", "m/s²", "measured by the device", "f8", True),
     Column("force", "N", "sent to the device in answer", "f8", True),
     Column("asked_force", "N", "of the scene's modules, before excitation, limits and rounding", "f8", True),
     Column("flags", "1", "what happened to the force: a sum of flag_masks", "u1"),

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_protocol import schema
 from firmware_protocol.decoder import new_decoder
 from hapsim.compiling.progress import Counted
 from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
 from hapsim.loop.compiled_loop import VALUES, replay_rows
 from hapsim.loop.exchange import HOST_CLOCK
-from hapsim.loop.ring import BEFORE, VELOCITY
+from hapsim.loop.ring import BEFORE, SENSED
 from hapsim.recording.stream import StreamReader, open_record, reading
 from hapsim.running.assemble_loop import LoopMemory, assemble_loop
 from hapsim.running.changes import LiveScene
@@ -88,6 +89,7 @@ class Replay:
         """`pick_up`: the one in the sound file [default: all]. UsageError if `scene` cannot answer the positions."""
         self.record, self.is_same = record, scene is None
         self.scene = record.scene if scene is None else _as_recorded(record, scene)
+        _require_sensed(record, self.scene)
         connection = Connection(None, str(record.path), lambda: None, behind_port=record.run.behind_port)  # type: ignore[arg-type]
         self.loop: LoopMemory = assemble_loop(self.scene, connection, record.description, record.options)
         self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
@@ -166,15 +168,14 @@ class Replay:
 
     def _words(self, piece: Rows, before: int) -> NDArray[np.int64]:
         """Returns rows in the format of `replay_rows`."""
-        channels, velocity = piece["position_counts"].shape[1], bool(self.loop.record.io.velocities)
-        words = np.zeros((len(piece), VALUES + channels * (1 + velocity)), np.int64)
+        parts = schema.in_parts(self.loop.wire.parts)
+        counts = np.hstack([piece["position_counts"], *(piece[SENSED[part.name]] for part in parts)])
+        words = np.zeros((len(piece), VALUES + counts.shape[1]), np.int64)
         flags = piece["flags"].astype(np.int64)
         words[:, :4] = np.transpose([piece["sample"], piece["time_ns"], flags, np.append(before, flags[:-1])])
         for at, name in enumerate(BEFORE, 4):
             words[:, at] = piece[name] if self.loop.control.clock == HOST_CLOCK else 0
-        words[:, VALUES : VALUES + channels] = piece["position_counts"]
-        if velocity:
-            words[:, VALUES + channels :] = piece[VELOCITY]
+        words[:, VALUES:] = counts
         return words
 
 
@@ -263,9 +264,17 @@ def _as_recorded(record: Record, scene: Scene) -> Scene:
         raise UsageError(
             f"{name}: found {scene.channels} channels, expected the {record.description.channels} recorded"
         )
-    if scene.sensed_links and not before.sensed_links:
-        raise UsageError(f"{name}: found damper: sensed, expected another: the record has no sensed velocities")
     return scene.model_copy(update={"device": before.device})
+
+
+def _require_sensed(record: Record, scene: Scene) -> None:
+    """Raises UsageError if the scene needs values that the record does not have."""
+    for name in scene.sensed:
+        if name not in record.reader.head.sensed:
+            of_device = name in scene.device.sensors
+            found = f"{name} in device.sensors, expected none" if of_device else "damper: sensed, expected another"
+            values = {"velocity": "velocities", "acceleration": "accelerations"}[name]
+            raise UsageError(f"{scene.path or 'the scene'}: found {found}: the record has no sensed {values}")
 
 
 def device_of(path: Path) -> RecordedDevice:
@@ -282,16 +291,18 @@ def _device_of(path: Path, reader: StreamReader) -> RecordedDevice:
     if run is None:
         raise UsageError(f"{path}: recorded by an older hapsim, without its device: it cannot be served")
     samples, time_ns = (np.concatenate([piece[name] for piece in reader.rows()]) for name in ("sample", "time_ns"))
-    has_velocity = VELOCITY in (reader.head.rows.names or ())
-    words = ["position_counts", *[VELOCITY] * has_velocity]
+    words = ["position_counts", *(SENSED[name] for name in reader.head.sensed)]
     counts = np.concatenate([np.hstack([piece[name] for name in words]) for piece in reader.rows()])
     description = read_run(run, reader.head.channels).description
     scene = parse_scene(json.dumps(run["scene"]), str(path))
     for c, origin in enumerate(scene.device.origins(scene.channels)):  # rows count from there
         counts[:, c] += round((origin or 0.0) / description.position_scale[c])
-    if not has_velocity:
-        description = replace(description, velocity_scale=())
-    description = replace(description, acceleration_scale=(), sensors=0)  # rows have none
+    absent: dict[str, Any] = {f"{name}_scale": () for name in SENSED if name not in reader.head.sensed}
+    description = replace(
+        description,
+        **absent,
+        sensors=sum(part.declared_by for part in schema.PARTS if part.name in reader.head.sensed),
+    )
     samples -= samples[0] if run["first_tick"] else 0
     period = 1.0 / description.rate_hz
     if report["timed_by_device"] and len(samples) > 1:

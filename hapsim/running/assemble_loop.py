@@ -56,7 +56,7 @@ class LoopMemory:
         self.inbox = connection.inbox
         self.wire = armed_format(description.channels, parts)
         """Format of an armed device's frames."""
-        rows = row_type(description.channels, bool(parts & schema.WITH_VELOCITY), clock == "host")
+        rows = row_type(description.channels, [part.name for part in schema.in_parts(parts)], clock == "host")
         self.ring = Ring(self.record.ring, rows, _RING_ROWS, waits=clock == "lockstep")
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)

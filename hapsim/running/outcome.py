@@ -20,6 +20,7 @@ from hapsim.loop.guards.frozen_sensor import frozen_sentence
 from hapsim.loop.guards.leap import at_end_of_counts
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.hooks import EndedRun
+from hapsim.loop.ring import sensed_in
 from hapsim.number_format import duration, plural
 from hapsim.prediction import unlikely
 from hapsim.prediction.timing import host_silence
@@ -32,13 +33,15 @@ from hapsim.scene import Scene
 
 def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) -> Trace:
     """Returns the trace of a loop that has ended."""
+    rows, io, used = recorder.rows(), loop.record.io, slice(loop.wire.channels)
     return Trace(
         scene.rate,
-        **columns_of(recorder.rows()),
-        position_scale=loop.record.io.position_scale[: loop.wire.channels].copy(),
-        force_scale=loop.record.io.force_scale[: loop.wire.channels].copy(),
+        **columns_of(rows),
+        position_scale=io.position_scale[used].copy(),
+        force_scale=io.force_scale[used].copy(),
         statistics=statistics_of(loop),
         report=report_of(scene, loop, in_words(ending)),
+        sensed=sensed_in(rows, lambda name: io[f"{name}_scale"][used]),
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from firmware_protocol.description import Description
 from hapsim.documents import pick, plain
+from hapsim.loop.ring import SENSED
 from hapsim.prediction import predict
 from hapsim.recording.report import validated
 from hapsim.running.assemble_loop import LoopMemory
@@ -38,8 +39,9 @@ def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
     of = found.description
     if {channels} != {len(of.position_scale), len(of.force_scale), len(of.force_limit)}:
         raise ValueError(f"found a device of {of.channels} channels, expected {channels}")
-    if of.velocity_scale and len(of.velocity_scale) != channels:
-        raise ValueError(f"found {len(of.velocity_scale)} velocity scales, expected {channels}")
+    for name in SENSED:
+        if (scale := of.scale(name)) and len(scale) != channels:
+            raise ValueError(f"found {len(scale)} {name} scales, expected {channels}")
     return found
 
 

@@ -354,6 +354,7 @@ class SessionView:
             scene.path or "",
             datetime.now(UTC).isoformat(),
             velocity=bool(io.velocities),
+            acceleration=bool(io.accelerations),
             by_host=scene.device.clock == "host",
             run=run,
         )

@@ -12,7 +12,7 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import entry
 from hapsim.loop.buffers import IO_BUFFER
 from hapsim.loop.exchange import STATE
-from hapsim.loop.ring import BRIDGED, RING, UNSENT, Ring, mark_last, publish, push, row_type
+from hapsim.loop.ring import BRIDGED, RING, SENSED, UNSENT, Ring, mark_last, publish, push, row_type
 
 CHANNELS, CAPACITY = 2, 4
 
@@ -35,7 +35,7 @@ def mark_row(ring, flag):
 
 @pytest.fixture
 def ring() -> Ring:
-    return Ring(new_record(RING), row_type(CHANNELS, velocity=True, by_host=True), CAPACITY, waits=False)
+    return Ring(new_record(RING), row_type(CHANNELS, SENSED, by_host=True), CAPACITY, waits=False)
 
 
 @pytest.fixture
@@ -49,6 +49,7 @@ def write(ring: Ring) -> Callable[..., None]:
             io.force_counts[:CHANNELS] = 10 * sample, -10 * sample
             io.asked[:CHANNELS] = 0.1 * sample, -0.1 * sample
             io.velocity_counts[:CHANNELS] = 7 * sample, -7 * sample
+            io.acceleration_counts[:CHANNELS] = 11 * sample, -11 * sample
             push_row(ring.record, state_at(sample), BRIDGED if sample % 2 else 0, io)
         publish_rows(ring.record)
 
@@ -72,6 +73,7 @@ def require_rows(rows: Any, samples: list[int]) -> None:
     np.testing.assert_array_equal(rows["force_counts"], 10 * s[:, None] * sides)
     np.testing.assert_array_equal(rows["asked_force"], 0.1 * s[:, None] * sides)
     np.testing.assert_array_equal(rows["velocity_counts"], 7 * s[:, None] * sides)
+    np.testing.assert_array_equal(rows["acceleration_counts"], 11 * s[:, None] * sides)
     assert rows["sent_before_ns"].tolist() == [5] * len(samples)
     assert rows["asked_before_ns"].tolist() == [6] * len(samples)
     assert rows["tick_before_ns"].tolist() == [(1 << 31) - 1] * len(samples), "as long ago as the column can say"

@@ -70,14 +70,16 @@ def move_hand(mock, now):
     call_event(hand.take_sample, (address, now))
 
 
+_BITS = (0, *(part.bit for part in schema.PARTS))
 _STILL_KG = 1e12  # mass of the bodies behind the record, which no force moves
 
 RECORDED = np.dtype(
     [
         ("samples", np.uint64),  # address of the rows' sample numbers
-        ("words", np.uint64),  # and of their counts, `width` a row: positions, then velocities
+        ("words", np.uint64),  # and of their counts, `width` a row: positions, then those of `parts`
         ("rows", np.int64),
         ("width", np.int64),
+        ("parts", np.int64),  # bits of schema.PARTS
         ("next", np.int64),  # the row that is sent next
         ("put_frame", np.uint64),
     ],
@@ -93,7 +95,7 @@ class RecordedDevice:
         self, description: Description, samples: NDArray[np.int64], counts: NDArray[np.int32], period_s: float
     ) -> None:
         """`description`: of the device. `samples`: (N,) numbers, counted from arming. `counts`: (N, C) positions as on
-        the wire, or (N, 2 C) with velocities. `period_s`: sample period, if the device paces."""
+        the wire, and of each value in `description.sensed`. `period_s`: sample period, if the device paces."""
         self.description, self.period_s = description, period_s
         self._samples, self._counts = samples, counts
         self._record = new_record(RECORDED)
@@ -110,6 +112,7 @@ class RecordedDevice:
         record, channels = self._record, self.description.channels
         record.samples, record.words = self._samples.ctypes.data, self._counts.ctypes.data
         record.rows, record.width = self._counts.shape
+        record.parts = schema.parts_of(self.description.sensed)
         record.put_frame = FUNCTIONS["put_frame"].address()
         self.mock = mock = described_mock(self.description)
         mock.bodies["mass"][:channels] = mock.initial["mass"][:channels] = _STILL_KG
@@ -144,6 +147,12 @@ def put_recorded_frame(mock, framing, kind, number):
             return
         else:
             words = _words_at(recorded.words, recorded.rows * recorded.width)
-            for i in range(recorded.width):
-                mock.counts[i] = words[recorded.next * recorded.width + i]
+            at, sent = recorded.next * recorded.width, 0
+            for bit in _BITS:  # 0: of the positions
+                if bit & mock.board.parts == bit:
+                    for c in range(mock.channels):
+                        mock.counts[sent + c] = words[at + c]
+                    sent += mock.channels
+                if bit & recorded.parts == bit:
+                    at += mock.channels
     call_put_frame(recorded.put_frame, (address, framing, kind, number))
