@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from hapsim.cli import output
@@ -23,10 +23,12 @@ from hapsim.cli.output import output_units
 from hapsim.device.ports import is_first_use
 from hapsim.documents import pick
 from hapsim.errors import UsageError
+from hapsim.measuring.device_sensor import has_right_scale, sensor_warnings
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 from hapsim.number_format import relative_difference, rounded
 from hapsim.scene import Known
-from hapsim.scene.rewrite import require_rewritable, rewrite_device
+from hapsim.scene.choices import SENSORS
+from hapsim.scene.rewrite import Value, require_rewritable, rewrite_device
 
 if TYPE_CHECKING:
     from hapsim.measuring.device_fit import Estimate
@@ -45,7 +47,7 @@ _LABELS = {
 _SEEN = 3.0  # uncertainties: a value that differs from 0
 _OFF = 4.0  # uncertainties: a value that differs from the declared one
 
-Written = Mapping[str, str | Known]
+Written = Mapping[str, Value]
 """Values written into the scene, by key."""
 
 
@@ -160,9 +162,12 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
     if not json:
         hand = next(name for name, point in scene.device_points.items() if point.channel == channel)
         output.stdout().print("", _table(found, declared, hand))
-        for sentence in _sentences(found):
+        for sentence in [*_sentences(found), *_sensor_sentences(found, device.acceleration_age)]:
             output.print_line(sentence)
-    values = _values_to_write(found, declared, has_span=least < most) if write and not found.stopped else None
+    values: Written | None = None
+    if write and not found.stopped:
+        values = _values_to_write(found, declared, has_span=least < most)
+        values = {**values, **_sensors_to_write(found, device.sensors)}
     in_file = {} if values is None else rewrite_device(path, values, channel)
     if json:
         print(
@@ -199,6 +204,31 @@ def _values_to_write(found: DeviceIdentification, declared: Mapping[str, float],
         elif name != "stiffness" or _is_seen(estimate) or declared_value != 0.0:
             values[name] = rounded(max(estimate.value, 0.0), estimate.uncertainty)
     return values
+
+
+def _sensors_to_write(found: DeviceIdentification, declared: Sequence[str]) -> Written:
+    """Returns the sensors of the device with that of the acceleration, if its scale is right, and its age if known."""
+    sensor = found.acceleration_sensor
+    if sensor is None or not has_right_scale(sensor):
+        return {}
+    values: Written = {"sensors": tuple(name for name in SENSORS if name in (*declared, "acceleration"))}
+    return values if sensor.age is None else {**values, "acceleration_age": sensor.age}
+
+
+def _sensor_sentences(found: DeviceIdentification, declared_age: int) -> list[str]:
+    """Returns a sentence about the acceleration sensor, and warnings."""
+    sensor, units = found.acceleration_sensor, output_units()
+    if sensor is None:
+        return []
+    scale = rounded(sensor.scale.value, sensor.scale.uncertainty)
+    offset, noise = units(_rounded(sensor.offset, "m/s²"), "m/s²"), units(sensor.noise, "m/s²", ".2g")
+    age = "an age that the forces do not show" if sensor.age is None else f"an age of {sensor.age}"
+    warnings = sensor_warnings(sensor, found.channel, declared_age, units)
+    return [
+        f"Its acceleration sensor shows {scale} times the acceleration of the motion, with an offset of {offset}, a "
+        f"noise of {noise} rms, and {age}.",
+        *(f"Warning: {sentence}." for sentence in warnings),
+    ]
 
 
 def _is_seen(estimate: Estimate) -> bool:
@@ -278,9 +308,10 @@ def _identification_document(
     found: DeviceIdentification, declared: Mapping[str, float], written: Written | None
 ) -> dict[str, Any]:
     """Returns the document of `hapsim identify --json`, without the scene."""
-    values = None
+    values: dict[str, Any] | None = None
     if written is not None:
-        values = {name: float(one) if isinstance(one, str) else one.model_dump() for name, one in written.items()}
+        values = {name: float(one) if isinstance(one, str) else one for name, one in written.items()}
+        values |= {name: one.model_dump() for name, one in written.items() if isinstance(one, Known)}
     return {
         **pick(found, "channel peak_m samples residual_m stopped rate_hz noise_m"),
         "declared": dict(declared),
@@ -290,6 +321,10 @@ def _identification_document(
             pick(drive, "K=stiffness B=damping push_n=force") | {"push_s": drive.half / found.rate_hz}
             for drive in found.drives
         ],
-        **pick(found, "misfit? rate_seen_hz=seen_rate.rate_hz rate_seen_uncertainty_hz=seen_rate.uncertainty_hz hand"),
+        **pick(
+            found,
+            "misfit? rate_seen_hz=seen_rate.rate_hz rate_seen_uncertainty_hz=seen_rate.uncertainty_hz hand "
+            "acceleration_sensor",
+        ),
         "written": values,
     }

@@ -10,17 +10,19 @@ residual is not white, it comes from the scatter of the swings instead.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
 from numpy.linalg import norm
+from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
+from hapsim.holds import HOLDS
 from hapsim.measuring.converters import Converters, Floats
-from hapsim.measuring.device_motion import Motion, Swing, sampled_motion
+from hapsim.measuring.device_motion import Motion, SampledMotion, Swing, sampled_motion
 from hapsim.measuring.trace_quality import ROUNDING
 
 Shape = tuple[float, ...]
@@ -144,6 +146,18 @@ def fit_device(
     )
 
 
+def sensed_and_fitted(
+    motions: list[Motion], fit: DeviceFit, apart: float, count_m: float, rate_hz: float, converters: Converters
+) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+    """Returns the swing of each row of the fit (R,), its sensed acceleration, and the fitted one under the forces that
+    act `apart` sample periods after it and before it; m/s²."""
+    table = _Table(motions, list(fit.swings), math.ceil(fit.delay.value + 1.0), converters)
+    gain = 1.0 / (rate_hz**2 * count_m * fit.mass.value)
+    values = np.array([gain, gain * fit.coulomb.value, gain * fit.constant_force.value, *fit.shape])
+    after, before = (table.accelerations(values, late) * count_m * rate_hz**2 for late in (apart, -apart))
+    return np.nonzero(table.inside)[0], table.sensed(motions), after, before
+
+
 def _least_squares(
     left: Callable[[Floats], Floats], begin: Floats, least: Floats, most: Floats
 ) -> tuple[Floats, Floats]:
@@ -190,17 +204,46 @@ class _Table:
     def columns(self, shape: Shape) -> Floats:
         """Returns (S, L, 4): the positions, and those under unit gain, dry friction and constant force. The free motion
         that fits each best is subtracted."""
-        delay, friction, stiffness, *hand = shape
-        delay = min(max(delay, -1.0), self._most_delay + 1.0)
-        motion = sampled_motion(friction, stiffness, delay, self._converters, hand)
-        newest, length = self._index - motion.whole_delay - 1, self.inside.shape[1]
-        pushed = motion.answer_to([self._force[newest - age] for age in range(len(motion.gains))])
-        constant = np.broadcast_to(motion.answer_at_once(np.ones(length)), pushed.shape)
-        columns = np.stack([self._position, pushed, -motion.answer_at_once(self._side), constant], axis=2)
-        columns *= self.inside[:, :, None]
-        free = motion.free(length) * self.inside[:, :, None]
+        motion = self._motion_of(shape)
+        columns = np.concatenate([self._position[:, :, None], self._answers(motion)], axis=2) * self.inside[:, :, None]
+        free = motion.free(self.inside.shape[1]) * self.inside[:, :, None]
         basis, _ = np.linalg.qr(free / norm(free, axis=1, keepdims=True))
         return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns))
+
+    def _motion_of(self, shape: Sequence[float]) -> SampledMotion:
+        delay, friction, stiffness, *hand = shape
+        delay = min(max(delay, -1.0), self._most_delay + 1.0)
+        return sampled_motion(friction, stiffness, delay, self._converters, hand)
+
+    def _answers(self, motion: SampledMotion) -> Floats:
+        """Returns the motions (S, L, 3) under unit gain, dry friction and constant force, from rest."""
+        newest = self._index - motion.whole_delay - 1
+        pushed = motion.answer_to([self._force[newest - age] for age in range(len(motion.gains))])
+        constant = np.broadcast_to(motion.answer_at_once(np.ones(pushed.shape[1])), pushed.shape)
+        return np.stack([pushed, -motion.answer_at_once(self._side), constant], axis=2)
+
+    def accelerations(self, values: Floats, late: float) -> Floats:
+        """Returns the accelerations (R,) of the fitted motion, counts per squared sample period, under the force that
+        acts `late` sample periods after each sample. `values`: of the fit."""
+        gain, motion = values[0], self._motion_of(tuple(values[3:]))
+        weights, length, inside = values[:3], self.inside.shape[1], self.inside[:, :, None]
+        rest = (self._position - self._answers(motion) @ weights)[:, :, None] * inside
+        begin = np.linalg.pinv(motion.free(length) * inside) @ rest
+        turning = motion.turning()
+        moving = self._answers(turning) @ weights + (turning.free(length) @ begin)[:, :, 0]
+        delay = values[3] - late
+        whole = math.floor(delay)
+        acts = next(piece.level for piece in HOLDS[self._converters.hold].pieces(delay - whole) if piece.duration > 0.0)
+        force = sum(weight * self._force[self._index - whole - age] for age, weight in enumerate(acts))
+        return np.asarray((moving + gain * force)[self.inside])
+
+    def sensed(self, motions: list[Motion]) -> Floats:
+        """Returns the sensed accelerations (R,), m/s², in the rows of `accelerations`."""
+        pad = np.zeros(math.ceil(self._most_delay) + _MARGIN)
+        each = [
+            np.concatenate([pad, motion.acceleration, pad]) for motion in motions if motion.acceleration is not None
+        ]
+        return np.asarray(np.concatenate(each)[self._index][self.inside])
 
     def begin(self, begins: Iterable[Shape]) -> Floats | None:
         """Returns the parameters of the shape with the least residual; None if no force explains anything."""

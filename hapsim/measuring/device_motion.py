@@ -159,6 +159,7 @@ class Motion:
     position: Floats
     force: Floats
     known: tuple[tuple[int, int], ...]  # index ranges in which all acting forces were recorded
+    acceleration: Floats | None = None  # m/s², as the device senses it
 
 
 class Swing(NamedTuple):
@@ -182,7 +183,9 @@ def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float)
     known = [(first + (lead if first > 0 else 0), last) for first, last in runs]  # before the first row no force acted
     position = trace.position_counts[:, channel].astype(np.float64) - home_counts
     force = trace.force_counts[:, channel].astype(np.float64) * float(trace.force_scale[channel])
-    return Motion(position, force, tuple((begin, last) for begin, last in known if last - begin >= _LEAST_ROWS))
+    known = [(begin, last) for begin, last in known if last - begin >= _LEAST_ROWS]
+    sensed = trace.sensed.get("acceleration")
+    return Motion(position, force, tuple(known), None if sensed is None else sensed[:, channel])
 
 
 def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:
@@ -240,7 +243,8 @@ class SampledMotion(NamedTuple):
     y[n + 1] = row state[n] + sum over ages of gains[age][seen] f[n - D - age].
 
     The state is position and velocity of each mass; f is force per mass. A gain has the rows of the state, then that of
-    the mean position. `steady` is the gain of a constant force, `polynomial` the characteristic one of `step`.
+    the mean position. `steady` is the gain of a constant force, `polynomial` the characteristic one of `step`. `turn`
+    is the row of the acceleration: that of the state without forces at this instant.
     """
 
     whole_delay: int
@@ -250,6 +254,15 @@ class SampledMotion(NamedTuple):
     gains: tuple[Floats, ...]
     steady: Floats
     polynomial: Floats
+    turn: Floats
+
+    def turning(self) -> SampledMotion:
+        """Returns this motion with the acceleration in place of the position. That of a force that begins to act at
+        this very instant is left out; a constant one has been acting."""
+        row, states = self.turn @ self.step, self.row.size
+        gains = tuple(np.append(gain[:states], self.turn @ gain[:states]) for gain in self.gains)
+        steady = np.append(self.steady[:states], self.turn @ self.steady[:states] + 1.0)
+        return self._replace(row=row, seen=states, gains=gains, steady=steady)
 
     def answer_to(self, forces: Sequence[Floats]) -> Floats:
         """Returns positions along the last axis under the forces f[n - D - age] of each age, starting at rest."""
@@ -302,4 +315,5 @@ def sampled_motion(
         gains = expm(matrix * duration) @ gains
     seen = area if converters.averages else 0
     step, row = through[state, state], through[seen, state]
-    return SampledMotion(whole, step, row, seen, tuple(gains.T), through[:, force], np.asarray(np.poly(step)))
+    steady, polynomial = through[:, force], np.asarray(np.poly(step))
+    return SampledMotion(whole, step, row, seen, tuple(gains.T), steady, polynomial, matrix[1, state])

@@ -9,6 +9,7 @@ from itertools import product
 from typing import Any, Unpack
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hapsim.errors import GuardError, UsageError
 from hapsim.loop.endings import IN_WORDS, STOPPED
@@ -39,6 +40,7 @@ from hapsim.measuring.device_motion import (
     scene_of,
     swings_of,
 )
+from hapsim.measuring.device_sensor import AccelerationSensor, acceleration_sensor
 from hapsim.measuring.trace_quality import ROUNDING, SeenRate, seen_rate, silence, silence_words
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
@@ -96,6 +98,8 @@ class DeviceIdentification(DeviceFit):
     """True if a signal ended the measurement early; the values are those of the record until then."""
     seen_rate: SeenRate | None
     """Rate at which the device sampled, from the arrival of its positions; None if they do not show it."""
+    acceleration_sensor: AccelerationSensor | None
+    """None if the device has none."""
     motions: tuple[Motion, ...] = field(repr=False, compare=False)
     force_residual: ForceResidual = field(repr=False, compare=False)
     traces: tuple[Trace, ...] = field(repr=False, compare=False)
@@ -146,7 +150,10 @@ def identify_device(
     measurement_options.require_above_zero("seconds", duration=duration)
     # unstable: the force may fade within a narrow band, but the device does not stay there for long
     pusher = _Pusher(
-        scene, channel, bounds_of(scene, channel, force, travel), partial(run, **{**options, "unstable": True})
+        scene,
+        channel,
+        bounds_of(scene, channel, force, travel),
+        partial(run, **{**options, "unstable": True, "also_sense": ("acceleration",)}),
     )
     with one_thread():
         pusher.find_home()
@@ -162,7 +169,7 @@ class _Pusher:
         self._scene, self._channel, self._bounds, self._run_scene = scene, channel, bounds, run
         self._converters = Converters(scene.device.hold, scene.device.sampling)
         self._most_delay = max(_LEAST_DELAY, _MOST_DECLARED * scene.device.delay + 1.0)
-        self._home_counts = self._noise_counts = 0.0
+        self._home_counts = self._noise_counts = self._noise_m_s2 = 0.0
         self._count_m = 1.0
         self._records: list[tuple[Drive, Trace]] = []
         self._stopped = False
@@ -186,7 +193,9 @@ class _Pusher:
                 "A mock moves by itself if the scene has mock.initial"
             )
         self._home_counts = float(np.median(counts))
-        self._noise_counts = float(np.std(np.diff(counts, 2))) / math.sqrt(6.0)
+        self._noise_counts = _noise(counts)
+        if (sensed := trace.sensed.get("acceleration")) is not None:
+            self._noise_m_s2 = _noise(sensed[:, self._channel])
 
     def grow(self) -> DeviceFit:
         """Pushes harder and harder until the device moves enough. Returns a first fit."""
@@ -282,6 +291,7 @@ class _Pusher:
         fit = self._checked_fit(*farthest, traces, start)
         motions = self._motions(traces)
         lacking = force_residual(motions, fit, self._noise_counts, count_m, rate, self._converters)
+        sensor = acceleration_sensor(motions, fit, self._noise_m_s2, count_m, rate, self._converters)
         return DeviceIdentification(
             **vars(fit),
             noise_m=self._noise_counts * count_m,
@@ -294,6 +304,7 @@ class _Pusher:
             misfit=misfit_of(fit, lacking, self._noise_counts, self._scene.units_of(self._channel)),
             stopped=self._stopped,
             seen_rate=seen_rate(max(traces, key=lambda trace: trace.sample.size)),
+            acceleration_sensor=sensor,
             motions=tuple(motions),
             force_residual=lacking,
             traces=tuple(traces),
@@ -371,3 +382,8 @@ class _Pusher:
         counts = trace.position_counts[:, self._channel] - self._home_counts
         far = float(np.max(np.abs(counts), initial=0.0)) - _NOISE_PEAK * self._noise_counts
         return max(far, 0.0) * self._count_m
+
+
+def _noise(values: NDArray[np.float64]) -> float:
+    """Returns the noise of values at rest, rms. A slow motion does not count."""
+    return float(np.std(np.diff(values, 2))) / math.sqrt(6.0)

@@ -7,6 +7,7 @@ stability does not prevent a run (`hapsim.prediction.surely_shaken_by`).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
@@ -21,12 +22,12 @@ from hapsim.loop.system import require_linux
 from hapsim.number_format import duration, rounded_down
 from hapsim.prediction import Prediction, is_surely_unstable, surely_shaken_by, unlikely
 from hapsim.prediction.force_bounds import travel_error
-from hapsim.prediction.timing import wire_delay
+from hapsim.prediction.timing import wire_delay, wire_time_of
 from hapsim.prediction.warnings import most_force
 from hapsim.recording.trace import require_writable_as_trace
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import DamperScheme, Scene
-from hapsim.scene.choices import WITH_SENSOR
+from hapsim.scene.choices import SENSORS, WITH_SENSOR
 from hapsim.scene.cross_checks import narrow_detents
 from hapsim.scene.issue import one_of
 from hapsim.scene.modules import ModuleContext
@@ -159,6 +160,14 @@ def require_compatible(scene: Scene, name: str, description: Description) -> Non
         raise UsageError(f"{name}: {'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
     for sensor in scene.sensed:
         _require_sensor(sensor, scene, name, description)
+
+
+def with_sensors(scene: Scene, names: Sequence[str], description: Description) -> Scene:
+    """Returns the scene with those of these sensors that the device declares, if their longer frames cause no delay."""
+    wanted = (*scene.device.sensors, *(name for name in names if name in description.sensed))
+    sensors = tuple(name for name in SENSORS if name in wanted)
+    more = scene.model_copy(update={"device": scene.device.model_copy(update={"sensors": sensors})})
+    return more if wire_time_of(more).delay_samples == wire_time_of(scene).delay_samples else scene
 
 
 def require_in_time(scene: Scene) -> None:

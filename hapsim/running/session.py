@@ -49,6 +49,7 @@ from hapsim.running.requirements import (
     require_in_time,
     require_known_zero,
     require_runnable,
+    with_sensors,
 )
 from hapsim.running.session_options import RunOptions
 from hapsim.running.session_view import SessionView
@@ -109,6 +110,7 @@ class Session(SessionView):
         """Results of the real-time set-up: each privilege granted or denied."""
         with contextlib.ExitStack() as stack:
             self._connection = self._open_device(scene, stack)
+            scene = with_sensors(scene, options.also_sense, self._description)
             self._loop = assemble_loop(scene, self._connection, self._description, options)
             require_in_time(self._loop.rendered_scene)
             self._live = LiveScene(scene, self._loop, self._over.is_set, self.idle_priority, options.unstable)
@@ -345,7 +347,7 @@ class Session(SessionView):
             to_device=self._sent_before + last_bytes(io.sent, io.outbox) + self._connection.take_written(),
         )
         rows = self._recorder.last_rows(min(math.ceil(self.scene.rate), _LAST_ROWS))
-        last = replace(self.trace, **columns_of(rows))
+        last = replace(self.trace, **columns_of(rows), sensed={})
         where = ""
         try:
             directory = default_directory() if directory is None else Path(directory)
@@ -407,6 +409,8 @@ def start(scene: SceneSource, **options: Any) -> Session:
     * `history_s`: how many seconds `Session.history` returns.
     * `resumes`: the device took forces before. `Session.restarted` then says whether it powered up since, so that
       its zero has changed; where the scene counts from that zero, the device is not armed.
+    * `also_sense`: values that the device sends too if it has the sensors and longer frames cause no further delay
+      ("velocity", "acceleration"). `Trace.sensed` has them.
     * `sound`: plays the scene's sound on `sound_device` (a name, part of one or a number of `hapsim sound`; default:
       the system's), `volume_db` (dB) louder than full scale, `latency_s` after a position has arrived, or as soon as
       the card can. `sound_file`: a .wav to write, also in virtual time.

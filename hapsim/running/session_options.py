@@ -99,3 +99,4 @@ class RunOptions:
     sound_file: str | Path | None = None
     volume_db: float = 0.0
     latency_s: float = 0.015
+    also_sense: tuple[str, ...] = ()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hapsim.device.mock import assemble_mock
 from hapsim.scene import Known, load_scene
 from hapsim.scene.shipped import shipped_scene
 
@@ -65,7 +66,14 @@ def test_values_written_are_those_of_the_scene(hapsim: Hapsim, wrong_scene: Path
     device = load_scene(wrong_scene).device
     written = document["written"]
     assert isinstance(device.mass, Known)
-    assert {"mass": device.mass.model_dump(), "friction": device.friction, "delay": device.delay} == written
+    assert written == {
+        "mass": device.mass.model_dump(),
+        "friction": device.friction,
+        "delay": device.delay,
+        "sensors": ["acceleration"],
+    }
+    assert device.sensors == ("acceleration",)
+    assert document["acceleration_sensor"]["age"] is None, "no force begins to act at a sample"
     assert device.mass.value == pytest.approx(0.15, rel=1e-5)
     stated = document["identified"]["mass"]["uncertainty"]
     assert device.mass.uncertainty == pytest.approx(stated, rel=0.05)  # to two digits, and the value to the same place
@@ -78,11 +86,46 @@ def test_it_prints_what_stands_in_the_file_and_each_number_with_its_unit(hapsim:
     wrong_scene.write_text(text.replace("mass: 0.2 ", "mass: 200 g ", 1), encoding="utf-8")
     answer = hapsim("identify", wrong_scene, "--duration", 1, "--write")
     line = next(line for line in answer.out.splitlines() if line.startswith("Wrote into `device` of "))
-    found = re.search(r": (mass: \{value: 15\S+ g, uncertainty: \S+ g\}), (friction: \S+), (delay: \S+)\.$", line)
+    mass = r"mass: \{value: 15\S+ g, uncertainty: \S+ g\}"
+    found = re.search(rf": ({mass}), (friction: \S+), (delay: \S+), (sensors: \[acceleration\])\.$", line)
     assert found, line
     for entry in found.groups():
-        assert f"\n  {entry} " in wrong_scene.read_text(encoding="utf-8")
+        assert re.search(rf"\n  {re.escape(entry)}\s", wrong_scene.read_text(encoding="utf-8"))
     assert re.search(r"at simulated \(K, B\) of \(\S+ N/m, \S+ N·s/m\), \(", answer.out)
+
+
+def test_the_acceleration_sensor_is_written_beside_the_others_with_its_age(hapsim: Hapsim, wrong_scene: Path) -> None:
+    text = wrong_scene.read_text(encoding="utf-8").replace("  delay: 1.4\n", "")
+    text = text.replace("device:\n", "device:\n  sensors: [velocity]  # of the motor\n", 1)
+    wrong_scene.write_text(text.replace("mock:\n", "mock:\n  acceleration_age: 1\n", 1), encoding="utf-8")
+    answer = hapsim("identify", wrong_scene, "--duration", 1, "--write")
+    assert re.search(
+        r"^Its acceleration sensor shows (1\.0|0\.9)\S+ times the .*, and an age of 1\.$", answer.out, re.M
+    )
+    assert "Warning: the sensed acceleration is that just before a force begins to act: found device." in answer.out
+    device = load_scene(wrong_scene).device
+    assert device.sensors == ("velocity", "acceleration")
+    assert device.acceleration_age == 1
+    assert "\n  sensors: [velocity, acceleration]  # of the motor\n" in wrong_scene.read_text(encoding="utf-8")
+    answer = hapsim("identify", wrong_scene, "--duration", 1, "--json")
+    assert answer.document["acceleration_sensor"]["age"] == 1
+    assert answer.document["acceleration_sensor"]["scale"]["value"] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_sensor_of_a_wrong_scale_is_named_and_not_written(
+    hapsim: Hapsim, wrong_scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assemble = assemble_mock.assemble_mock
+
+    def wrong(scene: Any) -> Any:
+        mock = assemble(scene)
+        mock.converters["acceleration_quantum"] *= 0.5  # it sends twice the counts
+        return mock
+
+    monkeypatch.setattr(assemble_mock, "assemble_mock", wrong)
+    answer = hapsim("identify", wrong_scene, "--duration", 1, "--write")
+    assert re.search(r"^Warning: the sensed acceleration is 2 times that of the motion: its scale is", answer.out, re.M)
+    assert load_scene(wrong_scene).device.sensors == ()
 
 
 def test_a_span_of_masses_stays(hapsim: Hapsim, wrong_scene: Path) -> None:
