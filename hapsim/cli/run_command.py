@@ -241,7 +241,7 @@ class _Reporter:
         self._show, self._port, self._kind, self._file = show, port, kind, file
         self.grants: list[PrivilegeResult] = []
         self._is_placed = False  # whether the position at arming has been looked at
-        self._is_frozen = False  # whether a position stood still at the last look
+        self._said: set[str] = set()  # what was wrong with a sensor at the last look
 
     @property
     def observer(self) -> RunObserver:
@@ -280,8 +280,8 @@ class _Reporter:
             BackgroundWork(lambda: self._follow(file, session), session.idle_priority)
 
     def _running(self, progress: Progress) -> None:
-        """Shows progress. Reports a device that was armed outside its travel, once for each arming, and a position that
-        stands still while force acts."""
+        """Shows progress. Reports a device that was armed outside its travel, once for each arming, a position that
+        stands still while force acts, and a sensed acceleration that contradicts the positions."""
         if progress.phase in ("running", "ended") and progress.ticks > 0 and not self._is_placed:
             self._is_placed = True
             if progress.faded_ticks == progress.ticks:
@@ -293,9 +293,10 @@ class _Reporter:
                     "outside",
                     "warning",
                 )
-        if progress.frozen and not self._is_frozen:
-            output.print_message(progress.frozen, "frozen", "warning")
-        self._is_frozen = bool(progress.frozen)
+        wrong = {kind: getattr(progress, kind) for kind in ("frozen", "wrong_sensor") if getattr(progress, kind)}
+        for kind in wrong.keys() - self._said:
+            output.print_message(wrong[kind], kind, "warning")
+        self._said = set(wrong)
         self._show(progress)
 
     def _follow(self, file: WatchedFile, session: Session) -> None:
@@ -380,9 +381,9 @@ def _time(report: Report) -> str:
 
 
 def _warn_of_the_wire(out: Console, report: Report) -> None:
-    """Prints advice if a position stood still, or if the wire lost or damaged more than a few frames."""
-    if report.frozen:
-        out.print(f"Warning: {report.frozen}.", style="yellow", markup=False)
+    """Prints advice if a sensor was wrong, or if the wire lost or damaged more than a few frames."""
+    for sentence in filter(None, (report.frozen, report.wrong_sensor)):
+        out.print(f"Warning: {sentence}.", style="yellow", markup=False)
     positions = report.ticks + report.lost_frames
     refused_there = report.rejected_by_device or 0
     refused = report.crc_errors + (refused_there if refused_there > _NORMAL_REFUSALS else 0)

@@ -81,6 +81,8 @@ class Counts:
     """Frames of the scene's sound, if it is played or written: one for each step of its modules."""
     frozen: str = field(default="", metadata={"status": "sensor"})
     """Sentence about a position that stands still while force acts; in a report, the one that did so for longest."""
+    wrong_sensor: str = field(default="", metadata={"status": "acceleration sensor"})
+    """Sentence about a sensed acceleration that contradicts the positions."""
     estimated_mass_kg: tuple[float | None, ...] = _estimate("estimated mass", "‹kg›")
     """Last estimate of each channel's mass, with an adaptive correction; None on other channels."""
     estimated_mass_uncertainty_kg: tuple[float | None, ...] = _estimate("its uncertainty", "‹kg›")

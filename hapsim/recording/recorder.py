@@ -38,6 +38,8 @@ class Recorder:
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self.file: RecordFile | None = None
         """The file that is written during the run, or None."""
+        self.on_rows: Callable[[NDArray[Any]], None] = lambda _: None
+        """Called with all new rows."""
 
     def collect(self) -> None:
         """Empties the ring; from any thread."""
@@ -48,6 +50,7 @@ class Recorder:
                 self.file.take_notes(notes)
             if not rows.size:
                 return
+            self.on_rows(rows)
             if self._keep:
                 self._kept.append(rows)
             self._last.append(rows)

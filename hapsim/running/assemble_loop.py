@@ -32,6 +32,7 @@ from hapsim.prediction import surely_shaken_by, timing
 from hapsim.prediction.correction import rendered
 from hapsim.prediction.force_bounds import force_bounds
 from hapsim.running.correction_setup import LoopCorrection
+from hapsim.running.sensor_check import SensorCheck
 from hapsim.running.session_options import Excitation, PeriodicExcitation, RunOptions
 from hapsim.scene import Scene
 from hapsim.sound.play import SoundOutput
@@ -73,6 +74,8 @@ class LoopMemory:
         """The scene that the loop moves: the newest one, corrected."""
         self.correction: LoopCorrection | None = None
         """The rest of the correction: predictors and the estimate of the mass."""
+        self.sensor_check: SensorCheck | None = None
+        """The check of the sensed acceleration in a session."""
         self.sound: SoundRing | None = None
         """Frames of the scene's pick-ups; None for a scene without pick-ups."""
         self.sound_output: SoundOutput | None = None

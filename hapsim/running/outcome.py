@@ -89,7 +89,8 @@ def counters_of(loop: LoopMemory) -> dict[str, Any]:
     }
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
     sound = {} if loop.sound_output is None else loop.sound_output.counts()
-    return counts | masses | sound
+    sensor = "" if loop.sensor_check is None else loop.sensor_check.sentence(loop.rendered_scene)
+    return counts | masses | sound | {"wrong_sensor": sensor}
 
 
 def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
@@ -143,7 +144,7 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
         kind, what = DeviceError, f"the run ended normally after {report.ticks} ticks"
     if kind is GuardError and (hints := " ".join(unlikely(scene)).removesuffix(".")):
         advice = f"A likely mistake: {hints}"
-    what = f"{what}. {advice}" if advice else what
+    what = ". ".join(filter(None, (what, report.wrong_sensor, advice)))
     what = f"{what}; {_force_state(scene, loop, bool(report.released))}"
     return _with_trace(kind(f"{name}: {what}"), trace)
 

@@ -27,6 +27,7 @@ from hapsim.compiling.progress import Counted, on_compilation
 from hapsim.device.connection import Connection, arm, describe, disarm, frames_rejected_by, has_restarted
 from hapsim.device.open_connection import open_connection, place_of_device
 from hapsim.errors import HapsimError, RunError, UsageError
+from hapsim.holds import HOLDS
 from hapsim.loop import endings
 from hapsim.loop.buffers import last_bytes
 from hapsim.loop.compiled_loop import run_loop
@@ -51,6 +52,7 @@ from hapsim.running.requirements import (
     require_runnable,
     with_sensors,
 )
+from hapsim.running.sensor_check import SensorCheck
 from hapsim.running.session_options import RunOptions
 from hapsim.running.session_view import SessionView
 from hapsim.scene import Scene
@@ -122,6 +124,9 @@ class Session(SessionView):
             kept = max(options.history_s * scene.rate, min(scene.rate, _LAST_ROWS))
             kept = min(math.ceil(kept), _MOST_HISTORY)
             self._recorder = Recorder(self._loop.ring, options.keep, kept, self._take_notes)
+            if "acceleration" in scene.sensed and HOLDS[scene.device.hold].keeps_last_force:
+                self._loop.sensor_check = SensorCheck(scene.rate, self._description)
+                self._recorder.on_rows = self._loop.sensor_check.add
             self._to_file = threading.Lock()
             stack.callback(self._finish_record)
             if options.record is not None:

@@ -94,7 +94,9 @@ def test_it_prints_what_stands_in_the_file_and_each_number_with_its_unit(hapsim:
     assert re.search(r"at simulated \(K, B\) of \(\S+ N/m, \S+ N·s/m\), \(", answer.out)
 
 
-def test_the_acceleration_sensor_is_written_beside_the_others_with_its_age(hapsim: Hapsim, wrong_scene: Path) -> None:
+def test_the_acceleration_sensor_is_written_with_its_age_and_the_other_sensors_stay(
+    hapsim: Hapsim, wrong_scene: Path
+) -> None:
     text = wrong_scene.read_text(encoding="utf-8").replace("  delay: 1.4\n", "")
     text = text.replace("device:\n", "device:\n  sensors: [velocity]  # of the motor\n", 1)
     wrong_scene.write_text(text.replace("mock:\n", "mock:\n  acceleration_age: 1\n", 1), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What a device senses beside its positions is in its record, in a replay, in an export, and in a device made of it."""
+"""Sensed velocities and accelerations are in a record, in its replay, in its export, and in a device made of it."""
 
 from __future__ import annotations
 
@@ -22,16 +22,18 @@ Hapsim = Callable[..., Any]
 ACCELERATION = SCENE.replace("limit: 10", "limit: 10, sensors: [acceleration]")
 BOTH = SCENE.replace("limit: 10", "limit: 10, sensors: [velocity, acceleration]")
 
+CORRECTED = BOTH.replace("limit: 10", "limit: 10, correction: sensed")
+
 
 def rows_of(path: Path) -> Any:
     return np.concatenate(list(StreamReader(path).rows()))
 
 
-@pytest.mark.parametrize("scene", [ACCELERATION, BOTH], ids=["acceleration", "both"])
+@pytest.mark.parametrize("scene", [ACCELERATION, BOTH, CORRECTED], ids=["acceleration", "both", "correction"])
 def test_a_record_has_the_acceleration_of_the_motion_and_a_replay_too(scene: str, tmp_path: Path) -> None:
     path = recorded(tmp_path / "a.trace", scene)
     trace = load_trace(path)
-    assert trace.sensed.keys() == ({"velocity", "acceleration"} if scene == BOTH else {"acceleration"})
+    assert trace.sensed.keys() == ({"acceleration"} if scene == ACCELERATION else {"velocity", "acceleration"})
     # The force that answers sample n - 1 acts from sample n on; the device's friction is 1 N·s/m, its mass 0.2 kg.
     velocity = np.gradient(trace.position[:, 0]) * trace.rate
     expected = (trace.force[:-1, 0] - 1.0 * velocity[1:]) / 0.2
