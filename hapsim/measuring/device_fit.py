@@ -155,7 +155,7 @@ def sensed_and_fitted(
     gain = 1.0 / (rate_hz**2 * count_m * fit.mass.value)
     values = np.array([gain, gain * fit.coulomb.value, gain * fit.constant_force.value, *fit.shape])
     after, before = (table.accelerations(values, late) * count_m * rate_hz**2 for late in (apart, -apart))
-    return np.nonzero(table.inside)[0], table.sensed(motions), after, before
+    return np.nonzero(table.inside)[0], table.sensed, after, before
 
 
 def _least_squares(
@@ -196,6 +196,8 @@ class _Table:
         first = np.array([[starts[swing.motion] + swing.first] for swing in swings])
         self._index = np.where(self.inside, first + along, pad)
         self._position = position[self._index] * self.inside
+        sensed = np.concatenate([np.pad(motion.acceleration, pad) for motion in motions])
+        self.sensed = sensed[self._index][self.inside]
         going = np.sign(np.gradient(uniform_filter1d(position, _SMOOTH)))[self._index]
         side = np.array([[swing.side] for swing in swings])
         self._side = np.where(side == 0.0, going, side)
@@ -231,19 +233,10 @@ class _Table:
         begin = np.linalg.pinv(motion.free(length) * inside) @ rest
         turning = motion.turning()
         moving = self._answers(turning) @ weights + (turning.free(length) @ begin)[:, :, 0]
-        delay = values[3] - late
-        whole = math.floor(delay)
+        whole = math.floor(delay := values[3] - late)
         acts = next(piece.level for piece in HOLDS[self._converters.hold].pieces(delay - whole) if piece.duration > 0.0)
         force = sum(weight * self._force[self._index - whole - age] for age, weight in enumerate(acts))
         return np.asarray((moving + gain * force)[self.inside])
-
-    def sensed(self, motions: list[Motion]) -> Floats:
-        """Returns the sensed accelerations (R,), m/s², in the rows of `accelerations`."""
-        pad = np.zeros(math.ceil(self._most_delay) + _MARGIN)
-        each = [
-            np.concatenate([pad, motion.acceleration, pad]) for motion in motions if motion.acceleration is not None
-        ]
-        return np.asarray(np.concatenate(each)[self._index][self.inside])
 
     def begin(self, begins: Iterable[Shape]) -> Floats | None:
         """Returns the parameters of the shape with the least residual; None if no force explains anything."""

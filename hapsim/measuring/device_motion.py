@@ -159,7 +159,7 @@ class Motion:
     position: Floats
     force: Floats
     known: tuple[tuple[int, int], ...]  # index ranges in which all acting forces were recorded
-    acceleration: Floats | None = None  # m/s², as the device senses it
+    acceleration: Floats  # m/s², as the device senses it; NaN if it does not
 
 
 class Swing(NamedTuple):
@@ -184,8 +184,8 @@ def motion_of(trace: Trace, channel: int, home_counts: float, most_delay: float)
     position = trace.position_counts[:, channel].astype(np.float64) - home_counts
     force = trace.force_counts[:, channel].astype(np.float64) * float(trace.force_scale[channel])
     known = [(begin, last) for begin, last in known if last - begin >= _LEAST_ROWS]
-    sensed = trace.sensed.get("acceleration")
-    return Motion(position, force, tuple(known), None if sensed is None else sensed[:, channel])
+    sensed = trace.sensed.get("acceleration", np.full(trace.position_counts.shape, np.nan))
+    return Motion(position, force, tuple(known), sensed[:, channel])
 
 
 def swings_of(motions: list[Motion], noise_counts: float) -> list[Swing]:

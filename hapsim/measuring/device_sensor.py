@@ -26,6 +26,7 @@ _NEAR, _FAR = 0.01, 0.25  # sample periods from a sample to the force just befor
 _CERTAIN = 4.0  # uncertainties
 _SCALE_OFF = 0.1
 _OFFSET_OFF = 0.01  # of the sensed acceleration, rms
+_SINGULAR = 1e-9  # of the largest: a column without any motion
 _LAGS = 0.05, 2.0  # of the acceleration, rms, and times the noise: the rest that a sensor without a lag does not leave
 
 
@@ -50,38 +51,28 @@ def acceleration_sensor(
     motions: list[Motion], fit: DeviceFit, noise: float, count_m: float, rate_hz: float, converters: Converters
 ) -> AccelerationSensor | None:
     """Returns the acceleration sensor of a device; None if it has none. `noise`: m/s² rms; `count_m`: m per count."""
-    if any(motion.acceleration is None for motion in motions):
-        return None
     apart = min(max(_CERTAIN * fit.delay.uncertainty, _NEAR), _FAR)
     swing, sensed, after, before = sensed_and_fitted(motions, fit, apart, count_m, rate_hz, converters)
-    change = before - after
-    is_aged = bool(np.any(np.abs(change) > 1e-6 * np.max(np.abs(after))))
-    columns = np.column_stack([after, np.ones_like(after), *([change] if is_aged else [])])
-    inverse = np.linalg.pinv(columns.T @ columns)
-    found = inverse @ columns.T @ sensed
+    if np.isnan(sensed).any():
+        return None
+    columns = np.column_stack([after, np.ones_like(after), before - after])
+    inverse = np.linalg.pinv(columns.T @ columns, _SINGULAR)
+    scale, offset, change = found = inverse @ columns.T @ sensed
     left = sensed - columns @ found
     residual = math.sqrt(float(left @ left) / max(left.size - found.size, 1))
     by_swing = np.zeros((len(fit.swings), found.size))
     np.add.at(by_swing, swing, columns * left[:, None])
-    white, scattered = (np.sqrt(np.diag(one)) for one in (residual**2 * inverse, _squared(by_swing @ inverse)))
-    of_scale, of_offset, *of_change = np.maximum(white, scattered).tolist()
-    scale, offset = found[:2].tolist()
+    scatter = np.linalg.norm(by_swing @ inverse, axis=0)
+    of_scale, of_offset, of_change = np.maximum(residual * np.sqrt(np.diag(inverse)), scatter)
+    is_aged, is_known = inverse[2, 2] > 0.0, abs(change / scale - 0.5) > _CERTAIN * abs(of_change / scale)
     return AccelerationSensor(
-        scale=Estimate(scale, math.hypot(of_scale, scale * fit.mass.uncertainty / fit.mass.value)),
-        offset=Estimate(offset, math.hypot(of_offset, fit.constant_force.uncertainty / fit.mass.value)),
+        scale=Estimate(float(scale), math.hypot(of_scale, scale * fit.mass.uncertainty / fit.mass.value)),
+        offset=Estimate(float(offset), math.hypot(of_offset, fit.constant_force.uncertainty / fit.mass.value)),
         noise=noise,
         residual=residual,
         rms=math.sqrt(float(np.mean(sensed**2))),
-        age=_age(float(found[2]) / scale, of_change[0] / abs(scale)) if is_aged else None,
+        age=int(change / scale > 0.5) if is_aged and is_known else None,
     )
-
-
-def _squared(rows: np.ndarray) -> np.ndarray:
-    return rows.T @ rows
-
-
-def _age(value: float, uncertainty: float) -> int | None:
-    return None if abs(value - 0.5) < _CERTAIN * uncertainty else int(value > 0.5)
 
 
 def has_right_scale(sensor: AccelerationSensor) -> bool:

@@ -7,7 +7,6 @@ inverse of the other. So only a sign or a scale that no noise explains is a cont
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -28,19 +27,17 @@ class SensorCheck:
 
     def __init__(self, rate_hz: float, description: Description) -> None:
         self._rate, self._scales = rate_hz, (description.position_scale, description.acceleration_scale)
-        self._reach = max(1, round(_REACH_S * rate_hz))
-        away = np.abs(np.arange(-self._reach, self._reach + 1))
-        self._triangle = (self._reach - away) / self._reach**2
-        self._rows: NDArray[Any] | None = None
+        self._reach = k = max(1, round(_REACH_S * rate_hz))
+        self._triangle = (k - np.abs(np.arange(-k, k + 1))) / k**2
+        self._rows: list[NDArray[Any]] = []
         self._sums = np.zeros((6, description.channels))  # 1, s, d, s s, s d, d d of sensed s and difference d
 
     def add(self, rows: NDArray[Any]) -> None:
         """Adds rows that follow those of the last call."""
-        rows = rows if self._rows is None else np.concatenate([self._rows, rows])
-        gaps = np.flatnonzero(np.diff(rows["sample"]) != 1)
-        rows = rows[gaps[-1] + 1 :] if gaps.size else rows
+        rows = np.concatenate([*self._rows, rows])
+        rows = rows[np.max(np.flatnonzero(np.diff(rows["sample"]) != 1), initial=-1) + 1 :]  # behind the last gap
         k = self._reach
-        self._rows = rows[-2 * k :].copy()
+        self._rows = [rows[-2 * k :].copy()]
         if len(rows) <= 2 * k:
             return
         position, sensed = (rows[name] * one for name, one in zip(_COLUMNS, self._scales, strict=True))
@@ -51,27 +48,18 @@ class SensorCheck:
     def sentence(self, scene: Scene) -> str:
         """Returns a sentence without a full stop about the first channel with a contradiction; "" if there is none."""
         for name, point in scene.device_points.items():
-            times = self._times(point.channel)
-            if times is not None:
-                what = "sign" if times < 0.0 else "scale"
+            n, s, d, ss, sd, dd = self._sums[:, point.channel].tolist()
+            windows = n / (2.0 * self._reach)
+            if windows < _LEAST_WINDOWS or not (ss > s * s / n and dd > d * d / n):
+                continue
+            ss, sd, dd = ss - s * s / n, sd - s * d / n, dd - d * d / n
+            times, alike = (ss / dd) ** 0.5, sd / (ss * dd) ** 0.5
+            off = _CERTAIN * (max(1.0 - alike**2, 0.0) / windows) ** 0.5
+            is_large, is_small = (alike - off) * times > 1.0 + _OFF, times < (alike - off) * (1.0 - _OFF)
+            if alike + off < 0.0 or is_large or is_small:
+                what, times = ("sign", -times) if alike < 0.0 else ("scale", times)
                 return (
                     f"{name}: the sensed acceleration is about {times:.2g} times that of the positions: its {what} is "
                     "wrong. `hapsim identify` measures the sensor"
                 )
         return ""
-
-    def _times(self, channel: int) -> float | None:
-        """Returns how many times the acceleration of the positions the sensed one is, if that contradicts them."""
-        n, s, d, ss, sd, dd = self._sums[:, channel]
-        windows = n / (2.0 * self._reach)
-        if windows < _LEAST_WINDOWS:
-            return None
-        ss, sd, dd = ss - s * s / n, sd - s * d / n, dd - d * d / n
-        if not min(ss, dd) > 0.0:
-            return None
-        off = _CERTAIN * math.sqrt(max(1.0 - sd * sd / (ss * dd), 0.0) / windows)  # of a correlation
-        ratio = math.sqrt(ss / dd)
-        least, most = (sd / math.sqrt(ss * dd) + side * off for side in (-1.0, 1.0))
-        if most < 0.0:
-            return -ratio
-        return ratio if least * ratio > 1.0 + _OFF or (least > 0.0 and ratio < least * (1.0 - _OFF)) else None
