@@ -27,8 +27,7 @@ from hapsim.measuring.device_sensor import has_right_scale, sensor_warnings
 from hapsim.measuring.identify_device import SECONDS, bounds_of, identify_device
 from hapsim.number_format import relative_difference, rounded
 from hapsim.scene import Known
-from hapsim.scene.choices import SENSORS
-from hapsim.scene.rewrite import Value, require_rewritable, rewrite_device
+from hapsim.scene.rewrite import require_rewritable, rewrite_device
 
 if TYPE_CHECKING:
     from hapsim.measuring.device_fit import Estimate
@@ -47,7 +46,7 @@ _LABELS = {
 _SEEN = 3.0  # uncertainties: a value that differs from 0
 _OFF = 4.0  # uncertainties: a value that differs from the declared one
 
-Written = Mapping[str, Value]
+Written = Mapping[str, str | Known]
 """Values written into the scene, by key."""
 
 
@@ -167,7 +166,7 @@ def _show(path: str, scene: Scene, found: DeviceIdentification, write: bool, jso
     values: Written | None = None
     if write and not found.stopped:
         values = _values_to_write(found, declared, has_span=least < most)
-        values = {**values, **_sensors_to_write(found, device.sensors)}
+        values = {**values, **_age_to_write(found, device.sensors)}
     in_file = {} if values is None else rewrite_device(path, values, channel)
     if json:
         print(
@@ -206,13 +205,12 @@ def _values_to_write(found: DeviceIdentification, declared: Mapping[str, float],
     return values
 
 
-def _sensors_to_write(found: DeviceIdentification, declared: Sequence[str]) -> Written:
-    """Returns the sensors of the device with that of the acceleration, if its scale is right, and its age if known."""
+def _age_to_write(found: DeviceIdentification, declared: Sequence[str]) -> Written:
+    """Returns the age of the acceleration, if it is known and the scene reads this sensor."""
     sensor = found.acceleration_sensor
-    if sensor is None or not has_right_scale(sensor):
+    if sensor is None or sensor.age is None or not has_right_scale(sensor) or "acceleration" not in declared:
         return {}
-    values: Written = {"sensors": tuple(name for name in SENSORS if name in (*declared, "acceleration"))}
-    return values if sensor.age is None else {**values, "acceleration_age": sensor.age}
+    return {"acceleration_age": str(sensor.age)}
 
 
 def _sensor_sentences(found: DeviceIdentification, declared_age: int) -> list[str]:

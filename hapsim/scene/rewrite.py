@@ -26,10 +26,8 @@ from .yaml_document import compose
 
 _PER_CHANNEL = ("mass", "friction", "stiffness")
 
-#: A number as text, a measured one, a whole one, or words.
-Value = str | Known | int | tuple[str, ...]
-#: By keys of `device`.
-Values = Mapping[str, Value]
+#: Numbers as text, or measured ones, by keys of `device`.
+Values = Mapping[str, str | Known]
 
 
 def rewrite_device(path: str, values: Values, channel: int) -> dict[str, str]:
@@ -75,7 +73,7 @@ def device_rewritten(text: str, values: Values, channel: int, name: str = "<scen
     )
 
 
-def _entries(scene: Scene, key: str, value: Value, channel: int) -> list[Any]:
+def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[Any]:
     """Returns the device's new entries for `key`: one value, or one per channel where channels may differ."""
     if key not in _PER_CHANNEL or scene.channels == 1:
         return [value]
@@ -87,7 +85,7 @@ def _entries(scene: Scene, key: str, value: Value, channel: int) -> list[Any]:
 def _as_text(entries: list[Any], key: str, old: yaml.Node | None, text: str, channel: int) -> str:
     """Returns the entries as the file writes them, in the units of the `old` ones in `text`. In a list only the entry
     of `channel` is new; the others stay as they are written."""
-    if not isinstance(old, yaml.SequenceNode) or len(old.value) != len(entries) or isinstance(entries[0], tuple):
+    if not isinstance(old, yaml.SequenceNode) or len(old.value) != len(entries):
         texts = [_entry_text(entry, key, old) for entry in entries]
     else:
         texts = [text[one.start_mark.index : _end(one)] for one in old.value]
@@ -96,9 +94,7 @@ def _as_text(entries: list[Any], key: str, old: yaml.Node | None, text: str, cha
 
 
 def _entry_text(entry: object, key: str, old: yaml.Node | None) -> str:
-    """Returns a number, a mapping or words as text, with the unit of the `old` one if that has a unit."""
-    if isinstance(entry, tuple):
-        return f"[{', '.join(entry)}]"
+    """Returns a number or a mapping as text, with the unit of the `old` one if that has a unit."""
     quantity = _quantity_in(old)
     expected = expectation_of(Device.model_fields[key])
     assert expected is not None
