@@ -87,6 +87,8 @@ def shares_of(values: xarray.DataArray) -> str:
     """Returns at which share of the points a variable of `SHARES` is 1."""
     known = values.values[np.isfinite(values.values)]
     count = int(known.sum())
+    if not known.size:
+        return f"It is not known at which points they are {SHARES[str(values.name)]}"
     return f"{count} of {known.size} points ({share_in_percent(count / known.size)}) are {SHARES[str(values.name)]}"
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from hapsim.cli.output import Line, table
-from hapsim.number_format import percent, rounded_up
+from hapsim.number_format import duration, percent, rounded_up
 from hapsim.prediction import Desired, Prediction, predict
 from hapsim.prediction.correction import CORRECTIONS, GOOD
 from hapsim.prediction.felt_alone import SHARES, errors_by_mass
@@ -113,10 +113,12 @@ def _sensed_sentence(desired: Desired, name: str, prediction: Prediction) -> str
     )
     if max(errors) <= GOOD:
         return sentence
-    K, B = felt.configuration.normalised(felt.stiffness, felt.damping)
+    device, ahead_s = felt.configuration, felt.configuration.seen_ahead_s
+    K, B = felt.stiffness * ahead_s**2 / device.mass, felt.damping * ahead_s / device.mass
     return (
-        f"[yellow]{sentence}[/yellow] It is meant for soft scenes, K T²/m up to 0.1 and B T/m up to 0.2; here they are "
-        f"{K:.2g} and {B:.2g}. Take correction: predictor if the mass is known, or adaptive with a span of masses."
+        f"[yellow]{sentence}[/yellow] It suits scenes with a small K τ²/m and B τ/m; with τ = {duration(ahead_s)} "
+        f"ahead they are {K:.2g} and {B:.2g} here. Take correction: predictor if the mass is known, or adaptive with a "
+        "span of masses."
     )
 
 

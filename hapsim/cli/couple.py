@@ -52,7 +52,10 @@ def _lines(scene: Scene, name: str, one: HandCouplings) -> Iterator[Line]:
     rows = [_row(scene, one, who, of) for who, of in couplings.items() if of is not None]
     headings = ("<stable with", f"Kc  {units.name('N/m')}", f"Bc  {units.name('N·s/m')}", "felt k", "felt b")
     yield table(f"Virtual couplings of {escape(one.name)} in {escape(name)}", headings, rows)
-    yield "Felt: while the proxy stands still. No scene holds the hand with more stiffness than Kc."
+    yield (
+        "Felt: as the hand swings while the proxy stands still. A steady push meets Kc and the device's own spring at "
+        "most."
+    )
     if reason := next((of.reason for of in couplings.values() if of and of.reason), ""):
         yield f"–: no felt k and b, because {reason}."
     yield from _judgement(one, units)
@@ -91,6 +94,7 @@ def _judgement(one: HandCouplings, units: Units) -> Iterator[str]:
         needed = units(one.needed_friction, "N·s/m") if math.isfinite(one.needed_friction) else "unknown"
         why = "it has masses with explicit steps, a force that falls with distance, or another link at the hand"
         yield f"In this scene it is not: {why}. The friction that the scene needs for any hand is {needed} {declared}."
+        yield from (f"Assumed: {escape(sentence)}." for sentence in one.assumptions)
 
 
 def _row(scene: Scene, one: HandCouplings, who: str, of: FeltCoupling) -> tuple[str, ...]:

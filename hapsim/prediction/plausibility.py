@@ -251,7 +251,8 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
     for name, link in scene.links.items():
         ends = [end.partition(".")[0] for end in link.between]
         hand = next((end for end in ends if end in scene.device_points), "")
-        if explicit := [masses[end] for end in ends if end in masses]:
+        explicit = [masses[end] for end in ends if end in masses]
+        if explicit and scene.proxies.keys().isdisjoint(ends):  # a proxy gives way to the stiffest coupling
             yield from _spring_values(scene, name, min(explicit), hand, not moved.isdisjoint(ends))
         if hand:
             yield from (

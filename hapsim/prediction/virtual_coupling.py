@@ -41,7 +41,10 @@ class FeltCoupling:
 class HandCouplings:
     """The couplings of one hand."""
 
-    DOCUMENT = "name channel friction any_hand this_hand present proxy_mass is_passive_behind needed_friction misfit"
+    DOCUMENT = (
+        "name channel friction any_hand this_hand present proxy_mass is_passive_behind needed_friction misfit "
+        "assumptions"
+    )
 
     name: str
     channel: int
@@ -65,6 +68,8 @@ class HandCouplings:
     infinite if none does, NaN if it is not derived."""
     misfit: str
     """Reason why not every link of the hand can end on a proxy; "" if each can."""
+    assumptions: tuple[str, ...]
+    """Simplifications of the scene for its needed friction."""
 
 
 def virtual_couplings(scene: Scene, proxy_mass: float | None = None) -> list[HandCouplings]:
@@ -88,10 +93,12 @@ def _couplings_of(scene: Scene, name: str, channel: int, proxy_mass: float | Non
     )
     mass, present = (mass, None) if own is None else (own.mass, Coupling(own.stiffness, own.damping))
     needed, is_passive, misfit = math.nan, False, ""
+    assumptions: tuple[str, ...] = ()
     try:
         coupled = scene if own is not None else coupled_scene(scene, name, any_hand, mass)
         is_passive = _is_passive_behind(coupled, name, proxy)
-        of_scene = predict(coupled, with_margins=False).any_hands
+        prediction = predict(coupled, with_margins=False)
+        assumptions, of_scene = prediction.assumptions, prediction.any_hands
         needed = next((float(one.needed[one.names.index(name)]) for one in of_scene if name in one.names), math.nan)
     except SceneError as error:
         misfit = str(error)
@@ -99,7 +106,9 @@ def _couplings_of(scene: Scene, name: str, channel: int, proxy_mass: float | Non
     first, second, third = (one and _felt(hand, one, mass, is_rotary) for one in (any_hand, this_hand, present))
     assert first is not None
     masses = least, most
-    return HandCouplings(name, channel, hand.friction, masses, first, second, third, mass, is_passive, needed, misfit)
+    return HandCouplings(
+        name, channel, hand.friction, masses, first, second, third, mass, is_passive, needed, misfit, assumptions
+    )
 
 
 def _is_passive_behind(scene: Scene, name: str, proxy: str) -> bool:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from firmware_protocol import schema
 from firmware_protocol.decoder import new_decoder
@@ -264,6 +265,10 @@ def _as_recorded(record: Record, scene: Scene) -> Scene:
         raise UsageError(
             f"{name}: found {scene.channels} channels, expected the {record.description.channels} recorded"
         )
+    try:
+        Scene(**dict(scene) | {"device": before.device})  # its checks
+    except ValidationError as error:
+        raise UsageError(f"{name}: on the record's device: {error.errors()[0]['msg']}") from None
     return scene.model_copy(update={"device": before.device})
 
 

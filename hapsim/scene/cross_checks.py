@@ -71,7 +71,10 @@ def _proxy_issues(around: ModuleContext, device: Mapping[str, object], scene: Ma
     alone = {("scheme",): (scene, "cordis"), ("substeps",): (scene, 1), ("device", "correction"): (device, "none")}
     for path, (part, right) in alone.items():
         if (found := part.get(path[-1], right)) != right:
-            yield Issue(path, f"found {found} in a scene with a proxy, expected {right}: its step is made for no other")
+            yield Issue(
+                path,
+                f"found {found} in a scene with a proxy, expected {right}, the only one for which its step is derived",
+            )
     falls: defaultdict[str, float] = defaultdict(float)
     for name, link in around.modules.items():
         if not isinstance(link, Link) or not around.knows(name, *type(link).model_fields):
@@ -136,7 +139,7 @@ def _sensor_issues(device: Mapping[str, object]) -> Iterator[Issue]:
         sentence += f"[{', '.join(SENSORS)}] if the device has them, or correction: predictor, which needs none"
         yield Issue(("device", "correction"), sentence)
     if is_sensed and isinstance(hold := device.get("hold", "zoh"), str) and not HOLDS[hold].keeps_last_force:
-        sentence = f"found sensed with hold: {hold}, whose force no acceleration shows; expected correction: predictor"
+        sentence = f"found sensed with hold: {hold}: no sensor shows its acceleration; expected correction: predictor"
         yield Issue(("device", "correction"), sentence)
     if device.get("acceleration_age") and "acceleration" in missing:
         sentence = "found an age without the sensor; add device.sensors: [acceleration], or omit the age"

@@ -59,7 +59,7 @@ def stiffest_coupling(friction: float, period: float, delay: int) -> Coupling:
     if _slope(1.0, delay) < 0.0:
         ratio = brentq(_slope, 1.0, 10.0 * (1.0 + delay), args=(delay,), xtol=1e-15)
     kappa = friction / _most(ratio, delay)[0]
-    return Coupling(2.0 * kappa / period, (ratio - 1.0) * kappa)
+    return Coupling(2.0 * kappa / period, (ratio - 1.0) * kappa if delay else 0.0)
 
 
 def stiffest_for(hands: Sequence[Configuration]) -> Coupling | None:
@@ -93,6 +93,8 @@ def _stiffest_at(hand: Configuration, damping: float) -> float:
     most = hand.stiffness_unit * hand.period
     if not room(1e-9 * most) > 0.0:
         return 0.0
+    if room(10.0 * most) > 0.0:
+        return 10.0 * most
     return float(brentq(room, 1e-9 * most, 10.0 * most, xtol=_CLOSE * most))
 
 

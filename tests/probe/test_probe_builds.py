@@ -163,6 +163,8 @@ def test_a_build_that_is_broken_on_purpose_is_found_out(name: str, start_broken_
         with open_wire(start_broken_board(name).port) as wire:
             judgement = judge(wire, leave=LEAVE, steps=steps_of((step,), None))
         failures = printed(judgement)
+        if name == "scale":  # its accelerations, which are right, contradict those positions too
+            failures = [one for one in failures if not one.startswith("FAIL acceleration (§ 6): ")]
         if any(failure.startswith(f"FAIL {check}:") for failure in failures):
             break
     assert len(failures) == 1, failures
