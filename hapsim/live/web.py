@@ -156,6 +156,7 @@ class WebView:
             rate_hz=scene.rate,
             phase=hub.phase,
             channels=messages.channels_of(scene),
+            sensed=[] if session is None else list(session.sensed),
             written={one.si: one[1:] for one in scene.written},
             parameters=[messages.parameter_message(one) for one in hub.parameters.values()],
             modules=messages.modules_of(session),

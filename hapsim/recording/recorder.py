@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
-from hapsim.loop.ring import Ring
+from hapsim.loop.ring import Ring, sensed_in
 from hapsim.recording.background_file import BackgroundFile, in_words, lock
 from hapsim.recording.report import Report, Statistics, summary_document
 from hapsim.recording.stream import Head, StreamReader, StreamWriter
@@ -196,6 +196,8 @@ class Samples:
     """(N, C) m/s: the backward difference of the positions."""
     force: NDArray[np.float64]
     """(N, C) N, that was sent."""
+    sensed: NDArray[np.float64]
+    """(N, S C) m/s and m/s², sent beside the positions: the velocities, then the accelerations."""
 
     def __len__(self) -> int:
         return int(self.sample.size)
@@ -204,10 +206,11 @@ class Samples:
 class Scales:
     """Rows of `row_type` -> `Samples`, one piece after the other.
 
-    `rate`: Hz; `position_scale`, `force_scale`: (C,) m and N per count."""
+    `rate`: Hz; `scale_of`: of "position", "force" and what is sensed: (C,) SI units per count."""
 
-    def __init__(self, rate: float, position_scale: NDArray[np.float64], force_scale: NDArray[np.float64]) -> None:
-        self._rate, self._position, self._force = rate, position_scale, force_scale
+    def __init__(self, rate: float, scale_of: Callable[[str], NDArray[np.float64]]) -> None:
+        self._rate, self._scale_of = rate, scale_of
+        self._position, self._force = scale_of("position"), scale_of("force")
         self._before: NDArray[Any] | None = None  # the last row of the piece before
 
     def samples(self, rows: NDArray[Any]) -> Samples:
@@ -224,6 +227,7 @@ class Scales:
             position=rows["position_counts"] * self._position,
             velocity=np.diff(counts, axis=0) * self._position * self._rate / apart[:, None],
             force=rows["force_counts"] * self._force,
+            sensed=np.hstack([np.zeros((rows.size, 0)), *sensed_in(rows, self._scale_of).values()]),
         )
 
 

@@ -256,7 +256,8 @@ class Columns:
     def pieces(self) -> Iterator[dict[str, NDArray[Any]]]:
         """Yields the values of the rows by the names of their columns, some thousands at a time."""
         rate = self.head.rate_hz
-        scales = Scales(rate, np.array(self.head.position_scale), np.array(self.head.force_scale))
+        own = {"position": self.head.position_scale, "force": self.head.force_scale}
+        scales = Scales(rate, lambda name: np.array(own[name] if name in own else self.head.sensed_scale(name)))
         age, before = 0, None
         for rows in self.reader.rows():
             samples = scales.samples(rows)

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_protocol import schema
 from firmware_protocol.description import Description
 from hapsim.cordis.program import Program, positions_of
 from hapsim.device.connection import Connection
@@ -163,6 +164,11 @@ class SessionView:
         return dict(zip(self.scene.sound, self._loop.record.sound.peak.tolist(), strict=False))
 
     @property
+    def sensed(self) -> tuple[str, ...]:
+        """Names of the values that the device sends beside its positions."""
+        return tuple(part.name for part in schema.in_parts(self._loop.wire.parts))
+
+    @property
     def has_mock(self) -> bool:
         """True if the device is a mock of this process."""
         return self._connection.mock is not None
@@ -245,7 +251,7 @@ class SessionView:
 
     def _scales(self) -> Scales:
         io, used = self._loop.record.io, slice(self._loop.wire.channels)
-        return Scales(self.scene.rate, io.position_scale[used].copy(), io.force_scale[used].copy())
+        return Scales(self.scene.rate, lambda name: io[f"{name}_scale"][used].copy())
 
     def subscribe(self, rate: float) -> Iterator[State]:
         """Yields the `State` `rate` times per second until the run has ended. A late reader gets the next state, not a

@@ -210,6 +210,16 @@ def test_a_module_is_watched_row_by_row(page: Page) -> None:
     )
 
 
+def test_the_scope_shows_what_the_device_senses(browser: Any, serve: Callable[..., Any]) -> None:
+    page = Page(browser, serve(SCENE.replace("device: {", "device: {sensors: [acceleration], ")))
+    offered = page.browser.execute_script("return [...document.getElementById('what').options].map((one) => one.text)")
+    assert offered[:4] == ["position", "velocity", "force", "sensed acceleration"]
+    choose(page, "what", "3 0")
+    page.until(lambda: scope(page, "samples.count") > 100)
+    assert scope(page, "scope.unit") == "m/s²"
+    assert scope(page, "Math.max(...samples.columns[3].map(Math.abs))") > 1.0
+
+
 def test_how_steady_it_runs_is_drawn(page: Page) -> None:
     drawn = "[...arguments[0].getContext('2d').getImageData(0, 30, arguments[0].width, 40).data].some((one) => one > 0)"
     for id in ("exchange", "lateness"):

@@ -101,6 +101,19 @@ def test_blocks_have_every_sample_of_the_run(serve: Serve, tmp_path: Any) -> Non
     assert np.array_equal(rows[:, 3], trace.force[:, 0].astype("f4"))
 
 
+def test_blocks_have_what_the_device_senses(serve: Serve) -> None:
+    with serve(SCENE.replace("device: {", "device: {sensors: [velocity, acceleration], ")).client() as client:
+        assert client.ask(type="get")["sensed"] == ["velocity", "acceleration"]
+        client.ask(type="subscribe", rate=100)
+        rows = np.concatenate([client.block().rows for _ in range(10)]).astype(float)
+    _, _, _, velocity, force, sensed, acceleration = rows[5:].T
+    acted = (np.roll(force, 1) - sensed) / 0.2  # by the force that answers the sample before
+    # A busy machine lets some samples last longer.
+    assert np.median(np.abs(sensed - velocity)) < 0.005, "the difference of two positions is the mean between them"
+    assert np.abs(acceleration).max() > 0.1
+    assert np.median(np.abs(acceleration - acted)) < 1e-3
+
+
 def test_thinned_blocks_have_every_nth_sample_and_rate_0_ends_them(serve: Serve) -> None:
     with serve().client() as client:
         client.ask(type="subscribe", rate=100, every=7)

@@ -89,7 +89,7 @@ async function describe() {
 /** Fills the list of what the scope can show. */
 function offer() {
   const channels = model.channels.flatMap((/** @type {any} */ one) =>
-    ["position", "velocity", "force"].map(
+    ["position", "velocity", "force", ...model.sensed.map((/** @type {string} */ name) => `sensed ${name}`)].map(
       (name, quantity) => new Option(model.channels.length > 1 ? `${name} of ${one.name}` : name, `${quantity} ${one.channel}`),
     ),
   );
@@ -105,7 +105,9 @@ function offer() {
 
 /** Sets the unit of the scope. @param {any} channel @param {number} quantity */
 function show({ unit_position: position, unit_force }, quantity) {
-  [scope.unit, scope.factor] = shownIn([position, `${position}/s`, unit_force][quantity] ?? position, model.written);
+  const sensed = model.sensed.map((/** @type {string} */ name) => `${position}/s${name === "acceleration" ? "²" : ""}`);
+  const units = [position, `${position}/s`, unit_force, ...sensed];
+  [scope.unit, scope.factor] = shownIn(units[quantity] ?? position, model.written);
   scope.trigger.level = Number(part("level").value) / scope.factor;
 }
 

@@ -11,7 +11,7 @@ export class Samples {
   count = 0; // and how many there were
   last = -1; // number of the last one
   /** @type {Float32Array[]} */
-  columns = []; // position, velocity and force, of each channel
+  columns = []; // position, velocity, force and what is sensed, of each channel
   rows = 0; // as `count`, of modules
   at = new Float64Array(0); // the sample of each row
   places = new Float32Array(0); // of the first module that is watched
