@@ -43,13 +43,13 @@ class TestAStream:
         rows = np.zeros(3, hapsim.recording.recorder.np.dtype([("sample", "i8"), ("time_ns", "i8"), ("flags", "u1"),
             ("position_counts", "i4", (1,)), ("force_counts", "i4", (1,))]))  # fmt: skip
         rows["sample"], rows["position_counts"][:, 0] = (4, 5, 9), (0, 2, 10)
-        scales = hapsim.recording.recorder.Scales(1000.0, np.array([0.5]), np.array([1.0]))
+        scales = hapsim.recording.recorder.Scales(1000.0, lambda _: np.array([0.5]))
         assert scales.samples(rows).velocity.tolist() == [[0.0], [1000.0], [1000.0]]
         rows["sample"], rows["position_counts"][:, 0] = (10, 11, 12), (14, 14, 16)
         assert scales.samples(rows).velocity.tolist() == [[2000.0], [0.0], [1000.0]]
 
     def test_one_that_is_read_too_late_reports_how_much_is_lost(self) -> None:
-        scales = hapsim.recording.recorder.Scales(1000.0, np.ones(1), np.ones(1))
+        scales = hapsim.recording.recorder.Scales(1000.0, lambda _: np.ones(1))
         stream = hapsim.running.Stream(scales, 10, lambda: False, lambda: None)
         for _ in range(3):
             stream.put(np.zeros(5, np.int8))
