@@ -56,7 +56,8 @@ def _felt_lines(prediction: Prediction, felt: Felt) -> Iterator[Line]:
         units, device = output_units(felt.channel), felt.configuration
         reached = felt.stiffness + device.stiffness, felt.damping + device.friction
         if CORRECTIONS[name].by_sensors:
-            reached = felt_if_sensed(felt).k, felt_if_sensed(felt).b
+            sensed = felt_if_sensed(felt)
+            reached = sensed.k, sensed.b
         k, b = units(reached[0], "N/m"), units(reached[1], "N·s/m")
         yield f"With `correction: {name}` under `device` the hand would feel k = {k}, b = {b}."
     if felt.reason:

@@ -101,7 +101,7 @@ def look_ahead_by_sensors(predictor, tick):
     io = io_at(tick.io)
     forces = _doubles_at(predictor.forces, (predictor.mask + 1) * _ROW)
     numbers = _doubles_at(predictor.numbers, schema.MAX_CHANNELS * predictor.width)
-    if predictor.begun:
+    if predictor.begun and predictor.lags > 0:
         for sample in range(tick.gap):
             _keep_forces(predictor, io, forces, sample, tick.late and tick.gap == 1, tick.age)
         _keep_sent(predictor, io)

@@ -9,6 +9,7 @@ help text that lists names costs nothing.
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal
 
+from firmware_protocol.schema import PARTS
 from hapsim.dampers import DAMPERS
 from hapsim.holds import HOLDS
 
@@ -64,7 +65,7 @@ WITH_SHARPNESS: tuple[DetentShape, ...] = ("snap", "notch")
 
 SCHEME = f"Integration of the masses from sample to sample: {_each(_SCHEMES)}"
 
-SENSORS = ("velocity", "acceleration")
+SENSORS = tuple(part.name for part in PARTS)
 """Values per channel that a device may send beside its position, in the wire's order."""
 
 CorrectionName = Literal["none", "poles", "predictor", "adaptive", "sensed"]
