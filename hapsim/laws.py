@@ -235,9 +235,9 @@ class Law:
         return self.pieces[bisect_left(self.edges, d) - first], self.pieces[bisect_right(self.edges, d) - first]
 
 
-def line(stiffness: float, damping: float, **more: Any) -> Law:
-    """A spring and a damper everywhere, N/m and N·s/m; `more`: of `Law`."""
-    return replace(Law(((0.0, 0.0),), (damping,), below=stiffness, beyond=stiffness), **more)
+def line(stiffness: float, damping: float, rest: float = 0.0, **more: Any) -> Law:
+    """A spring and a damper everywhere, N/m and N·s/m, without tension at `rest` m; `more`: of `Law`."""
+    return replace(Law(((rest, 0.0),), (damping,), below=stiffness, beyond=stiffness), **more)
 
 
 RELEASED = line(0.0, 0.0, states=("released",), assumption="never grips: its ends do not meet within the travel")

@@ -16,6 +16,7 @@ from .issue import Issue, Path, quote
 from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .part import ModuleContext, Part
+from .plane_checks import space_issues
 from .quantity import Span
 from .written_units import QUANTITY, in_si
 
@@ -52,6 +53,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
     if scene.get("precision") == "single":
         yield from _beyond_single(around)
     yield from _device_issues(per_channel[("device",)])
+    yield from space_issues(around, scene, per_channel[("device",)])
     substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:
         yield from _dampers_across_steps(around)
@@ -176,7 +178,9 @@ def narrow_detents(around: ModuleContext, quantum: Callable[[int], float], sourc
         if not isinstance(detent, Detent) or not around.knows(name, "between", "pitch", "shape", "sharpness"):
             continue
         for hand in (around.modules[end] for end in detent.between if around.knows(end, "channel")):
-            if isinstance(hand, DevicePoint) and detent.width < _LEAST_COUNTS * (count := quantum(hand.channel)):
+            if not isinstance(hand, DevicePoint) or len(hand.all_channels) != 1:
+                continue
+            if detent.width < _LEAST_COUNTS * (count := quantum(hand.channel)):
                 unit = around.units.si.name("m")
                 width = "" if detent.width == detent.pitch else f", a notch of {detent.width:g} {unit}"
                 found = f"found {detent.pitch:g} {unit}{width}: {detent.width / count:.3g} counts of the encoder"
@@ -209,8 +213,8 @@ def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
             neighbours[proxy.hand].append(name)
     each = motions if isinstance(motions, list | tuple) else ()
     hands = {name: one for name, one in around.modules.items() if isinstance(one, DevicePoint)}
-    channels = {name: one.channel for name, one in hands.items() if around.knows(name, "channel")}
-    found = {name: each[channel] for name, channel in channels.items() if channel < len(each)}
+    channels = {name: one.all_channels for name, one in hands.items() if around.knows(name, "channel", "channels")}
+    found = {name: each[first] for name, (first, *_) in channels.items() if first < len(each)}
     ahead = deque(found)
     while ahead:
         one = ahead.popleft()
@@ -234,10 +238,10 @@ def _links_of_both_motions(around: ModuleContext, motions: object) -> Iterator[I
 def _channels(around: ModuleContext) -> int | None:
     """Number of channels, or None where a faulty module leaves it open."""
     kinds = around.kinds
-    if any(kinds[name] in (None, DevicePoint) and not around.knows(name, "channel") for name in kinds):
+    if any(kinds[name] in (None, DevicePoint) and not around.knows(name, "channel", "channels") for name in kinds):
         return None
     points = [module for module in around.modules.values() if isinstance(module, DevicePoint)]
-    return max((1 + point.channel for point in points), default=None)
+    return max((1 + channel for point in points for channel in point.all_channels), default=None)
 
 
 def lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterator[Issue]:

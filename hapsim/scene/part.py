@@ -63,6 +63,8 @@ class Module(Part):
 
     #: The module is a point that a link can hold by one end.
     is_point: ClassVar[bool] = True
+    #: The spaces of the scenes that can have it: 1, a line, and 2, the plane.
+    spaces: ClassVar[tuple[int, ...]] = (1,)
     #: The module can move; a link between two that cannot would do nothing.
     can_move: ClassVar[bool] = True
     #: The fields that may change while the scene runs.

@@ -30,6 +30,7 @@ FROM_FILE = {"units": True}
 
 MOST_CHANNELS = 16
 MOST_POINTS = 1000  # of a curve
+MOST_CORNERS = 64  # of a polygon or a path
 
 _MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
 
@@ -149,6 +150,7 @@ def quantity(
     left_out: str = "",
     spans: bool = False,
     word: str = "",
+    coordinates: bool = False,
 ) -> Expectation:
     """A finite number in SI units, within bounds.
 
@@ -159,6 +161,7 @@ def quantity(
         spans: a mapping is accepted in place of a number: ``{from: least, to: most}`` becomes a `Span`,
             ``{value: number, uncertainty: number}`` a `Known`.
         word: a word that is accepted in place of a number.
+        coordinates: a list [x, y] is accepted too, and becomes a tuple: in a scene with space: 2.
     """
     bounds = f" > {above:g}" if above is not None else ""
     if least is not None:
@@ -173,6 +176,8 @@ def quantity(
     if spans:
         kinds[_SPAN] = _mapping_of(number, "from", "to", _span)
         kinds[_KNOWN] = _mapping_of(number, "value", "uncertainty", _known)
+    if coordinates:
+        kinds[_LIST] = _list_of([number], 2, 2, f"two numbers [x, y] (‹{unit}›)")
     if per_channel:
         kinds = {**kinds, _LIST: _list_of([_choice(kinds, entry_words)], 1, MOST_CHANNELS, words)}
     return Expectation(description, words, _choice(kinds, words), unit, left_out)
@@ -214,12 +219,43 @@ def curve(
     return Expectation(description, words, schema, unit, left_out)
 
 
+def place(description: str, unit: str, left_out: str = "") -> Expectation:
+    """A place in the plane, or a size of two sides: two numbers."""
+    words = f"two numbers [x, y] (‹{unit}›)"
+    return Expectation(
+        description, words, _list_of([_number(f"a number (‹{unit}›)", unit)], 2, 2, words), unit, left_out
+    )
+
+
+def places(description: str, unit: str, fewest: int, left_out: str = "") -> Expectation:
+    """A list of at least `fewest` places in the plane, no two neighbours alike."""
+    words = f"a list of {fewest} to {MOST_CORNERS} places [x, y] (‹{unit}›)"
+
+    def apart(found: Curve) -> Curve:
+        for index, (before, one) in enumerate(pairwise(found), 1):
+            if before == one:
+                unexpected("another place than the one before", (index,))
+        return found
+
+    every = _list_of([place("", unit).schema], fewest, MOST_CORNERS, words)
+    return Expectation(description, words, core_schema.no_info_after_validator_function(apart, every), unit, left_out)
+
+
 def count(description: str, least: int, most: int, unit: str = "", left_out: str = "") -> Expectation:
     """A whole number from `least` to `most`, written without a decimal point."""
     words = f"a whole number from {least} to {most}" + (f" ({unit})" if unit else "")
     whole = core_schema.int_schema(strict=True, ge=least, le=most)
     schema = _with_unit(_with_message(whole, words), unit, _as_int, "integer")
     return Expectation(description, words, schema, unit, left_out)
+
+
+def counts(description: str, count: int, least: int, most: int, left_out: str) -> Expectation:
+    """A list of `count` whole numbers from `least` to `most`."""
+    words = f"a list of {count} whole numbers from {least} to {most}"
+    whole = core_schema.no_info_before_validator_function(
+        _as_int, _with_message(core_schema.int_schema(strict=True, ge=least, le=most), words)
+    )
+    return Expectation(description, words, _list_of([whole], count, count, words), left_out=left_out)
 
 
 def words_of(description: str, words: tuple[str, ...], count: int) -> Expectation:

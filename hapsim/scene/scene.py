@@ -30,6 +30,9 @@ from .yaml_file import ACROSS
 
 VERSION = 1
 
+AXES = ("x", "y")
+"""Coordinates in the plane."""
+
 M = TypeVar("M", bound=Module)
 
 
@@ -81,6 +84,7 @@ class Scene(Part):
     mock: Mock | None = Field(
         default=None, description="Differences of the mock device from `device`, and additions to it"
     )
+    space: Annotated[int, count("Coordinates of each point: 1, along a line; 2, x and y in the plane", 1, 2)] = 1
     precision: Literal["double", "single"] = Field(
         default="double",
         description="Precision of the real values in the scene's computation: 64 bits (double), or 32 (single)",
@@ -124,7 +128,12 @@ class Scene(Part):
     @property
     def channels(self) -> int:
         """Number of channels of the device: one more than the highest that a module holds; lists have this length."""
-        return 1 + max(one.channel for one in self.modules.values() if isinstance(one, DevicePoint))
+        return 1 + max(max(one.all_channels) for one in self.modules.values() if isinstance(one, DevicePoint))
+
+    @property
+    def channel_groups(self) -> tuple[tuple[int, ...], ...]:
+        """The channels of each hand, in the order of the file."""
+        return tuple(one.all_channels for one in self.modules.values() if isinstance(one, DevicePoint))
 
     @property
     def units(self) -> Units:
@@ -145,23 +154,23 @@ class Scene(Part):
     @property
     def device_points(self) -> dict[str, DevicePoint]:
         """The points that the hand holds, by name, in the order of the file."""
-        return self._of(DevicePoint)
+        return self._points(DevicePoint)
 
     @property
     def grounds(self) -> dict[str, Ground]:
         """The fixed points, by name, in the order of the file."""
-        return self._of(Ground)
+        return self._points(Ground)
 
     @property
     def masses(self) -> dict[str, Mass]:
         """The material points without a spring of their own, by name, in the order of the file."""
-        return self._of(Mass)
+        return self._points(Mass)
 
     @property
     def material_points(self) -> dict[str, MaterialPoint]:
         """All points with a mass of their own, by name; those of one type together, in the order of the file."""
         types = list(MODULE_TYPES.values())
-        points = {name: module for name, module in self.modules.items() if isinstance(module, MaterialPoint)}
+        points: dict[str, MaterialPoint] = self._points(MaterialPoint)  # type: ignore[type-abstract]
         return dict(sorted(points.items(), key=lambda item: types.index(type(item[1]))))
 
     @property
@@ -171,12 +180,21 @@ class Scene(Part):
 
     @property
     def links(self) -> dict[str, Link]:
-        """The elements between two points, by name, in the order of the file; then the couplings of the proxies."""
+        """The elements between two points of a line, by name, in the order of the file; then the couplings of the
+        proxies."""
+        if self.space > 1:
+            return {}
         couplings: dict[str, Link] = {
             name: ViscoElastic(between=(one.hand, name), stiffness=one.stiffness, damping=one.damping)
             for name, one in self.proxies.items()
         }
         return self._of(Link) | couplings
+
+    @property
+    def plane_links(self) -> dict[str, Link]:
+        """The elements between two points of the plane, by name, in the order of the file; `between` names modules,
+        whose coordinates are the points "name.x" and "name.y"."""
+        return self._of(Link) if self.space > 1 else {}
 
     @property
     def proxies(self) -> dict[str, Proxy]:
@@ -187,7 +205,7 @@ class Scene(Part):
     def links_at_proxies(self) -> dict[str, Link]:
         """The links that end on a proxy, couplings aside."""
         proxies = self.proxies.keys()
-        return {name: link for name, link in self._of(Link).items() if proxies & {*link.between}}
+        return {name: link for name, link in self._of(Link).items() if proxies and proxies & {*link.between}}
 
     @property
     def sensed_links(self) -> tuple[str, ...]:
@@ -209,6 +227,13 @@ class Scene(Part):
         mock = self.mock or Mock()
         parts = (self.device, mock, mock.initial, mock.hand)
         return {path: dict(part) for path, part in zip(PER_CHANNEL_PARTS, parts, strict=True)}
+
+    def _points(self, kind: type[M]) -> dict[str, M]:
+        """The points of a kind, by name; in the plane their coordinates, as "name.x" and "name.y"."""
+        found: dict[str, Any] = self._of(kind)
+        if self.space == 1:
+            return found
+        return {f"{name}.{axis}": one.along(i) for name, one in found.items() for i, axis in enumerate(AXES)}
 
     def _of(self, kind: type[M]) -> dict[str, M]:
         return {name: module for name, module in self.modules.items() if isinstance(module, kind)}

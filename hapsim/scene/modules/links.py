@@ -91,9 +91,13 @@ def _wrong_place(end: str, holder: str, around: ModuleContext) -> str | None:
 CUTOFF = quantity(f"Cutoff of the {one_of(WITH_CUTOFF)} damper", "Hz", above=0, left_out="no filter")
 
 
-class ViscoElastic(Link):
-    """A spring and a damper in parallel between two points, at rest where the two coincide."""
+LENGTH = quantity("Distance of its ends at rest, in a scene with space: 2", "m", least=0, left_out="0: they coincide")
 
+
+class ViscoElastic(Link):
+    """A spring and a damper in parallel between two points, at rest where the two coincide or are `length` apart."""
+
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
@@ -101,9 +105,10 @@ class ViscoElastic(Link):
     damping: Annotated[float, quantity("Viscosity of the damper", "N·s/m", least=0)] = 0.0
     damper: DamperScheme = Field(default="backward", description=DAMPER)
     cutoff: Annotated[float | None, CUTOFF] = None
+    length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        return line(self.stiffness, self.damping, in_a_matrix=self.damper == "backward")
+        return line(self.stiffness, self.damping, self.length or 0.0, in_a_matrix=self.damper == "backward")
 
     @check_of("damper", "cutoff")
     def _cutoff_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
@@ -125,20 +130,23 @@ class ViscoElastic(Link):
 
 
 class Spring(Link):
-    """A spring between two points, at rest where the two coincide."""
+    """A spring between two points, at rest where the two coincide or are `length` apart."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     live: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     type: Literal["spring"] = Field(default="spring", description="A spring")
     stiffness: Annotated[float, quantity("Stiffness", "N/m", least=0)]
+    length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        return line(self.stiffness, 0.0, in_a_matrix=True)
+        return line(self.stiffness, 0.0, self.length or 0.0, in_a_matrix=True)
 
 
 class Damper(Link):
     """A viscous damper between two points: it holds nothing where it is, and slows what moves."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     live: ClassVar[tuple[str, ...]] = ("damping",)
 
     type: Literal["damper"] = Field(default="damper", description="A viscous damper")
@@ -162,6 +170,7 @@ OVER_VELOCITY = curve(
 class Buffer(Link):
     """Keeps its first end above its second: a visco-elastic contact that pushes them apart, and never pulls."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     has_table: ClassVar[bool] = True
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "distance")
 
@@ -181,6 +190,7 @@ class Buffer(Link):
 class Nonlinear(Link):
     """A spring and a damper of any characteristic: curves, straight between their points and level beyond the ends."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     crossfaded: ClassVar[tuple[str, ...]] = ("force_over_distance", "force_over_velocity")
 
     type: Literal["nonlinear"] = Field(
@@ -212,6 +222,7 @@ class Nonlinear(Link):
 class Friction(Link):
     """Dry friction between two points: a bristle that holds like a spring, and slides where it is pulled too hard."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     live: ClassVar[tuple[str, ...]] = ("force", "static", "stiffness", "damping")
     with_default: ClassVar[Mapping[str, str]] = {"static": "break_away"}
 
@@ -237,13 +248,20 @@ class Friction(Link):
     def law(self) -> Law:
         taken = "sticks, as a spring; while it slides, its force is constant and adds no stiffness"
         reach, force = self.break_away / self.stiffness, self.force
-        more = {"states": ("stuck",), "reach": reach, "slides_at": force, "memoryless": False, "assumption": taken}
+        more: dict[str, Any] = {
+            "states": ("stuck",),
+            "reach": reach,
+            "slides_at": force,
+            "memoryless": False,
+            "assumption": taken,
+        }
         return line(self.stiffness, self.damping, **more)
 
 
 class Plectrum(Link):
     """A visco-elastic link that releases where its ends are too far apart, and grips again where they meet."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "release")
 
     type: Literal["plectrum"] = Field(
@@ -321,6 +339,7 @@ class Detent(Link):
 class Click(Link):
     """A button: its first end is pressed down on its second, gives way, and meets the bottom."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     has_table: ClassVar[bool] = True
     live: ClassVar[tuple[str, ...]] = ("travel", "peak", "drop", "bottom", "damping")
 

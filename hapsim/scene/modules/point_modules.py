@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
@@ -12,33 +12,60 @@ from hapsim.laws import Law
 
 from ..issue import Issue, did_you_mean, quote
 from ..part import Module, ModuleContext, check_of
-from ..quantity import MOST_CHANNELS, count, quantity, text
+from ..quantity import MOST_CHANNELS, count, counts, quantity, text
+
+_CHANNEL = count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1, left_out="`channels`")
+_CHANNELS = counts("Channels of x and y of the device, in a scene with space: 2", 2, 0, MOST_CHANNELS - 1, "`channel`")
 
 
 class DevicePoint(Module):
-    """The point of the scene that the hand holds: one channel of the device."""
+    """The point of the scene that the hand holds: one channel of the device, or two in a scene with space: 2."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     type: Literal["device"] = Field(default="device", description="A point that the hand holds")
-    channel: Annotated[int, count("Channel of the device, counted from 0", 0, MOST_CHANNELS - 1)]
+    channel: Annotated[int, _CHANNEL] = Field(default=None, validate_default=False)  # type: ignore[assignment]
+    channels: Annotated[tuple[int, int] | None, _CHANNELS] = None
 
-    @check_of("channel")
-    def _is_alone_on_its_channel(self, name: str, around: ModuleContext) -> Iterator[Issue]:
+    @property
+    def all_channels(self) -> tuple[int, ...]:
+        """Its channels of the device: those of x and y, or the single one; none where its keys are faulty."""
+        return (self.channel,) if self.channel is not None else self.channels or ()
+
+    def along(self, axis: int) -> DevicePoint:
+        """Returns its coordinate x (0) or y (1) as a point."""
+        return DevicePoint(channel=self.all_channels[axis])
+
+    @check_of("channel", "channels")
+    def _is_alone_on_its_channels(self, name: str, around: ModuleContext) -> Iterator[Issue]:
         points = {other: one for other, one in around.modules.items() if isinstance(one, DevicePoint)}
-        sound = [other for other in points if around.knows(other, "channel")]
-        first = next(other for other in sound if points[other].channel == self.channel)
-        if first != name:
-            sentence = f"found {self.channel}, which {quote(first)} already uses; expected an unused channel"
-            yield Issue(("channel",), sentence)
+        sound = [other for other in points if around.knows(other, "channel", "channels")]
+        key = "channel" if self.channels is None else "channels"
+        if self.channels and self.channels[0] == self.channels[1]:
+            yield Issue(("channels",), f"found {self.channels[0]} twice; expected two channels, of x and of y")
+        for channel in dict.fromkeys(self.all_channels):
+            first = next(other for other in sound if channel in points[other].all_channels)
+            if first != name:
+                yield Issue((key,), f"found {channel}, which {quote(first)} already uses; expected an unused channel")
 
 
 class Ground(Module):
     """A fixed point."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     can_move: ClassVar[bool] = False
     live: ClassVar[tuple[str, ...]] = ("position",)
 
     type: Literal["ground"] = Field(default="ground", description="A fixed point")
-    position: Annotated[float, quantity("Position", "m")] = 0.0
+    position: Annotated[float, quantity("Position", "m", coordinates=True)] = 0.0
+
+    def along(self, axis: int) -> Ground:
+        """Returns its coordinate x (0) or y (1) as a point."""
+        return self.model_copy(update={"position": coordinate(self.position, axis)})
+
+
+def coordinate(value: float | Sequence[float], axis: int) -> float:
+    """Returns x (0) or y (1) of a value of the plane; a number is that of both."""
+    return value[axis] if isinstance(value, Sequence) else value
 
 
 class Held(NamedTuple):
@@ -75,12 +102,18 @@ class MaterialPoint(Module):
 class Mass(MaterialPoint):
     """A simulated material point."""
 
+    spaces: ClassVar[tuple[int, ...]] = (1, 2)
     type: Literal["mass"] = Field(default="mass", description="A material point")
-    position: Annotated[float, quantity("Position at the start", "m")] = 0.0
-    velocity: Annotated[float, quantity("Velocity at the start", "m/s")] = 0.0
+    position: Annotated[float, quantity("Position at the start", "m", coordinates=True)] = 0.0
+    velocity: Annotated[float, quantity("Velocity at the start", "m/s", coordinates=True)] = 0.0
 
     def start(self) -> tuple[float, float]:
         return self.position, self.velocity
+
+    def along(self, axis: int) -> Mass:
+        """Returns its coordinate x (0) or y (1) as a point."""
+        own = {name: coordinate(getattr(self, name), axis) for name in self.initial}
+        return self.model_copy(update=own)
 
 
 class Cell(MaterialPoint):

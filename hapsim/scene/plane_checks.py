@@ -1,0 +1,91 @@
+"""The checks of a scene's space: what its modules need to have one coordinate, or two."""
+
+from collections.abc import Iterator, Mapping
+
+from hapsim.dampers import DAMPERS
+
+from .issue import Issue, one_of
+from .modules.links import Nonlinear, Spring, ViscoElastic
+from .modules.point_modules import DevicePoint
+from .part import Module, ModuleContext
+
+#: What a scene with two coordinates takes alone, by its path.
+_ALONE = {
+    ("scheme",): ("cordis", "the scheme that moves its points"),
+    ("device", "correction"): ("none", "corrections are derived for one coordinate"),
+    ("device", "motion"): ("linear", "x and y are lengths"),
+    ("device", "decimation"): ("last", "the mean of forces is derived for one coordinate"),
+}
+
+
+def space_issues(around: ModuleContext, scene: Mapping[str, object], device: Mapping[str, object]) -> Iterator[Issue]:
+    """Yields what does not fit the scene's space. `device`: its sound fields."""
+    space = scene.get("space", 1)
+    if space not in (1, 2):
+        return
+    for name, module in around.modules.items():
+        kind = around.kinds[name]
+        if kind is not None and space not in kind.spaces:
+            sentence = f"found {module.type} in a scene with space: {space}, expected {one_of(_types(space))}"
+            if kind.spaces == (2,):
+                sentence = f"found {module.type} in a scene with one coordinate; write space: 2"
+            yield Issue(("modules", name, "type"), sentence)
+        else:
+            yield from _of_one(name, module, around) if space == 1 else _of_two(name, module, around)
+    if space == 2:
+        for path, (right, why) in _ALONE.items():
+            found = (device if path[1:] else scene).get(path[-1], right)
+            if (isinstance(found, str) and found != right) or isinstance(found, list | tuple):
+                shown = found if isinstance(found, str) else "a list"
+                yield Issue(path, f"found {shown} in a scene with space: 2, expected {right}: {why}")
+        if scene.get("sound"):
+            yield Issue(("sound",), "found pick-ups in a scene with space: 2, expected none", at_key=True)
+
+
+def _types(space: int) -> list[str]:
+    from .modules import MODULE_TYPES
+
+    return [name for name, kind in MODULE_TYPES.items() if space in kind.spaces]
+
+
+def _of_one(name: str, module: Module, around: ModuleContext) -> Iterator[Issue]:
+    for field in module.model_fields_set:
+        if (
+            field in ("position", "velocity")
+            and around.knows(name, field)
+            and isinstance(getattr(module, field), tuple)
+        ):
+            sentence = "found two coordinates, expected a number (m); or write space: 2"
+            yield Issue(("modules", name, field), sentence)
+    if isinstance(module, DevicePoint) and around.knows(name, "channel", "channels"):
+        if module.channels is not None:
+            sentence = "found channels in a scene with one coordinate, expected channel; or write space: 2"
+            yield Issue(("modules", name, "channels"), sentence)
+        elif module.channel is None:
+            sentence = "channel is missing, expected a whole number: the channel of the device that the hand holds"
+            yield Issue(("modules", name), sentence, at_key=True)
+    if isinstance(module, Spring | ViscoElastic) and around.knows(name, "length") and module.length is not None:
+        sentence = "found a length in a scene with one coordinate, where a link is at rest where its ends coincide"
+        yield Issue(("modules", name, "length"), f"{sentence}; expected none, or space: 2", at_key=True)
+
+
+def _of_two(name: str, module: Module, around: ModuleContext) -> Iterator[Issue]:
+    for field in ("position", "velocity"):
+        if field in module.model_fields_set and around.knows(name, field):
+            found = getattr(module, field)
+            if not isinstance(found, tuple) and found != 0.0:
+                yield Issue(
+                    ("modules", name, field), f"found {found:g} alone, expected [x, y] in a scene with space: 2"
+                )
+    if isinstance(module, DevicePoint) and around.knows(name, "channel", "channels") and not module.channels:
+        found = "no channels" if module.channel is None else "channel"
+        sentence = f"found {found}, expected channels: two of the device, of x and y, in a scene with space: 2"
+        yield Issue(("modules", name, *(() if module.channel is None else ("channel",))), sentence, at_key=True)
+    elif isinstance(module, DevicePoint) and module.channel is not None:
+        yield Issue(("modules", name, "channel"), "found channel beside channels, expected channels alone", at_key=True)
+    if isinstance(module, ViscoElastic) and around.knows(name, "damper") and module.damper != "backward":
+        sentence = f"found {module.damper} in a scene with space: 2, expected backward"
+        yield Issue(("modules", name, "damper"), f"{sentence}, {DAMPERS['backward'].meaning}")
+    if isinstance(module, Nonlinear) and around.knows(name, "force_over_velocity") and module.force_over_velocity:
+        sentence = "found a curve over velocity in a scene with space: 2, expected force_over_distance alone"
+        yield Issue(("modules", name, "force_over_velocity"), sentence, at_key=True)
