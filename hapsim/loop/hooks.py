@@ -161,5 +161,7 @@ class Guard(NamedTuple):
     """Function that returns the finding and the remedy, without a full stop."""
     advice: Callable[[EndedRun], str] = lambda _: ""
     """Function that returns further remedies if no value of the scene is unlikely, without a full stop."""
+    plane_hooks: Mapping[Stage, PlainNative] = {}
+    """Hooks in place of these, by stage, in a scene with space: 2. A scene on a line does not pay for them."""
     reads_history: bool = False
     """True if it judges by the forces that acted (force_history.py)."""

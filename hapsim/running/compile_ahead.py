@@ -118,7 +118,12 @@ UNITS: dict[str, CompileUnit] = {
         6, ("loop.transport:receive_from_descriptor", "loop.transport:send_to_descriptor"), calls_system=True
     ),
     "guards": CompileUnit(  # a run compiles only those that its scene sets up
-        51, ("loop.guards:HOOKS", "loop.force_history:keep", "loop.guide:lead", "cordis.stored_energy:evaluate")
+        68,
+        (
+            "loop.guards:HOOKS",
+            *("loop.force_history:keep", "loop.force_history:keep_in_plane", "loop.guide:lead"),
+            "cordis.stored_energy:evaluate",
+        ),
     ),
     "mock": CompileUnit(
         54,

@@ -6,11 +6,12 @@ To add one, write its file with a `Guard` at its end, and name it here.
 from __future__ import annotations
 
 from hapsim.loop import endings
-from hapsim.loop.guards import energy_guard, frozen_sensor, leap, rate, sign, slew, travel
+from hapsim.loop.guards import energy_guard, frozen_sensor, hand_limit, leap, rate, sign, slew, travel
 from hapsim.loop.hooks import Guard
 
 GUARDS: tuple[Guard, ...] = (
     leap.GUARD,
+    hand_limit.GUARD,
     travel.GUARD,
     slew.GUARD,
     energy_guard.GUARD,
@@ -21,7 +22,9 @@ GUARDS: tuple[Guard, ...] = (
 )
 """All guards; those of one stage act in this order."""
 
-HOOKS = {hook.function.__name__: hook for guard in GUARDS for hook in guard.hooks.values()}
+HOOKS = {
+    hook.function.__name__: hook for guard in GUARDS for hook in (*guard.hooks.values(), *guard.plane_hooks.values())
+}
 """Hooks of all guards, by function name."""
 
 

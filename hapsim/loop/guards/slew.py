@@ -69,7 +69,17 @@ _slew_at = record_at(SLEW)
 @hook
 def shape_force(slew, tick):
     """Brings `io.force_counts` within a step of the force that the device holds."""
-    slew, tick = _slew_at(slew), tick_at(tick)
+    return _shape(_slew_at(slew), tick_at(tick), False)
+
+
+@hook
+def shape_force_in_plane(slew, tick):
+    """Does the same where hands have several channels."""
+    return _shape(_slew_at(slew), tick_at(tick), True)
+
+
+@inlined
+def _shape(slew, tick, in_plane):
     io, gap = io_at(tick.io), tick.gap
     has_left = slew.begun != 0 and tick.unsent == 0
     _update_held_range(slew, io.channels, gap, has_left, tick.late != 0 or gap > 1)
@@ -82,40 +92,31 @@ def shape_force(slew, tick):
         left = 1.0 - u * u * (3.0 - 2.0 * u)
     for c in range(io.channels):
         if slew.begun == 0:
-            first = io.asked[c] * share_within_limit(io, c, False)
+            first = io.asked[c] * share_within_limit(io, c, False) if in_plane else io.asked[c]
             slew.first[c] = clip(first, io.force_limit[c]) / io.force_scale[c]
-        if io.has_hands and io.to_next[c] != 0:
+        if in_plane:
             continue
         counts = io.force_counts[c]
         reduction = np.int64(np.rint(slew.first[c] * left))
         if reduction != 0:
             less = counts - reduction
             counts = max(min(less, counts), 0) if counts > 0 else min(max(less, counts), 0)
-        slew.decided[c] = _clip_to_step(slew, c, counts)
-        _send_decided(slew, io, tick, c)
-    if io.has_hands:
-        _shape_hands(slew, io, tick, left)
+        _decide(slew, io, tick, c, _clip_to_step(slew, c, counts))
+    if in_plane:
+        for c in range(io.channels):
+            slew.decided[c] = _shaped_of_hand(slew, io, c, left)
+        for c in range(io.channels):
+            _decide(slew, io, tick, c, slew.decided[c])
     slew.begun = 1
     return 0
 
 
 @inlined
-def _send_decided(slew, io, tick, c):
-    if tick.withheld == 0 and slew.decided[c] != io.force_counts[c]:
-        io.force_counts[c] = slew.decided[c]
+def _decide(slew, io, tick, c, counts):
+    if tick.withheld == 0 and counts != io.force_counts[c]:
+        io.force_counts[c] = counts
         tick.flags |= SLEWED
     slew.decided[c] = io.force_counts[c]
-
-
-@helper
-def _shape_hands(slew, io, tick, left):
-    """Shapes the forces of hands with several channels."""
-    for c in range(io.channels):
-        if io.to_next[c] != 0:
-            slew.decided[c] = _shaped_of_hand(slew, io, c, left)
-    for c in range(io.channels):
-        if io.to_next[c] != 0:
-            _send_decided(slew, io, tick, c)
 
 
 @helper
@@ -225,4 +226,4 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     return slew
 
 
-GUARD = Guard("slew", SLEW, {Stage.SHAPE: shape_force}, _set_up)
+GUARD = Guard("slew", SLEW, {Stage.SHAPE: shape_force}, _set_up, plane_hooks={Stage.SHAPE: shape_force_in_plane})

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.compiling import helper
+from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import record_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
@@ -58,13 +58,22 @@ travel_at = record_at(TRAVEL)
 @hook
 def fade(travel, tick):
     """Fades force and excitation on every channel that is outside. Returns OUT_OF_TRAVEL beyond the margin, else 0."""
-    travel, tick = travel_at(travel), tick_at(tick)
+    return _fade(travel_at(travel), tick_at(tick), False)
+
+
+@hook
+def fade_in_plane(travel, tick):
+    """Does the same where hands have x and y."""
+    return _fade(travel_at(travel), tick_at(tick), True)
+
+
+@inlined
+def _fade(travel, tick, in_plane):
     io = io_at(tick.io)
     is_outside, code = False, 0
     for c in range(io.channels):
         x = io.position_counts[c] * io.position_scale[c]
-        is_alone = io.has_hands == 0 or io.to_next[c] == 0
-        outside = max(travel.low[c] - x, x - travel.high[c]) if is_alone else _outside_in_plane(travel, io, c, 0.0)
+        outside = _outside_in_plane(travel, io, c, 0.0) if in_plane else max(travel.low[c] - x, x - travel.high[c])
         if not outside > 0.0:
             travel.armed[c] = 0.0
             continue
@@ -153,4 +162,13 @@ def _sentence(run: EndedRun) -> str:
     )
 
 
-GUARD = Guard("travel", TRAVEL, {Stage.LOWER: fade}, _set_up, OUT_OF_TRAVEL, "out of travel", _sentence)
+GUARD = Guard(
+    "travel",
+    TRAVEL,
+    {Stage.LOWER: fade},
+    _set_up,
+    OUT_OF_TRAVEL,
+    "out of travel",
+    _sentence,
+    plane_hooks={Stage.LOWER: fade_in_plane},
+)
