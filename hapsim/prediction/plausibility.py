@@ -335,12 +335,13 @@ def _jumps(scene: Scene) -> Iterator[str]:
 
 def begun_inside(scene: Scene) -> Iterator[str]:
     """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps."""
-    device, mock, points = scene.device, scene.mock_device, {**scene.grounds, **scene.masses}
+    device, mock = scene.device, scene.mock_device
     if device.port is not None or device.soft_start:
         return
     starts = zip(mock.initial_position, device.origins(scene.channels), strict=True)
     start = [0.0 if origin is None else position - origin for position, origin in starts]
-    places = {name: one.position for name, one in points.items()}
+    places = {name: one.position for name, one in scene.grounds.items()}
+    places |= {name: one.position for name, one in scene.masses.items()}
     places |= {name: start[one.channel] for name, one in scene.device_points.items()}
     for name, shape in scene.plane_links.items():
         hand = next((end for end in shape.between if f"{end}.x" in scene.device_points), "")

@@ -215,8 +215,8 @@ def quantity(
 def interval(description: str, unit: str, left_out: str) -> Expectation:
     """A lower and an upper limit in SI units, or such a pair for each channel; in the plane an `Area` too."""
     pair_words = f"[the least, the most] (‹{unit}›)"
-    areas = "in the plane {disc: radius, center: [x, y]} or {polygon: places}"
-    words = f"{pair_words}, a list of such pairs, one per channel, or {areas}"
+    areas = "with space: 2 also {disc: radius, center: [x, y]} or {polygon: places}"
+    words = f"{pair_words}, or a list of such pairs, one per channel; {areas}"
     limits = _list_of([_number(f"a number (‹{unit}›)", unit)], 2, 2, pair_words)
 
     def ascending(pair: Limits) -> Limits:

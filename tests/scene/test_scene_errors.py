@@ -19,6 +19,7 @@ DECIMALS = "; write plain decimals, such as 2000, 0.5 or 1e-9"
 MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
 MASS = f"expected a number > 0 (kg), or {MAPPINGS}, or a list with one per channel"
 LIMITS = "[the least, the most] (m)"
+AREAS = "with space: 2 also {disc: radius, center: [x, y]} or {polygon: places}"
 PORT = "expected the name of a serial port, such as /dev/ttyACM0"
 TYPES = f"expected {one_of(MODULE_TYPES)}"
 NAME = "not a name, expected letters, digits, _ and -, starting with a letter or _"
@@ -84,7 +85,7 @@ def test_what_is_no_rate_is_reported_as_the_file_spells_it(only_fault: OnlyFault
         ("{mass: {from: 1, to: 1}}", "3:16: mass: found a mapping, expected from (1) below to (1)"),
         (
             "{mass: 1, travel: 0.1}",
-            f"3:27: travel: found 0.1, expected {LIMITS}, or a list of such pairs, one per channel",
+            f"3:27: travel: found 0.1, expected {LIMITS}, or a list of such pairs, one per channel; {AREAS}",
         ),
         ("{mass: 1, travel: [0, 1, 2]}", f"3:27: travel: found a list, expected {LIMITS}"),
         (

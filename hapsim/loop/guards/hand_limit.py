@@ -19,7 +19,7 @@ _limit_at = record_at(HAND_LIMIT)
 
 @hook
 def limit_hands(limit, tick):
-    """Limits scene's force and excitation of each hand by one factor."""
+    """Limits the scene's force and excitation of each hand by one factor."""
     limit, tick = _limit_at(limit), tick_at(tick)
     io, is_limited = io_at(tick.io), False
     for c in range(io.channels if tick.withheld == 0 else 0):
