@@ -112,8 +112,9 @@ class Tick:
 
     ``stretches``, ``pulls`` (L, C + M): stretch of each link, and direction of its force. ``old_steps``, ``old_rates``:
     lists by lag of the links whose dampers remember a step of their stretch or a velocity. ``inside`` (L,): 1 for a
-    link in the rates of a scheme other than CORDIS's. ``rates``: T A of such a scheme for the masses' positions and steps (in ``unit``), and also for the
-    channels' positions, steps and sensed velocities where inner links depend on them (``theory.schemes``).
+    link in the rates of a scheme other than CORDIS's. ``rates``: T A of such a scheme for the masses' positions and
+    steps (in ``unit``), and also for the channels' positions, steps and sensed velocities where inner links depend on
+    them (``theory.schemes``).
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:

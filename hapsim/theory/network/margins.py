@@ -20,7 +20,15 @@ from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.crossings import Crossings, margins_along_circle
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.modes import SURELY, settled
-from hapsim.theory.network.network import Network, is_centred, link_count, margin_links, rows_of, touches_channel
+from hapsim.theory.network.network import (
+    Network,
+    is_centred,
+    link_count,
+    links_of_rows,
+    margin_links,
+    rows_of,
+    touches_channel,
+)
 from hapsim.theory.sample import loop, state_size
 
 MOST_STATES = 300  # numbers in the state of a scene whose crossings are all computed
@@ -88,7 +96,8 @@ def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
         return Margins(unknown, "none was worked out: the scene's numbers are out of range")
     unstable = bool((np.abs(poles) > SURELY).any())
     links = margin_links(network)
-    touching = np.isin(links, network.link_of_row[touches_channel(network, np.arange(network.stiffness.size))])
+    number = links_of_rows(network)
+    touching = np.isin(links, number[touches_channel(network, np.arange(number.size))])
     links = links[np.argsort(~touching, kind="stable")]
     size = state_size(network)
     centred = is_centred(network) and (network.rows is None or (size <= MOST_STATES and _is_of_rank_one(network)))
@@ -110,7 +119,7 @@ def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
 
 def _is_of_rank_one(network: Network) -> bool:
     """Returns whether no link has its stiffness, or its damping, in several rows."""
-    own = (network.link_of_row[value != 0.0] for value in (network.stiffness, network.damping))
+    own = (links_of_rows(network)[value != 0.0] for value in (network.stiffness, network.damping))
     return all(np.bincount(links).max(initial=0) <= 1 for links in own)
 
 

@@ -126,7 +126,7 @@ class Network:
             "implicit": np.array(self.implicit, bool) if len(self.implicit) else point_mass < 0.0,
             "rows": rows,
             "pulls": pulls,
-            "link_of_row": np.array(self.link_of_row, np.intp) if len(self.link_of_row) else np.arange(links),
+            "link_of_row": np.array(self.link_of_row, np.intp),
             "mass_coupling": coupling,
         }
         for name in ("damper", "outside", "link_of_row"):
@@ -147,8 +147,8 @@ class Network:
     def _checked_rows(self, points: int) -> tuple[Floats | None, Floats | None]:
         """Returns ``rows`` and ``pulls``; both are None where links have ends."""
         if self.rows is None:
-            if self.pulls is not None:
-                raise ValueError("pulls is given without rows.")
+            if self.pulls is not None or len(self.link_of_row):
+                raise ValueError("pulls and link_of_row need rows.")
             return None, None
         if len(self.ends):
             raise ValueError("a network has ends or rows, not both.")
@@ -202,21 +202,26 @@ def damping_links(network: Network) -> Indices:
 
 
 def margin_links(network: Network) -> Indices:
-    """Acting links whose margins are wanted, by the numbers in ``link_of_row``."""
-    links = np.unique(network.link_of_row[acting_links(network)])
+    """Acting links whose margins are wanted, by the scene's numbers."""
+    links = np.unique(links_of_rows(network)[acting_links(network)])
     return links if network.margin_links is None else links[links < network.margin_links]
+
+
+def links_of_rows(network: Network) -> Indices:
+    """Number of the link that each row belongs to, (L,); without rows a link's own number."""
+    return network.link_of_row if network.link_of_row.size else np.arange(network.stiffness.size)
 
 
 def rows_of(network: Network, link: int) -> Indices:
     """Rows of a link."""
-    return np.flatnonzero(network.link_of_row == link) if network.rows is not None else np.array([link])
+    return np.flatnonzero(network.link_of_row == link) if network.link_of_row.size else np.array([link])
 
 
 def link_count(network: Network) -> int:
     """Number of links, with those that have no row now."""
     if network.rows is None:
         return len(network.ends)
-    return max(int(network.link_of_row.max(initial=-1)) + 1, network.margin_links or 0)
+    return max(int(links_of_rows(network).max(initial=-1)) + 1, network.margin_links or 0)
 
 
 def inner_links(network: Network) -> Indices:
@@ -236,10 +241,11 @@ def touches_channel(network: Network, links: Indices) -> Bools:
     return np.bincount(place[point < network.channel_mass.size], minlength=links.size) > 0
 
 
-def joined_points(network: Network, links: Indices | slice = EVERY) -> tuple[Indices, Indices]:
+def joined_points(network: Network, links: Indices | Bools | slice = EVERY) -> tuple[Indices, Indices]:
     """Pairs (place among ``links``, point), for each point that one of these links joins, by links."""
     if network.rows is not None and network.pulls is not None:
-        return np.nonzero((network.rows[links] != 0.0) | (network.pulls[links] != 0.0))
+        place, point = np.nonzero((network.rows[links] != 0.0) | (network.pulls[links] != 0.0))
+        return place, point
     ends = network.ends[links]
     place, end = np.nonzero(ends >= 0)
     return place, ends[place, end]
@@ -296,10 +302,10 @@ def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
         **{name: getattr(network, name)[channels] for name in of_channels},
         point_mass=network.point_mass[masses],
         implicit=network.implicit[masses],
-        ends=number[network.ends[links]] if rows is None else (),
+        ends=number[network.ends[links]] if rows is None else network.ends,
         rows=None if rows is None else rows[np.ix_(links, points)],
         pulls=None if pulls is None else pulls[np.ix_(links, points)],
-        link_of_row=() if rows is None else network.link_of_row[links],
+        link_of_row=network.link_of_row if rows is None else links_of_rows(network)[links],
         mass_coupling=None if coupling is None else coupling[np.ix_(channels, channels)],
         stiffness=network.stiffness[links],
         damping=network.damping[links],
