@@ -37,7 +37,9 @@ Rows = Any
 
 
 def times(factors: NDArray[Any], rows: Rows) -> Rows:
-    """Returns each row multiplied by its factor."""
+    """Returns each row multiplied by its factor, (n,); by factors (n, n) the rows are combined."""
+    if factors.ndim == 2:
+        return as_rows(factors, not isinstance(rows, np.ndarray)) @ rows
     return factors[:, None] * rows if isinstance(rows, np.ndarray) else rows.multiply(factors[:, None]).tocsr()
 
 
