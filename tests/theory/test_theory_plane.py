@@ -463,5 +463,8 @@ def test_a_planar_scene_is_never_large_and_no_simple_test_proves_it_stable() -> 
     rows = np.eye(2 + masses)
     network = plane(rows, [100.0] * len(rows), [0.1] * len(rows), point_mass=[0.01] * masses, delay=0.0)
     assert not is_large(network)
+    unknown = margins_of(replace(network, link_of_row=np.arange(len(rows)) // 2), poles=np.zeros(1, complex))
+    assert unknown.method == "none was worked out: the scene has too many masses in the plane"
+    assert len(unknown.links) == len(rows) // 2
     alone = plane([[1.0, -1.0]], [100.0], [0.1], channel_mass=[], channel_friction=[], point_mass=[0.1, 0.1])
     assert not proves_stability(alone)
