@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.device_step import DeviceStep, device_step
+from hapsim.theory.device_step import DeviceStep, coupled_step, device_step
 from hapsim.theory.interface import SAMPLINGS, acting_at_sample, hold_lag
 from hapsim.theory.network.network import Network, damping_links
 from hapsim.theory.rows import Rows, Tick, cut, sensed_channels, stack, step_weights, times, unit_rows
@@ -31,19 +31,17 @@ class Sample:
         self.network, self.tick, self.sizes = network, Tick(network, sparse), sizes_of(network)
         self._sensed = sensed_channels(network)
         self._acceleration = _acceleration(network)
-        steps = channel_steps(network)
-        self._motion = np.array([step.motion for step in steps]).reshape(len(steps), 4, 2)
-        self._forces = np.array([step.forces for step in steps]).reshape(len(steps), 4, -1 if steps else 0)
+        (self._motion, self._forces), channels = device_step_of(network), network.channel_mass.size
         self.step_sizes = {
-            "hand": len(steps),
-            "gain": len(steps),
+            "hand": channels,
+            "gain": channels,
             "sensed": self._sensed.size,
             "sensed_step": self._sensed.size,
             "mass": network.point_mass.size,
             "mass_step": network.point_mass.size,
             "old_steps": self.sizes["old_steps"],
             "old_rates": self.sizes["old_rates"],
-            "force": len(steps),
+            "force": channels,
         }
         if network.substeps == 1:
             del self.step_sizes["sensed_step"]
@@ -80,15 +78,15 @@ class Sample:
     def state_change(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
         """Returns the change of the state over a sample of steps ``moved``; ``pushed``: other forces on channels, N."""
         network, x, v = self.network, state["position"], state["velocity"]
-        unit, force = 1.0 / network.channel_mass / network.rate**2, moved["force"]
+        unit, force = mobility(network) / network.rate**2, moved["force"]
         acting = times(unit, force if pushed is None else force + pushed)
-        held = range(0, self.sizes["held"], max(unit.size, 1))
-        ranks = [acting, *(state["held"][at : at + unit.size] for at in held)]
+        held = range(0, self.sizes["held"], max(len(unit), 1))
+        ranks = [acting, *(state["held"][at : at + len(unit)] for at in held)]
 
         def row(of: int) -> Rows:
-            out = times(self._motion[:, of, 0], x) + times(self._motion[:, of, 1], v)
+            out = times(self._motion[of, :, 0], x) + times(self._motion[of, :, 1], v)
             for age, rank in enumerate(ranks[: self._forces.shape[2]]):
-                out = out + times(self._forces[:, of, age], rank)
+                out = out + times(self._forces[of, :, age], rank)
             return out
 
         new = {"position": row(0), "mass": moved["mass"], "velocity": row(1), "mass_step": moved["mass_step"]}
@@ -143,8 +141,9 @@ def state_size(network: Network) -> int:
 
 
 def is_large(network: Network) -> bool:
-    """Returns whether the scene has too many states to compute all its poles."""
-    return state_size(network) > LARGE
+    """Returns whether the scene has too many states to compute all its poles. A planar one never has: the methods for
+    large scenes follow links with two ends."""
+    return network.rows is None and network.mass_coupling is None and state_size(network) > LARGE
 
 
 @np.errstate(all="ignore")  # numbers out of range become NaN
@@ -204,6 +203,25 @@ def _acceleration(network: Network) -> list[Floats] | None:
     own = -network.channel_stiffness / mass / network.rate**2, -network.channel_friction / mass / network.rate
     forces = (sensed * one + (now - then) * added for sensed, then, now in zip_longest(*acting, fillvalue=0.0))
     return [lag * one, *own, *forces]
+
+
+def mobility(network: Network) -> Floats:
+    """Inverse of the channels' masses, (C,), or (C, C) if they are a matrix."""
+    if network.mass_coupling is None:
+        return 1.0 / network.channel_mass
+    return np.asarray(np.linalg.inv(network.mass_matrix), float)
+
+
+def device_step_of(network: Network) -> DeviceStep:
+    """Step of all channels: (4, C, 2) and (4, C, ages), or that of coupled ones."""
+    if network.mass_coupling is None:
+        steps = channel_steps(network)
+        motion = np.array([step.motion for step in steps]).reshape(len(steps), 4, 2)
+        forces = np.array([step.forces for step in steps]).reshape(len(steps), 4, -1 if steps else 0)
+        return DeviceStep(motion.swapaxes(0, 1), forces.swapaxes(0, 1))
+    free = mobility(network) / network.rate
+    own = free * network.channel_friction, free * network.channel_stiffness / network.rate
+    return coupled_step(own[0], network.delay, network.hold, own[1], network.sampling)
 
 
 def channel_steps(network: Network) -> list[DeviceStep]:

@@ -171,9 +171,11 @@ class HeldScene:
         network, one = self.network, np.eye(self.network.channel_mass.size)
         s = 1j * theta[:, None] * network.rate
         device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
+        coupling = 0.0 if network.mass_coupling is None else s[:, :, None] * network.mass_coupling
         through = delay_and_hold(theta, network.delay, network.hold, network.sampling)
         rendered = self.forces(on_circle(theta)) * (through / s[:, 0])[:, None, None]
-        return np.asarray(1.0 / np.linalg.inv(device[:, None] * one + rendered)[:, channel, channel])
+        whole = device[:, None] * one + rendered + coupling
+        return np.asarray(1.0 / np.linalg.inv(whole)[:, channel, channel])
 
 
 @np.errstate(all="ignore")
