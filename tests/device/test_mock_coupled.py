@@ -100,17 +100,17 @@ def test_holds_and_delays_are_those_of_bodies_by_themselves(new_host: New, hold:
 
 
 def test_a_force_that_expires_leaves_the_rest_of_a_sample_to_the_hand(new_host: New) -> None:
-    host = new_host(2, device={"mass": MASS, "delay": 0}, mock={"hand": {"stiffness": 300.0, "force": [0.5, -1.0]}})
+    hand = {"stiffness": 300.0, "force": [0.5, -1.0]}
+    host = new_host(2, device={"mass": MASS, "delay": 0.5}, mock={"hand": hand})
     host.arm(schema.PACED_BY_HOST)
-    force = np.array([2**29, -(2**28)])
+    force, later = np.array([2**29, -(2**28)]), np.array([-(2**27), 2**29])
     host.send(host.force_frame(0, force, time_to_live=0), now=1_000_000)
-    host.force(1, [0, 0], now=6_000_000)  # 1 ms under the force, 4 ms without it
-    rates, push = rates_of(np.array(MASS), np.zeros(2), np.full(2, 300.0)), np.array([0.5, -1.0])
-    state = np.zeros(10)
-    for h, acting in ((1e-3, force), (1e-3, 0 * force), (4e-3, 0 * force)):
-        state[6:8] = push + acting * float(host.mock.force_scale[0])
+    host.force(1, later, now=6_000_000)  # a sample of 1 ms under the forces, and 4 ms without them
+    rates, state = rates_of(np.array(MASS), np.zeros(2), np.full(2, 300.0)), np.zeros(10)
+    for h, acting in ((0.5e-3, 0 * force), (1e-3, force), (0.5e-3, later), (4e-3, 0 * force)):
+        state[6:8] = hand["force"] + acting * float(host.mock.force_scale[0])
         state = expm(rates * h) @ state
-    assert host.bodies["position"] == pytest.approx(state[2:4], rel=1e-9)
+    assert host.bodies["position"] == pytest.approx(state[2:4], rel=1e-12)
 
 
 def test_a_diagonal_matrix_is_a_list_of_masses(new_host: New) -> None:
