@@ -55,7 +55,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
         yield from _beyond_single(around)
     yield from _device_issues(per_channel[("device",)])
     yield from space_issues(around, scene, per_channel[("device",)])
-    yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)])
+    yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)], scene.get("space", 1))
     substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:
         yield from _dampers_across_steps(around)
@@ -145,19 +145,16 @@ def _is_coupled(mass: object) -> bool:
     return any(one for i, row in enumerate(_entries(mass)) if isinstance(row, list | tuple) for one in row[:i])
 
 
-def _coupled_issues(device: Mapping[str, object], mock: Mapping[str, object]) -> Iterator[Issue]:
-    """Yields what a device whose mass is a matrix, or its mock, cannot have."""
-    if _is_coupled(device.get("mass")):
-        if (correction := device.get("correction", "none")) != "none":
-            why = "a hand moves another mass in each direction, and a correction knows one mass for each channel"
-            sentence = f"found {correction} with a mass that is a matrix, expected none: {why}"
-            yield Issue(("device", "correction"), sentence)
-        if any(_entries(device.get("stiffness"))):
-            sentence = "found a spring in a device whose mass is a matrix, expected 0: its motion is not predicted"
-            yield Issue(("device", "stiffness"), sentence)
-        if {*MOTIONS} <= {*_entries(device.get("motion"))}:
-            sentence = "found a matrix for linear and rotary channels, expected channels of one motion, or a list"
-            yield Issue(("device", "mass"), sentence)
+def _coupled_issues(device: Mapping[str, object], mock: Mapping[str, object], space: object) -> Iterator[Issue]:
+    """Yields what a device whose mass is a matrix, or its mock, cannot have. Corrections are for one coordinate, in
+    which a hand moves one mass: with a matrix it moves another in each direction."""
+    for path, mass in ((("device", "mass"), device.get("mass")), (("mock", "mass"), mock.get("mass"))):
+        if _is_coupled(mass) and space == 1:
+            found = "found a matrix in a scene with one coordinate"
+            yield Issue(path, f"{found}, expected a number, or a list with one per channel; or write space: 2")
+    if _is_coupled(device.get("mass")) and any(_entries(device.get("stiffness"))):
+        sentence = "found a spring in a device whose mass is a matrix, expected 0: its motion is not predicted"
+        yield Issue(("device", "stiffness"), sentence)
     if _is_coupled(mock.get("mass") or device.get("mass")):
         if mock.get("coulomb"):
             sentence = "found dry friction with a mass that is a matrix, expected 0: its motion has no closed form"

@@ -121,8 +121,9 @@ def test_a_diagonal_matrix_is_a_list_of_masses(new_host: New) -> None:
 
 GOOD = """version: 1
 rate: 1000
+space: 2
 device: {mass: [[200 g, 50 g], [0.05, 0.3]]}
-modules: {hand: {type: device, channel: 1}}
+modules: {hand: {type: device, channels: [0, 1]}}
 """
 
 
@@ -139,6 +140,14 @@ def test_a_matrix_has_units_and_stays_as_it_is_written() -> None:
     assert parse_scene(GOOD.replace("50 g", "0").replace("0.05", "0")).device.mass_matrix(2) is None
 
 
+def test_one_coordinate_has_no_matrix() -> None:
+    line = GOOD.replace("space: 2\n", "").replace("channels: [0, 1]", "channel: 1")
+    with pytest.raises(SceneError, match=r"mass: found a matrix in a scene with one coordinate, .*; or write space: 2"):
+        parse_scene(line)
+    with pytest.raises(SceneError, match="mass: found a matrix in a scene with one coordinate"):
+        parse_scene(line.replace("}", "", 1).replace("mass:", "mass: 1}\nmock: {mass:", 1).replace("]]", "]]}"))
+
+
 @pytest.mark.parametrize(
     ("device", "found"),
     [
@@ -149,9 +158,7 @@ def test_a_matrix_has_units_and_stays_as_it_is_written() -> None:
         ("mass: [[0.2, 1 N], [0, 0.3]]", "mass[0][1]: found 1 N, expected a mass (kg)"),
         ("mass: [[0.2]]", "mass: found 1 row, expected 2: one for each channel"),
         ("mass: [[0.2, 0.05], [0.05, 0.3]], stiffness: [0, 9]", "stiffness: found a spring in a device whose mass is"),
-        ("mass: [[0.2, 0.05], [0.05, 0.3]], correction: poles", "a hand moves another mass in each direction"),
-        ("mass: [[0.2, 0.05], [0.05, 0.3]], correction: adaptive", "a hand moves another mass in each direction"),
-        ("mass: [[0.2, 0.05], [0.05, 0.3]], motion: [linear, rotary]", "found a matrix for linear and rotary channels"),
+        ("mass: [[0.2, 0.05], [0.05, 0.3]], correction: poles", "found poles in a scene with space: 2, expected none"),
         ("mass: [[0.2, 0.05], [0.05, 0.3]]}\nmock: {coulomb: 0.1", "coulomb: found dry friction with a mass that is a"),
         ("mass: 1}\nmock: {mass: [[1, 0.1], [0.1, 1]], grips: [[1, 2]]", "grips: found grips with a mass that is a"),
     ],
