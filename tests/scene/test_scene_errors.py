@@ -17,7 +17,7 @@ HZ = "expected a number > 0 (Hz)"
 FINITE = "expected a finite number > 0 (Hz)"
 DECIMALS = "; write plain decimals, such as 2000, 0.5 or 1e-9"
 MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
-MASS = f"expected a number > 0 (kg), or {MAPPINGS}, or a list with one per channel"
+MASS = f"expected a number > 0 (kg), or {MAPPINGS}, or a list with one per channel, or a symmetric matrix"
 LIMITS = "[the least, the most] (m)"
 PORT = "expected the name of a serial port, such as /dev/ttyACM0"
 TYPES = f"expected {one_of(MODULE_TYPES)}"
@@ -154,8 +154,8 @@ def test_what_does_not_describe_a_mock_is_reported(only_fault: OnlyFault, mock: 
         (
             "stiffness: 2000",
             "Stiffness: 2000",
-            "7:54: Stiffness: unknown key, expected type, between, stiffness, damping, damper or cutoff; did you mean "
-            "'stiffness'?",
+            "7:54: Stiffness: unknown key, expected type, between, stiffness, damping, damper, cutoff or length; "
+            "did you mean 'stiffness'?",
         ),
         (
             "stiffness: 2000",
@@ -203,8 +203,8 @@ def test_what_is_no_module_is_reported(faults: Faults, good: str, old: str, new:
         (
             "rate: 1000",
             "rte: 1000",
-            "2:1: rte: unknown key, expected version, rate, substeps, device, mock, precision, scheme, modules or "
-            "sound; did you mean 'rate'?",
+            "2:1: rte: unknown key, expected version, rate, substeps, device, mock, space, precision, scheme, modules "
+            "or sound; did you mean 'rate'?",
         ),
         ("rate: 1000\n", "", f"1:1: 'rate' is missing, {HZ}"),
         (
