@@ -73,8 +73,8 @@ def test_masses_that_move_each_other_are_felt_as_the_reference_has_them() -> Non
 
 
 def slide_growth(start: float, until: float) -> float:
-    """Growth in a sample of the way that a hand has slid, in m, once it is `until`: off a disc that it is pushed onto by a steady 2 N: sampled,
-    held, a sample late, with the exact motion of its mass."""
+    """Growth in a sample of the way that a hand has slid off a disc, once that is `until`, m. A steady 2 N pushes it
+    onto the disc, whose force is sampled, held and a sample late; its mass moves exactly."""
     m, b, T, K, B, R = 0.2, 1.0, 1e-3, 2000.0, 5.0, 0.02
     decay = math.exp(-b * T / m)
     drift, gain = (1.0 - decay) * m / b, (T - (1.0 - decay) * m / b) / b
@@ -83,7 +83,7 @@ def slide_growth(start: float, until: float) -> float:
     while abs(x[1]) < until:
         n = x / np.hypot(*x)
         force = -(K * (np.hypot(*x) - R) + B * (n @ (x - before)) / T) * n
-        acts = held + [2.0, 0.0]
+        acts = held + np.array([2.0, 0.0])
         before, held = x.copy(), force
         x, v = x + drift * v + gain * acts, decay * v + (1.0 - decay) / b * acts
         ways.append(x[1])
@@ -166,7 +166,8 @@ def test_static_stiffness_is_the_change_of_the_force() -> None:
         if not prediction.directions[1]:  # the ball rests in one place
             checked += 1
             (one,) = prediction.together
-            assert -np.array([along_x, along_y]).T == pytest.approx(one.static_stiffness, rel=1e-5, abs=1e-3)
+            found = -np.array([along_x, along_y]).T
+            assert found == pytest.approx(one.static_stiffness, rel=1e-5, abs=1e-3)
     assert checked > 10
 
 
@@ -203,7 +204,7 @@ def test_a_turn_of_the_frame_changes_no_pole() -> None:
     for angle in (0.3, 1.2, 2.9, 4.0):
         found = turned(angle)
         for before, after in zip(as_it_is.poles[:8], found.poles[:8], strict=True):
-            assert min(abs(after - before), abs(after.conjugate() - before)) < 1e-11
+            assert min(abs(after - before), abs(after.conjugate() - before)) < 1e-12
         turn = [(b.angle_deg - a.angle_deg) % 180.0 for a, b in zip(as_it_is.slides, found.slides, strict=True)]
         assert turn == pytest.approx([math.degrees(angle) % 180.0] * len(turn), abs=1e-5)
 
