@@ -17,7 +17,7 @@ from hapsim.one_thread import one_thread
 from hapsim.theory import Network
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import SURELY, poles_of, state_size
-from hapsim.theory.network.impedance import device_forces
+from hapsim.theory.network.impedance import device_matrix
 from hapsim.theory.network.modes import snap_to_rest
 from hapsim.theory.network.scene_passivity import HeldScene, Passivity, highest, no_derivation, passivity_of, peaks_of
 
@@ -187,11 +187,10 @@ class AnyHand:
         """Returns a pole of the loop with this hand near theta, by secants; NaN if none is found."""
         hands = np.zeros((2, len(self.names)))
         hands[:, at] = mass, stiffness
-        network, one = _with_hands(self._network, *hands), np.eye(len(self.names))
+        network = _with_hands(self._network, *hands)
 
         def met(w: Complexes) -> Complexes:
-            whole = self._held.forces(w) + device_forces(network, w)[:, None] * one
-            return np.asarray(np.linalg.det(whole))
+            return np.asarray(np.linalg.det(self._held.forces(w) + device_matrix(network, w)))
 
         w = np.exp(1j * theta) * np.array([1.0, 1.0 + 1e-6]) - 1.0
         before, here = (complex(one) for one in w)
