@@ -136,10 +136,10 @@ def measure_plane(
     own = np.ix_(*[[one.channels.index(each) for each in found.channels]] * 2)
     felt = one.felt._replace(k=one.felt.k[own], b=one.felt.b[own])
     if json:
-        sides = {"predicted": None if felt.reason else _pair_document(felt), "measured": _pair_document(found)}
-        more = pick(found, "k_uncertainty b_uncertainty poles others samples")
         about = {"scene": device.scene, "warnings": warnings, **pick(found, "at_m channels")}
-        print(document(about | sides | {"measured": sides["measured"] | more}))
+        about |= {"predicted": None if felt.reason else _pair_document(felt)}
+        more = pick(found, "k_uncertainty b_uncertainty poles others samples")
+        print(document(about | {"measured": _pair_document(found) | more}))
         return
     units = output_units()
     place = f"{units.number(found.at_m[0], 'm')}, {units(found.at_m[1], 'm')}" if found.at_m else ""

@@ -33,12 +33,13 @@ from hapsim.measuring.measurement_options import (
 from hapsim.measuring.place import Place
 from hapsim.measuring.pushes import pushes, recorded
 from hapsim.one_thread import one_thread
-from hapsim.prediction.plane import Plane
+from hapsim.prediction.plane import Plane, PlaneLink
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide
-from hapsim.scene import DevicePoint, Scene
+from hapsim.scene import DevicePoint, Friction, Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.modules.plane_links import Shape
 
 _SECONDS, _IN_VIRTUAL_TIME, _EVERY_S = 4.0, 10.0, 0.4  # of pushes along each coordinate, and from one to the next
 _MOST_RUNS = 3  # along each coordinate
@@ -47,6 +48,7 @@ _WITHIN, _ABOUT = 0.45, (0.5, 3.0)  # of the room: the largest motion; and of th
 _STRAIGHT, _BENT = 0.1, 1e-3  # of the room: the motion where no link turns, and where one does
 _COUNTS = 4000.0  # a motion in which rounding hardly shows
 _SETTLES = 2.5  # times as long as on a line: what is felt along a surface is as far off as the depth of the press
+_EDGE = 1e-9  # m: a shorter way is none
 _AT_REST = 64  # samples before the first push
 _GROWS = (0.003, 0.1)  # of the room: between these distances a hand that slides off is observed
 
@@ -60,6 +62,8 @@ class _Place:
         share: of the room, for a motion that hardly changes any direction.
         along: the place by each coordinate, as on a line.
         guide: leads the hand there.
+        beyond: overshoot of its path by coordinate, m, in the direction of the path; then back, so that friction sticks
+            without a bent bristle.
     """
 
     at: tuple[float, float]
@@ -68,6 +72,7 @@ class _Place:
     share: float
     along: tuple[Place, Place]
     guide: Guide
+    beyond: tuple[float, float]
 
 
 def measure_in_plane(
@@ -136,7 +141,8 @@ def _ring(scene: Scene, run: Run, place: _Place, axis: int, seconds: float, push
     """Leads the hand to its place, and pushes it along one coordinate."""
     own, other = place.along[axis], place.along[1 - axis]
     every = int(min(_EVERY_S, seconds) * scene.rate)
-    guide = replace(place.guide, target=own.at, also=((other.channel, other.at),))
+    also = ((other.channel, other.at, place.beyond[1 - axis]),)
+    guide = replace(place.guide, target=own.at, beyond=place.beyond[axis], also=also)
     pushed = pushes(scene, own.channel, seconds, push, own, swing)
     excitation: Excitation = replace(pushed, start=0, every=every, first=False, guide=guide)
     trace, failure = recorded(run, scene, excitation, seconds)
@@ -177,7 +183,7 @@ def _require_held(scene: Scene, place: _Place, away: Floats) -> None:
         angle, time = math.degrees(math.atan2(direction[1], direction[0])) % 180.0, 1.0 / (scene.rate * math.log(grows))
         raise UsageError(
             f"{place.words}, the hand slides off along {angle:.0f}°: its distance grows e-fold in {1e3 * time:.4g} ms "
-            f"(a pole of {grows:.6g}), so no spring is felt there. Give the shape friction (friction_coefficient), or "
+            f"(a pole of {grows:.6g}), so no spring is felt there. More friction (friction_coefficient) holds it; or "
             "hold the hand by a spring along the surface, or choose a place that is flat or hollow"
         )
 
@@ -193,24 +199,26 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
     links = [one for one in plane.at({name: here}) if name in one.link.between and one.acts]
     if not links:
         raise UsageError(f"{words}, no link touches the hand, so there is no spring to measure. Choose another --at")
-    force, limit = math.hypot(*(float(one) for one in plane.forces(*map(np.array, here), name))), force_limit(scene)
+    x, y = (np.array(one) for one in here)
+    force, limit = float(np.hypot(*plane.forces(x, y, name))), force_limit(scene)
     if force > limit:
         raise UsageError(
             f"{words}, the scene asks for {units(force, 'N', 4)}, more than the force limit of {units(limit, 'N')}. "
             "The force is clipped there, so the hand feels no spring. Choose a place with less force"
         )
-    stiffness, damping = np.zeros((2, 2)), np.zeros((2, 2))
+    stiffness, damping, beyond = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
     room = _MOST_ROOM
     for one in links:
-        n, t = np.array(one.normal), np.array(one.tangent)
-        stiffness += one.slope * np.outer(n, n) + one.across * np.outer(t, t)
-        damping += one.damping * np.outer(n, n)
+        for row in one.rows():
+            both = np.outer(row.pull, row.stretch)
+            stiffness, damping = stiffness + row.stiffness * both, damping + row.damping * both
+        beyond += _overshoot(one, np.subtract(here, plane.start[name]))
         law = one.link.law()
         is_one_spring = law.memoryless and law.sector[0] == law.sector[1] and len(set(law.dampings)) == 1
         edges = () if is_one_spring else law.edges
         bends = [1.0 / abs(one.curvature)] if one.curvature and math.isfinite(one.curvature) else []
         room = min([room, *bends, *(abs(one.distance - edge) for edge in edges)])
-    if room < 1e-9:
+    if room < _EDGE:
         raise UsageError(f"{words}, the hand is on the edge of a link; expected a place within or beyond it")
     device, along = scene.device, []
     for i, channel in enumerate(hand):
@@ -219,7 +227,20 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
         low, high = here[i] - room, here[i] + room
         along.append(Place(name, channel, here[i], low, high, mass, *own, None, None, units))
     guide = replace(along[0], stiffness=float(np.linalg.eigvalsh(stiffness)[1])).guide(scene)
-    way, settling, *rest = guide.seconds
-    guide = replace(guide, seconds=(way, _SETTLES * settling, *rest))
+    way, settling, mean, fade = guide.seconds
+    guide = replace(guide, seconds=(way, _SETTLES * settling, mean, fade))
+    along_path = np.where(np.subtract(here, plane.start[name]) < 0.0, -beyond, beyond).tolist()
     share = _BENT if any(one.curvature for one in links) else _STRAIGHT
-    return _Place(here, words, room, share, (along[0], along[1]), guide)
+    return _Place(here, words, room, share, (along[0], along[1]), guide, (along_path[0], along_path[1]))
+
+
+def _overshoot(link: PlaneLink, path: Floats) -> Floats:
+    """Returns how far beyond its place, m, a hand that comes along this path bends the bristle of a link until it
+    slides."""
+    if isinstance(link.link, Friction):
+        return path * link.link.break_away / link.link.stiffness / max(float(np.hypot(*path)), 1e-300)
+    if not link.rubs or not isinstance(link.link, Shape):
+        return np.zeros(2)
+    bent, t = link.link.break_away * abs(link.tension) / link.link.bristle[0], np.array(link.tangent)
+    along = float(path @ t)
+    return math.copysign(bent, along) * t if abs(along) > _EDGE else np.zeros(2)
