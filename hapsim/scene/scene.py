@@ -136,6 +136,11 @@ class Scene(Part):
         return tuple(one.all_channels for one in self.modules.values() if isinstance(one, DevicePoint))
 
     @property
+    def channel_groups(self) -> tuple[tuple[int, ...], ...]:
+        """The channels of each hand."""
+        return tuple((c,) for c in range(self.channels))
+
+    @property
     def units(self) -> Units:
         """The units of its channels: those of its file, else SI units."""
         return Units.of(self.device.motions(self.channels), self._written)
