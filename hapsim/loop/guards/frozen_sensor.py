@@ -235,7 +235,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     device, used = scene.device, slice(channels)
     loop.frozen_sensor.travel = address_of(loop.travel) if device.travel is not None else 0
     low, high = np.transpose(device.travels(channels))
-    margin = np.array(device.travel_margins(channels)) if device.travel is not None else 0.0
+    margin = np.array(scene.travel_margins) if device.travel is not None else 0.0
     watch_sensor(
         loop.frozen_sensor,
         rate_hz=scene.rate,

@@ -1,9 +1,10 @@
 """The travel guard: outside the declared travel the force fades, and beyond a margin there the loop stops.
 
 A position x is outside by max(low - x, x - high); that of a hand with x and y by its distance from the nearest edge of
-a polygon, less a radius: a disc is a polygon of one corner, a box one of four. There the force, clipped and with any push, is multiplied by
-1 - outside / margin, and is zero beyond the margin. So the fade is no steeper than force_limit / margin, which is
-judged as a stiffness before a run. A device that rests at its own stop, within the margin, feels less force.
+a polygon, less a radius: a disc is a polygon of one corner, a box one of four. There the force, clipped and with any
+push, is multiplied by 1 - outside / margin, and is zero beyond the margin. So the fade is no steeper than the largest
+force / margin, which is judged as a stiffness before a run. A device that rests at its own stop, within the margin,
+feels less force.
 
 Beyond the margin a motor has the wrong sign, or the device's zero is wrong. The loop stops as soon as noise and counts
 do not explain the position. A device that is armed outside may stay there: until it comes within its travel, the margin
@@ -22,6 +23,7 @@ from hapsim.compiling import helper
 from hapsim.compiling.native import record_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
+from hapsim.scene.quantity import MOST_CORNERS, Area
 
 OUT_OF_TRAVEL = -24
 
@@ -115,29 +117,36 @@ def leads_out(travel, io, c, force):
 
 def _set_up(loop: Any, setting: Setting) -> Any:
     travel, scene, used = loop.travel, setting.scene, slice(setting.scene.channels)
-    if scene.device.travel is None:
+    area, limits = scene.device.travel, scene.device.travels(scene.channels)
+    if area is None:
         return None
     travel.low[:], travel.high[:] = -np.inf, np.inf
-    travel.low[used], travel.high[used] = np.transpose(scene.device.travels(scene.channels))
+    travel.low[used], travel.high[used] = np.transpose(limits)
     travel.margin[used] = scene.travel_margins
     count_m = np.array(setting.description.position_scale[used])
     travel.unsure[used] = NOISE_RMS * scene.mock_device.noise + count_m
     travel.x[used] = travel.y[used] = np.arange(scene.channels)
-    for hand in scene.channel_groups:
-        for c in hand if len(hand) > 1 else ():
-            (travel.x[c], travel.y[c]), outline = hand, scene.device.travel_outline(hand, scene.channels)
-            travel.corners[c], travel.radius[c] = len(outline.corners), outline.radius
-            travel.corner[c * _ROW : c * _ROW + 2 * len(outline.corners)] = np.ravel(outline.corners)
+    for x, y in (hand for hand in scene.channel_groups if len(hand) == 2):
+        (left, right), (low, high) = limits[x], limits[y]
+        corners: Any = ((left, low), (right, low), (right, high), (left, high))
+        for c in (x, y):
+            corners, travel.radius[c] = (area.corners, area.radius) if isinstance(area, Area) else (corners, 0.0)
+            travel.x[c], travel.y[c], travel.corners[c] = x, y, len(corners)
+            travel.corner[c * _ROW : c * _ROW + 2 * len(corners)] = np.ravel(corners)
     return travel
 
 
 def _sentence(run: EndedRun) -> str:
-    travel, c = run.loop.travel, int(run.loop.travel.channel)
-    units = run.scene.units_of(c)
+    from hapsim.prediction.force_bounds import travel_in_words
+
+    travel, c, io = run.loop.travel, int(run.loop.travel.channel), run.loop.io
+    units, hand = run.scene.units_of(c), run.scene.hand_of(c)
+    which = f"channel {c} is" if len(hand) == 1 else f"channels {' and '.join(map(str, hand))} are"
+    place = ", ".join(units.number(io.position_counts[one] * io.position_scale[one], "m", ".6g") for one in hand)
     return (
-        f"channel {c} is out of its travel at tick {run.report.ticks}: at "
-        f"{units(travel.position, 'm', '.6g')}, where device.travel goes from {units.number(travel.low[c], 'm', 'g')} "
-        f"to {units(travel.high[c], 'm', 'g')} and the force fades within {units(travel.margin[c], 'm', 'g')} outside; "
+        f"{which} out of {'its' if len(hand) == 1 else 'their'} travel at tick {run.report.ticks}: at "
+        f"{units(place, 'm')}, {units(travel.outside, 'm', '.4g')} outside, where device.travel goes "
+        f"{travel_in_words(run.scene, c)} and the force fades within {units(travel.margin[c], 'm', 'g')} outside; "
         "its force was not sent. Something drives the device outward, or its zero is not where the scene has it: a "
         "motor or an encoder with the wrong sign, a wrong device.origin, a device that restarted elsewhere, or limits "
         "that are not the device's. Move it back within its travel before the next run"
