@@ -18,8 +18,9 @@ from hapsim.prediction.characteristic import characteristic_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plane import Plane
 from hapsim.scene import Mock, Scene
+from hapsim.scene.modules.plane_links import Shape
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import Expectation, Known, Span, expectation_of
+from hapsim.scene.quantity import Area, Expectation, Known, Span, expectation_of
 from hapsim.theory.hand.configuration import stiffest_stable
 from hapsim.units import Units
 
@@ -199,6 +200,7 @@ def _keys(kind: type[Part]) -> list[tuple[str, Expectation | None]]:
 
 
 def _numbers(value: Any) -> list[float]:
+    value = tuple(value.model_dump().values()) if isinstance(value, Area) else value
     if isinstance(value, tuple):
         return [one for entry in value for one in _numbers(entry)]
     if isinstance(value, Span):
@@ -352,3 +354,16 @@ def _jumps_in_plane(scene: Scene) -> Iterator[str]:
         if total > _PRESSES * limit:
             pushes = f"at arming the scene pushes {hand} with {units(total, 'N', short)}"
             yield f"{pushes}; the force limit is {units(limit, 'N')}: check its links and the positions of their ends."
+
+
+def begun_inside(scene: Scene) -> Iterator[str]:
+    """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps."""
+    plane, units = Plane(scene), scene.units
+    for one in () if scene.device.port is not None or scene.device.soft_start else plane.at({}):
+        hand = next((end for end in one.link.between if end in plane.hands), "")
+        if hand and isinstance(one.link, Shape) and one.distance < 0.0:
+            force = min(-one.tension, scene.device.force_limit)
+            yield (
+                f"{hand} starts {units(-one.distance, 'mm', '.3g')} inside {one.name}: at arming the force jumps to "
+                f"{units(force, 'N', '.3g')}. Let it start outside (mock.initial.position), or set device.soft_start."
+            )
