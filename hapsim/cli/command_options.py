@@ -354,6 +354,20 @@ def numbers(option: str, words: list[str] | None, unit: str = "") -> list[float]
     return sorted(found)
 
 
+def places(option: str, text: str | None, count: int) -> tuple[tuple[float, float], ...] | None:
+    """Returns the places X,Y of an option, with colons between them, in m; None where it is not given. Raises
+    UsageError."""
+    if text is None:
+        return None
+    try:
+        found = [tuple(quantity(option, word, "m") for word in place.split(",")) for place in text.split(":")]
+    except ValueError:
+        found = []
+    if len(found) != count or any(len(place) != 2 or not all(map(math.isfinite, place)) for place in found):
+        raise UsageError(f"{option}: found '{text}', expected {':'.join(['X,Y'] * count)}, such as 0.01,0 or 10mm,0")
+    return tuple((float(x), float(y)) for x, y in found)
+
+
 def on_command_line(command: Callable[..., None]) -> Callable[..., None]:
     """Returns `command` as typer takes it: arguments that are dataclasses are spread into options, and the docstring
     has one line for each paragraph, which typer then breaks where the terminal ends."""
