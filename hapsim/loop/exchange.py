@@ -25,7 +25,7 @@ from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
-from hapsim.loop.buffers import IO_BUFFER, clip, next_place
+from hapsim.loop.buffers import IO_BUFFER, clip, next_place, share_within_limit
 from hapsim.loop.counts import words_at
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL
 from hapsim.loop.guards import GUARDS
@@ -372,7 +372,7 @@ def _set_force(io, control, state, guided):
     for c in range(np.uint64(io.channels)):
         wanted = io.asked[c] + excitation if c == np.uint64(control.pulse_channel) else io.asked[c]
         sound = sound and math.isfinite(wanted)
-        force = clip(wanted, io.force_limit[c])
+        force = clip(wanted * share_within_limit(io, c, True), io.force_limit[c])
         limited = limited or force != wanted
         counts = np.rint(force / io.force_scale[c])
         io.force_counts[c] = np.int64(clip(counts, 2147483647.0))

@@ -289,3 +289,6 @@ def _set_io(io: Any, scene: Scene, description: Description) -> None:
     with np.errstate(over="ignore"):
         counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)
     io.force_limit[:channels] = counts * scale
+    for hand in scene.channel_groups:
+        for c, following in zip(hand, (*hand[1:], hand[0]), strict=True):
+            io.to_next[c] = (following - c) % 2**64

@@ -23,6 +23,7 @@ from .choices import (
 )
 from .part import Part
 from .quantity import (
+    Area,
     Curve,
     Known,
     Limits,
@@ -81,7 +82,7 @@ TRAVEL_MARGIN = quantity(
     "Width of the band outside travel in which the force fades; a run ends beyond it",
     "m",
     above=0,
-    left_out="a tenth of the travel",
+    left_out="a tenth of the travel, in the plane of its smaller width",
 )
 ORIGIN = quantity(
     "Position of the device that is the scene's position 0; here: its position at arming",
@@ -122,7 +123,7 @@ class Device(Part):
     slew_limit: Annotated[float | None, SLEW_LIMIT] = None
     soft_start: Annotated[float | None, SOFT_START] = None
     energy_limit: Annotated[float | None, ENERGY_LIMIT] = None
-    travel: Annotated[LimitsPerChannel | None, TRAVEL] = None
+    travel: Annotated[LimitsPerChannel | Area | None, TRAVEL] = None
     travel_margin: Annotated[float | None, TRAVEL_MARGIN] = None
     origin: Annotated[WordPerChannel | None, ORIGIN] = None
     sensors: Annotated[tuple[str, ...], some_of("Sensors of the device beside that of the position", SENSORS)] = ()
@@ -157,9 +158,12 @@ class Device(Part):
         return per_channel(self.friction, channels)
 
     def travels(self, channels: int) -> tuple[Limits, ...]:
-        """Least and most position of each of ``channels`` channels, m, from the scene's 0; infinite without travel."""
+        """Least and most position of each of ``channels`` channels, m, from the scene's 0; infinite without travel. Of
+        an area they are those of the box around it, for channels of x and y in turn."""
         if self.travel is None:
             return ((-math.inf, math.inf),) * channels
+        if isinstance(self.travel, Area):
+            return tuple(self.travel.bounds[c % 2] for c in range(channels))
         pairs = tuple(one for one in self.travel if isinstance(one, tuple))
         return pairs or (cast(Limits, self.travel),) * channels
 

@@ -35,7 +35,9 @@ MOST_CORNERS = 64  # of a polygon or a path
 _MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
 
 #: Marks of the kind of a value that may be of several: pydantic puts them into the location of an error.
-KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS = ("<number>", "<word>", "<span>", "<known>", "<list>", "<lists>")
+KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS, _DISC, _POLYGON = (
+    *("<number>", "<word>", "<span>", "<known>", "<list>", "<lists>", "<disc>", "<polygon>"),
+)
 
 
 class _Mapping(BaseModel):
@@ -64,6 +66,33 @@ class Known(_Mapping):
 
     value: float
     uncertainty: float
+
+
+class Area(_Mapping):
+    """A disc or a polygon in the plane, about the scene's position 0. SI units."""
+
+    disc: float | None = None
+    center: tuple[float, float] = (0.0, 0.0)
+    polygon: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        """Corners of the polygon, m; of a disc its centre."""
+        return self.polygon or (self.center,)
+
+    @property
+    def radius(self) -> float:
+        """Distance from the corners to the edge, m: of a disc."""
+        return self.disc or 0.0
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Least and most x, and least and most y, m."""
+        return tuple((min(each) - self.radius, max(each) + self.radius) for each in zip(*self.corners, strict=True))
+
+    @model_serializer
+    def _as_written(self) -> dict[str, Any]:
+        return {"polygon": self.polygon} if self.polygon else {"disc": self.disc, "center": self.center}
 
 
 #: A number of the scene file, or one for each channel of the device; a `Span` or `Known` in its place; or a word.
@@ -184,9 +213,10 @@ def quantity(
 
 
 def interval(description: str, unit: str, left_out: str) -> Expectation:
-    """A lower and an upper limit in SI units, or such a pair for each channel."""
+    """A lower and an upper limit in SI units, or such a pair for each channel; in the plane an `Area` too."""
     pair_words = f"[the least, the most] (‹{unit}›)"
-    words = f"{pair_words}, or a list of such pairs, one per channel"
+    areas = "in the plane {disc: radius, center: [x, y]} or {polygon: places}"
+    words = f"{pair_words}, a list of such pairs, one per channel, or {areas}"
     limits = _list_of([_number(f"a number (‹{unit}›)", unit)], 2, 2, pair_words)
 
     def ascending(pair: Limits) -> Limits:
@@ -196,6 +226,12 @@ def interval(description: str, unit: str, left_out: str) -> Expectation:
 
     pair = core_schema.no_info_after_validator_function(ascending, limits)
     kinds = {_LIST: pair, _LISTS: _list_of([pair], 1, MOST_CHANNELS, words)}
+    radius = core_schema.typed_dict_field(_number(f"a number > 0 (‹{unit}›)", unit, gt=0.0))
+    center = core_schema.typed_dict_field(place("", unit).schema, required=False)
+    corners = core_schema.typed_dict_field(places("", unit, 3).schema)
+    for kind, fields in {_DISC: {"disc": radius, "center": center}, _POLYGON: {"polygon": corners}}.items():
+        mapping = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
+        kinds[kind] = core_schema.no_info_after_validator_function(lambda found: Area(**found), mapping)
     return Expectation(description, words, _choice(kinds, words), unit, left_out)
 
 
@@ -334,12 +370,21 @@ def _choice(kinds: dict[Any, Any], expected: str) -> Schema:
 
 def _kind_of(value: object) -> str | None:
     if isinstance(value, Mapping):
-        return {frozenset(("from", "to")): _SPAN, frozenset(("value", "uncertainty")): _KNOWN}.get(frozenset(value))
+        return next((kind for kind, keys in _KEYS.items() if frozenset(value) in keys), None)
     if _is_list(value):
         return _LISTS if any(map(_is_list, value)) else _LIST
     if isinstance(value, str):
         return _NUMBER if QUANTITY.match(value) else _WORD
     return _NUMBER if isinstance(value, Real) and not isinstance(value, bool) else None
+
+
+_KEYS = {
+    _SPAN: [{"from", "to"}],
+    _KNOWN: [{"value", "uncertainty"}],
+    _DISC: [{"disc"}, {"disc", "center"}],
+    _POLYGON: [{"polygon"}],
+}
+"""The keys of each kind of mapping."""
 
 
 def _as_mapping(value: object) -> object:
