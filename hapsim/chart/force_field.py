@@ -11,13 +11,13 @@ import numpy as np
 from hapsim.chart import style
 from hapsim.chart.figure import drawn_in, figure_to, legend_below, once
 from hapsim.errors import UsageError
+from hapsim.prediction.plane import Plane
 from hapsim.scene import Scene
-from hapsim.scene.chain import Nearest, Point
-from hapsim.scene.modules.plane_links import Guide, Shape
-from hapsim.scene.plane import FAR, outlines_of, places_of
+from hapsim.scene.chain import Point
+from hapsim.scene.outlines import FAR, outlines_of
 from hapsim.theory.arrays import Floats
 
-_PLACES = 33  # along the longer side
+_PLACES = 41  # along the longer side
 _MARGIN = 0.15  # of what is drawn, on each side of it
 _LEAST = 0.02  # m, of a side drawn
 _WEAK = 1e-3  # of the strongest force drawn: less is no arrow
@@ -51,31 +51,16 @@ def force_field(scene: Scene, name: str, area: Area | None) -> ForceField:
     counts = [max(round(_PLACES * one / max(size)), 2) for one in size]
     sides = [a + (np.arange(n) + 0.5) * one / n for a, n, one in zip(low, counts, size, strict=True)]
     x, y = (one.ravel() for one in np.meshgrid(*sides))
-    return ForceField(name, area, x, y, *_force(scene, name, x, y))
+    return ForceField(name, area, x, y, *Plane(scene).forces(x, y, name))
 
-
-def _force(scene: Scene, name: str, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    at, force = places_of(scene), np.zeros((2, len(x)))
-    for link in scene.plane_links.values():
-        if name in link.between:
-            first, second = (np.array([x, y]) if end == name else np.array([at[end]]).T for end in link.between)
-            seen = [*map(link.chain().nearest if isinstance(link, Shape | Guide) else _from_point, *(first - second))]
-            normal = np.array([one.normal for one in seen]).T
-            pull = link.law().tension(np.array([one.distance for one in seen]))
-            force += normal * pull * (-1.0 if name == link.between[0] else 1.0)
-    return force[0], force[1]
-
-
-def _from_point(x: float, y: float) -> Nearest:
-    away = math.hypot(x, y)
-    return Nearest(away, (x / away, y / away) if away else (0.0, 0.0), 0.0)
 
 def _about(scene: Scene) -> Area:
     """Returns the corners of an area about all that the scene has, and at least 2 cm wide."""
-    at = places_of(scene)
+    at = Plane(scene).start
     seen = [*at.values()]
     for one in outlines_of(scene):
-        seen += [(x + at[one.about][0], y + at[one.about][1]) for x, y in one.places if one.about and math.hypot(x, y) < FAR]
+        near = [place for place in one.places if one.about and math.hypot(*place) < FAR]
+        seen += [(x + at[one.about][0], y + at[one.about][1]) for x, y in near]
     low, high = np.min(seen, axis=0), np.max(seen, axis=0)
     room = np.maximum(_MARGIN * np.max(high - low), 0.5 * (_LEAST - high + low))
     (left, bottom), (right, top) = (low - room).tolist(), (high + room).tolist()
@@ -95,7 +80,7 @@ def draw_field(field: ForceField, scene: Scene, path: Path) -> None:
     width = 6.0 if right - left >= high - low else 6.0 * (right - left) / (high - low)
     with figure_to(path, width + 1.8, (width * (high - low) / (right - left)) + 1.0) as figure:
         axes, units = figure.add_subplot(), drawn_in()
-        _draw_outlines(axes, scene)
+        _draw_outlines(axes, scene, field.name)
         size, limit = field.strength, scene.device.force_limit
         limit = min(float(size.max(initial=0.0)), limit) or limit
         pushed = size > _WEAK * limit
@@ -109,7 +94,7 @@ def draw_field(field: ForceField, scene: Scene, path: Path) -> None:
             cmap=style.FELT_ERROR,
             **style.FIELD,
         )
-        for name, (px, py) in places_of(scene).items():
+        for name, (px, py) in Plane(scene).start.items():
             axes.plot(*units.scaled(np.array([[px], [py]]), "mm"), **style.PLACE)
             axes.annotate(name, units.scaled(np.array([px, py]), "mm"), **style.PLACE_NAME)
         axes.set_xlim(*units.scaled(np.array([left, right]), "mm"))
@@ -124,20 +109,21 @@ def draw_field(field: ForceField, scene: Scene, path: Path) -> None:
             legend_below(figure, 3)
 
 
-def _draw_outlines(axes: Any, scene: Scene) -> None:
-    """Draws the material of shapes, the paths of guides, and the travel of the device."""
+def _draw_outlines(axes: Any, scene: Scene, hand: str) -> None:
+    """Draws what the hand touches, what other points do, and the travel of the device."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Curve
 
     scaled, labels = drawn_in().scaled, set[str]()
-    at = places_of(scene) | {"": (0.0, 0.0)}
+    at = Plane(scene).start | {"": (0.0, 0.0)}
     for one in outlines_of(scene):
         places = scaled(np.array(one.places) + at[one.about], "mm")
-        if one.kind in style.OUTLINES:
-            axes.plot(*places.T, label=once(one.kind, labels), **style.OUTLINES[one.kind])
+        kind = one.kind if not one.of or hand in (one.of, one.about) else "of other points"
+        if kind in style.OUTLINES:
+            axes.plot(*places.T, label=once(kind, labels), **style.OUTLINES[kind])
             continue
         curve = Curve(places, closed=True)
-        if one.kind == "inside":
+        if kind == "inside":
             around = Curve(scaled(FAR * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]), "mm"), closed=True)
             curve = Curve.make_compound_path(around, curve)
         axes.add_patch(PathPatch(curve, label=once("shape", labels), **style.MATERIAL))

@@ -93,6 +93,7 @@ FIELD: Look = {"angles": "xy", "scale_units": "xy", "scale": 1.15, "width": 0.00
 MATERIAL: Look = {"facecolor": "0.88", "edgecolor": "0.25", "linewidth": 1.2, "zorder": 1}
 OUTLINES: dict[str, Look] = {
     "guide": {"color": "0.25", "linewidth": 1.4, "linestyle": (0, (5, 2)), "zorder": 2},
+    "of other points": {"color": "0.55", "linewidth": 0.9, "zorder": 2},
     "travel": {"color": "0.45", "linewidth": 1.0, "linestyle": (0, (1, 2)), "zorder": 2},
 }
 PLACE: Look = {"marker": "o", "markersize": 5, "color": "black", "markeredgecolor": "white", "zorder": 5}

@@ -1,4 +1,4 @@
-"""A scene of the plane to look at: where its points start, the outlines of its surfaces and paths, and the travel."""
+"""The outlines of the surfaces and paths of a scene in the plane, and of the travel, for pictures."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
-from .chain import Chain, Point
+from .chain import Chain, Point, disc, polygon
 from .modules.plane_links import Guide, Shape
-from .scene import AXES, Scene
+from .quantity import Area
+from .scene import Scene
 
 FAR = 10.0
 """m, at least from its place to what stands for the end of a half plane."""
@@ -20,37 +21,33 @@ class Outline(NamedTuple):
     Attributes:
         name: of the shape or guide; "" of the travel.
         kind: `outside` and `inside` are shapes with their material within and without the line.
+        of: name of the point that touches it or is led by it; "" of the travel.
         about: name of the point that the places are relative to; "" for position 0.
         places: m, along the line; that of a shape ends where it begins.
     """
 
     name: str
     kind: Literal["outside", "inside", "guide", "travel"]
+    of: str
     about: str
     places: tuple[Point, ...]
-
-
-def places_of(scene: Scene) -> dict[str, Point]:
-    """Returns where each point starts, m: the hands where the mock does."""
-    origins = zip(scene.mock_device.initial_position, scene.device.origins(scene.channels), strict=True)
-    hands = [0.0 if origin is None else x - origin for x, origin in origins]
-    at = {name: one.position for name, one in (scene.grounds | scene.masses).items()}
-    at |= {name: hands[one.channel] for name, one in scene.device_points.items()}
-    points = [name for name in scene.modules if f"{name}.{AXES[0]}" in at]
-    return {name: (at[f"{name}.{AXES[0]}"], at[f"{name}.{AXES[1]}"]) for name in points}
 
 
 def outlines_of(scene: Scene) -> Iterator[Outline]:
     """Yields the outline of each shape and guide, in the order of the file, and that of the travel."""
     for name, link in scene.plane_links.items():
         if isinstance(link, Shape):
-            yield Outline(name, link.side, link.between[1], _around(link.chain()))
+            yield Outline(name, link.side, *link.between, _around(link.chain()))
         elif isinstance(link, Guide):
-            yield Outline(name, "guide", link.between[1], tuple(link.chain().outline()))
-    for x, y in scene.channel_groups if scene.space > 1 else ():
-        (left, right), (low, high) = (scene.device.travels(scene.channels)[channel] for channel in (x, y))
-        if all(map(math.isfinite, (left, right, low, high))):
-            yield Outline("", "travel", "", ((left, low), (right, low), (right, high), (left, high), (left, low)))
+            yield Outline(name, "guide", *link.between, tuple(link.chain().outline()))
+    travel = scene.device.travel
+    if isinstance(travel, Area):
+        x, y = travel.center if travel.disc else (0.0, 0.0)
+        around = _around(disc(travel.disc) if travel.disc else polygon(travel.polygon))
+        yield Outline("", "travel", "", "", tuple((x + dx, y + dy) for dx, dy in around))
+    elif travel is not None and scene.space > 1:
+        (left, right), (low, high) = (scene.device.travels(scene.channels)[one] for one in scene.channel_groups[0])
+        yield Outline("", "travel", "", "", _around(polygon([(left, low), (right, low), (right, high), (left, high)])))
 
 
 def _around(boundary: Chain) -> tuple[Point, ...]:
