@@ -12,7 +12,7 @@ from rich.markup import escape
 from hapsim.cli import check_details as details
 from hapsim.cli import check_hands
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
-from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, print_next, require_units, scene_name
+from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, print_next, scene_name
 from hapsim.cli.live import at_work
 from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.documents import pick
@@ -59,12 +59,12 @@ def check(
 ) -> None:
     """Predict stability, gain margins, and the stiffness and damping that the hand feels. Nothing is run."""
     loaded = load(scene)
-    require_units(loaded.units, at)
+    place = place_at(loaded, at)
     hands = check_hands.hand_ranges(loaded, hand_mass, hand_stiffness)
     if why := travel_error(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
-        prediction = predict(loaded, at=at)
+        prediction = predict(loaded, at=place)
         on_wire = predict_on_wire(loaded)
         partials = partials_of(loaded, prediction) if loaded.sound else {}
         _ = prediction.margins  # computed while the line above is shown
@@ -94,7 +94,7 @@ def check(
         of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
     show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
     if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and not refused:
-        print_next("measure", scene, *(() if at is None else (f"--at={at.text}",)))
+        print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
     elif not explain:
         print_next("check", scene, "--explain")
 
