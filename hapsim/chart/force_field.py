@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,10 +42,13 @@ class ForceField(NamedTuple):
         return np.hypot(self.fx, self.fy)
 
 
-def force_field(scene: Scene, name: str, area: Area | None) -> ForceField:
-    """Returns the force on the hand `name` over an area; None: about all that the scene has. Masses are where they
-    start. Raises UsageError for an area without a size."""
-    low, high = area = _about(scene) if area is None else (tuple(map(min, *area)), tuple(map(max, *area)))
+def force_field(scene: Scene, name: str, corners: Sequence[Point] | None) -> ForceField:
+    """Returns the force on the hand `name` over an area between two corners, m; None: about all that the scene has.
+    Masses are where they start. Raises UsageError for an area without a size."""
+    (left, bottom), (right, top) = (
+        zip(*map(sorted, zip(*corners, strict=True)), strict=True) if corners else _about(scene)
+    )
+    low, high = area = (left, bottom), (right, top)
     size = high[0] - low[0], high[1] - low[1]
     if not min(size) > 0.0:
         raise UsageError("--area: found an area without a size, expected two opposite corners")

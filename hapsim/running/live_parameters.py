@@ -89,18 +89,15 @@ def parts_of(scene: Scene) -> dict[str, LivePart]:
     return {**modules, **scene.sound, MOCK_HAND: hand}
 
 
-def modules_of(scene: Scene, parts: Mapping[str, LivePart]) -> dict[str, Module]:
-    """Returns the modules of a scene with the values of its `parts_of`, in the order of the file."""
-    if scene.space == 1:
-        return {name: parts[name] for name in scene.modules}
+def modules_of(scene: Scene, parts: Mapping[str, Any]) -> dict[str, Module]:
+    """Returns the modules of a scene, in the order of the file, with the values of its `parts_of`."""
 
-    def of_plane(name: str, module: Module) -> Module:
-        if not isinstance(module, Ground):
-            return parts[name]
-        position = tuple(parts[f"{name}.{axis}"].position for axis in AXES)
-        return module.model_copy(update={"position": position})
+    def with_values(name: str, module: Module) -> Module:
+        if name in parts:
+            return parts[name]  # type: ignore[no-any-return]
+        return module.model_copy(update={"position": tuple(parts[f"{name}.{axis}"].position for axis in AXES)})
 
-    return {name: of_plane(name, module) for name, module in scene.modules.items()}
+    return {name: with_values(name, module) for name, module in scene.modules.items()}
 
 
 def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:

@@ -71,8 +71,8 @@ class State:
     force: tuple[float, ...]
     """Last sent force of each channel, (C,) N: 0 once the run is over."""
     modules: Mapping[str, float | NDArray[np.float64]]
-    """Position of each point, m, in the plane by "ball.x" and "ball.y"; of all masses of a string or a membrane, (masses,). They are read while the loop runs:
-    masses of one structure may differ by a sample."""
+    """Position of each point, m, in the plane by "ball.x" and "ball.y"; of all masses of a string or a membrane,
+    (masses,). They are read while the loop runs: masses of one structure may differ by a sample."""
     progress: Progress
     """Phase, rate and counters."""
 
