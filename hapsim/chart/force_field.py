@@ -23,14 +23,12 @@ _MARGIN = 0.15  # of what is drawn, on each side of it
 _LEAST = 0.02  # m, of a side drawn
 _WEAK = 1e-3  # of the strongest force drawn: less is no arrow
 
-Area = tuple[Point, Point]
-
 
 class ForceField(NamedTuple):
     """The numbers of the picture of one hand."""
 
     name: str
-    area: Area  # lower left and upper right corner, m
+    area: Floats  # lower left and upper right corner, (2, 2) m
     x: Floats  # m, of each place
     y: Floats
     fx: Floats  # N, with which the scene pushes a hand that rests there
@@ -45,20 +43,17 @@ class ForceField(NamedTuple):
 def force_field(scene: Scene, name: str, corners: Sequence[Point] | None) -> ForceField:
     """Returns the force on the hand `name` over an area between two corners, m; None: about all that the scene has.
     Masses are where they start. Raises UsageError for an area without a size."""
-    (left, bottom), (right, top) = (
-        zip(*map(sorted, zip(*corners, strict=True)), strict=True) if corners else _about(scene)
-    )
-    low, high = area = (left, bottom), (right, top)
-    size = high[0] - low[0], high[1] - low[1]
-    if not min(size) > 0.0:
+    area = np.array(_about(scene) if corners is None else corners)
+    low, high = area.min(axis=0), area.max(axis=0)
+    if not (size := high - low).min() > 0.0:
         raise UsageError("--area: found an area without a size, expected two opposite corners")
-    counts = [max(round(_PLACES * one / max(size)), 2) for one in size]
+    counts = np.maximum(np.round(_PLACES * size / size.max()), 2.0).astype(int)
     sides = [a + (np.arange(n) + 0.5) * one / n for a, n, one in zip(low, counts, size, strict=True)]
     x, y = (one.ravel() for one in np.meshgrid(*sides))
-    return ForceField(name, area, x, y, *Plane(scene).forces(x, y, name))
+    return ForceField(name, np.array([low, high]), x, y, *Plane(scene).forces(x, y, name))
 
 
-def _about(scene: Scene) -> Area:
+def _about(scene: Scene) -> Floats:
     """Returns the corners of an area about all that the scene has, and at least 2 cm wide."""
     at = Plane(scene).start
     seen = [*at.values()]
@@ -67,8 +62,7 @@ def _about(scene: Scene) -> Area:
         seen += [(x + at[one.about][0], y + at[one.about][1]) for x, y in near]
     low, high = np.min(seen, axis=0), np.max(seen, axis=0)
     room = np.maximum(_MARGIN * np.max(high - low), 0.5 * (_LEAST - high + low))
-    (left, bottom), (right, top) = (low - room).tolist(), (high + room).tolist()
-    return (left, bottom), (right, top)
+    return np.array([low - room, high + room])
 
 
 def columns_of(field: ForceField) -> dict[str, Floats]:
@@ -80,7 +74,7 @@ def draw_field(field: ForceField, scene: Scene, path: Path) -> None:
     """Draws it to a file: .svg, .png or .pdf."""
     from matplotlib.colors import Normalize
 
-    (left, low), (right, high) = field.area
+    (left, low), (right, high) = field.area.tolist()
     width = 6.0 if right - left >= high - low else 6.0 * (right - left) / (high - low)
     with figure_to(path, width + 1.8, (width * (high - low) / (right - left)) + 1.0) as figure:
         axes, units = figure.add_subplot(), drawn_in()

@@ -359,7 +359,7 @@ def _force_field(
     strongest = float(field.strength.max(initial=0.0))
     if not output.json:
         print_line(f"Strongest force on {name} in the area: {output_units()(strongest, 'N', 4)}")
-    output.close({"scene": path, "name": name, "area_m": field.area, "strongest_N": strongest})
+    output.close({"scene": path, "name": name, "area_m": field.area.tolist(), "strongest_N": strongest})
 
 
 def transparency(hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass = None, output: ChartOutput) -> None:

@@ -94,7 +94,7 @@ def modules_of(scene: Scene, parts: Mapping[str, Any]) -> dict[str, Module]:
 
     def with_values(name: str, module: Module) -> Module:
         if name in parts:
-            return parts[name]  # type: ignore[no-any-return]
+            return parts[name]
         return module.model_copy(update={"position": tuple(parts[f"{name}.{axis}"].position for axis in AXES)})
 
     return {name: with_values(name, module) for name, module in scene.modules.items()}
