@@ -96,7 +96,7 @@ class Chain(NamedTuple):
         return min(each, key=lambda one: abs(one.distance))
 
     def reversed(self) -> Chain:
-        """Returns the same chain followed the other way: free on the other side."""
+        """Returns the same boundary followed the other way: free on the other side."""
         last, pieces = len(self.pieces) - 1, []
         for piece in reversed(self.pieces):
             (ex, ey), end = (-piece.ex, -piece.ey), (piece.x, piece.y)

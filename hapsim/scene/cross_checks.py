@@ -214,7 +214,7 @@ def motions_of(around: ModuleContext, motions: object) -> dict[str, Motion]:
     each = motions if isinstance(motions, list | tuple) else ()
     hands = {name: one for name, one in around.modules.items() if isinstance(one, DevicePoint)}
     channels = {name: one.all_channels for name, one in hands.items() if around.knows(name, "channel", "channels")}
-    found = {name: each[first] for name, (first, *_) in channels.items() if first < len(each)}
+    found = {name: each[own[0]] for name, own in channels.items() if own and own[0] < len(each)}
     ahead = deque(found)
     while ahead:
         one = ahead.popleft()
@@ -240,8 +240,8 @@ def _channels(around: ModuleContext) -> int | None:
     kinds = around.kinds
     if any(kinds[name] in (None, DevicePoint) and not around.knows(name, "channel", "channels") for name in kinds):
         return None
-    points = [module for module in around.modules.values() if isinstance(module, DevicePoint)]
-    return max((1 + channel for point in points for channel in point.all_channels), default=None)
+    points = [module.all_channels for module in around.modules.values() if isinstance(module, DevicePoint)]
+    return max((1 + channel for channels in points for channel in channels), default=None) if all(points) else None
 
 
 def lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterator[Issue]:

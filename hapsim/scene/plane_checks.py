@@ -10,7 +10,7 @@ from .modules.links import Nonlinear, Spring, ViscoElastic
 from .modules.plane_links import crossed
 from .modules.point_modules import DevicePoint
 from .part import Module, ModuleContext
-from .quantity import Area
+from .quantity import MOST_CHANNELS, Area
 from .written_units import in_si
 
 #: What a scene with two coordinates takes alone, by its path.
@@ -83,7 +83,7 @@ def _of_one(name: str, module: Module, around: ModuleContext) -> Iterator[Issue]
             sentence = "found channels in a scene with one coordinate, expected channel; or write space: 2"
             yield Issue(("modules", name, "channels"), sentence)
         elif module.channel is None:
-            sentence = "channel is missing, expected a whole number: the channel of the device that the hand holds"
+            sentence = f"'channel' is missing, expected a whole number from 0 to {MOST_CHANNELS - 1}"
             yield Issue(("modules", name), sentence, at_key=True)
     if isinstance(module, Spring | ViscoElastic) and around.knows(name, "length") and module.length is not None:
         sentence = "found a length in a scene with one coordinate, where a link is at rest where its ends coincide"

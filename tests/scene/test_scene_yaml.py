@@ -55,6 +55,7 @@ def test_a_merge_key_brings_keys_that_the_mapping_does_not_have_itself(good: str
         "damping": 0.0,
         "damper": "backward",
         "cutoff": None,
+        "length": None,
     }
     assert links["most"] == {
         "type": "viscoelastic",
@@ -63,6 +64,7 @@ def test_a_merge_key_brings_keys_that_the_mapping_does_not_have_itself(good: str
         "damping": 3.0,
         "damper": "backward",
         "cutoff": None,
+        "length": None,
     }
 
 
