@@ -33,7 +33,7 @@ _DEEP = 1e-4  # m, into a surface
 _TURN = 0.5  # rad, from place to place on an arc
 _ANGLES = 8  # around a point
 _ALIKE = 0.05  # rad, of two directions
-_NONE = 1e-9  # of the largest stiffness
+_NONE = 1e-12  # of the largest stiffness: rounding
 _MOST_PLACES = 256  # that are judged
 
 Places = Mapping[str, Point]

@@ -45,11 +45,12 @@ class PlanePrediction(Prediction):
 
     Attributes:
         links: every link where its ends are, in the scene's order.
-        places: of all points, m, by module.
+        hands: their names. places: of all points, m, by module.
     """
 
     def _take(self, _instead: Mapping[str, Linear] | None = None) -> None:
         plane = Plane(self._seen)
+        self.hands = plane.hands
         hands = {name: plane.start[name] for name in plane.hands}
         if self._at is not None:
             hands[plane.hands[0]] = self._require_reached(plane.hands[0], self._at)
@@ -98,7 +99,7 @@ class PlanePrediction(Prediction):
         """Verdict on the places where it is linearised, in a word or three."""
         if self.judge.shaken_by_network() is not None:
             return "unstable"
-        return "slides" if self.slides else "stable" if self.stable_as_taken else "at the limit"
+        return "slides" if directions(self._network)[0] else "stable" if self.stable_as_taken else "at the limit"
 
     @cached_property
     def _margins(self) -> Margins:

@@ -78,18 +78,13 @@ def _matrix(row: Indices, column: Indices, value: Floats, shape: tuple[int, int]
     return out
 
 
-def as_rows(values: Floats, sparse: bool) -> Rows:
+def as_rows(values: Floats | None, sparse: bool) -> Rows:
     """Returns an array as rows."""
     if not sparse:
         return values
     from scipy.sparse import csr_matrix
 
     return csr_matrix(values)
-
-
-def pulls_of(network: Network, sparse: bool) -> Rows:
-    """Direction, (L, C + M), in which each link's tension pulls the points."""
-    return stretches_of(network, sparse) if network.pulls is None else as_rows(network.pulls, sparse)
 
 
 def stretches_of(network: Network, sparse: bool) -> Rows:
@@ -99,6 +94,12 @@ def stretches_of(network: Network, sparse: bool) -> Rows:
     link, end = np.nonzero(network.ends >= 0)
     shape = len(network.ends), network.channel_mass.size + network.point_mass.size
     return _matrix(link, network.ends[link, end], np.array([1.0, -1.0])[end], shape, sparse)
+
+
+def geometry_of(network: Network, sparse: bool) -> tuple[Rows, Rows]:
+    """Stretch of each link, and the direction in which its tension pulls the points, each (L, C + M)."""
+    stretches = stretches_of(network, sparse)
+    return stretches, stretches if network.pulls is network.rows else as_rows(network.pulls, sparse)
 
 
 def cut(rows: Rows, sizes: dict[str, int]) -> dict[str, Rows]:
@@ -121,9 +122,8 @@ class Tick:
         self._network, self._rate = network, network.rate * network.substeps
         self._channels, self._masses = network.channel_mass.size, network.point_mass.size
         links = network.stiffness.size
-        in_csr = sparse or links * (self._channels + self._masses) > MOST_DENSE
-        self.stretches = stretches_of(network, in_csr)
-        self.pulls = self.stretches if network.pulls is None else pulls_of(network, in_csr)
+        is_sparse = sparse or links * (self._channels + self._masses) > MOST_DENSE
+        self.stretches, self.pulls = geometry_of(network, is_sparse)
         acting = damping_links(network)
         kinds = list(dict.fromkeys(network.damper))
         number = {damper: i for i, damper in enumerate(kinds)}

@@ -23,7 +23,7 @@ import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.network import Network, kinetic_energy
-from hapsim.theory.rows import Rows, as_rows, pulls_of, stretches_of, times, unit_rows
+from hapsim.theory.rows import Rows, as_rows, geometry_of, times, unit_rows
 from hapsim.theory.sample import axes_of, is_large, loop, sizes_of
 
 
@@ -51,8 +51,7 @@ class ContinuousMode(NamedTuple):
 
 def matrices(network: Network, sparse: bool = False) -> tuple[Rows, Rows, Rows]:
     """Matrices (M, Z, K), each (C + M, C + M): kg, N·s/m, N/m."""
-    mass, stretches = np.concatenate([network.channel_mass, network.point_mass]), stretches_of(network, sparse)
-    pulls = stretches if network.pulls is None else pulls_of(network, sparse)
+    mass, (stretches, pulls) = np.concatenate([network.channel_mass, network.point_mass]), geometry_of(network, sparse)
     one, others = unit_rows(mass.size, sparse), np.zeros(network.point_mass.size)
     Z, K = (
         pulls.T @ times(of_links, stretches) + times(np.concatenate([own, others]), one)
@@ -63,10 +62,24 @@ def matrices(network: Network, sparse: bool = False) -> tuple[Rows, Rows, Rows]:
     )
     M = times(mass, one)
     if network.mass_coupling is not None:
-        coupling = np.zeros((mass.size, mass.size))
-        coupling[: len(network.mass_coupling), : len(network.mass_coupling)] = network.mass_coupling
-        M = M + as_rows(coupling, sparse)
+        M = M + as_rows(np.pad(network.mass_coupling, (0, others.size)), sparse)
     return M, Z, K
+
+
+def free_motions(network: Network) -> tuple[Floats, Floats]:
+    """Returns motions ``begin`` + ``drift`` t, each (C + M, n), of a planar scene that no force changes: those at rest,
+    K begin = 0, and those that drift, Z drift + K begin = 0. Each is a pole at 1.
+
+    Rows are rounded themselves, so a null space is that of the singular values below ``_ROUNDED``. K need not be
+    symmetric: its left null space decides which motions are braked.
+    """
+    _, Z, K = matrices(network)
+    left, sizes, right = np.linalg.svd(K)
+    free = sizes <= _ROUNDED * sizes.max(initial=0.0)
+    rests = right[free].T
+    _, brakes, turned = np.linalg.svd(left[:, free].T @ Z @ rests)
+    drifts = rests @ turned[brakes <= _ROUNDED * np.abs(Z).max(initial=0.0)].T
+    return np.hstack([rests, -np.linalg.pinv(K, _ROUNDED) @ Z @ drifts]), np.hstack([0.0 * rests, drifts])
 
 
 def first_order(network: Network) -> Floats:
@@ -99,6 +112,7 @@ _RESTS = 1e-12  # radians and nepers in a sample; less is rest
 _SAME = 1e-6  # relative difference that rounding alone causes
 _WORST = 1e12  # condition number of the motions from which a pair is solved
 _SHOWN = 0.1  # rms share of the hands' velocity after an impulse in a motion that the hands take part in
+_ROUNDED = 1e-13  # of a matrix's largest singular value
 _ROUND = 1e-9  # largest relative difference of two directions in which the same is felt
 _TURNS = 10.0  # radians of the slowest motion of the hands: time over which a motion without decay is summed
 
@@ -232,18 +246,28 @@ def _motions(
 def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
     """Returns the pair. ``most``: limit of the share of other motions, except for one hand without masses."""
     hands, rate, (s, at, share, carried) = network.channel_mass.size, network.rate, motions
-    own = np.flatnonzero(share >= OWN_SHARE)
-    own = own[np.argsort(np.abs(s[own]), kind="stable")[: 2 * hands]]
+    begins, drifts = np.zeros((2, hands, 0))
+    if network.rows is not None and not network.point_mass.size:
+        begins, drifts = free_motions(network)  # of them the eigenvectors coincide
+    theirs = np.flatnonzero(share >= OWN_SHARE)
+    theirs = theirs[np.argsort(np.abs(s[theirs]), kind="stable")[: 2 * hands]]
+    own = theirs[begins.shape[1] :]
     sums = _sums(s, own)
-    others = _others(s, carried, own, sums)
+    others = _others(s, carried, theirs, sums)
     alone = (np.abs(carried) ** 2).sum(axis=(0, 1)) * np.diagonal(sums).real
     least = (_SHOWN / 2.0) ** 2 * _squared(carried.reshape(-1, s.size), sums)  # for each of a conjugate pair
     shown = [i for i in np.argsort(-alone) if s[i].imag > 0.0 and alone[i] > least]
     found = tuple(float(abs(s[i]) * rate / (2.0 * np.pi)) for i in shown)
     X, of = at[:, own], s[own] * rate
-    both = np.vstack([X, X * of])
-    alike = np.vstack([X, X * of / max(np.abs(of).max(initial=0.0), 1e-300)])
-    if own.size < 2 * hands or any(np.abs(s[own] - one.conj()).min() > _SAME * abs(one) for one in s[own]):
+    if network.mass_coupling is None:
+        inertia = network.channel_mass[:, None] * X * of**2
+    else:
+        inertia = network.mass_matrix @ (X * of**2)
+    pairs = (begins, X), (drifts, X * of), (0.0 * drifts, inertia)
+    X, moving, inertia = (np.hstack(pair) for pair in pairs)
+    both = np.vstack([X, moving])
+    alike = np.vstack([X, moving / max(np.abs(of).max(initial=0.0 if own.size else rate), 1e-300)])
+    if theirs.size < 2 * hands or any(np.abs(s[own] - one.conj()).min() > _SAME * abs(one) for one in s[own]):
         reason = TOGETHER
     elif (np.abs(np.abs(s[own].imag) - np.pi) < _SAME).any():
         reason = "its own motion changes its direction with every sample"
@@ -252,13 +276,9 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
     elif not np.linalg.cond(alike / np.linalg.norm(alike, axis=0)) < _WORST:
         reason = "two of its own motions coincide"
     else:
-        if network.mass_coupling is None:
-            inertia = network.channel_mass[:, None] * X * of**2
-        else:
-            inertia = network.mass_matrix @ (X * of**2)
         kb = -np.linalg.solve(both.T, inertia.T).T.real
-        return FeltPair(np.asarray(kb[:, :hands]), np.asarray(kb[:, hands:]), float(share[own].min()), others, found)
-    return no_pair(hands, reason, float(share[own].min(initial=1.0)), others, found)
+        return FeltPair(np.asarray(kb[:, :hands]), np.asarray(kb[:, hands:]), float(share[theirs].min()), others, found)
+    return no_pair(hands, reason, float(share[theirs].min(initial=1.0)), others, found)
 
 
 def _others(s: Complexes, carried: Complexes, own: Indices, sums: Complexes) -> float:

@@ -23,12 +23,11 @@ from functools import cache
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats, Indices
-from hapsim.theory.network.felt import matrices
+from hapsim.theory.network.felt import free_motions
 from hapsim.theory.network.network import Network, part_of_each
 
 MOST_WORK = 10_000_000  # multiplications for a part of the scene: some seconds
 PRIME = 10**18 + 9
-ROUNDED = 1e-13  # of the largest singular value
 Row = dict[int, int]  # column: element, without zeros
 
 
@@ -39,7 +38,7 @@ class TooMuchWorkError(Exception):
 def poles_at_rest(network: Network) -> int:
     """Number of poles that are 1 by the structure of the scene alone."""
     if network.rows is not None:
-        return _counted_in_plane(network)
+        return free_motions(network)[0].shape[1]
     springs = network.stiffness != 0.0
     brakes = springs | (network.damping != 0.0)
     tied = _at_points(network, network.channel_stiffness) > 0.0
@@ -54,16 +53,6 @@ def poles_at_rest(network: Network) -> int:
                 continue
             tied[points] = braked[points] = True
     return count + _free_parts(network, springs, tied) + _free_parts(network, brakes, braked)
-
-
-def _counted_in_plane(network: Network) -> int:
-    """Number of poles at 1 of a scene of rows, whose directions are rounded themselves: a null space is that of the
-    singular values below ``ROUNDED``. Where K is not symmetric, its left null space decides what brakes a motion."""
-    _, Z, K = matrices(network)
-    left, sizes, right = np.linalg.svd(K)
-    free = sizes <= ROUNDED * sizes.max(initial=0.0)
-    braked = left[:, free].T @ Z @ right[free].T
-    return 2 * int(free.sum()) - int(np.linalg.matrix_rank(braked, ROUNDED * np.abs(Z).max(initial=0.0)))
 
 
 def _at_points(network: Network, of_channels: Floats) -> Floats:
