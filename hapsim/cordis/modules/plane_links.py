@@ -253,7 +253,9 @@ def near_of(radii: Iterable[float], context: BuildContext) -> Column:
     return context.column([NEAR + NEAR_SHARE * abs(radius) for radius in radii])
 
 
-def _straight_type(module: type[Link], name: str, both: Callable[[Sequence[Column]], tuple[Column, Column]]) -> PartType:
+def _straight_type(
+    module: type[Link], name: str, both: Callable[[Sequence[Column]], tuple[Column, Column]]
+) -> PartType:
     """Returns the type of straight links of a module type. `both`: K and B/T, by the live columns."""
     lives = len(module.live)
 

@@ -33,15 +33,19 @@ class Chains(NamedTuple):
     """L chains of P pieces in all: chain i has those from begin[i] to before begin[i + 1].
 
     Attributes:
+        before, after: (P,) numbers of the pieces that a piece's ends join.
+        digit: (1,) by which pieces overlap, so that rounding parts none.
+        near: (P,) m, from an arc's centre, within which a direction is remembered.
         bend, x, y, radius: (P,) as of a Piece.
         ex, ey: (P,) direction of a straight piece; of an arc from the centre to its middle.
         extent, sine: (P,) m, length of a straight piece; cosine and sine of half an arc's turn.
-        near: (P,) m, from an arc's centre, within which a direction is remembered.
-        before, after: (P,) numbers of the pieces that its ends join.
-        digit: (1,) by which pieces overlap, so that rounding parts none.
     """
 
     begin: NDArray[np.uint64]
+    before: NDArray[np.uint64]
+    after: NDArray[np.uint64]
+    digit: Column
+    near: Column
     bend: Column
     x: Column
     y: Column
@@ -50,10 +54,6 @@ class Chains(NamedTuple):
     extent: Column
     sine: Column
     radius: Column
-    near: Column
-    before: NDArray[np.uint64]
-    after: NDArray[np.uint64]
-    digit: Column
 
 
 class Places(NamedTuple):
@@ -69,20 +69,20 @@ class Places(NamedTuple):
 
 
 class Shapes(NamedTuple):
-    """L shapes, shape (L,): K and B/T in N/m, friction coefficients, and for the bristle constants: its K and B/T in N/m
-    plus shares of those of the surface. Remembered: `touches` 1 or 0; `bent`: m; `sliding`: 1, -1 or 0; `press`: N."""
+    """L shapes, shape (L,): K and B/T in N/m, friction coefficients. The bristle has K and B/T of its own, N/m, or
+    shares of those of the surface. Remembered: `touches`, 1 or 0; `bent`, m; `sliding`, 1, -1 or 0; `press`, N."""
 
     ends: Ends
+    chains: Chains
+    place: Places
     stiffness: Column
     damping_per_sample: Column
     coefficient: Column
     static: Column
-    chains: Chains
     bristle: Column
     stiffness_share: Column
     bristle_damping: Column
     damping_share: Column
-    place: Places
     touches: Column
     bent: Column
     sliding: Column
@@ -90,15 +90,15 @@ class Shapes(NamedTuple):
 
 
 class Guides(NamedTuple):
-    """L guides, shape (L,): K and B/T in N/m; half the width and the reach in m."""
+    """L guides, shape (L,): half the width and the reach in m, K and B/T in N/m."""
 
     ends: Ends
-    stiffness: Column
-    damping_per_sample: Column
     chains: Chains
+    place: Places
     half: Column
     reach: Column
-    place: Places
+    stiffness: Column
+    damping_per_sample: Column
 
 
 @helper
@@ -259,7 +259,7 @@ def _chains_of(links: Iterable[Any], context: BuildContext) -> Chains:
     radii = [piece.radius for chain in chains for piece in chain.pieces]
     before, after = (np.array(side, np.uint64) for side in zip(*joins, strict=True))
     digit = context.column([_DIGITS * np.finfo(context.real).eps])
-    return Chains(begin, *columns, near_of(radii, context), before, after, digit)
+    return Chains(begin, before, after, digit, near_of(radii, context), *columns)
 
 
 def _numbers_of(piece: Piece) -> tuple[float, ...]:
@@ -286,7 +286,7 @@ def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
         rows.append((K or 0.0, 0.5 * (K is None), (B or 0.0) * context.rate, float(B is None)))
     bristles = [context.column(column) for column in zip(*rows, strict=True)]
     chains = _chains_of(links.values(), context)
-    numbers = Shapes(ends_of(links, context), *columns, chains, *bristles, place, *remembered[6:])
+    numbers = Shapes(ends_of(links, context), chains, place, *columns, *bristles, *remembered[6:])
     memory = Memory(tuple(links), remembered)
     return Part(numbers, initialize=initialize, add_forces=add_shape_forces, memory=memory)
 
@@ -296,9 +296,11 @@ def _guides(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
     reach = context.column([_FAR if link.reach is None else link.reach for link in links.values()])
     place, remembered = _places(len(links), context)
     chains = _chains_of(links.values(), context)
-    numbers = Guides(ends_of(links, context), *columns, chains, half, reach, place)
+    numbers = Guides(ends_of(links, context), chains, place, half, reach, *columns)
     return Part(numbers, initialize=initialize, add_forces=add_guide_forces, memory=Memory(tuple(links), remembered))
 
 
-SHAPE = PartType(all_of(Shape, space=2), _shapes, name="shapes", compiled_as="a piece of its chain, a normal and a bristle each")
+SHAPE = PartType(
+    all_of(Shape, space=2), _shapes, name="shapes", compiled_as="a piece of its chain, a normal and a bristle each"
+)
 GUIDE = PartType(all_of(Guide, space=2), _guides, name="guides", compiled_as="the nearest of all pieces of its path")
