@@ -143,6 +143,7 @@ def _sentence(run: EndedRun) -> str:
     units, hand = run.scene.units_of(c), run.scene.hand_of(c)
     which = f"channel {c} is" if len(hand) == 1 else f"channels {' and '.join(map(str, hand))} are"
     place = ", ".join(units.number(io.position_counts[one] * io.position_scale[one], "m", ".6g") for one in hand)
+    place = place if len(hand) == 1 else f"({place})"
     return (
         f"{which} out of {'its' if len(hand) == 1 else 'their'} travel at tick {run.report.ticks}: at "
         f"{units(place, 'm')}, {units(travel.outside, 'm', '.4g')} outside, where device.travel goes "
