@@ -197,9 +197,10 @@ const places = () => model.channels.map((/** @type {any} */ _, /** @type {number
  * a second: faster figures are not read. */
 function follow() {
   const region = plane.applied?.hands?.[plane.hand]?.region;
-  if (!(region || plane.applied?.contacts) || isAsking || performance.now() < askedAt + 200) return;
+  const moves = plane.applied?.contacts || model.space > 1; // what it touches
+  if (!(region || moves) || isAsking || performance.now() < askedAt + 200) return;
   const x = place(plane.channel), low = region?.low_m ?? -Infinity, high = region?.high_m ?? Infinity;
-  const isAway = plane.applied.contacts && places().some((at, i) => Math.abs(at - (askedFrom[i] ?? 0)) > MOVED);
+  const isAway = moves && places().some((at, i) => Math.abs(at - (askedFrom[i] ?? 0)) > MOVED);
   if (x < low || x > high || isAway) predict(asked.values, asked.isApplied);
 }
 
