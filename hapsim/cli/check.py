@@ -155,8 +155,8 @@ def _stability(prediction: Prediction, is_slewed: bool) -> str:
     note = ""
     if snaps := [name for name, region in prediction.region_here.items() if region.kind == "snap"]:
         verdict, note = "[yellow]in a snap[/yellow]", f": the scene drives {', '.join(snaps)} on to the next region"
-    elif (plane := check_plane.in_plane(prediction)) and plane.verdict == "slides":
-        verdict, note = "[yellow]slides[/yellow]", f": {check_plane.slide_note(plane)}"
+    elif check_plane.is_sliding(prediction):
+        verdict, note = "[yellow]slides[/yellow]", f": {next(check_plane.slide_sentences(prediction), 'out of range')}"
     elif prediction.trembles:
         verdict, note = "[yellow]trembles[/yellow]", f": {', '.join(prediction.trembles)} swings by less than a count"
     elif not prediction.is_judged:
@@ -276,7 +276,7 @@ def _margin_summary(prediction: Prediction) -> str:
     """Returns the smallest gain margin in a sentence."""
     if any(one.kind == "snap" for one in prediction.region_here.values()):
         return "In a snap there is no gain margin"
-    slides = (plane := check_plane.in_plane(prediction)) is not None and plane.verdict == "slides"
+    slides = check_plane.is_sliding(prediction)
     if not prediction.stable_as_taken and not prediction.at_limit and not slides:
         hands = [
             f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
@@ -293,7 +293,7 @@ def _margin_summary(prediction: Prediction) -> str:
     how += ", what slides being held" if slides else ""
     how += "" if prediction.stable or prediction.at_limit or slides else ", its contacts as they are taken below"
     if math.isinf(details.change_to_limit(links[0])):
-        return f"Gain margin: no link makes it unstable{' here' if plane else ''}{how}"
+        return f"Gain margin: no link makes it unstable{' here' if prediction.scene.space > 1 else ''}{how}"
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
     what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
     return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"

@@ -27,14 +27,18 @@ def in_plane(prediction: Prediction) -> PlanePrediction | None:
     return prediction if isinstance(prediction, PlanePrediction) else None
 
 
-def slide_note(prediction: PlanePrediction) -> str:
-    """Returns the fastest slide, to follow a verdict; "" if there is none."""
-    for one in prediction.slides[:1]:
-        slides = "slides off" if one.module in prediction.hands else "moves off"
-        return (
-            f"{escape(one.module)} {slides} along {number(one.angle_deg, 4)}°: grows e-fold in {duration(one.e_fold_s)}"
-        )
-    return ""
+def is_sliding(prediction: Prediction) -> bool:
+    """Returns whether a hand or a mass slides off, and nothing shakes."""
+    plane = in_plane(prediction)
+    return plane is not None and plane.verdict == "slides"
+
+
+def slide_sentences(prediction: Prediction) -> Iterator[str]:
+    """Yields the slides, the fastest first; nothing on a line."""
+    for one in getattr(prediction, "slides", ()):
+        slides = "slides off" if f"{one.module}.x" in prediction.scene.device_points else "moves off"
+        fast = f"grows e-fold in {duration(one.e_fold_s)}"
+        yield f"{escape(one.module)} {slides} along {number(one.angle_deg, 4)}°: {fast}"
 
 
 def place_lines(prediction: Prediction) -> Iterator[Line]:
@@ -45,9 +49,7 @@ def place_lines(prediction: Prediction) -> Iterator[Line]:
     hands = [f"{escape(name)} at {_place(plane.places[name])} {units.name('mm')}" for name in plane.hands]
     states = [f"{escape(one.name)} is {one.state}" for one in plane.links if one.acts and one.state]
     yield f"{', '.join(hands)}: {', '.join(states) or 'no contact is touched'}"
-    for one in plane.slides[1:]:
-        fast = f"e-fold in {duration(one.e_fold_s)}"
-        yield f"Also, {escape(one.module)} moves off along {number(one.angle_deg, 4)}° ({fast})"
+    yield from (f"Also, {sentence}" for sentence in [*slide_sentences(plane)][1:])
 
 
 def principal_rows(prediction: PlanePrediction, together: FeltTogether) -> Iterator[tuple[str, ...]]:
