@@ -104,6 +104,24 @@ def test_a_hand_slides_off_as_fast_as_predicted() -> None:
     assert slide_growth(1e-8, 2.4e-4) == pytest.approx(1.020439143, abs=5e-7)  # a quarter of a millimetre is not small
 
 
+def test_a_mass_between_compressed_springs_moves_off() -> None:
+    """Two springs of 100 N/m, pressed from 15 mm to 10 mm in a line, drive a mass out of it with -K."""
+    spring = {"type": "spring", "stiffness": 100.0, "length": 0.015}
+    scene = plane(
+        ball={"type": "mass", "mass": 0.05, "position": [0.04, 0.0]},
+        far=POST | {"position": [0.05, 0.0]},
+        one=spring | {"between": ["ball", "post"]},
+        other=spring | {"between": ["ball", "far"]},
+    )
+    prediction = predict(scene)
+    assert isinstance(prediction, PlanePrediction)
+    (slide,) = prediction.slides
+    half = math.acosh(1.0 + 0.5 * 100.0 * 1e-6 / 0.05)  # of CORDIS's scheme: z - 2 + 1/z = K T²/m
+    assert (slide.module, slide.angle_deg) == ("ball", pytest.approx(90.0, abs=1e-6))
+    assert slide.pole == pytest.approx(math.exp(half), rel=1e-9)
+    assert surely_shaken_by(scene) is None
+
+
 def test_margins_are_of_what_shakes() -> None:
     """A slide takes nothing from a link's margin, which is that of the same wall on a line."""
     round_off, flat = (predict(plane(disc=one), at=at) for one, at in ((DISC, PRESSED_DISC), (EDGE, PRESSED_EDGE)))
