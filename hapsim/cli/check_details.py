@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
+from hapsim.cli.check_plane import is_sliding
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import correction_for, host_silence, robustness_of
@@ -176,7 +177,7 @@ def margin_lines(prediction: Prediction) -> Iterator[Line]:
     if not prediction.margins:
         return
     links = tightest(prediction)
-    if prediction.stable_as_taken or prediction.at_limit:
+    if prediction.stable_as_taken or prediction.at_limit or is_sliding(prediction):
         rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
         title, others = "Gain margins: a link makes the scene unstable at", "have larger margins"
     else:

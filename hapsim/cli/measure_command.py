@@ -21,6 +21,7 @@ from hapsim.cli.command_options import (
     RecordOptions,
     Unstable,
     flag,
+    place_at,
     print_next,
     print_written,
     require_positive,
@@ -31,7 +32,7 @@ from hapsim.cli.run_command import print_warnings, require_stable, show_report, 
 from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.diagnosis import diagnose
-from hapsim.measuring.measure import measure as measure_scene
+from hapsim.measuring.measure import measure_on_line as measure_scene
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, relative_difference, rounded
 from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
@@ -95,6 +96,11 @@ def _measure_pair(
     picture.require_writable()
     record.require_writable()
     scene, channel, at = _hand_to_measure(scene, excitation)
+    if scene.space > 1:
+        from hapsim.cli.measure_matrices import measure_plane
+
+        measure_plane(device, scene, channel, at, excitation, picture, record, unstable, json)
+        return
     prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if picture.wanted:
@@ -134,7 +140,7 @@ def _measure_pair(
         raise typer.Exit(measurement.failure.exit_status)
 
 
-def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene, int, float | None]:
+def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene, int, Any]:
     """Returns the scene, with --mass held by a hand; the channel; and the position that --at names. Later output has
     the units of the channel."""
     channels = [point.channel for point in scene.device_points.values()]
@@ -142,11 +148,11 @@ def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene
     if channel in channels:
         output.use_channel_units(channel)
         excitation.require_units(scene, [channel])
-    if excitation.mass and channel in channels:
+    if excitation.mass and channel in channels and scene.space == 1:
         unit = scene.units_of(channel).si.name("N/m")
         stiffness = require_positive("--hand-stiffness", excitation.hand_stiffness, unit)
         scene = remarks.with_hand(scene, channel, stiffness)
-    return scene, channel, excitation.at
+    return scene, channel, place_at(scene, excitation.at, scene.units_of(channel) if channel in channels else None)
 
 
 def _print_next(

@@ -5,9 +5,10 @@ messages are written here, so that they make sense without knowing pydantic.
 """
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 from numbers import Integral, Real
 from typing import Any, NoReturn, TypeGuard
 
@@ -100,6 +101,9 @@ PerChannel = float | tuple[float, ...]
 SpanPerChannel = float | Span | Known | tuple[float | Span | Known, ...]
 WordPerChannel = float | str | tuple[float | str, ...]
 
+#: A symmetric positive definite matrix, one row per channel: the mass of a device whose channels move each other.
+Matrix = tuple[tuple[float, ...], ...]
+
 #: A lower and an upper limit, or such a pair for each channel.
 Limits = tuple[float, float]
 LimitsPerChannel = Limits | tuple[Limits, ...]
@@ -180,6 +184,7 @@ def quantity(
     spans: bool = False,
     word: str = "",
     coordinates: bool = False,
+    matrix: bool = False,
 ) -> Expectation:
     """A finite number in SI units, within bounds.
 
@@ -191,6 +196,7 @@ def quantity(
             ``{value: number, uncertainty: number}`` a `Known`.
         word: a word that is accepted in place of a number.
         coordinates: a list [x, y] is accepted too, and becomes a tuple: in a scene with space: 2.
+        matrix: a symmetric positive definite matrix of plain numbers is accepted too, and becomes a tuple of rows.
     """
     bounds = f" > {above:g}" if above is not None else ""
     if least is not None:
@@ -198,6 +204,7 @@ def quantity(
     number_words = f"a number{bounds} (‹{unit}›)"
     entry_words = ", or ".join(filter(None, (number_words, word, _MAPPINGS if spans else "")))
     words = f"{entry_words}, or a list with one per channel" if per_channel else entry_words
+    words += ", or a symmetric matrix" if matrix else ""
     number = _number(number_words, unit, gt=above, ge=least, le=most)
     kinds = {_NUMBER: number}
     if word:
@@ -209,6 +216,8 @@ def quantity(
         kinds[_LIST] = _list_of([number], 2, 2, f"two numbers [x, y] (‹{unit}›)")
     if per_channel:
         kinds = {**kinds, _LIST: _list_of([_choice(kinds, entry_words)], 1, MOST_CHANNELS, words)}
+    if matrix:
+        kinds[_LISTS] = _matrix_of(_number(f"a number (‹{unit}›) in a row of a matrix", unit), words)
     return Expectation(description, words, _choice(kinds, words), unit, left_out)
 
 
@@ -451,6 +460,40 @@ def _known(value: float, uncertainty: float) -> Known:
     if uncertainty >= value:
         unexpected(f"uncertainty ({uncertainty:g}) below value ({value:g})")
     return Known(value=value, uncertainty=uncertainty)
+
+
+def _matrix_of(number: Schema, expected: str) -> Schema:
+    row = _list_of([number], 1, MOST_CHANNELS, "a row of a matrix: a list of numbers, one per channel")
+
+    def physical(rows: Matrix) -> Matrix:
+        for i, row in enumerate(rows):
+            if len(row) != len(rows):
+                unexpected(f"{len(rows)} numbers, as many as the matrix has rows", (i,), f"{len(row)}")
+        for i, j in combinations(range(len(rows)), 2):
+            if rows[i][j] != rows[j][i]:
+                expected = (
+                    f"{rows[i][j]:g}, the same as in row {i + 1}, column {j + 1}: a matrix of masses is symmetric"
+                )
+                unexpected(expected, (j, i), f"{rows[j][i]:g}")
+        if not _is_positive_definite(rows):
+            found = "a matrix that gives some motion a kinetic energy of 0 or less"
+            unexpected("a positive definite matrix", found=found)
+        return rows
+
+    rows = _list_of([row], 1, MOST_CHANNELS, expected)
+    return core_schema.no_info_after_validator_function(physical, rows)
+
+
+def _is_positive_definite(rows: Matrix) -> bool:
+    """Returns whether the pivots of Gauss's elimination are above 0, beyond rounding."""
+    left = [list(row) for row in rows]
+    for i, row in enumerate(left):
+        if not row[i] > len(rows) * sys.float_info.epsilon * rows[i][i]:
+            return False
+        for below in left[i + 1 :]:
+            share = below[i] / row[i]
+            below[i:] = [one - share * other for one, other in zip(below[i:], row[i:], strict=True)]
+    return True
 
 
 def _list_of(entries: list[Any], least: int, most: int, expected: str) -> Schema:

@@ -1,0 +1,152 @@
+"""`hapsim check` of a scene in the plane, and commands that take no such scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from hapsim import load_scene
+from hapsim.sweeping.quantities import Task
+
+Hapsim = Callable[..., Any]
+Written = Callable[..., Path]
+
+DISC = {"type": "shape", "between": ["hand", "post"], "form": {"disc": 0.02}, "stiffness": 2000.0, "damping": 5.0}
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Written:
+    """Writes a scene with a hand that starts pressed 1 mm onto a disc. `disc`: its keys."""
+
+    def write(x: float = 0.011, **disc: Any) -> Path:
+        document = {
+            "version": 1,
+            "rate": 1000,
+            "space": 2,
+            "device": {"mass": 0.2, "friction": 1.0, "clock": "lockstep", "force_limit": 10},
+            "mock": {"initial": {"position": [x, 0.0]}},
+            "modules": {
+                "hand": {"type": "device", "channels": [0, 1]},
+                "post": {"type": "ground", "position": [0.03, 0.0]},
+                "disc": DISC | disc,
+            },
+        }
+        path = tmp_path / "plane.yaml"
+        path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+        return path
+
+    return write
+
+
+def words(told: str) -> str:
+    return " ".join(told.split())
+
+
+def test_a_hand_that_slides_off_is_shown_along_both_directions(hapsim: Hapsim, written: Written) -> None:
+    told = words(hapsim("check", written()).out)
+    assert "at 1000 Hz: slides: hand slides off along 90°: grows e-fold in 49.42 ms (spectral radius 1.0204" in told
+    assert "hand at 11, 0 mm: disc is touched" in told
+    assert "hand at 0°: k 2000 2080.44 2000 N/m hand at 0°: b 6 3.02077 N·s/m" in told
+    assert "hand at 90°: k -105.263 -105.328 -105.263 N/m hand at 90°: b 1 1.15864 N·s/m" in told
+    assert "unstable at 1.947 times the stiffness of disc, what slides being held" in told
+
+
+def test_explained_it_has_margins_and_any_hands(explained: Callable[[Path], str], written: Written) -> None:
+    told = words(explained(written()))
+    assert "not passive at any friction: at rest, the scene pushes the hand away" in told
+    assert "│ disc │ 1.947 │ 32.74 │" in told
+
+
+def test_a_document_has_matrices_and_principal_directions(hapsim: Hapsim, written: Written) -> None:
+    found = hapsim("check", written(), "--json").document
+    (one,) = found["felt_together"]
+    assert one["device_points"] == ["hand.x", "hand.y"]
+    assert [row[i] for i, row in enumerate(one["k"])] == pytest.approx([2080.439463958, -105.328041658], abs=2e-9)
+    stiffest, other = one["principal"]
+    assert (stiffest["angle_deg"], stiffest["k"]) == pytest.approx((0.0, 2080.439463958), abs=2e-9)
+    assert (other["angle_deg"], other["b"]) == pytest.approx((90.0, 1.158643213), abs=2e-9)
+    assert (found["verdict"], found["stable"], found["places_m"]["hand"]) == ("slides", False, [0.011, 0.0])
+    assert found["links"]["disc"]["state"] == "touched"
+    assert found["slides"][0]["e_fold_s"] == pytest.approx(0.0494215, rel=1e-5)
+
+
+def test_at_a_place_of_its_own(hapsim: Hapsim, written: Written) -> None:
+    """In the units of the option; the next command has the same place."""
+    told = words(hapsim("check", written(), "--at", "5mm,0.003").out)
+    assert "at 1000 Hz: stable" in told
+    assert "hand at 5, 3 mm: no contact is touched" in told
+    assert "Stable at 3 unlike places where its links touch; others are not judged (--at, --along)" in told
+    assert told.endswith("plane.yaml --at=5mm,0.003")
+
+
+def test_a_wall_that_is_too_stiff_is_reported_before_it_is_touched(hapsim: Hapsim, written: Written) -> None:
+    path = written(0.0, stiffness=8000.0)
+    told = words(hapsim("check", path).out)
+    assert "unstable (spectral radius 1.0156" in told
+    assert "Unstable while disc is touched with hand at 49.32, 4.762 mm: the motion of hand grows e-fold in" in told
+    assert "oscillates with up to the force limit of 10 N" in told
+    refused = hapsim("run", path, "--duration", "0.1")
+    assert (refused.status, "grows by 1.6 % per sample while disc is touched" in refused.err) == (2, True)
+
+
+def test_along_a_line_it_lists_what_the_hand_touches(hapsim: Hapsim, written: Written) -> None:
+    path = written()
+    rows = [words(row) for row in hapsim("check", path, "--along", "0,0:60mm,10mm").out.splitlines()[2:5]]
+    assert rows == [
+        "0, 0 10.07, 1.678 none 0 0° 0 stable",
+        "10.07, 1.678 48.31, 8.051 disc 2080 99.5° -6345 slides",
+        "48.31, 8.051 60, 10 none 0 0° 0 stable",
+    ]
+    found = hapsim("check", path, "--along", "0,0:60mm,10mm", "--json").document["stretches"]
+    assert [one["verdict"] for one in found] == ["stable", "slides", "stable"]
+    assert found[1]["links"] == {"disc": "touched"}
+    assert found[1]["principal"][0]["k"] == pytest.approx(2080.439463958, abs=2e-9)
+
+
+def test_it_fits_eighty_columns(hapsim: Hapsim, written: Written, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written()
+    monkeypatch.setenv("COLUMNS", "80")
+    for more in ((), ("--along", "0,0:60mm,10mm")):
+        lines = hapsim("check", path, *more).out.splitlines()
+        assert max(len(line) for line in lines if str(path) not in line) <= 80
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (("check", "--at", "0.03"), "--at: found 0.03, expected X,Y in a scene with space: 2"),
+        (("check", "--at", "0.03,left"), "--at: found '0.03,left', expected X,Y, such as 0.01,0 or 10mm,0"),
+        (("check", "--at", "1,2,3"), "--at: found '1,2,3', expected X,Y"),
+        (("check", "--along", "0,0"), "--along: found '0,0', expected X,Y:X,Y, such as 0.01,0 or 10mm,0"),
+        (("check", "--along", "0,0:1,1", "--at", "0,0"), "--along does not go with --at"),
+        (("couple",), "found a scene with space: 2; virtual couplings are derived for one coordinate"),
+        (("chart", "plane"), "hand.x moves in the plane"),
+        (("chart", "felt"), "hand.x moves in the plane"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_words(hapsim: Hapsim, written: Written, command: Any, words: str) -> None:
+    name, *more = command
+    answer = hapsim(name, *more, written())
+    assert (answer.status, words in " ".join(answer.err.split())) == (2, True), answer.err
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--at", "1,2"), "--at: found 1,2, expected a position in a scene with one coordinate"),
+        (("--along", "0,0:1,1"), "--along: found a scene with one coordinate, expected space: 2; see --at"),
+    ],
+)
+def test_places_of_the_plane_are_refused_on_a_line(hapsim: Hapsim, scene_file: Any, words: Any, expected: str) -> None:
+    answer = hapsim("check", scene_file("spring"), *words)
+    assert (answer.status, expected in answer.err) == (2, True)
+
+
+def test_a_sweep_has_the_stiffest_direction(written: Written) -> None:
+    scene = load_scene(written())
+    found, reason = Task(scene.model_dump(mode="json"), ("predicted",)).at(scene)
+    assert (found["predicted_k"], reason) == (pytest.approx(2080.439463958, abs=2e-9), "")
