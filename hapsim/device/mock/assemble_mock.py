@@ -74,7 +74,7 @@ def assemble_mock(scene: Scene) -> Any:
     return mock
 
 
-def _couple(mock: Any, bodies: Any, inverse: NDArray[np.float64], period: float) -> None:
+def _couple(mock: Any, bodies: Any, inverse: Any, period: float) -> None:
     """Lets the bodies move together. `inverse`: of the mass matrix. Raises UsageError if that would take too long."""
     damped, sprung = (np.abs(inverse) @ bodies[name] for name in ("friction", "stiffness"))
     steps = max(float(damped.max()), math.sqrt(sprung.max())) * period
