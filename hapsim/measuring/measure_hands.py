@@ -186,7 +186,7 @@ def identify_free_motions(
             (k, b), off = finer, finer_off
     least = _ROUNDED * np.abs([k, b]).max(axis=(1, 2))
     off = np.maximum(off, least[:, None, None])
-    others = 1.0 - float(modes.energy[own].sum() / modes.energy.sum())
+    others = max(0.0, 1.0 - float(modes.energy[own].sum() / modes.energy.sum()))
     asymmetry = float(np.abs(k - k.T).max() / np.abs(k).max(initial=1e-300))
     if others > _MOST_OTHER or asymmetry > _MOST_ASYMMETRY:
         raise UsageError(
@@ -195,7 +195,7 @@ def identify_free_motions(
             "measure --impedance` measures the impedance at each frequency"
         )
     samples, poles = sum(map(len, segments)), tuple(modes.poles[own].tolist())
-    return HandsMeasurement(channels, k, b, off[0], off[1], poles, max(0.0, others), samples, traces)
+    return HandsMeasurement(channels, k, b, off[0], off[1], poles, others, samples, traces)
 
 
 def _halves(segments: list[Floats]) -> list[list[Floats]]:
