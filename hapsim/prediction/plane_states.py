@@ -8,11 +8,11 @@ path, and around each point, as deep as the force limit presses; the other point
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -120,10 +120,18 @@ class PlaneJudge(PlaneVerdict, Judge):
         rests = poles.size - moving.size <= directions(self.network)[1]
         return rests and float(np.abs(moving).max(initial=0.0)) < 1.0 - AT_THE_LIMIT
 
+    @cached_property
+    def _grown(self) -> list[Grown]:
+        every = [one for one in (self.shaken_by_network(), *self.states.growing) if one is not None]
+        return [Grown(one, [], []) for one in sorted(every, key=lambda one: -one.growth)[:1]]
+
+    def _swing_of_part(self, _number: int) -> Swing | None:
+        return None
+
 
 @dataclass(eq=False)
 class PlaneStates:
-    """Places at which the links of a scene in the plane touch, judged when needed, like `ContactStates`.
+    """Places at which the links of a scene in the plane touch, judged when needed, in place of `ContactStates`.
 
     Attributes:
         plane: the scene. bare, points: its points without links, and their names.
@@ -134,9 +142,9 @@ class PlaneStates:
     bare: Network
     points: tuple[str, ...]
     places: Places
-
-    parts = ()
-    is_complete = True
+    parts: ClassVar = ()
+    is_complete: ClassVar = True
+    unjudged: ClassVar = 0
 
     @property
     def count(self) -> int:
@@ -149,29 +157,11 @@ class PlaneStates:
         return list(dict.fromkeys(one for one in self._verdicts.values() if one is not None))
 
     @property
-    def unjudged(self) -> int:
-        """Number of places that were not judged; 0."""
-        return 0
-
-    @property
     def words(self) -> str:
         """Phrase that follows "stable" or "unstable" and limits the verdict."""
         if self.growing:
             return f"while {max(self.growing, key=lambda one: one.growth).state}"
         return f"at {self.count} unlike places where its links touch; others are not judged (--at, --along)"
-
-    def instead(self) -> dict[str, object]:
-        """Links whose assumed state is impossible; none."""
-        return {}
-
-    def grown(self, is_unstable: bool, _regional: Collection[str]) -> list[Grown]:
-        """Returns the fastest growing motion. `is_unstable`: a motion grows where the scene is linearised too."""
-        fastest = max(self.growing, key=lambda one: one.growth, default=None)
-        return [] if is_unstable or fastest is None else [Grown(fastest, [], [])]
-
-    def swing_of(self, _grown: Grown) -> Swing | None:
-        """Size of an oscillation: it is not worked out in the plane."""
-        return None
 
     @cached_property
     def _verdicts(self) -> dict[object, Shaking | None]:
@@ -190,15 +180,15 @@ class PlaneStates:
                 found[key] = shaken and shaken._replace(state=how)
         return found
 
-    def _key(self, links: list[PlaneLink], sliding: Mapping[str, int]) -> object:
+    def _key(self, links: Sequence[PlaneLink], sliding: Mapping[str, int]) -> object:
         """Returns equal keys for links that differ by a turn of all, if every hand is the same in all directions."""
-        bare, of_hands = self.bare, (self.bare.channel_mass, self.bare.channel_friction, self.bare.channel_stiffness)
-        turns = bare.mass_coupling is None and all((one[::2] == one[1::2]).all() for one in of_hands)
-        angles = [math.atan2(one.normal[1], one.normal[0]) for one in links]
-        first = angles[0] if turns and angles else 0.0
+        bare, angles = self.bare, [math.atan2(one.normal[1], one.normal[0]) for one in links]
+        of_hands = bare.channel_mass, bare.channel_friction, bare.channel_stiffness
+        is_round = bare.mass_coupling is None and all((one[::2] == one[1::2]).all() for one in of_hands)
+        first = angles[0] if is_round and angles else 0.0
         return tuple(
-            (*one.link.between, sliding.get(one.name, 0), one.rubs and one.link, one.slope, one.damping,
-             float(f"{one.across:.2g}"), round(math.remainder(angle - first, 2.0 * math.pi) / _ALIKE))
+            (*one.link.between, sliding.get(one.name), one.rubs and one.link, one.slope, one.damping,
+             f"{one.across:.2g}", round(math.remainder(angle - first, 2.0 * math.pi) / _ALIKE))
             for one, angle in zip(links, angles, strict=True)
         )  # fmt: skip
 

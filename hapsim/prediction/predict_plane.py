@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapsim.errors import UsageError
-from hapsim.laws import Linear
 from hapsim.prediction.linear import LinearLink, linear_scene, network_of
 from hapsim.prediction.plane import Plane, PlaneLink
 from hapsim.prediction.plane_states import PlaneJudge, PlaneStates, Slide, directions, held, slides_of, with_links
@@ -48,7 +47,7 @@ class PlanePrediction(Prediction):
         hands: their names. places: of all points, m, by module.
     """
 
-    def _take(self, _instead: Mapping[str, Linear] | None = None) -> None:
+    def _take(self, _instead: object = None) -> None:
         plane = Plane(self._seen)
         self.hands = plane.hands
         hands = {name: plane.start[name] for name in plane.hands}
@@ -70,13 +69,12 @@ class PlanePrediction(Prediction):
 
     def _require_reached(self, name: str, at: Any) -> Point:
         """Returns the place of a hand. Raises UsageError beyond its travel."""
-        units, channels = self.scene.units, self.scene.channels
+        units, travels = self.scene.units, self.scene.device.travels(self.scene.channels)
         for axis, value in zip("xy", at, strict=True):
-            low, high = self.scene.device.travels(channels)[self.scene.device_points[f"{name}.{axis}"].channel]
+            low, high = travels[self.scene.device_points[f"{name}.{axis}"].channel]
             if not low <= value <= high:
-                reach = f"{units.number(low, 'm')} to {units(high, 'm')}"
-                found = f"found {axis} = {units(value, 'm')}, outside the travel of {name}"
-                raise UsageError(f"at: {found}; expected {axis} from {reach}")
+                expected = f"expected {axis} from {units.number(low, 'm')} to {units(high, 'm')}"
+                raise UsageError(f"at: found {units(value, 'm')}, outside the travel of {name}; {expected}")
         x, y = at
         return x, y
 
