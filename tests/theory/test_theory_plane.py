@@ -185,6 +185,9 @@ def apart(some: np.ndarray, others: np.ndarray, least: float = 0.05) -> float:
 @pytest.mark.parametrize("seed", range(60))
 def test_the_poles_are_those_of_a_loop_written_out(seed: int) -> None:
     network = drawn(seed)
+    unlike = 1.0 + 0.7 * np.arange(network.channel_mass.size)
+    changed = {name: unlike * getattr(network, name) for name in ("channel_friction", "channel_stiffness")}
+    network = replace(network, **changed)
     own, poles = np.linalg.eigvals(stepped(network)), poles_of(network)
     assert apart(poles, own) < 1e-9
     assert apart(own, poles) < 1e-9
@@ -476,7 +479,7 @@ def test_what_does_not_fit_is_refused_with_words(changed: dict[str, Any], messag
 
 
 def test_a_planar_scene_is_never_large_and_no_simple_test_proves_it_stable() -> None:
-    masses = 260
+    masses = 520
     rows = np.eye(2 + masses)
     network = plane(rows, [100.0] * len(rows), [0.1] * len(rows), point_mass=[0.01] * masses, delay=0.0)
     assert not is_large(network)
