@@ -17,7 +17,7 @@ from hapsim.one_thread import one_thread
 from hapsim.theory import Network
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import SURELY, poles_of, state_size
-from hapsim.theory.network.impedance import device_forces
+from hapsim.theory.network.impedance import device_matrix
 from hapsim.theory.network.modes import snap_to_rest
 from hapsim.theory.network.scene_passivity import HeldScene, Passivity, highest, no_derivation, passivity_of, peaks_of
 
@@ -147,7 +147,8 @@ class AnyHand:
 
     @cached_property
     def shaking(self) -> ShakingHand | None:
-        """Single mass or spring on one device point that is shaken most; None if none was found."""
+        """Single mass or spring on one device point that is shaken most; None if none was found. On a device whose mass
+        is a matrix only masses are tried."""
         if self.is_passive is not False:
             return None
         with one_thread():
@@ -161,6 +162,8 @@ class AnyHand:
             omega = theta * self._network.rate
             reactance = -float(self._held.driving_impedance(np.array([theta]), at)[0].imag)
             mass, stiffness = max(reactance, 0.0) / omega, max(-reactance, 0.0) * omega
+            if stiffness and self._network.mass_coupling is not None:
+                continue
             hands = ((share, self._pole(at, share * mass, share * stiffness, theta)) for share in _CLOSER.tolist())
             share, pole = max(hands, key=lambda one: np.nan_to_num(abs(one[1])))
             if abs(pole) > SURELY:
@@ -187,11 +190,10 @@ class AnyHand:
         """Returns a pole of the loop with this hand near theta, by secants; NaN if none is found."""
         hands = np.zeros((2, len(self.names)))
         hands[:, at] = mass, stiffness
-        network, one = _with_hands(self._network, *hands), np.eye(len(self.names))
+        network = _with_hands(self._network, *hands)
 
         def met(w: Complexes) -> Complexes:
-            whole = self._held.forces(w) + device_forces(network, w)[:, None] * one
-            return np.asarray(np.linalg.det(whole))
+            return np.asarray(np.linalg.det(self._held.forces(w) + device_matrix(network, w)))
 
         w = np.exp(1j * theta) * np.array([1.0, 1.0 + 1e-6]) - 1.0
         before, here = (complex(one) for one in w)
@@ -210,8 +212,13 @@ class AnyHand:
         the neighbourhood of the worst of both. None if the loop is too large for it.
 
         Raises:
-            UsageError: a range begins below 0, or ends before it begins.
+            UsageError: a range begins below 0, or ends before it begins; or hands have a stiffness on coupled masses.
         """
+        if self._network.mass_coupling is not None and any(stiffness):
+            raise UsageError(
+                f"a hand's stiffness: found {stiffness[0]:g}:{stiffness[1]:g}, expected 0:0: on a device whose mass is "
+                "a matrix only hands without stiffness are worked out"
+            )
         for name, (low, high) in (("mass", mass), ("stiffness", stiffness)):
             if not 0.0 <= low <= high < math.inf:
                 raise UsageError(f"a hand's {name}: found {low:g}:{high:g}, expected low:high, both 0 or more")

@@ -30,7 +30,7 @@ from hapsim.scene.part import Table
 from hapsim.scene.quantity import per_channel
 from hapsim.theory import Margins, Mode, Network, margins_of
 from hapsim.theory.arrays import Indices, sort_by_modulus
-from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, part_of, part_of_each
+from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, part_of, parts_of
 from hapsim.theory.network.network import is_centred
 
 _EXCITERS = (Buffer, Plectrum, Click, Friction)  # links that excite a sound and release its source
@@ -148,7 +148,7 @@ class Prediction:
 
     def _parts(self, names: Collection[str]) -> Iterator[tuple[tuple[str, ...], tuple[int, ...], Indices]]:
         """Yields, per part of the scene with some of these device points, these, their channels and all its points."""
-        part, number = part_of_each(self._network.ends, len(self.points)), self.points.index
+        part, number = parts_of(self._network), self.points.index
         for its in dict.fromkeys(int(part[number(name)]) for name in names):
             own = tuple(name for name in names if part[number(name)] == its)
             yield own, tuple(self.scene.device_points[name].channel for name in own), np.flatnonzero(part == its)

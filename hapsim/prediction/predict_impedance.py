@@ -71,12 +71,15 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
             )
     s = 2j * np.pi * f[:, None]
     real = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
+    ideal = real[:, :, None] * np.eye(network.channel_mass.size)
+    if network.mass_coupling is not None:
+        ideal = ideal + s[:, :, None] * network.mass_coupling
     return PredictedImpedance(
         names=tuple(scene.device_points),
         frequency=f,
         desired=desired_impedance(network_of(scene, scene_at(scene))[0], f),
         device=loop.device,
-        ideal_device=real[:, :, None] * np.eye(network.channel_mass.size),
+        ideal_device=ideal,
         rendered=loop.rendered,
         assumptions=tuple(assumptions),
     )

@@ -24,7 +24,7 @@ from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
 from hapsim.scene import Scene
 from hapsim.theory import Network
 from hapsim.theory.arrays import Floats, Indices
-from hapsim.theory.network import LARGE, part_of, part_of_each, proves_stability, state_size
+from hapsim.theory.network import LARGE, part_of, part_of_each, parts_of, proves_stability, state_size
 from hapsim.theory.rows import stretches_of
 
 MOST_STATES = 1024
@@ -72,7 +72,7 @@ class ContactStates:
             return
         self._reach = Reach(scene, linear, options)
         self._options = {name: self._reach.met(linear.links[name].between, found) for name, found in options.items()}
-        part, names_of = part_of_each(network.ends, len(points)), dict[int, list[str]]()
+        part, names_of = parts_of(network), dict[int, list[str]]()
         for name in options:
             names_of.setdefault(int(part[max(self._ends[name])]), []).append(name)
         for names in names_of.values():
@@ -171,7 +171,7 @@ class ContactStates:
     def grown(self, is_unstable: bool, regional: Collection[str]) -> list[Grown]:
         """Returns the fastest growing motion of each part of the scene that has one, the fastest first. `is_unstable`:
         a motion grows in the assumed state too, apart from hands that are `regional`."""
-        of_point = part_of_each(self._network.ends, len(self._points)).tolist()
+        of_point = parts_of(self._network).tolist()
         points = {its: [i for i, at in enumerate(of_point) if at == its] for its in dict.fromkeys(of_point)}
         part = {name: of_point[max(self._ends[name])] for one in self.parts for state in one for name in state}
         grown = dict[int, list[tuple[Shaking, State]]]()
@@ -196,9 +196,9 @@ class ContactStates:
     def _block(self) -> Indices:
         """Block number of each point, (points,): equal for points that are joined in every state."""
         same = np.array([name not in self._options for name in self._linear.links], dtype=bool)
-        same = np.append(same, np.ones(len(self._network.ends) - same.size, bool))
+        same = np.append(same, np.ones(self._network.stiffness.size - same.size, bool))
         acts = (self._network.stiffness != 0.0) | (self._network.damping != 0.0)
-        return part_of_each(self._network.ends[same & acts], len(self._points))
+        return parts_of(self._network, same & acts)
 
     def _joined(self, state: State) -> Iterator[tuple[frozenset[int], list[str]]]:
         """Yields blocks of points that the links join in this state, and the links of the state that end there."""

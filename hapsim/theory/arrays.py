@@ -73,6 +73,18 @@ def vector(
     return array
 
 
+def matrix(name: str, value: Any, columns: int) -> Floats:
+    """Returns ``value`` as an array (n, columns); raises ValueError if it is not one of finite numbers."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} has to be an array of numbers.") from None
+    array = array.reshape(-1, columns) if array.size == 0 else array
+    if array.ndim != 2 or array.shape[1] != columns or not np.isfinite(array).all():
+        raise ValueError(f"{name} has to be a matrix of finite numbers with {columns} columns.")
+    return array
+
+
 def link_ends(name: str, value: Any, points: int) -> NDArray[np.intp]:
     """Returns ``value`` as an array (L, 2) of point numbers, -1 for a ground; raises ValueError if it is not one."""
     array = np.array(value)

@@ -20,7 +20,14 @@ from numpy.typing import NDArray
 
 from hapsim.dampers import DamperModel
 from hapsim.theory.arrays import Floats, Indices
-from hapsim.theory.network.network import Network, damping_links, inner_links, is_centred, touches_channel
+from hapsim.theory.network.network import (
+    Network,
+    damping_links,
+    inner_links,
+    is_centred,
+    joined_points,
+    touches_channel,
+)
 from hapsim.theory.schemes import SCHEMES
 
 MOST_DENSE = 30_000  # links times points; above, a sparse matrix is faster
@@ -71,11 +78,28 @@ def _matrix(row: Indices, column: Indices, value: Floats, shape: tuple[int, int]
     return out
 
 
+def as_rows(values: Floats | None, sparse: bool) -> Rows:
+    """Returns an array as rows."""
+    if not sparse:
+        return values
+    from scipy.sparse import csr_matrix
+
+    return csr_matrix(values)
+
+
 def stretches_of(network: Network, sparse: bool) -> Rows:
     """Stretch of each link, (L, C + M), from the positions of channels and masses."""
+    if network.rows is not None:
+        return as_rows(network.rows, sparse)
     link, end = np.nonzero(network.ends >= 0)
     shape = len(network.ends), network.channel_mass.size + network.point_mass.size
     return _matrix(link, network.ends[link, end], np.array([1.0, -1.0])[end], shape, sparse)
+
+
+def geometry_of(network: Network, sparse: bool) -> tuple[Rows, Rows]:
+    """Stretch of each link, and the direction in which its tension pulls the points, each (L, C + M)."""
+    stretches = stretches_of(network, sparse)
+    return stretches, stretches if network.pulls is network.rows else as_rows(network.pulls, sparse)
 
 
 def cut(rows: Rows, sizes: dict[str, int]) -> dict[str, Rows]:
@@ -87,17 +111,19 @@ def cut(rows: Rows, sizes: dict[str, int]) -> dict[str, Rows]:
 class Tick:
     """One step of a scene's links and masses, on rows.
 
-    ``stretches`` (L, C + M): stretch of each link. ``old_steps``, ``old_rates``: lists by lag of the links whose
-    dampers remember a step of their stretch or a velocity. ``inside`` (L,): 1 for a link in the rates of a scheme other
-    than CORDIS's. ``rates``: T A of such a scheme for the masses' positions and steps (in ``unit``), and also for the
-    channels' positions, steps and sensed velocities where inner links depend on them (``theory.schemes``).
+    ``stretches``, ``pulls`` (L, C + M): stretch of each link, and direction of its force. ``old_steps``, ``old_rates``:
+    lists by lag of the links whose dampers remember a step of their stretch or a velocity. ``inside`` (L,): 1 for a
+    link in the rates of a scheme other than CORDIS's. ``rates``: T A of such a scheme for the masses' positions and
+    steps (in ``unit``), and also for the channels' positions, steps and sensed velocities where inner links depend on
+    them (``theory.schemes``).
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
         self._network, self._rate = network, network.rate * network.substeps
         self._channels, self._masses = network.channel_mass.size, network.point_mass.size
-        links = len(network.ends)
-        self.stretches = stretches_of(network, sparse or links * (self._channels + self._masses) > MOST_DENSE)
+        links = network.stiffness.size
+        is_sparse = sparse or links * (self._channels + self._masses) > MOST_DENSE
+        self.stretches, self.pulls = geometry_of(network, is_sparse)
         acting = damping_links(network)
         kinds = list(dict.fromkeys(network.damper))
         number = {damper: i for i, damper in enumerate(kinds)}
@@ -143,7 +169,7 @@ class Tick:
         """Returns the changes of the masses' positions and steps, from the links' pulls and other forces ``pushed``
         (N). ``unknown``: rows that stand for the change of a scheme with no sparse one. The third part is then the
         right-hand side of (1 - share rates) unknown."""
-        count, of_masses = self._masses, self.stretches[:, self._channels :].T
+        count, of_masses = self._masses, self.pulls[:, self._channels :].T
         if self._scheme is None:
             faster = times(self._unit_force, pushed - of_masses @ pull)
             moved = times(1.0 + self._network.implicit, faster) if self._implicit.size else faster
@@ -184,7 +210,7 @@ class Tick:
         network, gain, still = self._network, start["gain"], 0.0 * start["sensed"]
         pushed = 0.0 * start["mass"] if pushed is None else pushed
         pull, _, rate = self.seen(start, pushed)
-        force = -(self.stretches[:, : self._channels].T @ pull)
+        force = -(self.pulls[:, : self._channels].T @ pull)
         more, faster, *equation = self.masses(start, pull, pushed, unknown)
         before = self.stretches @ stack([gain, more - faster]) if self.old_steps else start["old_steps"]
         out = {
@@ -204,7 +230,7 @@ class Tick:
         """Returns the rates (N, N) and the unit of the steps: about the radians that the fastest motion turns in a
         step. In this unit no part of the rates dwarfs the others."""
         count, channels, inside = self._masses, self._channels, self.inside
-        of_masses, stiffness = self.stretches[:, channels:].T, inside * self._network.stiffness
+        of_masses, stiffness = self.pulls[:, channels:].T, inside * self._network.stiffness
         ends = np.asarray(abs(self.stretches).sum(axis=1)).ravel()
         pace = self._unit_force * (abs(of_masses) @ (np.abs(stiffness) * ends))
         unit = max(1.0, float(np.sqrt(pace.max(initial=0.0))))
@@ -212,7 +238,8 @@ class Tick:
         if not self._needs_channels:
             sizes |= {"hand": 0, "last_step": 0, "sensed": 0}
         z = cut(unit_rows(sum(sizes.values()), sparse), sizes)
-        stretch, moved = of_masses.T @ z["mass"], of_masses.T @ (unit * z["step"])
+        stretches = self.stretches[:, channels:]
+        stretch, moved = stretches @ z["mass"], stretches @ (unit * z["step"])
         if self._needs_channels:
             of_channels = self.stretches[:, :channels]
             stretch, moved = stretch + of_channels @ z["hand"], moved + of_channels @ z["last_step"]
@@ -253,5 +280,5 @@ def sensed_channels(network: Network) -> Indices:
     if network.ahead is not None:
         return np.arange(network.channel_mass.size)
     links = [link for link in damping_links(network).tolist() if network.damper[link].senses]
-    ends = network.ends[links]
-    return np.unique(ends[(ends >= 0) & (ends < network.channel_mass.size)])
+    _, point = joined_points(network, np.array(links, np.intp))
+    return np.unique(point[point < network.channel_mass.size])

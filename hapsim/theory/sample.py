@@ -11,7 +11,7 @@ from hapsim.theory.arrays import Floats
 from hapsim.theory.device_step import DeviceStep, device_step
 from hapsim.theory.interface import SAMPLINGS, acting_at_sample, hold_lag
 from hapsim.theory.network.network import Network, damping_links
-from hapsim.theory.rows import Rows, Tick, cut, sensed_channels, stack, step_weights, times, unit_rows
+from hapsim.theory.rows import Rows, Tick, as_rows, cut, sensed_channels, stack, step_weights, times, unit_rows
 
 LARGE = 1000  # numbers in the state; above, the eigenvalues of the whole matrix take too long
 
@@ -24,12 +24,15 @@ class Sample:
     channels' velocities times T; the lead of the positions over their readings (averaged sampling); the last steps of
     the readings; the mean velocities that links sense (averaged sampling); the last changes of the sensed velocities
     (substeps); the masses' steps; the forces that a later sample still needs, newest first, times T²/m; and the
-    memories of the dampers. The state has no other parts.
+    memories of the dampers. The state has no other parts. The channels' positions and velocities, with their lead and
+    their forces, are those along ``axes``.
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
         self.network, self.tick, self.sizes = network, Tick(network, sparse), sizes_of(network)
-        self._sensed = sensed_channels(network)
+        self._sensed, self._axes = sensed_channels(network), axes_of(network)
+        basis = self._axes.basis
+        self._basis = None if basis is None else as_rows(basis, sparse)
         self._acceleration = _acceleration(network)
         steps = channel_steps(network)
         self._motion = np.array([step.motion for step in steps]).reshape(len(steps), 4, 2)
@@ -53,12 +56,16 @@ class Sample:
         return stack([self._read(state), state["mass"]])
 
     def _read(self, state: dict[str, Rows]) -> Rows:
-        return state["position"] - state["lag"] if state["lag"].shape[0] else state["position"]
+        return self._at_points(state["position"] - state["lag"] if state["lag"].shape[0] else state["position"])
+
+    def _at_points(self, along_axes: Rows) -> Rows:
+        """Returns a motion of the channels from one along the axes."""
+        return along_axes if self._basis is None else self._basis @ along_axes
 
     def _seen(self, state: dict[str, Rows]) -> tuple[Rows, Rows]:
         """Channels as the links see them: positions (C), and the sensed velocities that a link uses."""
         x, averaged = self._read(state), state["lag"].shape[0]
-        v = state["mean_velocity"] if averaged else state["velocity"][self._sensed]
+        v = state["mean_velocity"] if averaged else self._at_points(state["velocity"])[self._sensed]
         if self._acceleration is None:
             return x, v
         ahead, of_position, of_velocity, *of_forces = self._acceleration
@@ -80,8 +87,9 @@ class Sample:
     def state_change(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
         """Returns the change of the state over a sample of steps ``moved``; ``pushed``: other forces on channels, N."""
         network, x, v = self.network, state["position"], state["velocity"]
-        unit, force = 1.0 / network.channel_mass / network.rate**2, moved["force"]
-        acting = times(unit, force if pushed is None else force + pushed)
+        unit, force = 1.0 / self._axes.mass / network.rate**2, moved["force"]
+        force = force if pushed is None else force + pushed
+        acting = times(unit, force if self._basis is None else self._basis.T @ force)
         held = range(0, self.sizes["held"], max(unit.size, 1))
         ranks = [acting, *(state["held"][at : at + unit.size] for at in held)]
 
@@ -94,7 +102,7 @@ class Sample:
         new = {"position": row(0), "mass": moved["mass"], "velocity": row(1), "mass_step": moved["mass_step"]}
         new["lag"] = row(2) - state["lag"] if state["lag"].shape[0] else state["lag"]
         if state["lag"].shape[0]:
-            new["mean_velocity"] = row(3)[self._sensed] - state["mean_velocity"]
+            new["mean_velocity"] = self._at_points(row(3))[self._sensed] - state["mean_velocity"]
         new["held"] = stack(ranks)[: self.sizes["held"]] - state["held"]
         last_step, turned = self._seen(new)
         new["last_step"] = last_step - state["last_step"]
@@ -143,8 +151,9 @@ def state_size(network: Network) -> int:
 
 
 def is_large(network: Network) -> bool:
-    """Returns whether the scene has too many states to compute all its poles."""
-    return state_size(network) > LARGE
+    """Returns whether the scene has too many states to compute all its poles. A planar one never has: the methods for
+    large scenes follow links with two ends."""
+    return network.rows is None and network.mass_coupling is None and state_size(network) > LARGE
 
 
 @np.errstate(all="ignore")  # numbers out of range become NaN
@@ -206,10 +215,28 @@ def _acceleration(network: Network) -> list[Floats] | None:
     return [lag * one, *own, *forces]
 
 
+class Axes(NamedTuple):
+    """Coordinates q of the channels, x = ``basis`` q, each of which moves by itself: ``mass`` and ``friction`` (C,). A
+    force f acts on q by ``basis``' f. ``basis`` None: q are the channels."""
+
+    mass: Floats
+    friction: Floats
+    basis: Floats | None
+
+
+def axes_of(network: Network) -> Axes:
+    """Returns the axes: of a matrix of masses M the eigenvectors V with V' M V = 1 and V' b0 V diagonal."""
+    if network.mass_coupling is None:
+        return Axes(network.channel_mass, network.channel_friction, None)
+    root = np.linalg.inv(np.linalg.cholesky(network.mass_matrix))
+    friction, turn = np.linalg.eigh(root * network.channel_friction @ root.T)
+    return Axes(np.ones(friction.size), np.maximum(friction, 0.0), root.T @ turn)
+
+
 def channel_steps(network: Network) -> list[DeviceStep]:
-    """Step of each channel over one sample period, in normalised units."""
-    mass, rate = network.channel_mass, network.rate
-    friction = network.channel_friction / (mass * rate)
+    """Step of each channel, along its axis, over one sample period, in normalised units."""
+    mass, rate = axes_of(network).mass, network.rate
+    friction = axes_of(network).friction / (mass * rate)
     stiffness = network.channel_stiffness / (mass * rate) / rate
     return [
         device_step(float(b), network.delay, network.hold, float(k), network.sampling)

@@ -27,7 +27,7 @@ from hapsim.one_thread import one_thread
 from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.large_loop import PIVOTS, factorised
 from hapsim.theory.network.network import Network
-from hapsim.theory.rows import Rows, cut, stretches_of, times, unit_rows
+from hapsim.theory.rows import Rows, cut, geometry_of, times, unit_rows
 from hapsim.theory.sample import loop, sizes_of
 
 OUTSIDE = 1e-12  # radius of the circle minus 1: poles that rest on 1, or never lose energy, lie inside
@@ -55,7 +55,7 @@ def link_changes(network: Network, sparse: bool = False) -> LinkChanges:
     """Returns the changes for a scene whose points CORDIS's scheme moves once a sample."""
     change, _, push, _, (stretch, rate) = loop(network, inputs=True, sparse=sparse)
     read = times(-network.stiffness, stretch), times(-network.damping * network.rate, rate)
-    return LinkChanges(change, push @ stretches_of(network, sparse).T, read)
+    return LinkChanges(change, push @ geometry_of(network, sparse)[1].T, read)
 
 
 def on_circle(angle: Floats, outside: float = 0.0) -> Complexes:

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Complexes, Floats, Indices
-from hapsim.theory.network.network import Network
-from hapsim.theory.rows import Rows, stretches_of, times, unit_rows
-from hapsim.theory.sample import is_large, loop, sizes_of
+from hapsim.theory.network.network import Network, kinetic_energy
+from hapsim.theory.rows import Rows, as_rows, geometry_of, times, unit_rows
+from hapsim.theory.sample import axes_of, is_large, loop, sizes_of
 
 
 class ContinuousMode(NamedTuple):
@@ -51,33 +51,52 @@ class ContinuousMode(NamedTuple):
 
 def matrices(network: Network, sparse: bool = False) -> tuple[Rows, Rows, Rows]:
     """Matrices (M, Z, K), each (C + M, C + M): kg, N·s/m, N/m."""
-    mass, stretches = np.concatenate([network.channel_mass, network.point_mass]), stretches_of(network, sparse)
+    mass, (stretches, pulls) = np.concatenate([network.channel_mass, network.point_mass]), geometry_of(network, sparse)
     one, others = unit_rows(mass.size, sparse), np.zeros(network.point_mass.size)
     Z, K = (
-        stretches.T @ times(of_links, stretches) + times(np.concatenate([own, others]), one)
+        pulls.T @ times(of_links, stretches) + times(np.concatenate([own, others]), one)
         for of_links, own in (
             (network.damping, network.channel_friction),
             (network.stiffness, network.channel_stiffness),
         )
     )
-    return times(mass, one), Z, K
+    M = times(mass, one)
+    if network.mass_coupling is not None:
+        M = M + as_rows(np.pad(network.mass_coupling, (0, others.size)), sparse)
+    return M, Z, K
+
+
+def free_motions(network: Network) -> tuple[Floats, Floats]:
+    """Returns motions ``begin`` + ``drift`` t, each (C + M, n), of a planar scene that no force changes: those at rest,
+    K begin = 0, and those that drift, Z drift + K begin = 0. Each is a pole at 1.
+
+    Rows are rounded themselves, so a null space is that of the singular values below ``_ROUNDED``. K need not be
+    symmetric: its left null space decides which motions are braked.
+    """
+    _, Z, K = matrices(network)
+    left, sizes, right = np.linalg.svd(K)
+    free = sizes <= _ROUNDED * sizes.max(initial=0.0)
+    rests = right[free].T
+    _, brakes, turned = np.linalg.svd(left[:, free].T @ Z @ rests)
+    drifts = rests @ turned[brakes <= _ROUNDED * np.abs(Z).max(initial=0.0)].T
+    return np.hstack([rests, -np.linalg.pinv(K, _ROUNDED) @ Z @ drifts]), np.hstack([0.0 * rests, drifts])
 
 
 def first_order(network: Network) -> Floats:
     """Matrix (2 C + 2 M, 2 C + 2 M) from positions and velocities to their rates of change, 1/s."""
     M, Z, K = matrices(network)
     size, mass = len(M), np.diag(M)[:, None]
-    return np.block([[np.zeros((size, size)), np.eye(size)], [-K / mass, -Z / mass]])
+    K, Z = (K / mass, Z / mass) if network.mass_coupling is None else np.linalg.solve(M, np.array([K, Z]))
+    return np.block([[np.zeros((size, size)), np.eye(size)], [-K, -Z]])
 
 
 def continuous_modes(network: Network) -> list[ContinuousMode]:
     """Returns every mode, including those at rest, the slowest to decay first."""
-    mass = np.concatenate([network.channel_mass, network.point_mass])
-    size = mass.size
+    size = network.channel_mass.size + network.point_mass.size
     if size == 0:
         return []
     roots, vectors = np.linalg.eig(first_order(network))
-    energy = mass[:, None] * np.abs(vectors[size:]) ** 2
+    energy = kinetic_energy(network, vectors[size:])
     total = energy.sum(axis=0)
     share = np.where(total > 0.0, energy / np.where(total > 0.0, total, 1.0), 1.0 / size)
     modes = [ContinuousMode(complex(roots[i]), share[:, i]) for i in range(roots.size) if roots[i].imag >= 0.0]
@@ -93,6 +112,8 @@ _RESTS = 1e-12  # radians and nepers in a sample; less is rest
 _SAME = 1e-6  # relative difference that rounding alone causes
 _WORST = 1e12  # condition number of the motions from which a pair is solved
 _SHOWN = 0.1  # rms share of the hands' velocity after an impulse in a motion that the hands take part in
+_ROUNDED = 1e-13  # of a matrix's largest singular value
+_ROUND = 1e-9  # largest relative difference of two directions in which the same is felt
 _TURNS = 10.0  # radians of the slowest motion of the hands: time over which a motion without decay is summed
 
 TOO_LARGE = "the scene is too large"
@@ -141,10 +162,12 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
             return no_pair(hands, "its numbers are out of range")
         eigen = np.linalg.eig(change)
     w, states = eigen
-    begin = sizes["position"] + sizes["mass"]
+    begin, basis = sizes["position"] + sizes["mass"], axes_of(network).basis
     kick = np.eye(len(states))[:, begin : begin + hands]
-    kept = np.abs(1.0 + w) > _MEMORY
-    s, at, share, carried = _motions(network, np.log1p(w.astype(complex)), states, states[begin : begin + hands], kick)
+    kept, moved, speeds = np.abs(1.0 + w) > _MEMORY, states[:begin], states[begin : begin + hands]
+    if basis is not None:
+        kick, speeds, moved = kick @ basis.T, basis @ speeds, np.vstack([basis @ moved[:hands], moved[hands:]])
+    s, at, share, carried = _motions(network, np.log1p(w.astype(complex)), states, moved, speeds, kick)
     return _pair(network, _Motions(s[kept], at[:, kept], share[kept], carried[..., kept]), most)
 
 
@@ -156,8 +179,10 @@ def continuous_pair(network: Network, most: float = CARRIED) -> FeltPair:
     hands, size = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
     roots, states = np.linalg.eig(first_order(network))
     kick = np.eye(2 * size)[:, size : size + hands]
+    if network.mass_coupling is not None:
+        kick = kick @ np.linalg.inv(network.mass_matrix)
     s = np.asarray(roots / network.rate, complex)
-    motions = _motions(network, s, states, states[size : size + hands], kick)
+    motions = _motions(network, s, states, states[:size], states[size : size + hands], kick)
     return _pair(network, motions, most)
 
 
@@ -169,39 +194,80 @@ def static_stiffness(network: Network) -> Floats:
     return np.asarray(K[:hands, :hands] - K[:hands, hands:] @ follows)
 
 
+class Direction(NamedTuple):
+    """Direction in the plane with what a hand feels along it: k, N/m, and b, N·s/m. The angle runs from x towards y,
+    0 <= angle < pi, rad: a direction and its opposite are the same."""
+
+    angle: float
+    k: float
+    b: float
+
+
+def principal(pair_k: Floats, pair_b: Floats) -> tuple[Direction, Direction]:
+    """Returns the two principal directions of a felt pair (2, 2) in the plane, at right angles, the stiffest first: the
+    eigenvectors of the symmetric part of k, with k and b along each. If k is the same in all directions, they are those
+    of b, the most damped first; if b is so too, x and y."""
+    k, b = (0.5 * (np.asarray(one, float) + np.transpose(one)) for one in (pair_k, pair_b))
+
+    def angle(of: Floats) -> float | None:
+        """Angle of the largest value of a symmetric matrix; None if it is round."""
+        along, across = 0.5 * (of[0, 0] - of[1, 1]), of[0, 1]
+        is_round = math.hypot(along, across) <= _ROUND * float(np.abs(of).max())
+        return None if is_round else 0.5 * math.atan2(across, along)
+
+    first = next((one for one in (angle(k), angle(b)) if one is not None), 0.0)
+    found = []
+    for turn in (first, first + 0.5 * math.pi):
+        n = np.array([math.cos(turn), math.sin(turn)])
+        at = turn % math.pi
+        found.append(Direction(at if at < math.pi else 0.0, float(n @ k @ n), float(n @ b @ n)))
+    return found[0], found[1]
+
+
 def no_pair(hands: int, reason: str, share: float = 0.0, others: float = 1.0, at: tuple[float, ...] = ()) -> FeltPair:
     """Returns a ``FeltPair`` of NaN for this number of hands, with the reason."""
     return FeltPair(np.full((hands, hands), np.nan), np.full((hands, hands), np.nan), share, others, at, reason)
 
 
-def _motions(network: Network, s: Complexes, states: Complexes, speeds: Complexes, kick: Floats) -> _Motions:
-    """Returns the motions. ``speeds`` (C, n): the hands' velocities in each. ``kick`` (size, C): the state after an
-    impulse on each hand."""
-    mass, hands = np.concatenate([network.channel_mass, network.point_mass]), network.channel_mass.size
-    energy = mass[:, None] * np.abs(states[: mass.size]) ** 2
+def _motions(
+    network: Network, s: Complexes, states: Complexes, moved: Complexes, speeds: Complexes, kick: Floats
+) -> _Motions:
+    """Returns the motions. ``moved`` (C + M, n), ``speeds`` (C, n): the points' positions and the hands' velocities in
+    each. ``kick`` (size, C): the state after an impulse on each hand."""
+    hands, energy = network.channel_mass.size, kinetic_energy(network, moved)
     share = np.nan_to_num(energy[:hands].sum(axis=0) / energy.sum(axis=0))
     try:
         amounts = np.linalg.solve(states, kick.astype(complex))
     except np.linalg.LinAlgError:
         amounts = np.linalg.lstsq(states, kick.astype(complex), rcond=None)[0]
-    return _Motions(s, states[:hands], share, speeds[:, None, :] * amounts.T[None, :, :])
+    return _Motions(s, moved[:hands], share, speeds[:, None, :] * amounts.T[None, :, :])
 
 
 def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
     """Returns the pair. ``most``: limit of the share of other motions, except for one hand without masses."""
     hands, rate, (s, at, share, carried) = network.channel_mass.size, network.rate, motions
-    own = np.flatnonzero(share >= OWN_SHARE)
-    own = own[np.argsort(np.abs(s[own]), kind="stable")[: 2 * hands]]
+    begins, drifts = np.zeros((2, hands, 0))
+    if network.rows is not None and not network.point_mass.size:
+        begins, drifts = free_motions(network)  # of them the eigenvectors coincide
+    theirs = np.flatnonzero(share >= OWN_SHARE)
+    theirs = theirs[np.argsort(np.abs(s[theirs]), kind="stable")[: 2 * hands]]
+    own = theirs[begins.shape[1] :]
     sums = _sums(s, own)
-    others = _others(s, carried, own, sums)
+    others = _others(s, carried, theirs, sums)
     alone = (np.abs(carried) ** 2).sum(axis=(0, 1)) * np.diagonal(sums).real
     least = (_SHOWN / 2.0) ** 2 * _squared(carried.reshape(-1, s.size), sums)  # for each of a conjugate pair
     shown = [i for i in np.argsort(-alone) if s[i].imag > 0.0 and alone[i] > least]
     found = tuple(float(abs(s[i]) * rate / (2.0 * np.pi)) for i in shown)
     X, of = at[:, own], s[own] * rate
-    both = np.vstack([X, X * of])
-    alike = np.vstack([X, X * of / max(np.abs(of).max(initial=0.0), 1e-300)])
-    if own.size < 2 * hands or any(np.abs(s[own] - one.conj()).min() > _SAME * abs(one) for one in s[own]):
+    if network.mass_coupling is None:
+        inertia = network.channel_mass[:, None] * X * of**2
+    else:
+        inertia = network.mass_matrix @ (X * of**2)
+    pairs = (begins, X), (drifts, X * of), (0.0 * drifts, inertia)
+    X, moving, inertia = (np.hstack(pair) for pair in pairs)
+    both = np.vstack([X, moving])
+    alike = np.vstack([X, moving / max(np.abs(of).max(initial=0.0 if own.size else rate), 1e-300)])
+    if theirs.size < 2 * hands or any(np.abs(s[own] - one.conj()).min() > _SAME * abs(one) for one in s[own]):
         reason = TOGETHER
     elif (np.abs(np.abs(s[own].imag) - np.pi) < _SAME).any():
         reason = "its own motion changes its direction with every sample"
@@ -210,9 +276,9 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
     elif not np.linalg.cond(alike / np.linalg.norm(alike, axis=0)) < _WORST:
         reason = "two of its own motions coincide"
     else:
-        kb = -np.linalg.solve(both.T, (network.channel_mass[:, None] * X * of**2).T).T.real
-        return FeltPair(np.asarray(kb[:, :hands]), np.asarray(kb[:, hands:]), float(share[own].min()), others, found)
-    return no_pair(hands, reason, float(share[own].min(initial=1.0)), others, found)
+        kb = -np.linalg.solve(both.T, inertia.T).T.real
+        return FeltPair(np.asarray(kb[:, :hands]), np.asarray(kb[:, hands:]), float(share[theirs].min()), others, found)
+    return no_pair(hands, reason, float(share[theirs].min(initial=1.0)), others, found)
 
 
 def _others(s: Complexes, carried: Complexes, own: Indices, sums: Complexes) -> float:

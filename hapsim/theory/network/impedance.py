@@ -60,7 +60,7 @@ def loop_impedance(network: Network, frequency: ArrayLike) -> LoopImpedance:
     w = on_circle(theta[some])
     through = delay_and_hold(theta[some], network.delay, network.hold, network.sampling) / (2j * np.pi * f[some])
     found = np.full((2, f.size, channels, channels), np.nan, dtype=complex)
-    found[0, some] = device_forces(network, w)[:, None] * np.eye(channels)
+    found[0, some] = device_matrix(network, w)
     found[1, some] = _loop_forces(network, w)[0]
     found[:, some] *= through[:, None, None]
     return LoopImpedance(*found)
@@ -84,10 +84,18 @@ def desired_impedance(network: Network, frequency: ArrayLike) -> Complexes:
     return np.array(found, complex).reshape(-1, channels, channels)
 
 
+def device_matrix(network: Network, w: Complexes) -> Complexes:
+    """Forces (n, C, C), N z^n, that produce a reading of 1 m z^n on one channel and of 0 on the others, without links,
+    at w = z - 1 (n,)."""
+    channels = network.channel_mass.size
+    forces = _loop_forces(part_of(network, np.arange(channels), linked=False), w)[1]
+    return np.asarray(forces * np.eye(channels) if network.mass_coupling is None else forces)
+
+
 def device_forces(network: Network, w: Complexes) -> Complexes:
-    """Forces (n, C), N z^n, that produce a reading of 1 m z^n on each channel alone, at w = z - 1 (n,)."""
-    alone = part_of(replace(network, ends=np.full_like(network.ends, -1)), np.arange(network.channel_mass.size))
-    return np.asarray(np.diagonal(_loop_forces(alone, w)[1], axis1=1, axis2=2))
+    """Forces (n, C), N z^n, that produce a reading of 1 m z^n on each channel alone, at w = z - 1 (n,); of coupled
+    channels, while the others are held."""
+    return np.asarray(np.diagonal(device_matrix(network, w), axis1=1, axis2=2))
 
 
 def _loop_forces(network: Network, w: Complexes) -> Complexes:

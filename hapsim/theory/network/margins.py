@@ -2,7 +2,7 @@
 
 For a small scene under CORDIS's scheme, one eigenvalue problem for each link and quantity gives every factor at which a
 pole crosses the unit circle. For a large one the circle is sampled (both: ``crossings.py``). For the other schemes,
-substeps and implicit masses a search tests the poles at many factors.
+substeps, implicit masses and links of several rows a search tests the poles at many factors.
 """
 
 from __future__ import annotations
@@ -20,7 +20,15 @@ from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.crossings import Crossings, margins_along_circle
 from hapsim.theory.network.large_modes import solve
 from hapsim.theory.network.modes import SURELY, settled
-from hapsim.theory.network.network import Network, is_centred, margin_links, touches_channel
+from hapsim.theory.network.network import (
+    Network,
+    is_centred,
+    link_count,
+    links_of_rows,
+    margin_links,
+    rows_of,
+    touches_channel,
+)
 from hapsim.theory.sample import loop, state_size
 
 MOST_STATES = 300  # numbers in the state of a scene whose crossings are all computed
@@ -84,27 +92,35 @@ def margins_of(network: Network, poles: Complexes | None = None) -> Margins:
     unstable. ``poles``: those of the scene, if known."""
     poles = solve(network).poles if poles is None else poles
     if not np.isfinite(poles).all():
-        unknown = [Margin(math.nan, math.nan)] * len(network.ends)
+        unknown = [Margin(math.nan, math.nan)] * link_count(network)
         return Margins(unknown, "none was worked out: the scene's numbers are out of range")
     unstable = bool((np.abs(poles) > SURELY).any())
     links = margin_links(network)
-    touching = touches_channel(network, links)
+    number = links_of_rows(network)
+    touching = np.isin(links, number[touches_channel(network, np.arange(number.size))])
     links = links[np.argsort(~touching, kind="stable")]
     size = state_size(network)
-    if not is_centred(network):
+    centred = is_centred(network) and (network.rows is None or (size <= MOST_STATES and _is_of_rank_one(network)))
+    if not centred:
         search = _by_poles(network, links.size, size, unstable)
     elif size <= MOST_STATES:
         search = _by_crossings(network, links.size, size, int(touching.sum()), unstable)
     else:
         few = links if links.size <= MOST_CIRCLE_LINKS else links[: touching.sum()]
         search = _along_circle(network, few, links.size, poles, unstable)
-    with one_thread(is_centred(network) and MANY_STATES < size <= MOST_STATES):
+    with one_thread(centred and MANY_STATES < size <= MOST_STATES):
         found = {
-            (link, quantity): search.ranges(link, quantity) if value[link] != 0.0 else None
+            (link, quantity): search.ranges(link, quantity) if value[rows_of(network, link)].any() else None
             for link in links[: search.most].tolist()
             for quantity, value in enumerate((network.stiffness, network.damping))
         }
     return _collected(network, links, found, unstable)._replace(method=search.method if links.size else "")
+
+
+def _is_of_rank_one(network: Network) -> bool:
+    """Returns whether no link has its stiffness, or its damping, in several rows."""
+    own = (links_of_rows(network)[value != 0.0] for value in (network.stiffness, network.damping))
+    return all(np.bincount(links).max(initial=0) <= 1 for links in own)
 
 
 def _by_crossings(network: Network, links: int, size: int, touching: int, unstable: bool) -> _Search:
@@ -113,7 +129,8 @@ def _by_crossings(network: Network, links: int, size: int, touching: int, unstab
 
     def ranges(link: int, quantity: int) -> tuple[Range, ...]:
         assert crossings is not None
-        return ChangedLink(network, link, quantity).ranges_between(crossings.factors(link, quantity), unstable)
+        changed = ChangedLink(network, link, quantity)
+        return changed.ranges_between(crossings.factors(changed.row, quantity), unstable)
 
     return _Search(most, f"{most} of {links} links, those that touch a hand first" if links > most else "", ranges)
 
@@ -125,6 +142,7 @@ def _by_poles(network: Network, links: int, size: int, unstable: bool) -> _Searc
     if not most:
         under = f"under scheme: {network.scheme}" if network.substeps == 1 else "with substeps"
         under = "with a proxy" if network.implicit.any() else under
+        under = under if network.rows is None else "in the plane"
         method = f"none was worked out: the scene has too many masses {under}"
     elif links > most:
         method = f"{most} of {links} links, those that touch a hand first; {method}"
@@ -146,9 +164,9 @@ def _collected(
 ) -> Margins:
     """Returns the margins. ``links``: all with margins; ``found``: their ranges, None if a factor changes nothing."""
     nothing = 0.0 if unstable else math.inf
-    factors = np.full((len(network.ends), 2), nothing)
+    factors = np.full((link_count(network), 2), nothing)
     factors[links] = math.nan
-    stabilizing: list[list[tuple[Range, ...] | None]] = [[(), ()] for _ in network.ends]
+    stabilizing: list[list[tuple[Range, ...] | None]] = [[(), ()] for _ in factors]
     for link in links.tolist():
         stabilizing[link] = [None, None]
     for (link, quantity), ranges in found.items():
@@ -167,13 +185,18 @@ class ChangedLink:
     nearest above 1 in which it becomes stable."""
 
     def __init__(self, network: Network, link: int, quantity: int) -> None:
-        self._network, self._link = network, link
+        self._network, self._rows = network, rows_of(network, link)
         self._name = ("stiffness", "damping")[quantity]
+
+    @property
+    def row(self) -> int:
+        """First of the link's rows that has the quantity."""
+        return int(self._rows[getattr(self._network, self._name)[self._rows] != 0.0][0])
 
     def is_stable(self, factor: float) -> bool:
         """Returns whether no pole is outside the circle with that factor; False if the loop's matrix is not finite."""
         value = getattr(self._network, self._name).copy()
-        value[self._link] *= factor
+        value[self._rows] *= factor
         changed = replace(self._network, **{self._name: value})
         change = loop(changed).change
         if not np.isfinite(change).all():

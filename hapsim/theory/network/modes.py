@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hapsim.theory.arrays import Complexes, Floats, sort_by_modulus
 from hapsim.theory.network.large_loop import sparse_step
-from hapsim.theory.network.network import Network
+from hapsim.theory.network.network import Network, kinetic_energy
 from hapsim.theory.network.rest_poles import poles_at_rest
 from hapsim.theory.rows import cut, stack, unit_rows
 from hapsim.theory.sample import Sample, is_large, loop, step_of
@@ -146,10 +146,9 @@ def snap_to_rest(network: Network, poles: Complexes) -> Complexes:
 
 def modes_of(network: Network, poles: Complexes, motions: NDArray, states: NDArray) -> list[Mode]:
     """Returns the modes, the slowest first, of poles with ``motions`` (C + M, n) and whole ``states`` (size, n)."""
-    mass = np.concatenate([network.channel_mass, network.point_mass])
     order = np.lexsort((-poles.real, -np.abs(poles)))
     kept = [i for i in order if poles[i].imag >= 0.0 and abs(poles[i]) > NO_MOTION]
-    energy, turns = mass[:, None] * np.abs(motions) ** 2, np.zeros(poles.size)
+    energy, turns = kinetic_energy(network, motions), np.zeros(poles.size)
     if network.substeps > 1:
         turned, moving = _steps_of_motions(network, poles, states)
         turns = np.nan_to_num(np.round((turned - np.angle(poles)) / (2.0 * np.pi)))
@@ -180,6 +179,6 @@ def _steps_of_motions(network: Network, poles: Complexes, states: NDArray) -> tu
         after = step @ motion
         ways = [*ways[:1], *ways[-1:], (after - motion)[points]]  # the first, the last but one, the last
         turned += np.angle((mass * ways[-2:][0].conj() * ways[-1]).sum(axis=0))
-        energy += mass * np.abs(ways[-1]) ** 2
+        energy += kinetic_energy(network, ways[-1])
         motion = after
     return turned + np.angle((mass * ways[-1].conj() * poles * ways[0]).sum(axis=0)), energy

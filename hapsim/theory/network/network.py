@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from hapsim.dampers import DamperModel
 from hapsim.holds import HOLDS
-from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, not_negative, one_of, positive, vector
+from hapsim.theory.arrays import Bools, Floats, Indices, link_ends, matrix, not_negative, one_of, positive, vector
 from hapsim.theory.interface import SAMPLINGS, Ahead, damper_named
 from hapsim.theory.schemes import SCHEMES, LinkNature
 
 BACKWARD = damper_named("backward", None, 1.0)
 DECIMATIONS = ("last", "mean")
+EVERY = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +39,19 @@ class Network:
     An implicit mass moves by m/T² (x[n] - 2 x[n-1] + x[n-2]) = F[n], with F[n] at this same x[n]. No link joins two of
     them, and dampers there are backward.
 
+    In the plane a point is the x or the y of something that moves, and a link is one ``rows`` or several in place of
+    ``ends``. With d the stretch of a row, its tension is K d[n] + (B/T) v[n], and the points are pulled by -``pulls``
+    times it. The two differ where a motion along a surface changes the force across it, as friction does.
+
     Attributes:
         rate: sample rate, Hz, > 0.
-        channel_mass: (C,) real masses, kg, > 0.
+        channel_mass: (C,) real masses, kg, > 0. Given as a symmetric positive definite matrix (C, C), it is the
+            diagonal, and ``mass_coupling`` has the rest.
         channel_friction: (C,) real viscous frictions b0, N·s/m, >= 0.
         delay: sample periods from the sampling of a position to the change of the force that answers it, >= 0.
         hold: name in HOLDS. sampling: "ideal" or "average". As for ``Configuration``.
         point_mass: (M,) simulated masses, kg, > 0.
-        ends: (L, 2) the two points that each link joins.
+        ends: (L, 2) the two points that each link joins; empty with ``rows``.
         stiffness: (L,) K in N/m.
         damping: (L,) B in N·s/m.
         channel_stiffness: (C,) real springs k0 from the channels' masses to x = 0, N/m, >= 0. Default: none.
@@ -59,6 +65,11 @@ class Network:
         ahead: the links see the channels ahead of their readings, as of a device that senses velocity and acceleration;
             None: at their readings.
         implicit: (M,) masses with an implicit step, under CORDIS's scheme without substeps. Default: none.
+        rows: (L, C + M) stretch of each row from the points' positions, in place of ``ends``. Default: none.
+        pulls: (L, C + M) direction in which the tension of each row pulls the points. Default: ``rows``.
+        link_of_row: (L,) number of the link that a row belongs to, for margins: they scale all rows of a link together.
+            Default: each row is a link.
+        mass_coupling: (C, C) real masses beside the diagonal, kg; not with own springs, nor ``ahead``. Default: none.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -83,11 +94,17 @@ class Network:
     decimation: str = "last"
     ahead: Ahead | None = None
     implicit: Bools = ()  # type: ignore[assignment]
+    rows: Floats | None = None
+    pulls: Floats | None = None
+    link_of_row: Indices = ()  # type: ignore[assignment]
+    mass_coupling: Floats | None = None
 
     def __post_init__(self) -> None:
-        mass = vector("channel_mass", self.channel_mass, above=0.0)
+        mass, coupling = _masses(self.channel_mass, self.mass_coupling)
         point_mass = vector("point_mass", self.point_mass, above=0.0)
         ends = link_ends("ends", self.ends, mass.size + point_mass.size)
+        rows, pulls = self._checked_rows(mass.size + point_mass.size)
+        links = len(ends) if rows is None else len(rows)
         own = np.zeros(mass.size) if len(self.channel_stiffness) == 0 else self.channel_stiffness
         checked: dict[str, Any] = {
             "rate": positive("rate", self.rate),
@@ -98,26 +115,71 @@ class Network:
             "sampling": one_of("sampling", self.sampling, SAMPLINGS),
             "point_mass": point_mass,
             "ends": ends,
-            "stiffness": vector("stiffness", self.stiffness, len(ends)),
-            "damping": vector("damping", self.damping, len(ends)),
+            "stiffness": vector("stiffness", self.stiffness, links),
+            "damping": vector("damping", self.damping, links),
             "channel_stiffness": vector("channel_stiffness", own, mass.size, least=0.0),
-            "damper": tuple(self.damper) or (BACKWARD,) * len(ends),
+            "damper": tuple(self.damper) or (BACKWARD,) * links,
             "scheme": one_of("scheme", self.scheme, SCHEMES),
             "outside": tuple(self.outside),
             "substeps": int(positive("substeps", self.substeps)),
             "decimation": one_of("decimation", self.decimation, DECIMATIONS),
             "implicit": np.array(self.implicit, bool) if len(self.implicit) else point_mass < 0.0,
+            "rows": rows,
+            "pulls": pulls,
+            "link_of_row": np.array(self.link_of_row, np.intp),
+            "mass_coupling": coupling,
         }
-        for name in ("damper", "outside"):
-            if checked[name] and len(checked[name]) != len(ends):
-                raise ValueError(f"{name} has {len(checked[name])} elements, but there are {len(ends)} links.")
+        for name in ("damper", "outside", "link_of_row"):
+            if len(checked[name]) not in {0, links}:
+                raise ValueError(f"{name} has {len(checked[name])} elements, but there are {links} links.")
+        if coupling is not None and (checked["channel_stiffness"].any() or self.ahead is not None):
+            raise ValueError("mass_coupling takes no channel_stiffness and no motion that is seen ahead.")
         if checked["implicit"].any():
+            if rows is not None:
+                raise ValueError("implicit masses take ends, not rows.")
             at = np.concatenate([mass < 0.0, checked["implicit"], [False]])[ends]  # the last is a ground
             backward = np.array([one == BACKWARD for one in checked["damper"]], bool)
             if (at.sum(axis=1) > backward).any() or (self.scheme, self.substeps) != ("cordis", 1):
                 raise ValueError("implicit masses take no link between two, backward dampers alone, no other scheme.")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+
+    def _checked_rows(self, points: int) -> tuple[Floats | None, Floats | None]:
+        """Returns ``rows`` and ``pulls``; both are None where links have ends."""
+        if self.rows is None:
+            if self.pulls is not None or len(self.link_of_row):
+                raise ValueError("pulls and link_of_row need rows.")
+            return None, None
+        if len(self.ends):
+            raise ValueError("a network has ends or rows, not both.")
+        rows = matrix("rows", self.rows, points)
+        pulls = rows if self.pulls is None else matrix("pulls", self.pulls, points)
+        if len(pulls) != len(rows):
+            raise ValueError(f"pulls has {len(pulls)} rows, but it has to have {len(rows)}, as rows has.")
+        return rows, pulls
+
+    @property
+    def mass_matrix(self) -> Floats:
+        """Real masses, (C, C), kg."""
+        return np.diag(self.channel_mass) + (0.0 if self.mass_coupling is None else self.mass_coupling)
+
+
+def _masses(given: Any, coupling: Any) -> tuple[Floats, Floats | None]:
+    """Returns the diagonal (C,) of the channels' masses, and the matrix (C, C) of the others; None if they are 0."""
+    if np.ndim(given) == 2:
+        whole = matrix("channel_mass", given, len(given))
+        given = whole.diagonal()
+        coupling = whole - np.diag(given) if len(given) == len(whole) else None
+    mass = vector("channel_mass", given, above=0.0)
+    if coupling is None or not np.any(coupling):
+        return mass, None
+    coupling = matrix("mass_coupling", coupling, mass.size)
+    whole = np.diag(mass) + coupling
+    if len(coupling) != mass.size or coupling.diagonal().any() or not (coupling == coupling.T).all():
+        raise ValueError("the masses of coupled channels have to be a symmetric matrix.")
+    if np.linalg.eigvalsh(whole)[0] <= 0.0:
+        raise ValueError("the masses of coupled channels have to be a positive definite matrix.")
+    return mass, coupling
 
 
 def is_centred(network: Network) -> bool:
@@ -127,7 +189,9 @@ def is_centred(network: Network) -> bool:
 
 
 def acting_links(network: Network) -> Indices:
-    """Links that join two different points, or a point and a ground."""
+    """Links that join two different points, or a point and a ground; of rows, those that stretch and pull."""
+    if network.rows is not None and network.pulls is not None:
+        return np.flatnonzero(network.rows.any(axis=1) & network.pulls.any(axis=1))
     return np.flatnonzero(network.ends[:, 0] != network.ends[:, 1])
 
 
@@ -138,9 +202,26 @@ def damping_links(network: Network) -> Indices:
 
 
 def margin_links(network: Network) -> Indices:
-    """Acting links whose margins are wanted."""
-    links = acting_links(network)
+    """Acting links whose margins are wanted, by the scene's numbers."""
+    links = np.unique(links_of_rows(network)[acting_links(network)])
     return links if network.margin_links is None else links[links < network.margin_links]
+
+
+def links_of_rows(network: Network) -> Indices:
+    """Number of the link that each row belongs to, (L,); without rows a link's own number."""
+    return network.link_of_row if network.link_of_row.size else np.arange(network.stiffness.size)
+
+
+def rows_of(network: Network, link: int) -> Indices:
+    """Rows of a link."""
+    return np.flatnonzero(network.link_of_row == link) if network.link_of_row.size else np.array([link])
+
+
+def link_count(network: Network) -> int:
+    """Number of links, with those that have no row now."""
+    if network.rows is None:
+        return len(network.ends)
+    return max(int(links_of_rows(network).max(initial=-1)) + 1, network.margin_links or 0)
 
 
 def inner_links(network: Network) -> Indices:
@@ -156,8 +237,18 @@ def inner_links(network: Network) -> Indices:
 
 def touches_channel(network: Network, links: Indices) -> Bools:
     """Flags (n,): which of these links end at a channel."""
+    place, point = joined_points(network, links)
+    return np.bincount(place[point < network.channel_mass.size], minlength=links.size) > 0
+
+
+def joined_points(network: Network, links: Indices | Bools | slice = EVERY) -> tuple[Indices, Indices]:
+    """Pairs (place among ``links``, point), for each point that one of these links joins, by links."""
+    if network.rows is not None and network.pulls is not None:
+        place, point = np.nonzero((network.rows[links] != 0.0) | (network.pulls[links] != 0.0))
+        return place, point
     ends = network.ends[links]
-    return np.any((ends >= 0) & (ends < network.channel_mass.size), axis=1)
+    place, end = np.nonzero(ends >= 0)
+    return place, ends[place, end]
 
 
 @lru_cache(64)
@@ -168,6 +259,16 @@ def _nature(damper: DamperModel, at_channel: bool) -> LinkNature:
 def is_memoryless(damper: DamperModel) -> bool:
     """Returns whether the damper's velocity depends on the newest two positions alone, or is sensed."""
     return len(damper.of_positions) <= 2 and not damper.of_velocities
+
+
+def parts_of(network: Network, links: Indices | Bools | slice = EVERY, also: Sequence[Sequence[int]] = ()) -> Indices:
+    """Part of each point (C + M,): equal numbers for points that these links join, or a mass matrix. ``also``: pairs of
+    points that count as joined, such as the x and the y of a hand."""
+    place, point = joined_points(network, links)
+    pairs = np.column_stack([point[:-1], point[1:]])[place[1:] == place[:-1]]
+    masses = np.zeros((0, 2), np.intp) if network.mass_coupling is None else np.argwhere(network.mass_coupling)
+    whole = np.concatenate([pairs, masses, np.array(also, np.intp).reshape(-1, 2)])
+    return part_of_each(whole, network.channel_mass.size + network.point_mass.size)
 
 
 def part_of_each(ends: Indices, points: int) -> Indices:
@@ -185,12 +286,14 @@ def part_of_each(ends: Indices, points: int) -> Indices:
     return np.array([part(point) for point in range(points)], dtype=np.intp)
 
 
-def part_of(network: Network, points: Indices) -> Network:
-    """Returns the network of these points, ascending, and of the links that join no other point."""
+def part_of(network: Network, points: Indices, linked: bool = True) -> Network:
+    """Returns the network of these points, ascending, and of the links that join no other point; ``linked`` False:
+    without links."""
     number = np.full(network.channel_mass.size + network.point_mass.size + 1, -2)
     number[points], number[-1] = np.arange(points.size), -1
-    ends = number[network.ends]
-    links = np.flatnonzero((ends > -2).all(axis=1) & (ends >= 0).any(axis=1))
+    place, point = joined_points(network)
+    links = np.setdiff1d(place, place[number[point] == -2]) if linked else place[:0]
+    rows, pulls, coupling = network.rows, network.pulls, network.mass_coupling
     channels = points[points < network.channel_mass.size]
     masses = points[channels.size :] - network.channel_mass.size
     of_channels = ("channel_mass", "channel_friction", "channel_stiffness")
@@ -199,13 +302,29 @@ def part_of(network: Network, points: Indices) -> Network:
         **{name: getattr(network, name)[channels] for name in of_channels},
         point_mass=network.point_mass[masses],
         implicit=network.implicit[masses],
-        ends=ends[links],
+        ends=number[network.ends[links]] if rows is None else network.ends,
+        rows=None if rows is None else rows[np.ix_(links, points)],
+        pulls=None if pulls is None else pulls[np.ix_(links, points)],
+        link_of_row=network.link_of_row if rows is None else links_of_rows(network)[links],
+        mass_coupling=None if coupling is None else coupling[np.ix_(channels, channels)],
         stiffness=network.stiffness[links],
         damping=network.damping[links],
         damper=tuple(network.damper[link] for link in links.tolist()),
         outside=tuple(network.outside[link] for link in links.tolist()) if network.outside else (),
         margin_links=None,
     )
+
+
+def kinetic_energy(network: Network, velocities: NDArray) -> Floats:
+    """Kinetic energy (C + M, n) of each point, in any unit, at these velocities (C + M, n). That of coupled masses M is
+    divided by the parts of M^1/2 v, of which none is negative."""
+    mass = np.concatenate([network.channel_mass, network.point_mass])
+    energy = mass[:, None] * np.abs(velocities) ** 2
+    if network.mass_coupling is not None:
+        values, vectors = np.linalg.eigh(network.mass_matrix)
+        root, hands = vectors * np.sqrt(values) @ vectors.T, len(values)
+        energy[:hands] = np.abs(root @ velocities[:hands]) ** 2
+    return np.asarray(energy)
 
 
 def proves_stability(network: Network) -> bool:
@@ -217,7 +336,8 @@ def proves_stability(network: Network) -> bool:
     is outside the unit circle if k, b >= 0 and 4 m >= k T² + 2 b T (Jury). Every v satisfies this if the sum of each
     row's absolute values does (Gershgorin).
     """
-    if network.channel_mass.size or SCHEMES[network.scheme] is not None or network.implicit.any():
+    is_planar = network.rows is not None
+    if is_planar or network.channel_mass.size or SCHEMES[network.scheme] is not None or network.implicit.any():
         return False
     links, dampers = acting_links(network), (network.damper[link] for link in damping_links(network).tolist())
     stiffness, damping, ends = network.stiffness[links], network.damping[links], network.ends[links]

@@ -23,6 +23,7 @@ from functools import cache
 import numpy as np
 
 from hapsim.theory.arrays import Bools, Floats, Indices
+from hapsim.theory.network.felt import free_motions
 from hapsim.theory.network.network import Network, part_of_each
 
 MOST_WORK = 10_000_000  # multiplications for a part of the scene: some seconds
@@ -36,6 +37,8 @@ class TooMuchWorkError(Exception):
 
 def poles_at_rest(network: Network) -> int:
     """Number of poles that are 1 by the structure of the scene alone."""
+    if network.rows is not None:
+        return free_motions(network)[0].shape[1]
     springs = network.stiffness != 0.0
     brakes = springs | (network.damping != 0.0)
     tied = _at_points(network, network.channel_stiffness) > 0.0

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -86,7 +86,8 @@ class HeldScene:
     def _rows(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Rows of the scene's own state: its change in a sample, from itself and from the hands' positions and last
         steps; and the forces from both."""
-        change, _, _, force, _ = loop(self.network, inputs=True)
+        still = replace(self.network, mass_coupling=None)  # the masses of held hands do not matter
+        change, _, _, force, _ = loop(still, inputs=True)
         starts, own, given = 0, np.zeros(len(change), bool), np.zeros(len(change), bool)
         for name, size in sizes_of(self.network).items():
             part = slice(starts, starts + size)
@@ -171,9 +172,11 @@ class HeldScene:
         network, one = self.network, np.eye(self.network.channel_mass.size)
         s = 1j * theta[:, None] * network.rate
         device = network.channel_mass * s + network.channel_friction + network.channel_stiffness / s
+        coupling = 0.0 if network.mass_coupling is None else s[:, :, None] * network.mass_coupling
         through = delay_and_hold(theta, network.delay, network.hold, network.sampling)
         rendered = self.forces(on_circle(theta)) * (through / s[:, 0])[:, None, None]
-        return np.asarray(1.0 / np.linalg.inv(device[:, None] * one + rendered)[:, channel, channel])
+        whole = device[:, None] * one + rendered + coupling
+        return np.asarray(1.0 / np.linalg.inv(whole)[:, channel, channel])
 
 
 @np.errstate(all="ignore")
