@@ -118,6 +118,13 @@ def legend_below(figure: Any, columns: int, **options: Any) -> None:
     figure.legend(loc="outside lower center", ncols=columns, **({"columnspacing": 1.5} | options))
 
 
+def once(label: str, used: set[str]) -> str:
+    """Returns the label for the first that has it; then one that no legend shows."""
+    shown = "_" if label in used else label
+    used.add(label)
+    return shown
+
+
 def save_rows(columns: Mapping[str, Iterable[Any]], path: Path) -> None:
     """Writes a picture's numbers as CSV, with every digit; nan stands where a line is broken."""
     with whole_file(path) as file, file.open("w", newline="", encoding="utf-8") as stream:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapsim.chart import style
-from hapsim.chart.figure import drawn_in, figure_to, legend_below
+from hapsim.chart.figure import drawn_in, figure_to, legend_below, once
 from hapsim.chart.hand import described
 from hapsim.errors import UsageError
 from hapsim.prediction import Region, predict
@@ -126,9 +126,9 @@ def draw_force(chart: ForceChart, path: Path) -> None:
             force = units.scaled(newtons, "N")
             error, mm = error_of(region), units.scaled(x, "mm")
             if not region.is_stable:
-                axes.axvspan(mm[0], mm[-1], label=_once("unstable", labels), **style.UNSTABLE_REGION)
+                axes.axvspan(mm[0], mm[-1], label=once("unstable", labels), **style.UNSTABLE_REGION)
             if region.kind == "snap":
-                axes.axvspan(mm[0], mm[-1], label=_once("snap", labels), **style.SNAP)
+                axes.axvspan(mm[0], mm[-1], label=once("snap", labels), **style.SNAP)
                 energy = units(region.snap_energy, "mJ", 3)
                 axes.text(float(mm.mean()), 0.98, energy, transform=axes.get_xaxis_transform(), **style.SNAP_ENERGY)
             look = (
@@ -152,10 +152,3 @@ def draw_force(chart: ForceChart, path: Path) -> None:
             format=lambda value, _: f"{100.0 * value:g} %",
         )
         legend_below(figure, 3)
-
-
-def _once(label: str, used: set[str]) -> str:
-    """Returns the label for the first that has it; then one that no legend shows."""
-    shown = "_" if label in used else label
-    used.add(label)
-    return shown

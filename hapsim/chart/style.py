@@ -88,6 +88,24 @@ SNAP_ENERGY: Look = {"fontsize": 8, "rotation": 90, "ha": "center", "va": "top",
 UNSTABLE_REGION: Look = {"facecolor": "none", "edgecolor": "0.5", "linewidth": 0, "hatch": "xxxx", "zorder": 0.6}
 HYSTERESIS: Look = {"facecolor": "#d9e6f0", "edgecolor": "#7fa8c9", "linewidth": 0.6, "zorder": 1}
 
+# Force over the plane.
+FIELD: Look = {"angles": "xy", "scale_units": "xy", "scale": 1.15, "width": 0.0028, "pivot": "mid", "zorder": 3}
+MATERIAL: Look = {"facecolor": "0.88", "edgecolor": "0.25", "linewidth": 1.2, "zorder": 1}
+OUTLINES: dict[str, Look] = {
+    "guide": {"color": "0.25", "linewidth": 1.4, "linestyle": (0, (5, 2)), "zorder": 2},
+    "of other points": {"color": "0.55", "linewidth": 0.9, "zorder": 2},
+    "travel": {"color": "0.45", "linewidth": 1.0, "linestyle": (0, (1, 2)), "zorder": 2},
+}
+PLACE: Look = {"marker": "o", "markersize": 5, "color": "black", "markeredgecolor": "white", "zorder": 5}
+PLACE_NAME: Look = {
+    "xytext": (5, 5),
+    "textcoords": "offset points",
+    "fontsize": 8.5,
+    "bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+    "zorder": 6,
+    "annotation_clip": True,
+}
+
 # How loud, over time and frequency.
 SOUND_LEVEL = "cubehelix_r"  # silence is as white as the page
 

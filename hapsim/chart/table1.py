@@ -19,7 +19,7 @@ from hapsim.chart.figure import figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.loop.counts import Progress
-from hapsim.measuring.measure import measure
+from hapsim.measuring.measure import measure_on_line as measure
 from hapsim.number_format import short
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.correction.element import element_for

@@ -17,6 +17,7 @@ from hapsim.cli.command_options import (
     load,
     numbers,
     option,
+    places,
     require_positive,
     require_units,
     scene_name,
@@ -305,16 +306,25 @@ def force(
     speed: float | None = option(
         "V", "Speed of the hand for the loop of friction and damping [default: 0.05 m/s or 2 rad/s]", unit="m/s"
     ),
+    area: str | None = option(
+        "X,Y:X,Y", "With space: 2: two opposite corners of the area drawn [default: around all that the scene has]"
+    ),
     output: ChartOutput,
 ) -> None:
     """Draw force over displacement, with the stiffness that the hand feels in each region.
 
-    The colour is the difference between felt and requested stiffness. Unstable regions are hatched.
+    The colour is the difference between felt and requested stiffness. Unstable regions are hatched. In a scene with
+    space: 2, arrows show the force on the hand at rest, among shapes, guides and points.
     """
     from hapsim.chart.force import columns_of, draw_force, force_chart
 
     output.choose("force.svg")
     loaded = load(scene)
+    if loaded.space > 1:
+        _force_field(scene, loaded, channel, speed, area, output)
+        return
+    if area is not None:
+        raise UsageError("--area: found a scene with one coordinate, expected space: 2")
     require_positive("--speed", speed, output_units().si.name("m/s"))
     hands = {point.channel: name for name, point in loaded.device_points.items()}
     name = hands.get(min(hands) if channel is None else channel)
@@ -330,6 +340,26 @@ def force(
     if not output.json:
         show(stdout(), hand_lines(name, chart.regions))
     output.close({"scene": scene, "name": name, "speed_m_s": speed, "regions": chart.regions})
+
+
+def _force_field(
+    path: str, scene: Scene, channel: int | None, speed: float | None, area: str | None, output: ChartOutput
+) -> None:
+    """Draws the force on a hand of the plane."""
+    from hapsim.chart.force_field import columns_of, draw_field, force_field
+
+    if speed is not None:
+        raise UsageError("--speed: found a scene with space: 2, whose force is drawn for a hand at rest")
+    names = {one: name for name in scene.modules for one in getattr(scene.modules[name], "all_channels", ())}
+    if (name := names.get(next(iter(names)) if channel is None else channel)) is None:
+        known = ", ".join(map(str, sorted(names)))
+        raise UsageError(f"--channel {channel}: the scene has nothing there; its device points are on: {known}")
+    field = force_field(scene, name, places("--area", area, 2))
+    output.write(lambda: columns_of(field), lambda path: draw_field(field, scene, path))
+    strongest = float(field.strength.max(initial=0.0))
+    if not output.json:
+        print_line(f"Strongest force on {name} in the area: {output_units()(strongest, 'N', 4)}")
+    output.close({"scene": path, "name": name, "area_m": field.area.tolist(), "strongest_N": strongest})
 
 
 def transparency(hand: HandOptions, simulated: SimulatedOptions, *, mass: Mass = None, output: ChartOutput) -> None:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 
 from hapsim.cli import check_details as details
-from hapsim.cli import check_hands
+from hapsim.cli import check_hands, check_plane
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
-from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, print_next, require_units, scene_name
+from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, places, print_next, scene_name
 from hapsim.cli.live import at_work
 from hapsim.cli.output import Line, document, show, stderr, stdout, table
 from hapsim.documents import pick
@@ -47,6 +47,9 @@ def check(
     scene: SceneFile,
     json: Json = False,
     at: At = None,
+    line: str | None = option(
+        "X,Y:X,Y", "With space: 2: what the first hand feels along this line, stretch by stretch.", "--along"
+    ),
     explain: bool = flag(
         "--explain", "Print every mode, margin and bound. Also compile the scene, and time its parts."
     ),
@@ -59,12 +62,15 @@ def check(
 ) -> None:
     """Predict stability, gain margins, and the stiffness and damping that the hand feels. Nothing is run."""
     loaded = load(scene)
-    require_units(loaded.units, at)
+    place = place_at(loaded, at)
+    if line is not None:
+        _show_along(scene, loaded, line, {"--at": at, "--explain": explain or None, "--hand-mass": hand_mass}, json)
+        return
     hands = check_hands.hand_ranges(loaded, hand_mass, hand_stiffness)
     if why := travel_error(loaded):
         raise UsageError(f"{scene_name(scene)}: {why}")
     with at_work(stderr(), "working out modes and gain margins"):
-        prediction = predict(loaded, at=at)
+        prediction = predict(loaded, at=place)
         on_wire = predict_on_wire(loaded)
         partials = partials_of(loaded, prediction) if loaded.sound else {}
         _ = prediction.margins  # computed while the line above is shown
@@ -94,9 +100,25 @@ def check(
         of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
     show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
     if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and not refused:
-        print_next("measure", scene, *(() if at is None else (f"--at={at.text}",)))
+        print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
     elif not explain:
         print_next("check", scene, "--explain")
+
+
+def _show_along(path: str, scene: Scene, line: str, others: dict[str, object], json: bool) -> None:
+    """Prints what the hand feels along a line."""
+    if scene.space == 1:
+        raise UsageError("--along: found a scene with one coordinate, expected space: 2; see --at")
+    if given := [name for name, value in others.items() if value is not None]:
+        raise UsageError(f"--along does not go with {given[0]}")
+    ends = places("--along", line, 2) or ()
+    with at_work(stderr(), "working out stretches"):
+        found = check_plane.along(scene, ends, json)
+    if isinstance(found, dict):
+        print(document({"scene": path, **found}))
+    else:
+        stdout().print(f"[bold]{escape(scene_name(path))}[/bold] along {escape(line)}")
+        show(stdout(), found)
 
 
 def _explanation(scene: Scene) -> Explanation:
@@ -133,6 +155,8 @@ def _stability(prediction: Prediction, is_slewed: bool) -> str:
     note = ""
     if snaps := [name for name, region in prediction.region_here.items() if region.kind == "snap"]:
         verdict, note = "[yellow]in a snap[/yellow]", f": the scene drives {', '.join(snaps)} on to the next region"
+    elif check_plane.is_sliding(prediction):
+        verdict, note = "[yellow]slides[/yellow]", f": {next(check_plane.slide_sentences(prediction), 'out of range')}"
     elif prediction.trembles:
         verdict, note = "[yellow]trembles[/yellow]", f": {', '.join(prediction.trembles)} swings by less than a count"
     elif not prediction.is_judged:
@@ -192,6 +216,7 @@ def check_lines(
         (BRIEF, _felt_summary(prediction)),
         (EXPLAIN, details.assumption_lines(prediction.assumptions)),
         (EXPLAIN, details.felt_lines(prediction)),
+        (BOTH, check_plane.place_lines(prediction)),
         (BRIEF, check_hands.together_lines(prediction)),
         (BOTH, check_hands.region_lines(scene, prediction)),
         (BOTH, check_hands.state_lines(prediction)),
@@ -251,7 +276,8 @@ def _margin_summary(prediction: Prediction) -> str:
     """Returns the smallest gain margin in a sentence."""
     if any(one.kind == "snap" for one in prediction.region_here.values()):
         return "In a snap there is no gain margin"
-    if not prediction.stable_as_taken and not prediction.at_limit:
+    slides = check_plane.is_sliding(prediction)
+    if not prediction.stable_as_taken and not prediction.at_limit and not slides:
         hands = [
             f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
             for felt in prediction.felt
@@ -264,9 +290,10 @@ def _margin_summary(prediction: Prediction) -> str:
     if not links:
         return "Gain margins were not worked out"
     how = f" ({SEARCHED})" if SEARCHED in prediction.margins_method else ""
-    how += "" if prediction.stable or prediction.at_limit else ", its contacts as they are taken below"
+    how += ", what slides being held" if slides else ""
+    how += "" if prediction.stable or prediction.at_limit or slides else ", its contacts as they are taken below"
     if math.isinf(details.change_to_limit(links[0])):
-        return f"Gain margin: no link makes it unstable{how}"
+        return f"Gain margin: no link makes it unstable{' here' if prediction.scene.space > 1 else ''}{how}"
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
     what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
     return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
@@ -320,6 +347,7 @@ def prediction_document(
         "device_points": _by_name(prediction.felt),
         "coupled_device_points": prediction.coupled,
         "felt_together": check_hands.together_document(prediction),
+        **check_plane.plane_document(prediction),
         "regions": prediction.regions,
         "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
         "contact_states": {

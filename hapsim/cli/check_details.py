@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
+from hapsim.cli.check_plane import is_sliding
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.felt_alone import felt_if_sensed
-from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
+from hapsim.prediction.force_bounds import force_bounds, largest_force, run_bounds, sign_warning, travel_in_words
 from hapsim.prediction.timing import wire_parts, wire_remedies
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import SURELY
@@ -176,7 +177,7 @@ def margin_lines(prediction: Prediction) -> Iterator[Line]:
     if not prediction.margins:
         return
     links = tightest(prediction)
-    if prediction.stable_as_taken or prediction.at_limit:
+    if prediction.stable_as_taken or prediction.at_limit or is_sliding(prediction):
         rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
         title, others = "Gain margins: a link makes the scene unstable at", "have larger margins"
     else:
@@ -306,14 +307,16 @@ def _soft_start(seconds: float) -> str:
 def travel_sentences(scene: Scene) -> Iterator[str]:
     """Yields the limits within which the force is the scene's, and where position 0 is, if the scene says so."""
     device, channels = scene.device, scene.channels
-    limits, margins = device.travels(channels), device.travel_margins(channels)
     for c, origin in enumerate(device.origins(channels)):
         where, units = f" of channel {c}" if channels > 1 else "", scene.units_of(c)
-        if device.travel is not None:
-            (least, most), stiffness = limits[c], device.force_limit / margins[c]
+        hand = scene.hand_of(c)
+        if device.travel is not None and c == hand[0]:
+            margin = scene.travel_margins[c]
+            stiffness, goes = largest_force(scene, c) / margin, travel_in_words(scene, c)
+            of_hand = where if len(hand) == 1 else f" of channels {' and '.join(map(str, hand))}"
             yield (
-                f"Travel{where}: {units.number(least, 'm', 'g')} to {units(most, 'm', 'g')}. Outside, the force fades "
-                f"to zero within {units(margins[c], 'm', 'g')} (a stiffness of up to "
+                f"Travel{of_hand}: {goes.removeprefix('from ')}. Outside, the force fades "
+                f"to zero within {units(margin, 'm', 'g')} (a stiffness of up to "
                 f"{units(stiffness, 'N/m', '.4g')}); a device that goes farther ends the run."
             )
         if device.origin is not None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.markup import escape
 
+from hapsim.cli import check_plane
 from hapsim.cli.command_options import quantity, require_units
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
@@ -189,7 +190,9 @@ _FREQUENCIES = 5  # of a sentence
 
 def together_lines(prediction: Prediction) -> Iterator[Line]:
     """Yields k, b and static stiffness of linked hands, beside the desired ones, and sentences about them."""
-    rows = [row for one in prediction.together for row in _pair_rows(one)]
+    plane = check_plane.in_plane(prediction)
+    every = (check_plane.principal_rows(plane, one) if plane else _pair_rows(one) for one in prediction.together)
+    rows = [row for each in every for row in each]
     if rows:
         yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
     yield from _sentences(prediction)
@@ -216,10 +219,10 @@ def _sentences(prediction: Prediction) -> Iterator[str]:
     for one in prediction.together:
         whys = "; ".join(f"[bold]{escape(name)}[/bold] {escape(prediction.coupled[name])}" for name in one.names)
         felt = one.felt
-        if not felt.reason:
+        if not felt.reason and prediction.scene.space == 1:
             pairs = " (of another hand: between them)" if len(one.names) > 1 else ""
             yield f"{whys}. Felt: k and b of its own oscillation{pairs}. Desired: the same without sampling and delay"
-        else:
+        elif felt.reason:
             modes = _modes(felt.frequencies_hz)
             yield f"{whys}: no single k and b describe what it feels, because {felt.reason}{modes}"
             yield from (_at_frequencies(one, i, output_units(channel)) for i, channel in enumerate(one.channels))
@@ -275,9 +278,11 @@ def together_document(prediction: Prediction) -> list[dict[str, Any]]:
     """Returns the same as a JSON document."""
     from hapsim.prediction import HAND_HZ
 
+    plane = check_plane.in_plane(prediction)
     return [
         {
             "device_points": one.names,
+            **({"principal": check_plane.principal_document(plane, one)} if plane else {}),
             "k": _matrix(one.felt.k),
             "b": _matrix(one.felt.b),
             "continuous": {"k": _matrix(one.asked_for.k), "b": _matrix(one.asked_for.b)},

@@ -72,8 +72,10 @@ class Quantity(float):
 
 
 At = Annotated[
-    Quantity | None,
-    option("X", "Position of the hand, such as 0.002 (m), 2mm or 15deg [default: at equilibrium]", _AT, unit="m"),
+    str | None,
+    option(
+        "X", "Position of the hand, such as 0.002 (m), 2mm or 15deg; with space: 2, X,Y [default: at equilibrium]", _AT
+    ),
 ]
 
 
@@ -216,7 +218,8 @@ class ExcitationOptions:
     def require_units(self, scene: Any, channels: Iterable[int]) -> None:
         """Raises UsageError where a quantity does not fit the hands on these channels."""
         for one in channels:
-            require_units(scene.units_of(one), self.at, self.push, self.travel, self.hand_stiffness)
+            place_at(scene, self.at, scene.units_of(one))
+            require_units(scene.units_of(one), self.push, self.travel, self.hand_stiffness)
 
     def for_runs(self, transport: Any, unstable: bool) -> dict[str, Any]:
         """Returns the keyword arguments of every measurement. `transport`: the TransportKind."""
@@ -352,6 +355,37 @@ def numbers(option: str, words: list[str] | None, unit: str = "") -> list[float]
                 f"{option}: found '{word}', expected a number, or several with commas between them"
             ) from None
     return sorted(found)
+
+
+def places(option: str, text: str | None, count: int) -> tuple[tuple[float, float], ...] | None:
+    """Returns the places X,Y of an option, with colons between them, in m; None where it is not given. Raises
+    UsageError."""
+    if text is None:
+        return None
+    try:
+        found = [tuple(quantity(option, word, "m") for word in place.split(",")) for place in text.split(":")]
+    except ValueError:
+        found = []
+    if len(found) != count or any(len(place) != 2 or not all(map(math.isfinite, place)) for place in found):
+        raise UsageError(f"{option}: found '{text}', expected {':'.join(['X,Y'] * count)}, such as 0.01,0 or 10mm,0")
+    return tuple((float(x), float(y)) for x, y in found)
+
+
+def place_at(scene: Any, text: str | None, units: Units | None = None) -> float | tuple[float, float] | None:
+    """Returns the position that `--at` names, m or rad: in the plane x and y; None where it is not given. `units`: of
+    the hand [default: the scene's]. Raises UsageError where it does not fit the scene."""
+    if text is None:
+        return None
+    if scene.space == 1 and "," in text:
+        raise UsageError(f"{_AT}: found {text}, expected a position in a scene with one coordinate")
+    if scene.space == 1:
+        value = _number_parser(partial(quantity, _AT, unit="m"), _AT, None, None)(text)
+        require_units(scene.units if units is None else units, value)
+        return value
+    if "," not in text:
+        raise UsageError(f"{_AT}: found {text}, expected X,Y in a scene with space: 2")
+    ((x, y),) = places(_AT, text, 1) or ()
+    return x, y
 
 
 def on_command_line(command: Callable[..., None]) -> Callable[..., None]:

@@ -21,6 +21,7 @@ from hapsim.cli.command_options import (
     RecordOptions,
     Unstable,
     flag,
+    place_at,
     print_next,
     print_written,
     require_positive,
@@ -134,7 +135,7 @@ def _measure_pair(
         raise typer.Exit(measurement.failure.exit_status)
 
 
-def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene, int, float | None]:
+def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene, int, Any]:
     """Returns the scene, with --mass held by a hand; the channel; and the position that --at names. Later output has
     the units of the channel."""
     channels = [point.channel for point in scene.device_points.values()]
@@ -146,7 +147,7 @@ def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene
         unit = scene.units_of(channel).si.name("N/m")
         stiffness = require_positive("--hand-stiffness", excitation.hand_stiffness, unit)
         scene = remarks.with_hand(scene, channel, stiffness)
-    return scene, channel, excitation.at
+    return scene, channel, place_at(scene, excitation.at, scene.units_of(channel) if channel in channels else None)
 
 
 def _print_next(

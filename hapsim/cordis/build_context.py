@@ -91,9 +91,16 @@ class PartType(NamedTuple):
     moves_points: bool = False
 
 
-def all_of(module: type[Module], where: Callable[[Any], bool] = lambda _: True) -> Callable[[Scene], Mapping[str, Any]]:
-    """Returns a function that selects every module of a type for which `where` holds."""
-    return lambda scene: {name: one for name, one in scene.modules.items() if type(one) is module and where(one)}
+def all_of(
+    module: type[Module], where: Callable[[Any], bool] = lambda _: True, space: int = 1
+) -> Callable[[Scene], Mapping[str, Any]]:
+    """Returns a function that selects every module of a type for which `where` holds, in scenes with this space."""
+
+    def select(scene: Scene) -> dict[str, Any]:
+        modules = scene.modules.items() if scene.space == space else ()
+        return {name: one for name, one in modules if type(one) is module and where(one)}
+
+    return select
 
 
 def live_shares(structure: Any, rate: float) -> Iterator[tuple[str | None, Any, float]]:

@@ -1,8 +1,8 @@
 """Scene -> Program: the numbers of the compiled tick and the actions that it calls, for the scene's own modules alone.
 
-Points are numbered: device points first, then grounds, then material points by type, then strings and membranes. Each
-of those is one piece of memory, in whole lanes, with the borders that its stencil needs. Live values (stiffness,
-damping, rest positions) share one array; the parts hold their columns of it.
+Points are numbered: device points first, then grounds, then material points by type, then strings and membranes. In the
+plane a point is two, x and the y after it. Each structure is one piece of memory, in whole lanes, with the borders that
+its stencil needs. Live values (stiffness, damping, rest positions) share one array; the parts hold their columns of it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,18 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling.native import Behind, NativeFunction, address_of
 from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, PresentType
 from hapsim.cordis.dispatch import Column, Part, TickState, calls_of
-from hapsim.cordis.modules import linear_links, membrane, nonlinear_links, pick_ups, points, proxy, string, table_links
+from hapsim.cordis.modules import (
+    linear_links,
+    membrane,
+    nonlinear_links,
+    pick_ups,
+    plane_links,
+    plane_surfaces,
+    points,
+    proxy,
+    string,
+    table_links,
+)
 from hapsim.cordis.parameters import LiveValues
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.simd import aligned, padded
@@ -26,7 +37,10 @@ from hapsim.errors import UsageError
 from hapsim.scene import Scene
 from hapsim.scene.cross_checks import MOST_SINGLE
 
-_FILES = (points, string, membrane, linear_links, table_links, nonlinear_links, proxy, pick_ups)
+_FILES = (
+    *(points, string, membrane, linear_links, table_links, nonlinear_links, proxy, pick_ups),
+    *(plane_links, plane_surfaces),
+)
 PART_TYPES = tuple(kind for file in _FILES for kind in vars(file).values() if isinstance(kind, PartType))
 """Types of module that a program can have, in the order in which they act: by file, then as defined there."""
 
@@ -53,9 +67,9 @@ class Program:
         self.stored: Any = None
         """StoredEnergy, where the energy is accounted for."""
         self._kept: list[Any] = []
-        hands = sorted(point.channel for point in scene.device_points.values())
+        hands = scene.device_points
         self.record.hands = len(hands)
-        self.record.channel[: len(hands)] = hands
+        self.record.channel[: len(hands)] = [hands[name].channel for name in _hands(scene)]
         self.record.senses = bool(scene.sensed_links)
         self.record.single = rows.dtype == np.float32
         self.record.rows = [row.ctypes.data for row in rows]
@@ -175,10 +189,15 @@ def _present_types(scene: Scene, values: Column) -> Iterator[PresentType]:
         begin = int(ends[-1])
 
 
+def _hands(scene: Scene) -> list[str]:
+    """Returns the device points in the order of their numbers: by channel, or in the plane x and y of each together."""
+    hands = scene.device_points
+    return [*hands] if scene.space > 1 else sorted(hands, key=lambda name: hands[name].channel)
+
+
 def _numbers(scene: Scene) -> tuple[dict[str, int], int, dict[str, slice]]:
     """Returns the number of each point, the total with borders and fill, and the slice of each structure."""
-    hands = sorted(scene.device_points, key=lambda name: scene.device_points[name].channel)
-    names = [*hands, *scene.grounds, *scene.material_points]
+    names = [*_hands(scene), *scene.grounds, *scene.material_points]
     number = {name: i for i, name in enumerate(names)}
     points = len(names) if not scene.structures else padded(len(names))
     structures: dict[str, slice] = {}

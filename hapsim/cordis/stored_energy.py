@@ -7,10 +7,10 @@ A change of a parameter at a frozen state changes the energy that is stored by
 which for a link that is stretched by x and stiffened by dK is dK x²/2, with its sign; for a ground, a rest length or a
 distance that moves it is force times way. A change can add no other energy. V is summed over the springs of the scene:
 links, contacts, bristles that stick, plectra that grip, detents, clicks, the springs of cells, and the links inside
-strings and membranes. A spring at a hand, and the bottom of a click, count only up to the energy that a force at its
-limit gives back. During a crossfade the force w F_new + (1 - w) F_old is that of a scene with the stored energy
-w H_new + (1 - w) H_old, so that a step dw adds dw (H_new - H_old), with kinetic energy. A module that no chain of links
-connects to a hand adds nothing.
+strings and membranes. Those of shapes and guides are taken along the last tick's normal. A spring at a hand, and the
+bottom of a click, count only up to the energy that a force at its limit gives back. During a crossfade the force
+w F_new + (1 - w) F_old is that of a scene with the stored energy w H_new + (1 - w) H_old, so that a step dw adds
+dw (H_new - H_old), with kinetic energy. A module that no chain of links connects to a hand adds nothing.
 
 **The tank** (variable stiffness: Ferraguti, Secchi and Fantuzzi, ICRA 2013). Energy that a change adds is taken from
 the tank, energy that a change removes is put back, and a constant power fills it. If it holds too little, the change
@@ -33,14 +33,19 @@ from firmware_protocol.compiled import new_record
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, function_at, native, record_at
 from hapsim.cordis.build_context import knot_field, live_shares, masses_of
-from hapsim.scene import Detent, Friction, Ground, Plectrum, Scene
+from hapsim.laws import Law
+from hapsim.scene import Detent, Friction, Ground, Guide, Plectrum, Scene, Shape
 from hapsim.scene.modules import Link
 
 SPRING, BRISTLE, SINE, TABLE = range(4)
 
+ON_A_LINE, BETWEEN, FROM_PLACE, ALONG = range(4)
+
 _SPRING = np.dtype(
     [
         ("kind", np.int64),
+        ("measured", np.int64),  # how: the distance of its ends, in the plane that of two points,
+        ("place", np.uint64, (2,)),  # with the remembered direction here; from a place here; along a normal here
         ("ends", np.int64, (2,)),  # numbers of points,
         ("at", np.uint64, (2,)),  # or, where not 0, addresses of where they stand
         ("stiffness", np.uint64),  # address of K, N/m
@@ -48,7 +53,10 @@ _SPRING = np.dtype(
         ("offset", np.uint64),  # address of the distance at which it is not stretched; 0: none
         ("most", np.float64),  # N, beyond which no hand feels it
         ("side", np.uint64),  # address of the memory of a bristle or a plectrum
-        ("force", np.uint64),  # address of a bristle's force while it slides
+        ("force", np.uint64),  # address of a bristle's force while it slides, or, where there is a pressure, of
+        ("press", np.uint64),  # the coefficient; address of the pressure, N
+        ("free", np.float64),  # m, about the rest, within which it is not stretched,
+        ("reach", np.float64),  # and beyond which it has no force
         ("shape", np.uint64, (5,)),  # addresses of a sine's pitch, depth; of a table's edges to period
         ("knots", np.int64),  # of a table, how many
     ],
@@ -130,7 +138,10 @@ def evaluate(stored, position, previous, way):
 
 @helper
 def _spring_energy(stored, spring, position, way):
-    d = _end(stored, spring, position, way, 0) - _end(stored, spring, position, way, 1)
+    d = _end(stored, spring, position, way, 0, 0) - _end(stored, spring, position, way, 1, 0)
+    if spring.measured != ON_A_LINE:
+        y = _end(stored, spring, position, way, 0, 1) - _end(stored, spring, position, way, 1, 1)
+        d = _distance(spring, d, y, stored.single)
     if spring.offset:
         d -= _value(stored, spring.offset, way)
     if spring.kind == TABLE:
@@ -142,18 +153,35 @@ def _spring_energy(stored, spring, position, way):
     side = number_at(spring.side, 0, stored.single) if spring.side else 0.0
     if spring.kind == SPRING and side * d > 0.0:
         return 0.0
-    if spring.kind == BRISTLE and side != 0.0:
-        d = _value(stored, spring.force, way) / stiffness
+    if spring.kind == BRISTLE and side != 0.0 and stiffness > 0.0:
+        press = number_at(spring.press, 0, stored.single) if spring.press else 1.0
+        d = press * _value(stored, spring.force, way) / stiffness
+    if abs(d) > spring.reach:
+        return 0.0
+    d = max(abs(d) - spring.free, 0.0)
     if stiffness * abs(d) > spring.most:
         return spring.most * (abs(d) - 0.5 * spring.most / stiffness)
     return 0.5 * stiffness * d * d
 
 
 @inlined
-def _end(stored, spring, position, way, end):
+def _end(stored, spring, position, way, end, axis):
     if spring.at[end]:
-        return _value(stored, spring.at[end], way)
-    return number_at(position, spring.ends[end], stored.single)
+        return _value(stored, spring.at[end] + np.uint64(axis * (4 if stored.single else 8)), way)
+    return number_at(position, spring.ends[end] + axis, stored.single)
+
+
+@helper
+def _distance(spring, x, y, single):
+    """Returns the distance of two ends (x, y) apart in the plane, m; negative beyond the point where they meet, as long
+    as the remembered direction is that of before."""
+    at_x, at_y = number_at(spring.place[0], 0, single), number_at(spring.place[1], 0, single)
+    along = at_x * x + at_y * y
+    if spring.measured == ALONG or (spring.measured == BETWEEN and along < 0.0):
+        return along
+    if spring.measured == FROM_PLACE:
+        x, y = x - at_x, y - at_y
+    return math.sqrt(x * x + y * y)
 
 
 @helper
@@ -255,7 +283,8 @@ class StoredEnergy:
         self._program, self._scene, self._force_limit = program, scene, force_limit
         self._kept: list[Any] = []
         connected = _connected(scene)
-        springs = [*self._links(connected), *self._points(connected), *self._structures(connected)]
+        of_links = self._links(connected) if scene.space == 1 else self._plane_links(connected)
+        springs = [*of_links, *self._points(connected), *self._structures(connected)]
         masses = [(name, mass) for name, mass in masses_of(scene) if _module(scene, name) in connected]
         values = program.parameters.values
         record = self._record = new_record(STORED)
@@ -297,9 +326,7 @@ class StoredEnergy:
             law = link.table() or (link.law() if name in at_proxies else None)
             is_bristle = isinstance(link, Friction)
             if law is not None:
-                keys = [knot_field(what, name, 0, len(law.knots)) for what in ("edge", "tension")]
-                shape = [self._live(*key) for key in [*keys, *((name, of) for of in ("below", "beyond", "period"))]]
-                yield _spring(TABLE, ends, at, most=most, shape=shape, knots=len(law.knots))
+                yield _spring(TABLE, ends, at, most=most, **self._table(name, law))
             elif isinstance(link, Detent):
                 shape = [self._live(name, field) for field in ("pitch", "depth")]
                 yield _spring(SINE, ends, at, shape=[*shape, 0, 0, 0])
@@ -311,6 +338,52 @@ class StoredEnergy:
                 elif isinstance(link, Plectrum):
                     (fields["side"],) = self._remembered(name)
                 yield _spring(BRISTLE if is_bristle else SPRING, ends, at, **fields)
+
+    def _table(self, name: str, law: Law) -> dict[str, Any]:
+        keys = [knot_field(what, name, 0, len(law.knots)) for what in ("edge", "tension")]
+        shape = [self._live(*key) for key in [*keys, *((name, of) for of in ("below", "beyond", "period"))]]
+        return {"shape": shape, "knots": len(law.knots)}
+
+    def _plane_links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
+        scene, grounds, hands, zeros = (
+            self._scene,
+            self._scene.grounds,
+            self._scene.device_points,
+            self._keep([0.0, 0.0]),
+        )
+        for name, link in scene.plane_links.items():
+            xs = [f"{end}.x" for end in link.between]
+            ends = [self._program.numbers[x] for x in xs]
+            at = [self._live(x, "position") if x in grounds else 0 for x in xs]
+            law, memory = link.table(), self._remembered(name)
+            more: dict[str, Any] = {"most": self._force_limit if any(x in hands for x in xs) else np.inf}
+            if not connected & {*_nodes(scene, link)} or not (law or hasattr(link, "stiffness")):
+                continue
+            if law is not None:
+                yield _spring(TABLE, ends, at, measured=BETWEEN, place=memory[:2], **self._table(name, law), **more)
+                continue
+            more["stiffness"] = self._live(name, "stiffness")
+            if isinstance(link, Friction):
+                more |= {"side": memory[2], "force": self._live(name, "force")}
+                yield _spring(BRISTLE, ends, at, measured=FROM_PLACE, place=memory[:2], **more)
+            elif isinstance(link, Shape | Guide):
+                more |= {"measured": ALONG, "place": memory[2:4]}
+                if isinstance(link, Guide):
+                    free, reach = 0.5 * link.width, np.inf if link.reach is None else link.reach
+                    yield _spring(SPRING, ends, at, offset=memory[4], free=free, reach=reach, **more)
+                    continue
+                yield _spring(SPRING, ends, at, offset=memory[4], side=self._keep(1.0), **more)
+                bent, sliding, press = memory[7:]
+                slides = {"side": sliding, "force": self._live(name, "friction_coefficient"), "press": press}
+                more |= {"measured": ON_A_LINE} | ({"share": 0.5} if link.bristle_stiffness is None else {})
+                if link.bristle_stiffness is not None:
+                    more["stiffness"] = self._keep(link.bristle_stiffness)
+                yield _spring(BRISTLE, [0, 0], [bent, zeros], **slides, **more)
+            elif length := getattr(link, "length", None):
+                yield _spring(SPRING, ends, at, measured=BETWEEN, place=memory[:2], offset=self._keep(length), **more)
+            else:
+                side = memory[3] if isinstance(link, Plectrum) else 0
+                yield _spring(SPRING, ends, at, measured=FROM_PLACE, place=[zeros, zeros], side=side, **more)
 
     def _points(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         for name, point in self._scene.material_points.items():
@@ -332,7 +405,9 @@ class StoredEnergy:
                         yield _spring(SPRING, ends, at, stiffness=stiffness, share=share)
 
 
-_SPRING_DEFAULTS = dict.fromkeys(_SPRING.names or (), 0) | {"share": 1.0, "most": np.inf, "shape": (0,) * 5}
+_SPRING_DEFAULTS = dict.fromkeys(_SPRING.names or (), 0) | {
+    **{"share": 1.0, "most": np.inf, "reach": np.inf, "shape": (0,) * 5, "place": (0, 0)}
+}
 
 
 def _spring(kind: int, ends: Sequence[int], at: Sequence[int], **fields: Any) -> tuple[Any, ...]:
@@ -352,7 +427,8 @@ def _nodes(scene: Scene, link: Link) -> list[str]:
 
 def _connected(scene: Scene) -> frozenset[str]:
     """Returns the modules that a chain of links connects to a hand."""
-    found, pairs = set(scene.device_points), [_nodes(scene, link) for link in scene.links.values()]
+    found = {_module(scene, point) for point in scene.device_points}
+    pairs = [_nodes(scene, link) for link in (scene.links | scene.plane_links).values()]
     while more := {name for pair in pairs if found & {*pair} for name in pair} - found:
         found |= more
     return frozenset(found)

@@ -9,6 +9,7 @@ a cell.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.program import Program
-from hapsim.scene import Ground, Scene
+from hapsim.scene import Ground, Guide, Scene, Shape
 from hapsim.scene.modules import MaterialPoint, Structure
+from hapsim.scene.scene import AXES
 
 
 class CarriedPoints(NamedTuple):
@@ -68,7 +70,12 @@ def take_over_from(older: Program, older_scene: Scene, program: Program, scene: 
     }
     ramped = {name for name in same_type if scene.modules[name].live}  # a table that crossfades does not continue
     before, after = _ends(older_scene), _ends(scene)
-    links = {name for name in same_type if before[name] == after[name] and points.issuperset(after[name])}
+    earlier, later = _chains(older_scene), _chains(scene)
+    links = {
+        name
+        for name in same_type
+        if before[name] == after[name] and points.issuperset(after[name]) and earlier.get(name) == later.get(name)
+    }
     older.call_all_of("place")
     here, there = _by_hand(scene, program.numbers), _by_hand(older_scene, older.numbers)
     taken, placed = _in_order(there, here, points)
@@ -95,7 +102,16 @@ def _ends(scene: Scene) -> dict[str, list[str]]:
     """Returns the points at the ends of each link, by the names of `_hands`; for any other module itself."""
     hands = _hands(scene)
     own = {name: [name] for name in scene.modules}
-    return own | {name: [hands.get(end, end) for end in link.between] for name, link in scene.links.items()}
+    ends = {name: [*link.between] for name, link in scene.links.items()}
+    ends |= {
+        name: [f"{end}.{axis}" for end in link.between for axis in AXES] for name, link in scene.plane_links.items()
+    }
+    return own | {name: [hands.get(end, end) for end in both] for name, both in ends.items()}
+
+
+def _chains(scene: Scene) -> dict[str, Any]:
+    """Returns what each shape and guide follows: the memory of one does not fit another."""
+    return {name: link.chain() for name, link in scene.plane_links.items() if isinstance(link, Shape | Guide)}
 
 
 def _common_points(older: Scene, scene: Scene) -> set[str]:
@@ -110,13 +126,13 @@ def _common_points(older: Scene, scene: Scene) -> set[str]:
         ):
             same |= {f"{name}.{place}" for place in before.point_names()}
         elif any(isinstance(before, kind) and isinstance(after, kind) for kind in (Ground, MaterialPoint)):
-            same.add(name)
+            same |= {name} if scene.space == 1 else {f"{name}.{axis}" for axis in AXES}
     return same
 
 
 def _live(older: Program, program: Program, names: set[str]) -> Iterator[tuple[NativeFunction, Any]]:
     """Yields the action that copies the current values of common live parameters, if there are any."""
-    keys = [key for key in program.places if key[0] in names]
+    keys = [key for key in program.places if {key[0], key[0].partition(".")[0]} & names]  # post.x: of post
     taken, placed = _in_order(older.places, program.places, keys)
     if taken.size:
         yield carry_numbers, CarriedNumbers(older.parameters.values, taken, program.parameters.values, placed)
@@ -124,10 +140,9 @@ def _live(older: Program, program: Program, names: set[str]) -> Iterator[tuple[N
 
 def _remembered(older: Program, program: Program, links: set[str]) -> Iterator[tuple[NativeFunction, Any]]:
     """Yields the actions that copy the memory of common links, after `initialize` has reset it."""
-    memories = {part.add_forces: part.memory for part in older.parts if part.memory is not None}
-    for part in program.parts:
-        before, after = memories.get(part.add_forces), part.memory
-        if before is None or after is None:
+    for one, other in product(older.parts, program.parts):
+        before, after = one.memory, other.memory
+        if before is None or after is None or one.add_forces is not other.add_forces:
             continue
         there, here = ({name: i for i, name in enumerate(memory.modules)} for memory in (before, after))
         taken, placed = _in_order(there, here, links)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -232,6 +232,8 @@ _FIELDS = ("name", "channel", "k", "b", "frequency_hz", "damping_ratio", "stable
 def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict) -> dict[str, Any]:
     """Returns the fields of `predicted`. Raises UsageError where a value is wrong."""
     wanted = changed(scene, changes_from(asked.values, parameters)) if asked.values else scene
+    if wanted.space > 1:
+        return _in_plane(wanted, asked.at)
     prediction = _predicted(wanted)
     at = {name: asked.at[one.channel] for name, one in wanted.device_points.items() if one.channel < len(asked.at)}
     here = prediction.region_here
@@ -258,6 +260,29 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
 @lru_cache(maxsize=4)
 def _predicted(scene: Scene) -> Prediction:
     return predict(scene, with_margins=False)
+
+
+def _in_plane(scene: Scene, at: Sequence[float]) -> dict[str, Any]:
+    """Returns the fields of `predicted` in the plane, with the first hand at these positions of the channels. Whether
+    the scene is stable elsewhere does not depend on them."""
+    from hapsim.prediction.predict_plane import PlanePrediction
+
+    x, y = scene.channel_groups[0]
+    here = PlanePrediction(scene, (at[x], at[y]) if len(at) > max(x, y) else None, with_margins=False)
+    directions = ((name, one) for name in here.hands for one in here.principal(name))
+    return {
+        "stable": (whole := _predicted(scene)).stable,
+        "verdict": here.verdict,
+        "states": whole.states.words if whole.states.growing else "",
+        "contacts": ", ".join(f"{one.name} is {one.state}" for one in here.links if one.acts and one.state),
+        "spectral_radius": max(map(abs, here.poles)),
+        "hands": [],
+        "directions": [
+            {"hand": name, "angle_deg": one.angle_deg, "k": one.felt.k, "b": one.felt.b} for name, one in directions
+        ],
+        "slides": [one._asdict() for one in here.slides],
+        "wire_delay": here.wire_delay,
+    }
 
 
 def _region_at(prediction: Prediction, name: str, x: float) -> Region:

@@ -193,6 +193,20 @@ class ModuleMessage(_Answer):
     """Masses per row of a membrane ("skin.3.4")."""
 
 
+class OutlineMessage(_Answer):
+    """A line of a scene with space: 2: the edge of a shape, a guide, or the travel."""
+
+    name: str
+    kind: Literal["outside", "inside", "guide", "travel"]
+    """`outside` and `inside` are shapes: their material is within, or without."""
+    of: str
+    """Name of the point that touches it or is led along it: its coordinates are "hand.x" and "hand.y"."""
+    about: str
+    """Name of the point that carries it; empty: position 0."""
+    places: tuple[tuple[float, float], ...]
+    """x and y relative to that point, m."""
+
+
 class Model(_Answer):
     """All that there is, as it is now: the answer to `get`."""
 
@@ -210,6 +224,9 @@ class Model(_Answer):
     """Units that the scene's file writes, by the SI unit in whose place they stand: name, and number in one SI unit."""
     parameters: list[ParameterMessage]
     modules: list[ModuleMessage]
+    space: int
+    """Coordinates of each point: 1, or 2 for x and y."""
+    outlines: list[OutlineMessage]
     has_mock: bool
     can_record: bool
     recording: str | None

@@ -28,6 +28,7 @@ from hapsim.loop.counts import words_at
 from hapsim.recording.recorder import Stream
 from hapsim.running.session import Session
 from hapsim.running.session_view import Event
+from hapsim.scene.outlines import outlines_of
 
 MOST_CLIENTS = 16
 _CLOSING_S = 2.0  # for all clients
@@ -160,6 +161,8 @@ class WebView:
             written={one.si: one[1:] for one in scene.written},
             parameters=[messages.parameter_message(one) for one in hub.parameters.values()],
             modules=messages.modules_of(session),
+            space=scene.space,
+            outlines=[messages.OutlineMessage(**one._asdict()) for one in outlines_of(scene)],
             has_mock=session is not None and session.has_mock,
             can_record=hub.record_dir is not None,
             recording=None if session is None or session.recording is None else str(session.recording),

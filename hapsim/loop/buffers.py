@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from firmware_protocol import schema
 from firmware_protocol.decoder import DECODER
 from firmware_protocol.frames import ROOM
-from hapsim.compiling import inlined
+from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import record_at
 from hapsim.loop.system import SCRATCH
 from hapsim.loop.transport import TRANSPORT, PythonTransport
@@ -75,6 +75,7 @@ IO_BUFFER = np.dtype(
         ("acceleration_scale", np.float64, _EACH),  # (m/s²) per count
         ("force_scale", np.float64, _EACH),  # N per count
         ("force_limit", np.float64, _EACH),  # N
+        ("to_next", np.uint64, _EACH),  # channels to the next one of its hand, round and round; 0: there is no other
         SCRATCH,
         ("sent", LAST_BYTES),
         ("outbox", np.uint8, (KEPT + ROOM,)),  # the frame that is being written, and those before
@@ -88,6 +89,21 @@ IO_BUFFER = np.dtype(
 def clip(force, limit):
     """Returns a force in N, clipped to -limit ... limit. NaN stays NaN; infinity becomes the limit."""
     return -limit if force < -limit else limit if force > limit else force
+
+
+@helper
+def share_within_limit(io, c, excited):
+    """Returns the factor that brings all channels of a hand within their limits, so that clipping does not turn the
+    force: the scene's, with the excitation if `excited`. `c`: one of its channels. A single channel is clipped: 1."""
+    share, other = 1.0, np.uint64(c)
+    while io.to_next[other] != 0:
+        force = abs(io.asked[other] + io.excitation[other] if excited else io.asked[other])
+        if force * share > io.force_limit[other]:
+            share = io.force_limit[other] / force
+        other += io.to_next[other]
+        if other == np.uint64(c):
+            break
+    return share
 
 
 @inlined

@@ -25,7 +25,7 @@ from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
-from hapsim.loop.buffers import IO_BUFFER, clip, next_place
+from hapsim.loop.buffers import IO_BUFFER, clip, next_place, share_within_limit
 from hapsim.loop.counts import words_at
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL
 from hapsim.loop.guards import GUARDS
@@ -123,7 +123,7 @@ LOOP = np.dtype(
         ("sound", SOUND_RING),
         ("io", IO_BUFFER),
         ("control", CONTROL),
-        ("guide", GUIDE),
+        ("guides", GUIDE, (2,)),  # of each coordinate of a hand
         ("state", STATE),
         ("wait", WAIT),
         ("tick", TICK),
@@ -200,7 +200,7 @@ def _begin_tick(loop, gap, is_held, now):
     tick.missed, tick.unsent = state.deadline_misses, state.unanswered
     tick.expired = state.ticks > 0 and is_over
     tick.withheld = flags & ring.WITHHELD != 0
-    tick.flags, tick.ending, tick.push = flags, 0, 0.0
+    tick.flags, tick.ending = flags, 0
 
 
 @inlined
@@ -362,17 +362,19 @@ def _excitation(control, state):
 
 @inlined
 def _set_force(io, control, state, guided):
-    """Adds excitation and the guide's force (N), limits the force, converts it to counts. Returns (whether it is
-    finite, whether it was clipped)."""
-    excitation = _excitation(control, state) + guided
-    io.excitation[np.uint64(control.pulse_channel)] = excitation
+    """Adds excitation and the guides' forces (N, by channel), limits the force, converts it to counts. Returns (whether
+    it is finite, whether it was clipped)."""
+    pulse = _excitation(control, state)
+    for c in range(np.uint64(io.channels)):
+        io.excitation[c] = guided[c]
+    io.excitation[np.uint64(control.pulse_channel)] += pulse
     if control.periodic_length > 0:
-        io.as_hand[np.uint64(control.pulse_channel)] = excitation
+        io.as_hand[np.uint64(control.pulse_channel)] = pulse
     sound, limited = True, False
     for c in range(np.uint64(io.channels)):
-        wanted = io.asked[c] + excitation if c == np.uint64(control.pulse_channel) else io.asked[c]
+        wanted = io.asked[c] + io.excitation[c]
         sound = sound and math.isfinite(wanted)
-        force = clip(wanted, io.force_limit[c])
+        force = clip(wanted * share_within_limit(io, c, True), io.force_limit[c])
         limited = limited or force != wanted
         counts = np.rint(force / io.force_scale[c])
         io.force_counts[c] = np.int64(clip(counts, 2147483647.0))

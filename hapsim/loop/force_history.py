@@ -17,7 +17,7 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_of, array_at, record_at
-from hapsim.loop.buffers import clip
+from hapsim.loop.buffers import clip, share_within_limit
 from hapsim.loop.hooks import Hook, Stage, hook, io_at, tick_at
 
 # First columns: the scene's part of the acting force, the whole acting force, and the scene's part without lateness.
@@ -51,8 +51,9 @@ def keep(history, tick):
     forces = _doubles_at(history.forces, (history.mask + 1) * _COLUMNS)
     for c in range(io.channels):
         in_all = io.force_counts[c] * io.force_scale[c]
-        alone = clip(io.asked[c], io.force_limit[c])
-        of_scene = in_all - clip(io.asked[c] + io.excitation[c], io.force_limit[c]) + alone
+        alone = clip(io.asked[c] * share_within_limit(io, c, False), io.force_limit[c])
+        both = (io.asked[c] + io.excitation[c]) * share_within_limit(io, c, True)
+        of_scene = in_all - clip(both, io.force_limit[c]) + alone
         _keep_in_time(history, forces, c, alone if withheld else of_scene, gap)
         _keep_column(history, forces, OF_SCENE + c, 0.0 if withheld else of_scene, tick)
         _keep_column(history, forces, IN_ALL + c, in_all, tick)

@@ -1,4 +1,5 @@
-"""The guide: it leads one hand to a target before the excitation, and then holds it there by a constant force.
+"""The guide: it leads one hand to a target before the excitation, and then holds it there by a constant force. In the
+plane each coordinate has its own guide; all follow one clock, so that the path is straight.
 
 The guide is a spring, a damper and an integrator. They follow a path of minimum jerk from the hand's position at arming
 to the target. In a scene with dry friction the path goes a little beyond the target and back, so that no bristle stays
@@ -51,9 +52,9 @@ _guide_at = record_at(GUIDE)
 
 @hook
 def lead(guide, tick):
-    """Sets the push to the guide's force (N) of this tick."""
+    """Sets its channel's push to the guide's force (N) of this tick."""
     guide, tick = _guide_at(guide), tick_at(tick)
-    tick.push = _force(guide, io_at(tick.io))
+    tick.push[guide.channel] = _force(guide, io_at(tick.io))
     return 0
 
 

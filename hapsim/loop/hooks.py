@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numba import types
 
+from firmware_protocol import schema
 from firmware_protocol.compiled import ONE
 from firmware_protocol.description import Description
 from hapsim.compiling import inlined
@@ -45,7 +46,7 @@ TICK = np.dtype(
         ("withheld", np.int64),  # 1: the position is older than a force may live, so zero is sent
         ("flags", np.int64),  # of the row (ring.py); a hook that changes the force adds its own
         ("ending", np.int64),  # the code that ends the run, 0: none
-        ("push", np.float64),  # N, which a hook adds to the excitation
+        ("push", np.float64, (schema.MAX_CHANNELS,)),  # N, which a hook adds to the excitation of its channel
         ("held", np.float64),  # J, stored in the scene at the first sample
     ],
     align=True,

@@ -6,36 +6,33 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
-from hapsim.errors import DeviceError, GuardError, UsageError
+from hapsim.errors import DeviceError, UsageError
+from hapsim.measuring.measure_plane import measure_in_plane
 from hapsim.measuring.measure_trace import Attempt, Measurement, TooLittleMotionError, measure_trace
 from hapsim.measuring.measurement_options import (
     SHARE_OF_LIMIT,
     Run,
     RunOptions,
     force_limit,
-    largest_push,
     require_above_zero,
     require_device_point,
 )
 from hapsim.measuring.place import Place, place_of
+from hapsim.measuring.pushes import LEAST_ROWS, pushes, recorded
 from hapsim.measuring.trace_quality import silence
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
 from hapsim.running.run import run_to_end
-from hapsim.scene import Scene, Spring, ViscoElastic
+from hapsim.scene import Scene
 from hapsim.scene.choices import AHEAD
 from hapsim.scene.load import SceneSource, as_scene
 
 _SECONDS = 2.0
 _LEAST_TICKS, _MOST_TICKS = 2048, 20000
-_PUSHES = 40  # in the second half of a measurement; the first is one ring-down
-_SHARE_OF_TRAVEL = 0.25
-_COUNTS = 2.0**31
-_LEAST_ROWS = 32
 _MOST_RUNS = 5
 _FINE, _FINE_IN_TIME = 2e-6, 1e-4  # relative uncertainty of k and b that is enough, in virtual and in real time
 _UNSURE = 0.1  # the largest relative uncertainty of k that is reported
@@ -45,6 +42,29 @@ _CLEAR_COUNTS = 80.0  # of a second run, after one with too little motion
 
 
 def measure(
+    scene: SceneSource,
+    *,
+    channel: int = 0,
+    at: float | tuple[float, float] | None = None,
+    duration: float | None = None,
+    push: float | None = None,
+    run: Run = run_to_end,
+    **options: Unpack[RunOptions],
+) -> Any:
+    """Excites a hand and identifies the spring and damper that it feels: a `Measurement` by `measure_on_line`, or in a
+    scene with space: 2 a `HandsMeasurement` of both coordinates by `measure_in_plane`, which have the arguments."""
+    scene = as_scene(scene)
+    options = {"channel": channel, "duration": duration, "push": push, "run": run, **options}
+    if scene.space == 1 and isinstance(at, tuple):
+        raise UsageError(f"at: found {at[0]:g},{at[1]:g}, expected one position in a scene with one coordinate")
+    if scene.space == 1:
+        return measure_on_line(scene, at=at, **options)
+    if isinstance(at, float | int):
+        raise UsageError(f"at: found {at:g}, expected (x, y) in a scene with space: 2")
+    return measure_in_plane(scene, at=at, **options)
+
+
+def measure_on_line(
     scene: SceneSource,
     *,
     channel: int = 0,
@@ -74,6 +94,8 @@ def measure(
     the error as its `failure`.
     """
     scene, run = as_scene(scene), partial(run, **options)
+    if scene.space > 1:
+        raise UsageError("space: found 2, expected a scene with one coordinate; measure_in_plane measures both of two")
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
@@ -88,7 +110,7 @@ def measure(
 def _measure_where_it_is(run: Run, scene: Scene, channel: int, duration: float, push: float | None) -> Measurement:
     """Returns the only run; without a `push` (N) the second, with larger pushes, if the hand moved too little."""
     excitation = pushes(scene, channel, duration, push)
-    trace, failure = _recorded(run, scene, excitation, duration)
+    trace, failure = recorded(run, scene, excitation, duration)
     try:
         return _identified(scene, excitation, trace, failure)
     except TooLittleMotionError as nothing:
@@ -107,7 +129,7 @@ def _repeated(
     """Returns the run with `harder` pushes, after `nothing` was identified with pushes of `pushed` N."""
     found, unsure = None, math.inf
     with suppress(TooLittleMotionError):
-        found = _identified(scene, harder, *_recorded(run, scene, harder, duration))
+        found = _identified(scene, harder, *recorded(run, scene, harder, duration))
         unsure = found.k_uncertainty / abs(found.k) if found.k else math.inf
     if found is None or not unsure <= _UNSURE:
         units = scene.units_of(harder.channel)
@@ -115,23 +137,6 @@ def _repeated(
         raise TooLittleMotionError(f"{nothing}, up to the force limit of {limit}; tried: {first} and {second}")
     attempts = (Attempt(pushed, "", math.nan, math.inf), Attempt(harder.force, "", found.k, unsure))
     return replace(found, attempts=attempts)
-
-
-def _recorded(run: Run, scene: Scene, excitation: Excitation, duration: float) -> tuple[Trace, DeviceError | None]:
-    """Runs the excitation for `duration` s. Returns the trace, and the error that ended it early or None. Raises
-    DeviceError if too little was recorded."""
-    guided = excitation.ticks_before(scene.rate)
-    try:
-        trace, failure = run(scene, duration=duration + guided / scene.rate, excitation=excitation), None
-    except (DeviceError, GuardError) as error:
-        recorded = 0 if error.trace is None else error.trace.sample.size
-        if excitation.guide is not None and 0 < recorded < guided:
-            where = scene.units_of(excitation.channel)(excitation.guide.target, "m")
-            error.args = (f"while the hand was led to {where}, by a force besides the scene's: {error}",)
-        if isinstance(error, GuardError) or recorded < guided + _LEAST_ROWS:
-            raise
-        trace, failure = error.trace, error
-    return trace, failure
 
 
 def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: DeviceError | None) -> Measurement:
@@ -143,7 +148,7 @@ def _identified(scene: Scene, excitation: Excitation, trace: Trace, failure: Dev
     estimated = trace.report.estimated_mass_kg
     if channel < len(estimated) and (known := estimated[channel]) is not None:
         mass, uncertainty = known, trace.report.estimated_mass_uncertainty_kg[channel]
-    settled = device.correction == "adaptive" and trace.sample.size - half >= _LEAST_ROWS
+    settled = device.correction == "adaptive" and trace.sample.size - half >= LEAST_ROWS
     try:
         rows = trace.since(half) if settled else trace
         found = measure_trace(rows, mass, channel, uncertainty, pressed=guide is not None)
@@ -164,7 +169,7 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
     clear = 0.0  # m, the largest swing within the region
     while len(attempts) < _MOST_RUNS:
         excitation = pushes(scene, place.channel, duration, push, place, swing)
-        trace, failure = _recorded(run, scene, excitation, duration)
+        trace, failure = recorded(run, scene, excitation, duration)
         guided = excitation.ticks_before(scene.rate)
         if trace.sample.size <= guided:
             raise UsageError("the run was stopped before the hand was at its place: nothing was measured")
@@ -204,54 +209,3 @@ def _measure_at(run: Run, scene: Scene, place: Place, duration: float, push: flo
     if best is None or least > _UNSURE:
         raise UsageError(place.too_small(count_m, attempts, best or found))
     return replace(best, attempts=tuple(attempts))
-
-
-def pushes(
-    scene: Scene,
-    channel: int,
-    duration: float,
-    push: float | None,
-    place: Place | None = None,
-    swing: float = math.inf,
-    *,
-    larger: float = 1.0,
-) -> Excitation:
-    """Returns pushes that move the hand clearly, within the device's force, range and travel: `larger` times as far as
-    usual. At a `place` they move it by `swing` m, and a push of `push` N lasts one radian of the spring's oscillation.
-    """
-    device, mock = scene.device, scene.mock_device
-    mass, ticks = device.masses(scene.channels)[channel], math.ceil(duration * scene.rate)
-    free = 0 if device.correction == "adaptive" else ticks // 2
-    every = max(32, (ticks - free) // _PUSHES)
-    rests_s = max(free, every) / scene.rate
-    # Until the next push even a free mass must stay in the range of its counts. A real device reports its range later.
-    range_m = mock.quantum[channel] * _COUNTS if device.port is None else math.inf
-    kick = larger * mass * device.scales(scene.channels)[channel].kick
-    wanted = kick if push is None else max(kick, push / scene.rate)
-    impulse = min(wanted, mass * min(0.05 * range_m / rests_s, _kick_within_travel(scene, channel, rests_s)))
-    most = min(larger * largest_push(scene, push), force_limit(scene))
-    longest = every // 2
-    if place is not None:
-        eigen = math.sqrt(max(place.stiffness, 0.0) / mass)  # rad/s
-        length = max(1, min(longest, round(scene.rate / eigen))) if eigen > 0.0 else longest
-        impulse = min(impulse, swing * max(mass * eigen, place.damping, mass / rests_s))
-        force = min(most, impulse * scene.rate / length) if push is None else most
-        return Excitation(channel, force, length, every, start=free, first=True, guide=place.guide(scene))
-    force = min(most, impulse * scene.rate)
-    at_rest = device.port is not None or (
-        mock.initial_velocity[channel] == 0.0
-        and device.origins(scene.channels)[channel] in (None, mock.initial_position[channel])
-    )
-    length = longest if impulse * scene.rate > longest * force else max(1, round(impulse * scene.rate / force))
-    return Excitation(channel, force, length, every, start=free, first=at_rest)
-
-
-def _kick_within_travel(scene: Scene, channel: int, rests_s: float) -> float:
-    """Returns the velocity in m/s at which the hand uses no more than _SHARE_OF_TRAVEL of device.travel until a spring,
-    or else the next push, returns it. Its place of rest within the travel is not known before arming."""
-    least, most = scene.device.travels(scene.channels)[channel]
-    point = next(name for name, one in scene.device_points.items() if one.channel == channel)
-    springs = (one for one in scene.links.values() if point in one.between and isinstance(one, ViscoElastic | Spring))
-    stiffness = scene.device.stiffnesses(scene.channels)[channel] + sum(one.stiffness for one in springs)
-    swing_s = math.sqrt(scene.device.masses(scene.channels)[channel] / stiffness) if stiffness > 0.0 else math.inf
-    return _SHARE_OF_TRAVEL * (most - least) / min(rests_s, swing_s)

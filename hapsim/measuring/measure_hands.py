@@ -20,17 +20,18 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
-from hapsim.measuring.measure import pushes
 from hapsim.measuring.measurement_options import Run, RunOptions, require_above_zero, require_device_point
+from hapsim.measuring.pushes import pushes
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.theory.network.felt import Direction, principal
 
 _SECONDS, _PUSHES = 4.0, 4
-_RUN_UP = 8  # samples from the end of a push to the end of its effect
+RUN_UP = 8  # samples from the end of a push to the end of its effect
 
 
 def measure_hands(
@@ -60,13 +61,19 @@ def measure_hands(
         trace = run(scene, duration=seconds, excitation=excitation, **options)
         begins = np.arange(0, trace.sample[-1] if trace.sample.size else 0, every)
         traces.append(trace)
-        quiet = excitation.ticks + _RUN_UP + math.ceil(scene.device.delay)
-        segments += _free(trace, begins + quiet, begins + every, list(channels))
-    mass = np.array([scene.device.masses(scene.channels)[channel] for channel in channels])
+        quiet = excitation.ticks + RUN_UP + math.ceil(scene.device.delay)
+        segments += free_motions(trace, begins + quiet, begins + every, list(channels))
     with one_thread():
         return identify_free_motions(
-            segments, mass, scene.rate, _is_held(scene, channels), tuple(channels), tuple(traces)
+            segments, mass_of(scene, channels), scene.rate, _is_held(scene, channels), tuple(channels), tuple(traces)
         )
+
+
+def mass_of(scene: Scene, channels: Sequence[int]) -> Floats:
+    """Returns the mass matrix (n, n) of the hands on these channels, kg."""
+    rows = scene.device.mass_matrix(scene.channels)
+    whole = np.diag(scene.device.masses(scene.channels)) if rows is None else np.array(rows)
+    return whole[np.ix_(channels, channels)]
 
 
 def _is_held(scene: Scene, channels: Sequence[int]) -> bool:
@@ -78,7 +85,7 @@ def _is_held(scene: Scene, channels: Sequence[int]) -> bool:
     return bool(reached & grounds) or max(scene.device.stiffnesses(scene.channels)) > 0.0
 
 
-def _free(trace: Trace, begins: Any, ends: Any, channels: list[int]) -> list[Floats]:
+def free_motions(trace: Trace, begins: Any, ends: Any, channels: list[int]) -> list[Floats]:
     """Returns the free motions between two pushes, each (samples, n) in m, without gaps, late or limited forces."""
     bad = (trace.flags & (LATE_FORCE | BRIDGED | LIMITED)) != 0
     breaks = np.flatnonzero(bad | (np.diff(trace.sample, prepend=trace.sample[:1] - 1) != 1))
@@ -121,6 +128,13 @@ class HandsMeasurement:
     """Share of the energy in other motions."""
     samples: int
     traces: tuple[Trace, ...]
+    at_m: tuple[float, float] | None = None
+    """Place of a hand in the plane, whose coordinates are the channels."""
+
+    @property
+    def principal(self) -> tuple[Direction, Direction]:
+        """The two principal directions of a hand in the plane, the stiffest first."""
+        return principal(self.k, self.b)
 
 
 class _Modes(NamedTuple):
@@ -139,7 +153,7 @@ def identify_free_motions(
     channels: tuple[int, ...],
     traces: tuple[Trace, ...],
 ) -> HandsMeasurement:
-    """Identifies k and b from free motions, each (samples, n) m, of n hands of these masses (n,) kg. `is_held`: if they
+    """Identifies k and b from free motions, each (samples, n) m, of n hands of this mass (n, n) kg. `is_held`: if they
     have a place of rest. Raises UsageError if the motions do not show as many springs and dampers."""
     rests = _CONSTANT * is_held
     longest = max((len(one) for one in segments), default=0)
@@ -147,7 +161,8 @@ def identify_free_motions(
     if not segments:
         raise UsageError("too little of the free motion was recorded without a gap: record longer (--duration)")
     before, after, noise = _rows(segments, _SPANS[0], rests)
-    modes, n = _modes(before, after, mass.size, noise), mass.size
+    n = len(mass)
+    modes = _modes(before, after, n, noise)
     own = _hand_modes(modes, n)
     k, b = _matrices(modes, own, mass, rate)
     random = np.random.default_rng(0)
@@ -234,8 +249,8 @@ def _hand_modes(modes: _Modes, n: int) -> Any:
 
 def _matrices(modes: _Modes, own: Any, mass: Floats, rate: float) -> tuple[Floats, Floats]:
     hands, s = modes.hands[:, own], rate * np.log(modes.poles[own])
-    both = -np.linalg.solve(np.vstack([hands, hands * s]).T, (mass[:, None] * hands * s**2).T).T.real
-    return both[:, : mass.size], both[:, mass.size :]
+    both = -np.linalg.solve(np.vstack([hands, hands * s]).T, (mass @ (hands * s**2)).T).T.real
+    return both[:, : len(mass)], both[:, len(mass) :]
 
 
 def _refined(
@@ -246,14 +261,15 @@ def _refined(
     M x'' + b x' + k x = 0. Each free motion has its own initial state and, if the hands are held, a place of rest."""
     from scipy.optimize import least_squares
 
-    n, length = mass.size, min(map(len, segments))
+    n, length = len(mass), min(map(len, segments))
     data = np.stack([one[:length].ravel() for one in segments], axis=1)
     scale = np.abs([k, b]).max(axis=(1, 2))[:, None, None]
+    inverse = np.linalg.inv(mass)
     time, rests = np.arange(length) / rate, np.broadcast_to(np.eye(n)[:, : n * is_held], (length, n, n * is_held))
 
     def left(numbers: Floats) -> Floats:
         stiffness, damping = numbers.reshape(2, n, n) * scale
-        rates = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness / mass[:, None], -damping / mass[:, None]]])
+        rates = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
         s, states = np.linalg.eig(rates)
         begun = np.exp(np.outer(time, s))[:, None, :] * states[:n] @ np.linalg.inv(states)
         moves = np.concatenate([begun.real, rests], axis=2).reshape(length * n, -1)

@@ -85,7 +85,13 @@ class FeltTogether:
         if self.not_predicted:
             return no_pair(len(self.names), self.not_predicted)
         with one_thread():
-            return felt_pair(self._network, self._eigen)
+            return felt_pair(self._network, self._eigen, self._most)
+
+    @property
+    def _most(self) -> float:
+        """Limit of the share of other motions; x and y of a single hand, without masses, have none."""
+        is_one = len({name.partition(".")[0] for name in self.names}) == 1
+        return math.inf if is_one and not self._network.point_mass.size else CARRIED
 
     @property
     def own_motion(self) -> OwnMotion | None:
@@ -100,6 +106,8 @@ class FeltTogether:
     def weight(self) -> Weight | None:
         """Felt weight of a single hand's free masses; else None."""
         network = self._network
+        if len(self.names) > 1:
+            return None
         mass, stiffest = float(network.point_mass.sum()), float(np.abs(network.stiffness).max(initial=0.0))
         acts = (network.stiffness != 0.0) | (network.damping != 0.0)
         is_held = bool((network.ends[acts] < 0).any()) or network.channel_stiffness[0] > 0.0
@@ -131,7 +139,7 @@ class FeltTogether:
         """Desired pair, of the scene in continuous time, without sampling, hold and delay."""
         with one_thread():
             # The limit is wider: both pairs are shown side by side, and the felt one may be just within its own.
-            return continuous_pair(self._continuous, 1.5 * CARRIED)
+            return continuous_pair(self._continuous, 1.5 * self._most)
 
     @cached_property
     def static_stiffness(self) -> Floats:

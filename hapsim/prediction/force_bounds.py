@@ -13,6 +13,7 @@ from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import Prediction
 from hapsim.prediction.timing import FIRST_SAMPLES, on_wire
 from hapsim.scene import Scene
+from hapsim.scene.quantity import Area
 
 RISE_S = 1e-3  # from zero to the force limit, or a sample period if that is longer
 SOFT_START_S = 0.05
@@ -137,21 +138,38 @@ def travel_error(scene: Scene) -> str:
     device = scene.device
     if device.travel is None:
         return ""
-    for channel, margin in enumerate(device.travel_margins(scene.channels)):
+    for channel, margin in enumerate(scene.travel_margins):
+        most = largest_force(scene, channel)
         stable, damping = fade_stiffness(scene, channel), device.scales(scene.channels)[channel].grip_damping
-        if not device.force_limit <= stable * margin:
+        if not most <= stable * margin:
             where = f" on channel {channel}" if scene.channels > 1 else ""
             likely = "".join(f"{hint.removesuffix('.')}. " for hint in unlikely(scene))  # the cause comes first
             units = scene.units_of(channel)
-            least = units(device.force_limit / stable, "m", rounded_up)
+            least = units(most / stable, "m", rounded_up)
             return (
-                f"{likely}device.travel_margin: the force of up to {units(device.force_limit, 'N', 'g')} fades over "
-                f"{units(margin, 'm', 'g')}{where}, a stiffness of {units(device.force_limit / margin, 'N/m', '.4g')} "
+                f"{likely}device.travel_margin: the force of up to {units(most, 'N', 'g')} fades over "
+                f"{units(margin, 'm', 'g')}{where}, a stiffness of {units(most / margin, 'N/m', '.4g')} "
                 f"that shakes the hand: with only the hand's {units(damping, 'N·s/m', 'g')} and the device's friction "
                 f"as dampers, this loop is stable up to {units(stable, 'N/m', '.4g')}; expected at least "
                 f"{least}, or a lower device.force_limit"
             )
     return ""
+
+
+def travel_in_words(scene: Scene, channel: int) -> str:
+    """Words on the travel of the hand of a channel, to follow "goes"."""
+    area, units, each = scene.device.travel, scene.units_of(channel), scene.device.travels(scene.channels)
+    if isinstance(area, Area):
+        center = units(f"({', '.join(units.number(one, 'm', 'g') for one in area.center)})", "m")
+        disc = f"up to {units(area.radius, 'm', 'g')} from {center}"
+        return f"to the edge of a polygon of {len(area.polygon)} corners" if area.polygon else disc
+    ranges = [[units.number(end, "m", "g") for end in each[c]] for c in scene.hand_of(channel)]
+    return " and ".join(f"from {least} to {units(most, 'm')}" for least, most in ranges)
+
+
+def largest_force(scene: Scene, channel: int) -> float:
+    """Largest force on the hand of a channel, N: of x and y together, where both are at their limit."""
+    return scene.device.force_limit * math.sqrt(len(scene.hand_of(channel)))
 
 
 def fade_stiffness(scene: Scene, channel: int) -> float:
@@ -165,10 +183,11 @@ def fade_stiffness(scene: Scene, channel: int) -> float:
 
 
 def travel_document(scene: Scene) -> dict[str, Any]:
-    """Limits, margin and origin of every channel, in m: None if there is none, "here" for the position at arming."""
+    """Limits, margin and origin of every channel, in m: None if there is none, "here" for the position at arming; and
+    the area of a hand in the plane, whose limits are those of the box around it."""
     device, channels = scene.device, scene.channels
     return {
         "limits_m": None if device.travel is None else device.travels(channels),
-        "margin_m": None if device.travel is None else device.travel_margins(channels),
+        "margin_m": None if device.travel is None else scene.travel_margins,
         "origin_m": ["here" if origin is None else origin for origin in device.origins(channels)],
-    }
+    } | ({"area_m": device.travel.model_dump()} if isinstance(device.travel, Area) else {})

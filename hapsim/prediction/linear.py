@@ -213,11 +213,12 @@ def network_of(scene: Scene, linear: LinearScene) -> tuple[Network, tuple[str, .
     number = {name: i for i, name in enumerate(points)} | dict.fromkeys(linear.fixed, -1)
     links = [*linear.links.values(), *linear.inner]
     device = scene.device
+    masses = np.array(device.mass_matrix(scene.channels) or device.masses(scene.channels))
     # Without masses the last of the steps equals a single step: it has both positions, and no other state.
     substeps = scene.substeps if linear.masses or device.decimation == "mean" else 1
     network = Network(
         rate=scene.rate,
-        channel_mass=np.array(device.masses(scene.channels))[channels],
+        channel_mass=masses[np.ix_(channels, channels)] if masses.ndim > 1 else masses[channels],
         channel_friction=np.array(device.frictions(scene.channels))[channels],
         delay=device.delay,
         hold=device.hold,

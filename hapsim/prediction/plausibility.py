@@ -15,8 +15,10 @@ from hapsim.number_format import duration, frequency, number, plural, short, sho
 from hapsim.prediction.characteristic import characteristic_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.scene import Mock, Scene
+from hapsim.scene.modules.plane_links import Shape
 from hapsim.scene.part import Part
-from hapsim.scene.quantity import Expectation, Known, Span, expectation_of
+from hapsim.scene.quantity import Area, Expectation, Known, Span, expectation_of
+from hapsim.scene.scene import AXES
 from hapsim.theory.hand.configuration import stiffest_stable
 from hapsim.units import Units
 
@@ -196,6 +198,7 @@ def _keys(kind: type[Part]) -> list[tuple[str, Expectation | None]]:
 
 
 def _numbers(value: Any) -> list[float]:
+    value = tuple(value.model_dump().values()) if isinstance(value, Area) else value
     if isinstance(value, tuple):
         return [one for entry in value for one in _numbers(entry)]
     if isinstance(value, Span):
@@ -328,3 +331,27 @@ def _jumps(scene: Scene) -> Iterator[str]:
                 hint = f"check the stiffness of {name} and the positions of its ends."
             pushes = f"at arming the scene pushes {hand} with {units(total, 'N', short)}"
             yield f"{pushes}; the force limit is {units(limit, 'N')}: {hint}"
+
+
+def begun_inside(scene: Scene) -> Iterator[str]:
+    """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps."""
+    device, mock, points = scene.device, scene.mock_device, {**scene.grounds, **scene.masses}
+    if device.port is not None or device.soft_start:
+        return
+    starts = zip(mock.initial_position, device.origins(scene.channels), strict=True)
+    start = [0.0 if origin is None else position - origin for position, origin in starts]
+    places = {name: one.position for name, one in points.items()}
+    places |= {name: start[one.channel] for name, one in scene.device_points.items()}
+    for name, shape in scene.plane_links.items():
+        hand = next((end for end in shape.between if f"{end}.x" in scene.device_points), "")
+        if not hand or not isinstance(shape, Shape):
+            continue
+        first, second = shape.between
+        x, y = (places[f"{first}.{axis}"] - places[f"{second}.{axis}"] for axis in AXES)
+        depth = -shape.chain().nearest(x, y).distance
+        if depth > 0.0:
+            force, units = min(shape.stiffness * depth, device.force_limit), scene.units
+            yield (
+                f"{hand} starts {units(depth, 'mm', '.3g')} inside {name}: at arming the force jumps to "
+                f"{units(force, 'N', '.3g')}. Let it start outside (mock.initial.position), or set device.soft_start."
+            )

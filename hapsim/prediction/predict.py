@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from typing import Any, cast
 
 import numpy as np
 
@@ -33,6 +34,9 @@ from hapsim.theory.arrays import Indices, sort_by_modulus
 from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, part_of, parts_of
 from hapsim.theory.network.network import is_centred
 
+Place = float | tuple[float, float] | None
+"""Position of a hand, m: in the plane x and y; None: not given."""
+
 _EXCITERS = (Buffer, Plectrum, Click, Friction)  # links that excite a sound and release its source
 _LOWEST_HZ = 20.0  # of a partial
 _MOST_DAMPED = 0.1  # of critical; with more damping it is a thud
@@ -44,20 +48,20 @@ class Prediction:
 
     points: tuple[str, ...]
     """Names to which a mode's participation refers."""
+    _also: Sequence[Sequence[int]] = ()
+    """Pairs of points that count as joined."""
 
-    def __init__(
-        self, scene: Scene, at: float | None = None, *, with_margins: bool = True, wherever: bool = False
-    ) -> None:
+    def __init__(self, scene: Scene, at: Place = None, *, with_margins: bool = True, wherever: bool = False) -> None:
         """`at`, `with_margins`: as in `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
         require_within_numbers(scene)
-        self.scene, self._at, self._with_margins, self._wherever = scene, at, with_margins, wherever
+        self.scene, self._at, self._with_margins, self._wherever = scene, cast(Any, at), with_margins, wherever
         self._rendering = rendered(scene)
         self._tolerances: dict[object, Tolerance | None] = {}
         self._seen = self._rendering.seen
         self._take()
         if instead := self.states.instead():
             self._take(instead)
-        whys = {name: coupling_reason(self._seen, self._linear, name) for name in scene.device_points}
+        whys = {name: self._coupling_reason(name) for name in scene.device_points}
         self.coupled: dict[str, str] = {name: why for name, why in whys.items() if why}
         """Device points that are no temporary hybrid systems of their own, each with a reason that follows its name."""
         self.is_lone: bool = not self.coupled and not self._linear.masses
@@ -75,6 +79,9 @@ class Prediction:
         self._network, self.points = network_of(self._seen, self._linear)
         self.states = ContactStates(self._seen, self._linear, self._network, self.points)
         """States of its contacts."""
+
+    def _coupling_reason(self, name: str) -> str:
+        return coupling_reason(self._seen, self._linear, name)
 
     @cached_property
     def _lone(self) -> tuple[Felt, ...]:
@@ -148,7 +155,7 @@ class Prediction:
 
     def _parts(self, names: Collection[str]) -> Iterator[tuple[tuple[str, ...], tuple[int, ...], Indices]]:
         """Yields, per part of the scene with some of these device points, these, their channels and all its points."""
-        part, number = parts_of(self._network), self.points.index
+        part, number = parts_of(self._network, also=self._also), self.points.index
         for its in dict.fromkeys(int(part[number(name)]) for name in names):
             own = tuple(name for name in names if part[number(name)] == its)
             yield own, tuple(self.scene.device_points[name].channel for name in own), np.flatnonzero(part == its)
@@ -357,14 +364,28 @@ class Prediction:
         return self.first is not None and self.first.dominant
 
 
-def predict(scene: SceneSource, *, with_margins: bool = True, at: float | None = None) -> Prediction:
+def predict(scene: SceneSource, *, with_margins: bool = True, at: Place = None) -> Prediction:
     """Returns the prediction for `scene`: the felt stiffness and damping, the stability of the whole, and the time on
     the wire. `scene`: a Scene, or the path of a scene file. `with_margins`: also each link's gain margin, which for a
     large scene takes longer than the rest. `at`: the position of the hands in m [default: where they rest, or are held
-    nearest to position 0]. UsageError if that is beyond the travel."""
-    prediction = Prediction(as_scene(scene), at, with_margins=with_margins)
+    nearest to position 0]; with space: 2, x and y of the first hand [default: where it starts]. UsageError if that is
+    beyond the travel."""
+    prediction = prediction_of(as_scene(scene), at, with_margins=with_margins)
     _ = prediction.stable, prediction.poles  # so that their errors are raised by this call
     return prediction
+
+
+def prediction_of(scene: Scene, at: Place = None, **options: bool) -> Prediction:
+    """Returns the prediction, not yet computed; arguments as of `Prediction`. Raises UsageError where `at` is no place
+    in the scene's space."""
+    if isinstance(at, float | int | None) is not (scene.space == 1 or at is None):
+        expected = "a position in a scene with one coordinate" if scene.space == 1 else "x, y in a scene with space: 2"
+        raise UsageError(f"at: found {at}, expected {expected}")
+    if scene.space == 1:
+        return Prediction(scene, at, **options)
+    from hapsim.prediction.predict_plane import PlanePrediction
+
+    return PlanePrediction(scene, at, **options)
 
 
 def predict_on_wire(scene: Scene) -> Prediction | None:
@@ -378,16 +399,16 @@ def surely_shaken_by(scene: Scene) -> Shaking | None:
     """Returns the motion that will surely shake the hand in `scene`, at any position; None if there is none. At the
     limit it is not certain, nor if the poles cannot be computed for the scene's scheme. A running loop needs this
     before it takes a scene."""
-    return Prediction(scene, with_margins=False, wherever=True).judge.shaking
+    return prediction_of(scene, with_margins=False, wherever=True).judge.shaking
 
 
 def is_soon_stable(scene: Scene, most_states: int) -> bool:
     """Returns True if `surely_shaken_by` finds no motion and this is quickly found; False proves nothing. Hands without
     masses are judged one by one, and only those that changed. `most_states`: as in `Judge.is_soon_stable`."""
     hands = scene.device_points.keys()
-    is_lone = not scene.structures and not scene.material_points and len(hands) > 1
+    is_lone = not scene.structures and not scene.material_points and len(hands) > 1 and scene.space == 1
     if not is_lone or scene.device.correction != "none" or any(hands >= {*one.between} for one in scene.links.values()):
-        return Prediction(scene, with_margins=False, wherever=True).judge.is_soon_stable(most_states)
+        return prediction_of(scene, with_margins=False, wherever=True).judge.is_soon_stable(most_states)
     for name in hands:  # with the links of this hand alone, and without the modules of other hands
         own = {at: one for at, one in scene.modules.items() if not isinstance(one, Link) or name in one.between}
         if not _is_stable_alone(scene.model_copy(update={"modules": Table(own), "sound": Table({})})):

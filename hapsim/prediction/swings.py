@@ -296,9 +296,10 @@ class NetworkVerdict:
             return False
         return bool(np.abs(1.0 + np.linalg.eigvals(change)).max(initial=0.0) <= SURELY)
 
-    def shaken_by_network(self, snaps: int = 0) -> Shaking | None:
+    def shaken_by_network(self, snaps: int = 0, *, held: bool = False) -> Shaking | None:
         """Returns the motion that surely grows; None also if the poles cannot be computed for the scheme. `snaps`:
-        number of real poles that belong to snaps; a snap moves the points on before a slower growth is felt."""
+        number of real poles that belong to snaps; a snap moves the points on before a slower growth is felt, unless
+        they are `held`."""
         if not snaps and (self.decays or self._stays):
             return None
         solution = self.solved.solution
@@ -310,7 +311,7 @@ class NetworkVerdict:
         if snaps:
             every, rest = solution.poles.tolist(), drop_real_poles(solution.poles.tolist(), snaps)
             radius, driven = (max(map(abs, poles), default=0.0) for poles in (rest, {*every} - {*rest}))
-        if not radius > (max(SURELY, driven) if snaps else SURELY):
+        if not radius > (max(SURELY, driven) if snaps and not held else SURELY):
             return None
         near = min(solution.modes, key=lambda mode: abs(abs(mode.pole) - radius), default=None)
         if near is None or abs(near.pole) < radius * (1.0 - 1e-9):

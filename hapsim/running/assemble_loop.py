@@ -247,7 +247,7 @@ def _stale_ns(scene: Scene, control: Any) -> int:
 
 
 def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, scene: Scene) -> list[Hook]:
-    """Sets the excitation. Returns the hook of its guide, if it has one."""
+    """Sets the excitation. Returns the hooks of its guide, if it has one."""
     control = record.control
     control.pulse_channel = excitation.channel
     if isinstance(excitation, PeriodicExcitation):
@@ -256,20 +256,23 @@ def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, sc
     control.pulse_force, control.pulse_ticks = excitation.force, excitation.ticks
     control.pulse_every, control.pulse_from, control.pulse_first = excitation.every, excitation.start, excitation.first
     if (guide := excitation.guide) is not None:
-        channel, ticks = excitation.channel, guide.ticks(scene.rate)
         control.pulse_begin = excitation.ticks_before(scene.rate)
-        mass = scene.device.masses(scene.channels)[channel]
-        guided = guide_hook(
-            record.guide,
-            channel=channel,
-            target=guide.target,
-            beyond=guide.beyond,
-            ticks=ticks,
-            rate_hz=scene.rate,
-            stiffness=guide.stiffness,
-            mass=mass,
-        )
-        return [guided]
+        masses = scene.device.masses(scene.channels)
+        return [
+            guide_hook(
+                own,
+                channel=channel,
+                target=target,
+                beyond=guide.beyond,
+                ticks=guide.ticks(scene.rate),
+                rate_hz=scene.rate,
+                stiffness=guide.stiffness,
+                mass=masses[channel],
+            )
+            for own, (channel, target) in zip(
+                record.guides, ((excitation.channel, guide.target), *guide.also), strict=False
+            )
+        ]
     return []
 
 
@@ -289,3 +292,6 @@ def _set_io(io: Any, scene: Scene, description: Description) -> None:
     with np.errstate(over="ignore"):
         counts = np.minimum(np.floor(limit / scale * (1.0 + 1e-12)), 2.0**31 - 1.0)
     io.force_limit[:channels] = counts * scale
+    for hand in scene.channel_groups:
+        for c, following in zip(hand, (*hand[1:], hand[0]), strict=True):
+            io.to_next[c] = (following - c) % 2**64

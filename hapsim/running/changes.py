@@ -30,12 +30,12 @@ from hapsim.prediction import surely_shaken_by
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.predict import is_soon_stable
 from hapsim.running.assemble_loop import LoopMemory
-from hapsim.running.live_parameters import MOCK_HAND, LivePart, parts_of
+from hapsim.running.live_parameters import MOCK_HAND, LivePart, modules_of, parts_of
 from hapsim.running.requirements import require_in_time, require_not_less_stable
 from hapsim.scene import Hand, Mock, Nonlinear, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
-from hapsim.scene.modules import Module, ModuleContext
+from hapsim.scene.modules import ModuleContext
 from hapsim.scene.modules.links import PickUp, sound_issues
 from hapsim.scene.part import Part, Table
 from hapsim.units import Units
@@ -325,7 +325,7 @@ def changed(scene: Scene, changes: Changes) -> Scene:
         _require_sizes(name, values)
         parts[name] = _part_with(name, parts[name], values, scene.units_at(name))
     hand = parts.pop(MOCK_HAND)
-    modules = {name: one for name, one in parts.items() if isinstance(one, Module)}
+    modules = modules_of(scene, parts)
     pick_ups = {name: one for name, one in parts.items() if isinstance(one, PickUp)}
     around = ModuleContext.of(modules)
     issues = (issue for name in changes if name in modules for issue in modules[name].issues(name, around))
@@ -333,7 +333,8 @@ def changed(scene: Scene, changes: Changes) -> Scene:
         raise UsageError(f"{'.'.join(map(str, issue.path[1:]))}: {issue.sentence}")
     for issue in lists_of_another_length({("mock", "hand"): dict(hand)}, scene.channels):
         raise UsageError(f"{'.'.join(map(str, issue.path))}: {issue.sentence}")
-    made: dict[str, Any] = {"modules": Table(modules)} if changes.keys() & scene.modules.keys() else {}
+    is_changed = changes.keys() - {*scene.sound, MOCK_HAND}
+    made: dict[str, Any] = {"modules": Table(modules)} if is_changed else {}
     if changes.keys() & scene.sound.keys():
         made["sound"] = Table(pick_ups)
     if MOCK_HAND in changes:

@@ -13,12 +13,13 @@ from typing import Any, Literal
 
 from hapsim.cordis.program import fixed_modules
 from hapsim.errors import UsageError
-from hapsim.scene import Hand, Mock, Scene
+from hapsim.scene import Ground, Hand, Mock, Scene
 from hapsim.scene.issue import did_you_mean
 from hapsim.scene.modules import Module
 from hapsim.scene.modules.links import PickUp
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import expectation_of
+from hapsim.scene.scene import AXES
 
 Kind = Literal["number", "numbers", "word", "points"]
 Value = float | str | tuple[Any, ...]
@@ -80,9 +81,23 @@ class Parameter:
 
 
 def parts_of(scene: Scene) -> dict[str, LivePart]:
-    """Returns the parts with live parameters, by name: the modules, the pick-ups, and the hand that holds the mock."""
-    hand = (scene.mock or Mock()).hand
-    return {**scene.modules, **scene.sound, MOCK_HAND: hand}
+    """Returns the parts with live parameters, by name: the modules, the pick-ups, and the hand that holds the mock. In
+    the plane the coordinates of a ground, "post.x" and "post.y", stand for it."""
+    hand, modules = (scene.mock or Mock()).hand, dict[str, LivePart](scene.modules)
+    if scene.space > 1:
+        modules = {name: one for name, one in modules.items() if not isinstance(one, Ground)} | scene.grounds
+    return {**modules, **scene.sound, MOCK_HAND: hand}
+
+
+def modules_of(scene: Scene, parts: Mapping[str, Any]) -> dict[str, Module]:
+    """Returns the modules of a scene, in the order of the file, with the values of its `parts_of`."""
+
+    def with_values(name: str, module: Module) -> Module:
+        if name in parts:
+            return parts[name]
+        return module.model_copy(update={"position": tuple(parts[f"{name}.{axis}"].position for axis in AXES)})
+
+    return {name: with_values(name, module) for name, module in scene.modules.items()}
 
 
 def parameters_of(scene: Scene, has_mock: bool) -> dict[str, Parameter]:

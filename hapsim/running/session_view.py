@@ -32,6 +32,7 @@ from hapsim.running.recorded_run import run_of
 from hapsim.running.session_options import RunOptions
 from hapsim.scene import Scene
 from hapsim.scene.issue import did_you_mean
+from hapsim.scene.scene import AXES
 
 _STREAM_S = 60.0  # length that a stream keeps for a late reader
 _TRIES = 8  # to read all values of one sample
@@ -70,18 +71,18 @@ class State:
     force: tuple[float, ...]
     """Last sent force of each channel, (C,) N: 0 once the run is over."""
     modules: Mapping[str, float | NDArray[np.float64]]
-    """Position of each point, m; of all masses of a string or a membrane, (masses,). They are read while the loop runs:
-    masses of one structure may differ by a sample."""
+    """Position of each point, m, in the plane by "ball.x" and "ball.y"; of all masses of a string or a membrane,
+    (masses,). They are read while the loop runs: masses of one structure may differ by a sample."""
     progress: Progress
     """Phase, rate and counters."""
 
 
 def _places_in(numbers: Mapping[str, int]) -> dict[str, int | NDArray[np.int64]]:
-    """Returns the index of each module in a program's rows, or the indices of a structure's masses."""
+    """Returns the index of each point in a program's rows, or the indices of a structure's masses."""
     places: dict[str, Any] = {}
     for name, number in numbers.items():
-        module, dot, _ = name.partition(".")
-        if dot:
+        module, _, mass = name.partition(".")
+        if mass and mass not in AXES:
             places.setdefault(module, []).append(number)
         else:
             places[name] = number

@@ -127,6 +127,9 @@ def _different_keys(
 
 
 def _text(value: object, unit: str, units: Units) -> str:
+    if isinstance(value, BaseModel):
+        fields = value.model_dump(exclude_none=True).items()
+        return ", ".join(f"{name} {_text(one, '', units)}" for name, one in fields)
     if isinstance(value, tuple | list):
         return f"[{', '.join(_text(one, '', units) for one in value)}]"
     if not isinstance(value, float):

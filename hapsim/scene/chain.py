@@ -113,6 +113,8 @@ class Chain(NamedTuple):
         """Returns points along the chain, m, for pictures: on arcs one for each `most_turn` rad."""
         points = []
         for piece in self.pieces:
+            if piece.bend and piece.radius == 0.0:
+                continue  # a corner, where another piece ends; or the end of a path
             if math.isinf(piece.extent):
                 points += [(piece.x + far * piece.ex, piece.y + far * piece.ey) for far in (-_FAR, _FAR)]
                 continue

@@ -4,7 +4,8 @@ They take whatever parts are sound, so that a fault in one place does not hide f
 """
 
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 from hapsim.dampers import DAMPERS
 from hapsim.holds import HOLDS
@@ -54,6 +55,7 @@ def cross_check_issues(around: ModuleContext, per_channel: Fields, scene: Mappin
         yield from _beyond_single(around)
     yield from _device_issues(per_channel[("device",)])
     yield from space_issues(around, scene, per_channel[("device",)])
+    yield from _coupled_issues(per_channel[("device",)], per_channel[("mock",)], scene.get("space", 1))
     substeps, sound = scene.get("substeps"), scene.get("sound")
     if isinstance(substeps, int) and substeps > 1:
         yield from _dampers_across_steps(around)
@@ -115,9 +117,9 @@ def _unfit_at_proxy(link: Link) -> str:
 
 def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
     mass = device.get("mass")
-    masses = mass if isinstance(mass, tuple | list) else [mass]
     if device.get("correction") == "adaptive" and not any(
-        one is None or isinstance(one, Span) or (isinstance(one, dict) and "from" in one) for one in masses
+        one is None or isinstance(one, Span | list | tuple) or (isinstance(one, dict) and "from" in one)
+        for one in _entries(mass)
     ):
         yield Issue(
             ("device", "correction"),
@@ -131,6 +133,35 @@ def _device_issues(device: Mapping[str, object]) -> Iterator[Issue]:
             "found a margin without a travel; add device.travel: [the least, the most], or omit the margin",
             at_key=True,
         )
+
+
+def _entries(value: object) -> Sequence[Any]:
+    """Returns the entries of a list, or the only value."""
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+def _is_coupled(mass: object) -> bool:
+    """Returns whether a mass, made or as written, is a matrix with numbers beside its diagonal."""
+    return any(one for i, row in enumerate(_entries(mass)) if isinstance(row, list | tuple) for one in row[:i])
+
+
+def _coupled_issues(device: Mapping[str, object], mock: Mapping[str, object], space: object) -> Iterator[Issue]:
+    """Yields what a device whose mass is a matrix, or its mock, cannot have. Corrections are for one coordinate, in
+    which a hand moves one mass: with a matrix it moves another in each direction."""
+    for path, mass in ((("device", "mass"), device.get("mass")), (("mock", "mass"), mock.get("mass"))):
+        if _is_coupled(mass) and space == 1:
+            found = "found a matrix in a scene with one coordinate"
+            yield Issue(path, f"{found}, expected a number, or a list with one per channel; or write space: 2")
+    if _is_coupled(device.get("mass")) and any(_entries(device.get("stiffness"))):
+        sentence = "found a spring in a device whose mass is a matrix, expected 0: its motion is not predicted"
+        yield Issue(("device", "stiffness"), sentence)
+    if _is_coupled(mock.get("mass") or device.get("mass")):
+        if mock.get("coulomb"):
+            sentence = "found dry friction with a mass that is a matrix, expected 0: its motion has no closed form"
+            yield Issue(("mock", "coulomb"), sentence)
+        if mock.get("grips"):
+            sentence = "found grips with a mass that is a matrix, expected none: they give every channel one mass"
+            yield Issue(("mock", "grips"), sentence, at_key=True)
 
 
 def _sensor_issues(device: Mapping[str, object]) -> Iterator[Issue]:
@@ -249,12 +280,18 @@ def lists_of_another_length(per_channel: Fields, channels: int | None) -> Iterat
     fields = [((*path, name), value) for path, part in per_channel.items() for name, value in part.items()]
     for path, value in fields:
         one = {"travel": "pair", "motion": "word"}.get(str(path[-1]), "number")
+        if (
+            path[-1] == "mass"
+            and isinstance(value, list | tuple)
+            and any(isinstance(row, list | tuple) for row in value)
+        ):
+            one = "row"
         if not channels or not isinstance(value, list | tuple) or path[-1] in _LISTS:
             continue
         if len(value) != channels and (one != "pair" or isinstance(value[0], list | tuple)):
             found = f"found {len(value)} {one}{'' if len(value) == 1 else 's'}"
             expected = f"expected {channels}: one for each channel, up to the highest that a module holds"
-            yield Issue(path, f"{found}, {expected}; or write a single {one} for all")
+            yield Issue(path, f"{found}, {expected}; or write a single {one.replace('row', 'number')} for all")
 
 
 def _beyond_single(around: ModuleContext) -> Iterator[Issue]:

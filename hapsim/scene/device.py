@@ -2,7 +2,8 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, ClassVar, Literal, cast
+from itertools import combinations
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 from pydantic import Field
 
@@ -23,10 +24,12 @@ from .choices import (
 )
 from .part import Part
 from .quantity import (
+    Area,
     Curve,
     Known,
     Limits,
     LimitsPerChannel,
+    Matrix,
     PerChannel,
     Span,
     SpanPerChannel,
@@ -44,8 +47,8 @@ from .quantity import (
 Clock = Literal["device", "host", "lockstep"]
 
 _MASS = "Mass of the device's moving part and of the hand that holds it"
-MASS = quantity(_MASS, "kg", above=0, per_channel=True)
-SPANNED_MASS = quantity(_MASS, "kg", above=0, per_channel=True, spans=True)
+MASS = quantity(_MASS, "kg", above=0, per_channel=True, matrix=True)
+SPANNED_MASS = quantity(_MASS, "kg", above=0, per_channel=True, spans=True, matrix=True)
 FRICTION = quantity("Viscous friction of the device", "N·s/m", least=0, per_channel=True)
 STIFFNESS = quantity("Spring in the device itself, at rest at position 0", "N/m", least=0, per_channel=True)
 MASS_AT = quantity(
@@ -81,7 +84,7 @@ TRAVEL_MARGIN = quantity(
     "Width of the band outside travel in which the force fades; a run ends beyond it",
     "m",
     above=0,
-    left_out="a tenth of the travel",
+    left_out="a tenth of the travel, in the plane of its smaller width",
 )
 ORIGIN = quantity(
     "Position of the device that is the scene's position 0; here: its position at arming",
@@ -111,7 +114,7 @@ class Device(Part):
         default="device", description="Clock of the loop; lockstep: the mock, in virtual time, as fast as possible"
     )
     motion: Annotated[Motion | tuple[Motion, ...], word_per_channel(MOTION, MOTIONS)] = "linear"
-    mass: Annotated[SpanPerChannel, SPANNED_MASS]
+    mass: Annotated[SpanPerChannel | Matrix, SPANNED_MASS]
     friction: Annotated[PerChannel, FRICTION] = 0.0
     mass_at: Annotated[PerChannel | None, MASS_AT] = None
     stiffness: Annotated[PerChannel, STIFFNESS] = 0.0
@@ -122,7 +125,7 @@ class Device(Part):
     slew_limit: Annotated[float | None, SLEW_LIMIT] = None
     soft_start: Annotated[float | None, SOFT_START] = None
     energy_limit: Annotated[float | None, ENERGY_LIMIT] = None
-    travel: Annotated[LimitsPerChannel | None, TRAVEL] = None
+    travel: Annotated[LimitsPerChannel | Area | None, TRAVEL] = None
     travel_margin: Annotated[float | None, TRAVEL_MARGIN] = None
     origin: Annotated[WordPerChannel | None, ORIGIN] = None
     sensors: Annotated[tuple[str, ...], some_of("Sensors of the device beside that of the position", SENSORS)] = ()
@@ -140,8 +143,15 @@ class Device(Part):
         return tuple(scale_of(motion, mass, high - low) for motion, (mass, _), (low, high) in each)
 
     def masses(self, channels: int) -> tuple[float, ...]:
-        """Mass of each of ``channels`` channels, in kg; of one that is not known, the middle of its span."""
+        """Mass of each of ``channels`` channels, in kg: the middle of a span, and the diagonal of a matrix."""
         return tuple(math.sqrt(least * most) if least < most else most for least, most in self.mass_spans(channels))
+
+    def mass_matrix(self, channels: int) -> Matrix | None:
+        """Returns the rows of the mass matrix of ``channels`` channels, in kg; None where no channel moves another."""
+        rows: Any = self.mass
+        if not isinstance(rows, tuple) or not all(isinstance(one, tuple) for one in rows):
+            return None
+        return rows if any(rows[i][j] for i, j in combinations(range(channels), 2)) else None
 
     def mass_spans(self, channels: int) -> tuple[tuple[float, float], ...]:
         """The least and the most that the mass of each of ``channels`` channels may be, in kg."""
@@ -157,9 +167,12 @@ class Device(Part):
         return per_channel(self.friction, channels)
 
     def travels(self, channels: int) -> tuple[Limits, ...]:
-        """Least and most position of each of ``channels`` channels, m, from the scene's 0; infinite without travel."""
+        """Least and most position of each of ``channels`` channels, m, from the scene's 0; infinite without travel. Of
+        an area they are those of the box around it, for channels of x and y in turn."""
         if self.travel is None:
             return ((-math.inf, math.inf),) * channels
+        if isinstance(self.travel, Area):
+            return tuple(self.travel.bounds[c % 2] for c in range(channels))
         pairs = tuple(one for one in self.travel if isinstance(one, tuple))
         return pairs or (cast(Limits, self.travel),) * channels
 
@@ -178,7 +191,12 @@ class Device(Part):
         return per_channel(self.stiffness, channels)
 
     def _masses(self, channels: int) -> tuple[float | Span | Known, ...]:
-        return self.mass if isinstance(self.mass, tuple) else (self.mass,) * channels
+        return _diagonal(self.mass) if isinstance(self.mass, tuple) else (self.mass,) * channels
+
+
+def _diagonal(mass: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Returns one mass for each channel: those of a list, or the diagonal of a matrix."""
+    return tuple(one[i] if isinstance(one, tuple) else one for i, one in enumerate(mass))
 
 
 AS_DEVICE = "as `device` says"
@@ -216,7 +234,7 @@ class Hand(Part):
 class Mock(Part):
     """Differences of the mock from the described device, and imperfections of a real device. SI units."""
 
-    mass: Annotated[PerChannel | None, replace(MASS, left_out=AS_DEVICE)] = None
+    mass: Annotated[PerChannel | Matrix | None, replace(MASS, left_out=AS_DEVICE)] = None
     friction: Annotated[PerChannel | None, replace(FRICTION, left_out=AS_DEVICE)] = None
     stiffness: Annotated[PerChannel | None, replace(STIFFNESS, left_out=AS_DEVICE)] = None
     delay: Annotated[float | None, replace(DELAY, left_out=AS_DEVICE)] = None
@@ -268,7 +286,8 @@ class Mock(Part):
 @dataclass(frozen=True)
 class MockDevice:
     """The mock as it is to be simulated: nothing left open, one value per channel where channels may differ. SI units,
-    as in `Device` and `Mock`. `force_limit`: what it never exceeds, N; `baud`: None where bytes take no time."""
+    as in `Device` and `Mock`. `mass_matrix`: its rows; None where no channel moves another. `force_limit`: what it
+    never exceeds, N; `baud`: None where bytes take no time."""
 
     mass: tuple[float, ...]
     friction: tuple[float, ...]
@@ -283,6 +302,7 @@ class MockDevice:
     quantum: tuple[float, ...]
     noise: float
     seed: int
+    mass_matrix: Matrix | None = None
     acceleration_age: int = 0
     acceleration_noise: float = 0.0
     acceleration_bandwidth: float | None = None
@@ -322,8 +342,10 @@ _OF_MOCK = (
 def resolve(device: Device, mock: Mock | None, channels: int) -> MockDevice:
     """Returns the mock of ``channels`` channels that ``mock`` describes, with ``device`` where it is silent."""
     mock = mock or Mock()
+    own = device if mock.mass is None else device.model_copy(update={"mass": mock.mass})
     return MockDevice(
-        mass=device.masses(channels) if mock.mass is None else per_channel(mock.mass, channels),
+        mass=own.masses(channels),
+        mass_matrix=own.mass_matrix(channels),
         friction=per_channel(device.friction if mock.friction is None else mock.friction, channels),
         stiffness=per_channel(device.stiffness if mock.stiffness is None else mock.stiffness, channels),
         delay=device.delay if mock.delay is None else mock.delay,

@@ -1,14 +1,17 @@
 """The checks of a scene's space: what its modules need to have one coordinate, or two."""
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 from hapsim.dampers import DAMPERS
 
 from .issue import Issue, one_of
 from .modules.links import Nonlinear, Spring, ViscoElastic
+from .modules.plane_links import crossed
 from .modules.point_modules import DevicePoint
 from .part import Module, ModuleContext
-from .quantity import MOST_CHANNELS
+from .quantity import MOST_CHANNELS, Area
+from .written_units import in_si
 
 #: What a scene with two coordinates takes alone, by its path.
 _ALONE = {
@@ -33,6 +36,8 @@ def space_issues(around: ModuleContext, scene: Mapping[str, object], device: Map
             yield Issue(("modules", name, "type"), sentence)
         else:
             yield from _of_one(name, module, around) if space == 1 else _of_two(name, module, around)
+    if isinstance(travel := device.get("travel"), Area | dict):
+        yield from _travel_issues(travel if isinstance(travel, dict) else travel.model_dump(), space, around)
     if space == 2:
         for path, (right, why) in _ALONE.items():
             found = (device if path[1:] else scene).get(path[-1], right)
@@ -41,6 +46,21 @@ def space_issues(around: ModuleContext, scene: Mapping[str, object], device: Map
                 yield Issue(path, f"found {shown} in a scene with space: 2, expected {right}: {why}")
         if scene.get("sound"):
             yield Issue(("sound",), "found pick-ups in a scene with space: 2, expected none", at_key=True)
+
+
+def _travel_issues(travel: dict[str, Any], space: object, around: ModuleContext) -> Iterator[Issue]:
+    """Yields what does not fit an area, as the file has it."""
+    kind = "polygon" if "polygon" in travel else "disc"
+    path = ("device", "travel")
+    if space == 1:
+        yield Issue(path, f"found a {kind} in a scene with one coordinate, expected [the least, the most]")
+    for name, hand in around.modules.items():
+        if isinstance(hand, DevicePoint) and hand.channels and hand.channels != (x := hand.channels[0] // 2 * 2, x + 1):
+            sentence = f"found a {kind} with {name} on channels {list(hand.channels)}, expected a list of pairs"
+            yield Issue(path, f"{sentence}, one per channel; or channels such as [{x}, {x + 1}]")
+    corners = [[in_si(one, "m") if isinstance(one, str) else one for one in each] for each in travel.get("polygon", ())]
+    if corners and (why := crossed(tuple((x, y) for x, y in corners), closed=True)):
+        yield Issue((*path, "polygon"), why)
 
 
 def _types(space: int) -> list[str]:

@@ -5,9 +5,10 @@ messages are written here, so that they make sense without knowing pydantic.
 """
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 from numbers import Integral, Real
 from typing import Any, NoReturn, TypeGuard
 
@@ -35,7 +36,9 @@ MOST_CORNERS = 64  # of a polygon or a path
 _MAPPINGS = "{from: the least, to: the most}, or {value: a number, uncertainty: its standard uncertainty}"
 
 #: Marks of the kind of a value that may be of several: pydantic puts them into the location of an error.
-KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS = ("<number>", "<word>", "<span>", "<known>", "<list>", "<lists>")
+KINDS = _NUMBER, _WORD, _SPAN, _KNOWN, _LIST, _LISTS, _DISC, _POLYGON = (
+    *("<number>", "<word>", "<span>", "<known>", "<list>", "<lists>", "<disc>", "<polygon>"),
+)
 
 
 class _Mapping(BaseModel):
@@ -66,10 +69,40 @@ class Known(_Mapping):
     uncertainty: float
 
 
+class Area(_Mapping):
+    """A disc or a polygon in the plane, about the scene's position 0. SI units."""
+
+    disc: float | None = None
+    center: tuple[float, float] = (0.0, 0.0)
+    polygon: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        """Corners of the polygon, m; of a disc its centre."""
+        return self.polygon or (self.center,)
+
+    @property
+    def radius(self) -> float:
+        """Distance from the corners to the edge, m: of a disc."""
+        return self.disc or 0.0
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Least and most x, and least and most y, m."""
+        return tuple((min(each) - self.radius, max(each) + self.radius) for each in zip(*self.corners, strict=True))
+
+    @model_serializer
+    def _as_written(self) -> dict[str, Any]:
+        return {"polygon": self.polygon} if self.polygon else {"disc": self.disc, "center": self.center}
+
+
 #: A number of the scene file, or one for each channel of the device; a `Span` or `Known` in its place; or a word.
 PerChannel = float | tuple[float, ...]
 SpanPerChannel = float | Span | Known | tuple[float | Span | Known, ...]
 WordPerChannel = float | str | tuple[float | str, ...]
+
+#: A symmetric positive definite matrix, one row per channel: the mass of a device whose channels move each other.
+Matrix = tuple[tuple[float, ...], ...]
 
 #: A lower and an upper limit, or such a pair for each channel.
 Limits = tuple[float, float]
@@ -151,6 +184,7 @@ def quantity(
     spans: bool = False,
     word: str = "",
     coordinates: bool = False,
+    matrix: bool = False,
 ) -> Expectation:
     """A finite number in SI units, within bounds.
 
@@ -162,6 +196,7 @@ def quantity(
             ``{value: number, uncertainty: number}`` a `Known`.
         word: a word that is accepted in place of a number.
         coordinates: a list [x, y] is accepted too, and becomes a tuple: in a scene with space: 2.
+        matrix: a symmetric positive definite matrix of plain numbers is accepted too, and becomes a tuple of rows.
     """
     bounds = f" > {above:g}" if above is not None else ""
     if least is not None:
@@ -169,6 +204,7 @@ def quantity(
     number_words = f"a number{bounds} (‹{unit}›)"
     entry_words = ", or ".join(filter(None, (number_words, word, _MAPPINGS if spans else "")))
     words = f"{entry_words}, or a list with one per channel" if per_channel else entry_words
+    words += ", or a symmetric matrix" if matrix else ""
     number = _number(number_words, unit, gt=above, ge=least, le=most)
     kinds = {_NUMBER: number}
     if word:
@@ -180,13 +216,16 @@ def quantity(
         kinds[_LIST] = _list_of([number], 2, 2, f"two numbers [x, y] (‹{unit}›)")
     if per_channel:
         kinds = {**kinds, _LIST: _list_of([_choice(kinds, entry_words)], 1, MOST_CHANNELS, words)}
+    if matrix:
+        kinds[_LISTS] = _matrix_of(_number(f"a number (‹{unit}›) in a row of a matrix", unit), words)
     return Expectation(description, words, _choice(kinds, words), unit, left_out)
 
 
 def interval(description: str, unit: str, left_out: str) -> Expectation:
-    """A lower and an upper limit in SI units, or such a pair for each channel."""
+    """A lower and an upper limit in SI units, or such a pair for each channel; in the plane an `Area` too."""
     pair_words = f"[the least, the most] (‹{unit}›)"
-    words = f"{pair_words}, or a list of such pairs, one per channel"
+    areas = "in the plane {disc: radius, center: [x, y]} or {polygon: places}"
+    words = f"{pair_words}, a list of such pairs, one per channel, or {areas}"
     limits = _list_of([_number(f"a number (‹{unit}›)", unit)], 2, 2, pair_words)
 
     def ascending(pair: Limits) -> Limits:
@@ -196,6 +235,12 @@ def interval(description: str, unit: str, left_out: str) -> Expectation:
 
     pair = core_schema.no_info_after_validator_function(ascending, limits)
     kinds = {_LIST: pair, _LISTS: _list_of([pair], 1, MOST_CHANNELS, words)}
+    radius = core_schema.typed_dict_field(_number(f"a number > 0 (‹{unit}›)", unit, gt=0.0))
+    center = core_schema.typed_dict_field(place("", unit).schema, required=False)
+    corners = core_schema.typed_dict_field(places("", unit, 3).schema)
+    for kind, fields in {_DISC: {"disc": radius, "center": center}, _POLYGON: {"polygon": corners}}.items():
+        mapping = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
+        kinds[kind] = core_schema.no_info_after_validator_function(lambda found: Area(**found), mapping)
     return Expectation(description, words, _choice(kinds, words), unit, left_out)
 
 
@@ -334,12 +379,21 @@ def _choice(kinds: dict[Any, Any], expected: str) -> Schema:
 
 def _kind_of(value: object) -> str | None:
     if isinstance(value, Mapping):
-        return {frozenset(("from", "to")): _SPAN, frozenset(("value", "uncertainty")): _KNOWN}.get(frozenset(value))
+        return next((kind for kind, keys in _KEYS.items() if frozenset(value) in keys), None)
     if _is_list(value):
         return _LISTS if any(map(_is_list, value)) else _LIST
     if isinstance(value, str):
         return _NUMBER if QUANTITY.match(value) else _WORD
     return _NUMBER if isinstance(value, Real) and not isinstance(value, bool) else None
+
+
+_KEYS = {
+    _SPAN: [{"from", "to"}],
+    _KNOWN: [{"value", "uncertainty"}],
+    _DISC: [{"disc"}, {"disc", "center"}],
+    _POLYGON: [{"polygon"}],
+}
+"""The keys of each kind of mapping."""
 
 
 def _as_mapping(value: object) -> object:
@@ -406,6 +460,40 @@ def _known(value: float, uncertainty: float) -> Known:
     if uncertainty >= value:
         unexpected(f"uncertainty ({uncertainty:g}) below value ({value:g})")
     return Known(value=value, uncertainty=uncertainty)
+
+
+def _matrix_of(number: Schema, expected: str) -> Schema:
+    row = _list_of([number], 1, MOST_CHANNELS, "a row of a matrix: a list of numbers, one per channel")
+
+    def physical(rows: Matrix) -> Matrix:
+        for i, row in enumerate(rows):
+            if len(row) != len(rows):
+                unexpected(f"{len(rows)} numbers, as many as the matrix has rows", (i,), f"{len(row)}")
+        for i, j in combinations(range(len(rows)), 2):
+            if rows[i][j] != rows[j][i]:
+                expected = (
+                    f"{rows[i][j]:g}, the same as in row {i + 1}, column {j + 1}: a matrix of masses is symmetric"
+                )
+                unexpected(expected, (j, i), f"{rows[j][i]:g}")
+        if not _is_positive_definite(rows):
+            found = "a matrix that gives some motion a kinetic energy of 0 or less"
+            unexpected("a positive definite matrix", found=found)
+        return rows
+
+    rows = _list_of([row], 1, MOST_CHANNELS, expected)
+    return core_schema.no_info_after_validator_function(physical, rows)
+
+
+def _is_positive_definite(rows: Matrix) -> bool:
+    """Returns whether the pivots of Gauss's elimination are above 0, beyond rounding."""
+    left = [list(row) for row in rows]
+    for i, row in enumerate(left):
+        if not row[i] > len(rows) * sys.float_info.epsilon * rows[i][i]:
+            return False
+        for below in left[i + 1 :]:
+            share = below[i] / row[i]
+            below[i:] = [one - share * other for one, other in zip(below[i:], row[i:], strict=True)]
+    return True
 
 
 def _list_of(entries: list[Any], least: int, most: int, expected: str) -> Schema:

@@ -77,6 +77,11 @@ def _entries(scene: Scene, key: str, value: str | Known, channel: int) -> list[A
     """Returns the device's new entries for `key`: one value, or one per channel where channels may differ."""
     if key not in _PER_CHANNEL or scene.channels == 1:
         return [value]
+    if key == "mass" and scene.device.mass_matrix(scene.channels) is not None:
+        raise UsageError(
+            f"{scene.path or 'the scene'}: nothing was written: device.mass is a matrix, of which one measured mass is "
+            "no entry. Measure each of its entries, and write them yourself"
+        )
     each: list[Any] = list(per_channel(getattr(scene.device, key), scene.channels))
     each[channel] = value
     return each

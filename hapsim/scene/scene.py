@@ -135,6 +135,16 @@ class Scene(Part):
         """The channels of each hand, in the order of the file."""
         return tuple(one.all_channels for one in self.modules.values() if isinstance(one, DevicePoint))
 
+    def hand_of(self, channel: int) -> tuple[int, ...]:
+        """Returns the channels of the hand that holds a channel: those of x and y, or that one alone."""
+        return next((hand for hand in self.channel_groups if channel in hand), (channel,))
+
+    @property
+    def travel_margins(self) -> tuple[float, ...]:
+        """Width of the band outside the travel of each channel, m; x and y of a hand have one."""
+        each = self.device.travel_margins(self.channels)
+        return tuple(min(each[one] for one in self.hand_of(c)) for c in range(self.channels))
+
     @property
     def units(self) -> Units:
         """The units of its channels: those of its file, else SI units."""

@@ -44,7 +44,7 @@ from hapsim.cordis.program import compile_scene, numbers_of
 from hapsim.cordis.schemes import SCHEMES
 from hapsim.cordis.schemes.exact import ExactModes
 from hapsim.errors import DeviceError, GuardError, UsageError
-from hapsim.measuring.measure import measure
+from hapsim.measuring.measure import measure_on_line as measure
 from hapsim.prediction import predict
 from hapsim.scene import Buffer, Device, DevicePoint, Ground, Initial, Mass, Mock, Scene, String, ViscoElastic
 from hapsim.scene.choices import SENSORS, CorrectionName

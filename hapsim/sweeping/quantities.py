@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import HapsimError, UsageError
-from hapsim.measuring.measure import measure
+from hapsim.measuring.measure import measure_on_line as measure
 from hapsim.measuring.measure_impedance import measure_impedance
 from hapsim.measuring.periodic_excitation import lines_for
 from hapsim.one_thread import one_thread

@@ -155,13 +155,18 @@ class Host:
 def scene_of(
     channels: int = 1, rate: float = 1000.0, device: dict[str, Any] | None = None, mock: dict[str, Any] | None = None
 ) -> Scene:
+    """A scene with a hand alone; in the plane, on its first and its last channel, if a mass is a matrix."""
+    mass = [part["mass"] for part in (device, mock) if part and "mass" in part]
+    in_plane = any(isinstance(row, list) for each in mass if isinstance(each, list) for row in each)
+    hand = {"channels": [0, channels - 1]} if in_plane else {"channel": channels - 1}
     return Scene.model_validate(
         {
             "version": 1,
+            "space": 1 + in_plane,
             "rate": rate,
             "device": {"clock": "lockstep", "mass": 0.2} | (device or {}),
             "mock": mock or {},
-            "modules": {"hand": {"type": "device", "channel": channels - 1}},
+            "modules": {"hand": {"type": "device"} | hand},
         }
     )
 

@@ -13,7 +13,7 @@ from hapsim.errors import DescriptionError, GuardError, UsageError
 from hapsim.loop.endings import RECEIVED
 from hapsim.loop.guards.travel import OUT_OF_TRAVEL
 from hapsim.loop.ring import FADED, LIMITED
-from hapsim.measuring.measure import pushes
+from hapsim.measuring.pushes import pushes
 from hapsim.prediction.force_bounds import fade_stiffness, travel_error
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation, run

@@ -8,7 +8,7 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from hapsim.live.messages import channels_of
-from hapsim.measuring.measure import pushes
+from hapsim.measuring.pushes import pushes
 from hapsim.prediction.force_bounds import fade_stiffness
 from hapsim.scene import Scene, parse_scene, scene_schema
 

@@ -48,8 +48,9 @@ def link_type(
     constants: Callable[[Iterable[Any], BuildContext], tuple[Any, ...]] = lambda *_: (),
     remembers: int = 0,
     initialize: NativeFunction | None = None,
+    space: int = 1,
 ) -> PartType:
-    """Returns the type of the links of a module type for which `where` holds.
+    """Returns the type of the links of a module type for which `where` holds, in scenes with this space.
 
     Args:
         numbers: makes the part's numbers of the ends, the live columns, the constants and the remembered columns.
@@ -65,7 +66,7 @@ def link_type(
         return Part(own, initialize=initialize, add_forces=add_forces, memory=memory)
 
     gathered = "; ".join(filter(None, ("gathered through unsigned indices", compiled_as)))
-    every = all_of(module, where)
+    every = all_of(module, where, space)
     return PartType(lambda scene: apart_from_proxies(every(scene), scene), build, name=name, compiled_as=gathered)
 
 
@@ -76,8 +77,9 @@ def apart_from_proxies(links: Mapping[str, Any], scene: Scene) -> dict[str, Any]
 
 
 def ends_of(links: Mapping[str, Any], context: BuildContext) -> Ends:
-    """Returns the ends of these links."""
-    numbers = [[context.number[end] for end in link.between] for link in links.values()]
+    """Returns the ends of these links; in the plane their x, each followed by its y."""
+    number = context.number
+    numbers = [[number[end if end in number else f"{end}.x"] for end in link.between] for link in links.values()]
     first, second = np.array(numbers, np.uint32).reshape(-1, 2).T
     return Ends(np.ascontiguousarray(first), np.ascontiguousarray(second))
 

@@ -19,7 +19,7 @@ import numpy as np
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType, all_of
 from hapsim.cordis.dispatch import Column, Memory, Part, action, fma_action
-from hapsim.scene import Cell, Ground, Proxy
+from hapsim.scene import Cell, Proxy
 
 
 class Grounds(NamedTuple):
@@ -100,7 +100,9 @@ def _cells(cells: Mapping[str, Any], columns: Sequence[Column], context: BuildCo
     return Part(numbers, add_forces=add_forces, memory=Memory(tuple(cells), (before,)))
 
 
-GROUND = PartType(all_of(Ground), _grounds, name="grounds", compiled_as="fixed points; a tick does not read them")
+GROUND = PartType(
+    lambda scene: scene.grounds, _grounds, name="grounds", compiled_as="fixed points; a tick does not read them"
+)
 MASS = PartType(
     lambda scene: scene.material_points,
     _masses,

@@ -118,7 +118,17 @@ def add_velocity_forces(links, state):
 def tension_at(links, i, d, previous):
     """Returns link i's tension in N at `d` m, with its points at `previous` a sample before, NaN for NaN; and its
     slope there in N/m, in which the damper has its part."""
-    real, k, at = links.edge.dtype.type, links.piece[i], d - links.turn[i]
+    tension, slope, damping = law_at(links, i, d)
+    if damping != 0:
+        tension += damping * (d - stretch(links.ends, i, previous))
+        slope += damping
+    return min(tension, links.most[i]), links.edge.dtype.type(0) if tension > links.most[i] else slope
+
+
+@inlined
+def law_at(links, i, d):
+    """Returns link i's tension in N at `d` m, NaN for NaN, without its damper; its slope there in N/m, and its B/T."""
+    k, at = links.piece[i], d - links.turn[i]
     slope, damping = links.slope[k], links.damping_per_sample[k]
     if not links.edge[k] <= at < links.until[k]:  # usually the piece is the last one
         k, period, at = links.begin[i], links.period[i], d
@@ -129,11 +139,7 @@ def tension_at(links, i, d, previous):
         if not at < links.edge[k]:
             k = links.piece[i] = _piece(links, k, links.begin[i + ONE], at)
             slope, damping = links.slope[k], links.damping_per_sample[k]
-    tension = links.tension[k] + slope * (at - links.edge[k])
-    if damping != 0:
-        tension += damping * (d - stretch(links.ends, i, previous))
-        slope += damping
-    return min(tension, links.most[i]), real(0) if tension > links.most[i] else slope
+    return links.tension[k] + slope * (at - links.edge[k]), slope, damping
 
 
 @inlined

@@ -13,7 +13,7 @@ from firmware_protocol.compiled import new_record
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, framing_of
 from firmware_protocol.schema import BITS_PER_BYTE, WireTime, wire_time
-from hapsim.device.mock.firmware import MOCK, MOST_LATE, take_late_force
+from hapsim.device.mock.firmware import MOCK, MOST_LATE, advance_coupled, take_late_force
 from hapsim.device.mock.sampler import set_timing
 from hapsim.errors import UsageError
 from hapsim.prediction.timing import time_to_live_samples
@@ -26,6 +26,7 @@ _HARDEST = 1000.0  # the largest acceleration on the wire, in that of the larges
 def describe_mock(scene: Scene) -> Description:
     """Returns the description that the scene's mock sends."""
     channels, mock = scene.channels, scene.mock_device
+    senses = mock.mass_matrix is None  # acceleration
     return Description(
         name="hapsim mock",
         rate_hz=scene.rate,
@@ -35,8 +36,8 @@ def describe_mock(scene: Scene) -> Description:
         force_scale=(mock.force_scale,) * channels,
         force_limit=(mock.force_limit,) * channels,
         velocity_scale=tuple(one * scene.rate for one in mock.quantum),
-        acceleration_scale=tuple(_HARDEST * mock.force_limit / FORCE_COUNTS / mass for mass in mock.mass),
-        sensors=schema.SENSES_ACCELERATION,
+        acceleration_scale=tuple(_HARDEST * mock.force_limit / FORCE_COUNTS / mass for mass in mock.mass if senses),
+        sensors=schema.SENSES_ACCELERATION * senses,
         rotary=sum(1 << c for c, motion in enumerate(scene.device.motions(channels)) if motion == "rotary"),
     )
 
@@ -48,6 +49,9 @@ def assemble_mock(scene: Scene) -> Any:
     mock = described_mock(description)
     bodies, converters = mock.initial[: scene.channels], mock.converters[: scene.channels]
     bodies["mass"] = device.mass
+    if device.mass_matrix is not None:
+        mock.coupling.inverse[: scene.channels, : scene.channels] = np.linalg.inv(device.mass_matrix)
+        mock.called.advance = advance_coupled.address()
     bodies["friction"], bodies["stiffness"], bodies["push"] = hand_values(scene)
     bodies["coulomb"] = device.coulomb
     bodies["position"] = device.initial_position
@@ -58,7 +62,7 @@ def assemble_mock(scene: Scene) -> Any:
         mock.depth = set_timing(converter, device.hold, device.sampling, device.delay)
     converters["quantum"] = device.quantum
     converters["velocity_quantum"] = description.velocity_scale
-    converters["acceleration_quantum"] = description.acceleration_scale
+    converters["acceleration_quantum"] = description.acceleration_scale or 0.0
     converters["acceleration_noise"] = device.acceleration_noise
     converters["acceleration_age"] = device.acceleration_age
     converters["corner"] = 2.0 * math.pi * (device.acceleration_bandwidth or 0.0)

@@ -19,11 +19,12 @@ from firmware_protocol.decoder import DECODER, next_frame, use_framing
 from firmware_protocol.frames import FRAMING, write_frame
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_in_memory, address_of, array_at, function_at, native, record_at
-from hapsim.device.mock.motion import BODY, move_of
+from hapsim.device.mock.motion import BODY, COUPLING, move_of
 from hapsim.device.mock.sampler import (
     CONVERTER,
     MOST_AGES,
     advance_body,
+    advance_together,
     first_acceleration,
     first_sample,
     first_velocity,
@@ -71,6 +72,7 @@ CALLED = np.dtype(
         ("act_on_force", np.uint64),
         ("read", np.uint64),  # the codec
         ("put_frame", np.uint64),
+        ("advance", np.uint64),  # of the bodies through a sample: each by `move`, or `advance_coupled`
         ("move", np.uint64),  # of motion.py
     ],
     align=True,
@@ -90,6 +92,7 @@ MOCK = np.dtype(
         ("channels", np.int64),
         ("bodies", BODY, _EACH),
         ("initial", BODY, _EACH),
+        ("coupling", COUPLING),  # of bodies whose mass is a matrix
         ("converters", CONVERTER, _EACH),
         ("depth", np.int64),  # rows of commands in use
         ("commands", np.float64, (LONGEST_DELAY + MOST_AGES, schema.MAX_CHANNELS)),  # N, a ring of samples
@@ -123,6 +126,7 @@ call_take_bytes = function_at(types.void(types.uint64, types.uint64, types.int64
 call_event = function_at(types.void(types.uint64, types.int64))
 """Calls an event from compiled code, with the mock's address and the time in ns."""
 
+_call_advance = function_at(types.void(types.uint64, types.float64, types.float64))
 _call_read = function_at(types.int64(types.uint64, types.uint64, types.int64, types.int64))
 call_put_frame = function_at(types.void(types.uint64, types.uint64, types.int64, types.int64))
 
@@ -162,6 +166,25 @@ def _take_bytes(mock, data, stop, now):
             _arm(mock, now)
 
 
+@native(types.void, types.uint64, types.float64, types.float64)
+def _advance_each(mock, acts, h):
+    """Moves each body by itself through a sample of `h` seconds, in the first `acts` of which commanded forces act."""
+    mock = mock_at(mock)
+    for c in range(mock.channels):
+        body, converter = mock.bodies[c], mock.converters[c]
+        advance_body(mock.called.move, body, converter, mock.commands, mock.depth, c, mock.board.n, acts)
+        if acts < h:
+            release_body(mock.called.move, body, converter, h - acts)
+
+
+@native(types.void, types.uint64, types.float64, types.float64)
+def advance_coupled(mock, acts, h):
+    """Moves the bodies together, as `_advance_each` does each of them: their mass is a matrix."""
+    mock = mock_at(mock)
+    coupling, converters, n = mock.coupling, mock.converters, mock.board.n
+    advance_together(mock.bodies, mock.channels, coupling, converters, mock.commands, mock.depth, n, acts, h)
+
+
 @native(types.void, types.uint64, types.int64)
 def _take_sample(mock, now):
     """Ends the current sample: moves the bodies through it and sends their positions."""
@@ -181,11 +204,9 @@ def _take_sample(mock, now):
     if fresh and acts < h:
         fresh = False
         mock.registers[schema.REG_HELD] += 1
+    _call_advance(mock.called.advance, (mock.address, acts, h))
     for c in range(mock.channels):
         body, converter = mock.bodies[c], mock.converters[c]
-        advance_body(mock.called.move, body, converter, mock.commands, mock.depth, c, board.n, acts)
-        if acts < h:
-            release_body(mock.called.move, body, converter, h - acts)
         _put_position_of(mock, c, sample(body, converter, h))
         if board.parts & schema.WITH_VELOCITY:
             _put_velocity_of(mock, c, sample_velocity(body, converter, h))
@@ -427,6 +448,7 @@ def check_watchdog(mock: Any, now: int) -> None:
 
 
 FUNCTIONS = {
+    "advance": _advance_each,
     "take_bytes": _take_bytes,
     "take_sample": _take_sample,
     "check_watchdog": _check_watchdog,

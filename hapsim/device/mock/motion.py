@@ -9,6 +9,9 @@ Position, velocity and the integral of the position are exact to rounding over a
 Coulomb friction brings the mass to rest also has a closed form; the mass then sticks, or sets off again. Only a ramp
 under Coulomb friction is replaced by `_SLICES` level forces.
 
+Bodies whose mass is a matrix move together (`move_together`), by their Taylor series over steps short enough that it
+ends.
+
 Bodies move by a function behind an address (`move_of`), so that a device without spring and dry friction does not
 compile their code.
 """
@@ -21,6 +24,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from firmware_protocol.schema import MAX_CHANNELS
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import address_in_memory, function_at, native, record_at
 
@@ -38,6 +42,17 @@ BODY = np.dtype(
     ]
 )
 
+COUPLING = np.dtype(
+    [
+        ("inverse", np.float64, (MAX_CHANNELS, MAX_CHANNELS)),  # of the mass matrix, 1/kg
+        ("force", np.float64, MAX_CHANNELS),  # N, commanded, at the beginning of an interval
+        ("impulse", np.float64, MAX_CHANNELS),  # N·s, at that instant
+        *((name, np.float64, MAX_CHANNELS) for name in ("older", "old", "new", "pull")),  # terms of a series
+    ]
+)
+"""Bodies that move each other."""
+
+_TERMS = 22  # of the series: the next is below 1e-18 of the first
 _SERIES_END = 4.0  # of b0 h/m and of k0 h²/m: up to here by series, beyond it by exponentials that no longer cancel
 _MAX_STOPS = 1000  # within one interval
 _SLICES = 16  # of a ramp under Coulomb friction
@@ -222,6 +237,14 @@ def strike(body, impulse):
     body.velocity += impulse / body.mass
 
 
+@helper
+def strike_together(bodies, count, coupling):
+    """Gives bodies whose mass is a matrix the impulses of `coupling`."""
+    for i in range(count):
+        for j in range(count):
+            bodies[i].velocity += coupling.inverse[i, j] * coupling.impulse[j]
+
+
 _MOVE = types.void(types.uint64, types.float64, types.float64)
 _body_at, _call = record_at(BODY), function_at(_MOVE)
 
@@ -253,6 +276,53 @@ def move_with_spring_or_friction(body, force, h):
     for i in range(slices):
         _move_with_stops(body, force + slope * h * (i + 0.5) / slices, h / slices)
     body.slope = slope
+
+
+@helper
+def move_together(bodies, count, coupling, h):
+    """Moves `count` bodies whose mass is a matrix for `h` seconds. `coupling`: a COUPLING with their forces.
+
+    M x'' = F + P + s t - b0 x' - k0 x, derived n times, gives each term of the series from the two before it.
+    """
+    rate = 0.0  # per second, at which no motion is faster
+    for i in range(count):
+        damped, sprung = 0.0, 0.0
+        for j in range(count):
+            damped += abs(coupling.inverse[i, j]) * bodies[j].friction
+            sprung += abs(coupling.inverse[i, j]) * bodies[j].stiffness
+        rate = max(rate, damped, math.sqrt(sprung))
+    steps = max(1.0, math.ceil(rate * h))
+    for step in range(np.int64(steps)):
+        _step_together(bodies, count, coupling, step * (h / steps), h / steps)
+
+
+@helper
+def _step_together(bodies, count, coupling, since, h):
+    """Adds the terms of the series, scaled by h: T[n + 2] = M⁻¹ h² (pull - b0 (n + 1) T[n + 1]/h - k0 T[n]) / ((n + 1)
+    (n + 2)), with x = T[0] and h x' = T[1] at first. `since`: seconds since the forces began to act."""
+    older, old, new = coupling.older, coupling.old, coupling.new
+    for i in range(count):
+        older[i], old[i] = bodies[i].position, h * bodies[i].velocity
+        bodies[i].area += h * (older[i] + 0.5 * old[i])
+        bodies[i].position += old[i]
+    for n in range(_TERMS):
+        for j in range(count):
+            pull = -bodies[j].friction * (n + 1) * old[j] / h - bodies[j].stiffness * older[j]
+            if n == 0:
+                pull += coupling.force[j] + bodies[j].push + bodies[j].slope * since
+            elif n == 1:
+                pull += bodies[j].slope * h
+            coupling.pull[j] = pull
+        for i in range(count):
+            new[i] = 0.0
+            for j in range(count):
+                new[i] += coupling.inverse[i, j] * coupling.pull[j]
+            new[i] *= h * h / ((n + 1) * (n + 2))
+        for i in range(count):
+            older[i], old[i] = old[i], new[i]
+            bodies[i].position += new[i]
+            bodies[i].velocity += (n + 2) * new[i] / h
+            bodies[i].area += h * new[i] / (n + 3)
 
 
 def move_of(bodies: NDArray[np.void]) -> int:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hapsim.compiling import helper
-from hapsim.device.mock.motion import acceleration, move, strike
+from hapsim.device.mock.motion import acceleration, move, move_together, strike, strike_together
 from hapsim.holds import HOLDS, Piece
 
 MOST_PIECES, MOST_AGES = 6, 4
@@ -96,21 +96,13 @@ def _split(pieces: list[Piece], at: float) -> tuple[list[Piece], list[Piece]]:
 def advance_body(how, body, converter, commands, depth, channel, n, h):
     """Moves one channel's body through sample n, which lasts `h` seconds. `how`: of `move`; `commands`: N, a ring of
     `depth` rows with a column for each channel."""
-    newest, gone = n - converter.whole_delay, 0.0
+    gone = 0.0
     for i in range(converter.pieces_in_use):
         piece = converter.pieces[i]
-        force, impulse, slope = 0.0, 0.0, 0.0
-        for age in range(converter.ages):
-            command = commands[(newest - age) % depth, channel]
-            force += piece.level[age] * command
-            impulse += piece.impulse[age] * command
-            slope += piece.slope[age] * command
-        if piece.opens:
-            body.area, converter.before = 0.0, body.position
+        force, impulse = _begin_piece(body, converter, piece, commands, depth, channel, n)
         if impulse != 0.0:
-            strike(body, impulse * converter.period)
+            strike(body, impulse)
         duration = piece.duration * h if i + 1 < converter.pieces_in_use else h - gone
-        body.slope = slope / converter.period
         converter.acting = force + body.slope * duration
         if converter.corner > 0.0:
             _move_with_sensor(how, body, converter, force, duration)
@@ -118,6 +110,43 @@ def advance_body(how, body, converter, commands, depth, channel, n, h):
             move(how, body, force, duration)
         gone += duration
     body.slope = 0.0
+
+
+@helper
+def _begin_piece(body, converter, piece, commands, depth, channel, n):
+    """Sets the slope of the force in a piece of sample n, and opens the window. Returns force (N) and impulse (N·s)."""
+    newest = n - converter.whole_delay
+    force, impulse, slope = 0.0, 0.0, 0.0
+    for age in range(converter.ages):
+        command = commands[(newest - age) % depth, channel]
+        force += piece.level[age] * command
+        impulse += piece.impulse[age] * command
+        slope += piece.slope[age] * command
+    if piece.opens:
+        body.area, converter.before = 0.0, body.position
+    body.slope = slope / converter.period
+    return force, impulse * converter.period
+
+
+@helper
+def advance_together(bodies, count, coupling, converters, commands, depth, n, acts, h):
+    """Moves all bodies, whose mass is a matrix, through sample n, which lasts `h` seconds. The commanded forces act for
+    the first `acts` of them. Hold and delay are the same on every channel."""
+    timing, gone = converters[0], 0.0
+    for i in range(timing.pieces_in_use):
+        for c in range(count):
+            converter = converters[c]
+            coupling.force[c], coupling.impulse[c] = _begin_piece(
+                bodies[c], converter, converter.pieces[i], commands, depth, c, n
+            )
+        strike_together(bodies, count, coupling)
+        duration = timing.pieces[i].duration * acts if i + 1 < timing.pieces_in_use else acts - gone
+        move_together(bodies, count, coupling, duration)
+        gone += duration
+    for c in range(count):
+        coupling.force[c] = bodies[c].slope = 0.0
+    if acts < h:
+        move_together(bodies, count, coupling, h - acts)
 
 
 @helper

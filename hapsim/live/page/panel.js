@@ -8,17 +8,21 @@ import { drawHistogram } from "./histogram.js";
 import { Plane } from "./plane.js";
 import { Samples } from "./samples.js";
 import { Scope } from "./scope.js";
+import { coordinatesOf, drawTable, handsOf, placesOf, viewOf } from "./table.js";
 
-const MOST_EVENTS = 200;
+const MOST_EVENTS = 200, MOST_WATCHED = 64; // as messages.py has it
 
 /** @param {string} id @returns {any} */
 const part = (id) => document.getElementById(id);
 export const connection = new Connection();
 export const samples = new Samples();
 export const scope = new Scope(part("scope"), samples, showScope);
+/** @type {HTMLCanvasElement} */
+const handle = part("handle");
 const plane = new Plane(part("plane"), part("felt"), part("note"));
 /** @type {any} */
 let model = null;
+let reach = 0;
 /** @type {ReturnType<typeof makeControls> | null} */
 let controls = null;
 /** @type {{values: any, isApplied: boolean} | null} */
@@ -53,7 +57,9 @@ async function begin() {
 /** @param {number} history seconds of samples that come first */
 async function subscribe(history) {
   samples.watch();
-  await demand("scope-part", { type: "subscribe", rate: 60, history, modules: watched ? [watched] : [] });
+  const others = model.space > 1 ? coordinatesOf(model).slice(0, MOST_WATCHED - 1) : [];
+  const modules = samples.watched = watched ? [watched, ...others] : others;
+  await demand("scope-part", { type: "subscribe", rate: 60, history, modules });
 }
 
 /** Asks for something, and says in the part of the page that did so why it was refused.
@@ -80,6 +86,8 @@ async function describe() {
   const { hand, unit_force, unit_position } = model.channels[0];
   const [unit, factor] = shownIn(`${unit_force}/${unit_position}`, model.written);
   reach = Math.max(reach, hand.reach);
+  view = null;
+  handle.classList.toggle("square", model.space > 1);
   part("hand-note").textContent = `Drag: a spring of ${Number((hand.stiffness * factor).toPrecision(3))} ${unit} pulls the handle along.`;
   part("events").replaceChildren();
   model.events.forEach(list);
@@ -172,10 +180,13 @@ async function predict(values, isApplied) {
   }
 }
 
+/** The newest position of a channel. @param {number} channel */
+const latest = (channel) => (samples.count ? samples.columns[channel][(samples.count - 1) % samples.size] : 0);
+
 /** Where a hand is, within its travel. @param {number} channel */
 function place(channel) {
   const [low, high] = model.channels[channel]?.travel ?? [null, null];
-  const x = samples.count ? samples.columns[channel][(samples.count - 1) % samples.size] : 0;
+  const x = latest(channel);
   return Math.min(Math.max(x, low ?? -Infinity), high ?? Infinity);
 }
 
@@ -186,9 +197,10 @@ const places = () => model.channels.map((/** @type {any} */ _, /** @type {number
  * a second: faster figures are not read. */
 function follow() {
   const region = plane.applied?.hands?.[plane.hand]?.region;
-  if (!(region || plane.applied?.contacts) || isAsking || performance.now() < askedAt + 200) return;
+  const moves = plane.applied?.contacts || model.space > 1; // what it touches
+  if (!(region || moves) || isAsking || performance.now() < askedAt + 200) return;
   const x = place(plane.channel), low = region?.low_m ?? -Infinity, high = region?.high_m ?? Infinity;
-  const isAway = plane.applied.contacts && places().some((at, i) => Math.abs(at - (askedFrom[i] ?? 0)) > MOVED);
+  const isAway = moves && places().some((at, i) => Math.abs(at - (askedFrom[i] ?? 0)) > MOVED);
   if (x < low || x > high || isAway) predict(asked.values, asked.isApplied);
 }
 
@@ -285,19 +297,27 @@ addEventListener("keydown", (event) => {
 
 // The hand that holds the mock
 
-/** @type {HTMLCanvasElement} */
-const handle = part("handle");
-let reach = 0;
-/** @type {number | null} */
-let dragged = null;
+/** @type {import("./table.js").View | null} */
+let view = null; // of the plane
+let held = 0; // the hand that is dragged: of the plane
+/** @type {number[] | null} */
+let dragged = null; // where to: one number, or x and y
 let isSent = true;
+
+/** Where every point of the plane is. */
+const points = () => placesOf(new Map([...model.channels.map((/** @type {any} */ one) => [one.name, latest(one.channel)]), ...samples.latest]));
 
 /** @param {PointerEvent} event */
 function drag(event) {
-  if (event.type === "pointerdown") handle.setPointerCapture(event.pointerId);
-  else if (dragged === null) return;
-  const box = handle.getBoundingClientRect();
-  dragged = (2 * ((event.clientX - box.left) / box.width) - 1) * reach;
+  const { left, top, width, height } = handle.getBoundingClientRect(), isPlane = model?.space > 1;
+  const along = (2 * (event.clientX - left)) / width - 1, up = 1 - (2 * (event.clientY - top)) / height;
+  const to = isPlane && view ? [view.x + along * view.half * (width / Math.min(width, height)), view.y + up * view.half * (height / Math.min(width, height))] : [along * reach];
+  if (event.type === "pointerdown") {
+    handle.setPointerCapture(event.pointerId);
+    const away = handsOf(model).map((channels) => Math.hypot(...channels.map((one, axis) => latest(one) - to[axis])));
+    held = Math.max(0, away.indexOf(Math.min(...away)));
+  } else if (dragged === null) return;
+  dragged = to;
   isSent = false;
 }
 
@@ -310,16 +330,36 @@ function release() {
 handle.onpointerdown = handle.onpointermove = drag;
 handle.onpointerup = handle.onpointercancel = release;
 handle.onkeydown = (event) => {
-  const way = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-  if (way === undefined) return;
-  dragged = Math.max(-reach, Math.min(reach, (dragged ?? 0) + 0.05 * way * reach));
+  const [axis, way] = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowDown: [1, -1], ArrowUp: [1, 1] }[event.key] ?? [2, 0];
+  if (axis >= model?.space || !way) return;
+  event.preventDefault();
+  const farthest = view?.half ?? reach, middle = view ? [view.x, view.y] : [0];
+  dragged = [...(dragged ?? (view ? handsOf(model)[held].map(latest) : [0]))];
+  dragged[axis] = middle[axis] + Math.max(-farthest, Math.min(farthest, dragged[axis] - middle[axis] + 0.05 * way * farthest));
   isSent = false;
 };
 handle.onkeyup = handle.onblur = release;
 
+/** The values with which the hand pulls to where it is dragged. */
+function pull() {
+  const { hand } = model.channels[0], channels = model.space > 1 ? handsOf(model)[held] : [0];
+  const each = (/** @type {(axis: number) => number} */ value) => {
+    const values = model.channels.map((/** @type {any} */ _, /** @type {number} */ c) => (channels.includes(c) ? value(channels.indexOf(c)) : 0));
+    return values.length > 1 ? values : values[0];
+  };
+  return { "mock.hand.stiffness": each(() => hand.stiffness), "mock.hand.damping": each(() => hand.damping), "mock.hand.position": each((axis) => dragged?.[axis] ?? 0) };
+}
+
+function drawPlane() {
+  const places = points(), channels = handsOf(model)[held];
+  view = viewOf(model, places, view);
+  const from = /** @type {[number, number]} */ (channels.map(latest));
+  drawTable(prepared(handle), model, places, view, dragged && { from, to: [dragged[0], dragged[1]] });
+}
+
 function drawHandle() {
   const { context, width, height, look } = prepared(handle);
-  const position = samples.count ? samples.columns[0][(samples.count - 1) % samples.size] : 0;
+  const position = latest(0);
   reach = Math.max(reach, Math.abs(position) * 1.1);
   const x = (/** @type {number} */ at) => width / 2 + (at / reach) * (width / 2 - 20), y = height / 2;
   context.strokeStyle = look.line;
@@ -328,7 +368,7 @@ function drawHandle() {
   if (dragged !== null) {
     context.strokeStyle = look.warm;
     context.lineWidth = 2;
-    line(context, x(position), y, x(dragged), y);
+    line(context, x(position), y, x(dragged[0]), y);
   }
   context.fillStyle = look.accent;
   context.beginPath();
@@ -339,15 +379,13 @@ function drawHandle() {
 function frame() {
   if (model) {
     if (!isSent && dragged !== null) {
-      const { hand } = model.channels[0];
-      const value = model.channels.length > 1 ? model.channels.map((/** @type {any} */ _, /** @type {number} */ c) => (c ? 0 : dragged)) : dragged;
-      demand("hand-part", { type: "set", values: { "mock.hand.stiffness": hand.stiffness, "mock.hand.damping": hand.damping, "mock.hand.position": value } });
+      demand("hand-part", { type: "set", values: pull() });
       isSent = true;
     }
     scope.draw();
     follow();
     plane.draw();
-    if (model.has_mock) drawHandle();
+    if (model.has_mock) model.space > 1 ? drawPlane() : drawHandle();
     if (counters && connection.socket?.readyState === WebSocket.OPEN) {
       const { phase, elapsed_s, rate_hz, deadline_misses, ticks: all } = counters;
       status(`${phase} ${elapsed_s.toFixed(0)} s at ${rate_hz.toFixed(1)} Hz, ${deadline_misses} of ${all} samples late${noted(counters)}`);

@@ -15,6 +15,10 @@ export class Samples {
   rows = 0; // as `count`, of modules
   at = new Float64Array(0); // the sample of each row
   places = new Float32Array(0); // of the first module that is watched
+  /** @type {string[]} */
+  watched = []; // their names
+  /** @type {Map<string, number>} */
+  latest = new Map(); // where each of them was last
 
   clear() {
     this.size = this.count = 0;
@@ -60,6 +64,7 @@ export class Samples {
       this.at[at] = block.first + block.values[row * block.columns];
       this.places[at] = block.values[row * block.columns + 1];
     }
+    if (block.rows) this.latest = new Map(this.watched.map((name, i) => [name, block.values[(block.rows - 1) * block.columns + 1 + i]]));
   }
 
   /**

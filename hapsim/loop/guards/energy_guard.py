@@ -17,7 +17,9 @@ quantised or not, if b0 >= K T (1/2 + d) + |B|. Without delay, the spring held a
 a difference of stored energies and K T/2 · dx²/T. Each further sample of delay adds K dx[n-j] dx[n], at most
 K/2 (dx[n-j]² + dx[n]²): summed, at most K T · dx²/T. The damper, however late, gives -B/T dx[m] dx[n], summed at most
 |B| dx²/T. Friction dissipates all of it. That is Colgate's condition (`theory/hand/wall_passivity.py`) sample by
-sample. A clipped force makes the spring softer; two channels are two sums.
+sample. A clipped force makes the spring softer; two channels are two sums. For a hand with x and y, f dx and dx² are
+scalar products, and K is the largest stiffness in any direction. One factor that limits x and y makes a spring softer
+along an axis than between two, so a hand that goes round far beyond the limit gets some energy.
 
 Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. S begins at minus the
 energy that the scene holds at the first sample (cordis/stored_energy.py), without modules that no link connects to a
@@ -34,11 +36,13 @@ episodes.
 **Swinging at the limit.** A swing that the force limit clips can keep its size while friction dissipates all the
 energy. So the guard also trips after SWINGS episodes in a row, each beginning within GAP_S (GAP_SAMPLES at least) of
 the one before, if the force's work over them is at least the friction's, and more than `swing_limit`. An episode begins
-when the scene's own force, without an excitation, reaches the limit on another side or after a sample within it. None
-begins at arming, when wound-up springs hold more than at any crossing, or after lost positions. The sums begin anew
-when the force did less work than friction: between two crossings of the limit at one place a spring holds the same
-energy, so any gain comes from the sampling. They also begin anew when a parameter changes, which moves the crossing. A
-hand that presses, knocks or shakes a passive object loses energy from episode to episode.
+when the scene's own force, without an excitation, reaches the limit on another side or after a sample within it. For a
+hand with x and y the limit is a circle here, so that a spring holds the same energy wherever its force reaches it, and
+another side is a direction more than 90 degrees away. None begins at arming, when wound-up springs hold more than at
+any crossing, or after lost positions. The sums begin anew when the force did less work than friction: between two
+crossings of the limit at one place a spring holds the same energy, so any gain comes from the sampling. They also begin
+anew when a parameter changes, which moves the crossing. A hand that presses, knocks or shakes a passive object loses
+energy from episode to episode.
 
 **Shaking at the limit.** A mass that diverges, or a damper too large for the rate, throws the force from limit to limit
 so fast that the hand hardly moves. So the guard also trips after SHAKES turns in a row of one channel's force from one
@@ -109,6 +113,7 @@ ENERGY_GUARD = np.dtype(
         ("clipped", np.float64, _ACCOUNTS),  # J, of the credit of the hand
         ("position", np.float64, _EACH),  # m, of the last sample
         ("side", np.int64, _EACH),  # on which the force exceeds the limit; 0: neither
+        ("asked", np.float64, _EACH),  # N, the scene's force of the last sample
         ("most_gap", np.int64),  # samples from one episode to the next
         ("gap", np.int64),  # samples since this one began
         ("swings", np.int64, _ACCOUNTS),  # episodes in a row
@@ -167,7 +172,7 @@ def judge_energy(energy, tick):
         if energy.why == 0 and has_swung:
             energy.why, energy.account = SWINGING, account
     for c in range(io.channels):
-        energy.position[c] = io.position_counts[c] * io.position_scale[c]
+        energy.position[c], energy.asked[c] = io.position_counts[c] * io.position_scale[c], io.asked[c]
         if energy.why == 0 and energy.repeats[c] >= SWINGS:
             energy.why, energy.account, energy.shakes = SHAKING, LATE, energy.repeats[c]
     if energy.why == 0 and energy.shakes >= (SWINGS if _is_unstable(energy) else SHAKES):
@@ -224,7 +229,8 @@ def _update_sides(energy, history, io, gap):
     for c in range(io.channels):
         limit, wanted = io.force_limit[c], io.asked[c] + io.excitation[c]
         side = _side_of(io.asked[c], from_on * limit)
-        begins = begins or (side != 0 and side != energy.side[c])
+        enters = side != 0 and side != energy.side[c] if io.to_next[c] == 0 else _enters(energy, io, c, from_on)
+        begins = begins or enters
         energy.side[c] = side
         side = _side_of(wanted, limit)
         energy.turn[c] += gap
@@ -233,6 +239,21 @@ def _update_sides(energy, history, io, gap):
             energy.last_side[c], energy.turn[c], energy.peak[c] = side, 0, 0.0
         energy.peak[c] = max(energy.peak[c], abs(wanted))
     return begins
+
+
+@helper
+def _enters(energy, io, c, from_on):
+    """Returns whether the force of a hand with several channels reaches the limit in another direction, or after a
+    sample within it."""
+    now = before = along = 0.0
+    other = np.uint64(c)
+    while True:
+        force, last = io.asked[other] / io.force_limit[other], energy.asked[other] / io.force_limit[other]
+        now, before, along = now + force * force, before + last * last, along + force * last
+        other += io.to_next[other]
+        if other == np.uint64(c):
+            break
+    return now > from_on * from_on and not (before > from_on * from_on and along > 0.0)
 
 
 @helper
@@ -315,7 +336,8 @@ def _set_up(loop: Any, setting: Setting) -> Any:
         friction=np.array(scene.device.frictions(scene.channels)),
         limit_j=limit_j,
         usual_j=force_limit * min(one.energy for one in scales),
-        credit_j=force_limit * max(one.credit for one in scales),
+        # Both channels of a hand at their limits give a larger force between them.
+        credit_j=force_limit * max(one.credit for one in scales) * math.sqrt(max(map(len, scene.channel_groups))),
     )
     return loop.energy_guard
 

@@ -35,8 +35,9 @@ from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.compiling import helper
-from hapsim.compiling.native import record_at
+from hapsim.compiling.native import address_of, record_at
 from hapsim.loop.force_history import IN_ALL, acting_force, history_at
+from hapsim.loop.guards.travel import leads_out, travel_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
 from hapsim.number_format import duration
@@ -69,7 +70,8 @@ FROZEN_SENSOR = np.dtype(
         ("soft_start", np.float64),  # samples
         ("moved", np.float64, _EACH),  # T²/m, m per N in a sample
         ("floor", np.float64, _EACH),  # N, below which a force proves nothing
-        ("low", np.float64, _EACH),  # m: the travel without its margins
+        ("travel", np.uint64),  # address of the TRAVEL, if the scene has one
+        ("low", np.float64, _EACH),  # m: the travel without its margins, for hands with one channel
         ("high", np.float64, _EACH),
         ("least_way", np.float64, _EACH),  # m, least w for a test,
         ("far", np.float64, _EACH),  # and for one without waiting
@@ -97,13 +99,16 @@ _sensor_at = record_at(FROZEN_SENSOR)
 
 @hook
 def lower_force(sensor, tick):
-    """Lowers force and excitation on channels that are tested or frozen."""
+    """Lowers force and excitation of hands of which a channel is tested or frozen, whole, so that it does not turn."""
     sensor, tick = _sensor_at(sensor), tick_at(tick)
     if sensor.lowered == 0:
         return 0
     io = io_at(tick.io)
     for c in range(np.uint64(io.channels)):
-        share = sensor.share[c]
+        share, other = sensor.share[c], c + io.to_next[c]
+        while other != c:
+            share = min(share, sensor.share[other])
+            other += io.to_next[other]
         io.force_counts[c] = np.int64(np.rint(io.force_counts[c] * share))
         io.excitation[c] *= share
         io.as_hand[c] *= share
@@ -127,6 +132,8 @@ def judge_sensor(sensor, tick):
         force = io.force_counts[c] * io.force_scale[c]
         position = counts * io.position_scale[c]
         at_end = (force > 0.0 and position >= sensor.high[c]) or (force < 0.0 and position <= sensor.low[c])
+        if sensor.travel != 0 and io.to_next[c] != 0:
+            at_end = leads_out(travel_at(sensor.travel), io, c, force)
         is_loaded = abs(force) > sensor.floor[c] and not at_end
         if counts != sensor.counts[c]:
             if _has_moved(sensor, c, counts, gap, io.position_scale[c], is_loaded):
@@ -226,8 +233,9 @@ def _set_up(loop: Any, setting: Setting) -> Any:
         return None
     scene, channels = setting.scene, setting.scene.channels
     device, used = scene.device, slice(channels)
+    loop.frozen_sensor.travel = address_of(loop.travel) if device.travel is not None else 0
     low, high = np.transpose(device.travels(channels))
-    margin = np.array(device.travel_margins(channels)) if device.travel is not None else 0.0
+    margin = np.array(scene.travel_margins) if device.travel is not None else 0.0
     watch_sensor(
         loop.frozen_sensor,
         rate_hz=scene.rate,

@@ -88,14 +88,18 @@ _sign_at = record_at(SIGN)
 
 @hook
 def release(sign, tick):
-    """Makes the force of the tested channels zero."""
+    """Makes the force of the tested channels zero, and of the others of the same hand: else the force would turn."""
     sign, tick = _sign_at(sign), tick_at(tick)
     if sign.releases == 0:
         return 0
     io = io_at(tick.io)
     for c in range(np.uint64(io.channels)):
-        if 0 <= sign.since[c] < sign.release:
-            io.force_counts[c] = 0
+        other = c
+        while 0 <= sign.since[c] < sign.release:
+            io.force_counts[other] = 0
+            other += io.to_next[other]
+            if other == c:
+                break
     tick.flags |= SLEWED
     return 0
 

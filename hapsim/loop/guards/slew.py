@@ -35,7 +35,7 @@ from firmware_protocol import schema
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import record_at
 from hapsim.errors import UsageError
-from hapsim.loop.buffers import clip
+from hapsim.loop.buffers import clip, share_within_limit
 from hapsim.loop.hooks import Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import SLEWED
 
@@ -80,21 +80,69 @@ def shape_force(slew, tick):
     if slew.elapsed < slew.soft_samples:
         u = slew.elapsed / slew.soft_samples
         left = 1.0 - u * u * (3.0 - 2.0 * u)
+    for c in range(io.channels if slew.begun == 0 else 0):
+        first = io.asked[c] * share_within_limit(io, c, False)
+        slew.first[c] = clip(first, io.force_limit[c]) / io.force_scale[c]
     for c in range(io.channels):
-        if slew.begun == 0:
-            slew.first[c] = clip(io.asked[c], io.force_limit[c]) / io.force_scale[c]
-        counts = io.force_counts[c]
-        reduction = np.int64(np.rint(slew.first[c] * left))
-        if reduction != 0:
-            less = counts - reduction
-            counts = max(min(less, counts), 0) if counts > 0 else min(max(less, counts), 0)
-        counts = _clip_to_step(slew, c, counts)
-        if tick.withheld == 0 and counts != io.force_counts[c]:
-            io.force_counts[c] = counts
+        alone = io.to_next[c] == 0
+        slew.decided[c] = _shaped(slew, c, io.force_counts[c], left) if alone else _shaped_of_hand(slew, io, c, left)
+    for c in range(io.channels):
+        if tick.withheld == 0 and slew.decided[c] != io.force_counts[c]:
+            io.force_counts[c] = slew.decided[c]
             tick.flags |= SLEWED
         slew.decided[c] = io.force_counts[c]
     slew.begun = 1
     return 0
+
+
+@helper
+def _shaped(slew, c, counts, left):
+    """Returns the force of a hand with one channel, in counts, during the soft start and within a step."""
+    reduction = np.int64(np.rint(slew.first[c] * left))
+    if reduction != 0:
+        less = counts - reduction
+        counts = max(min(less, counts), 0) if counts > 0 else min(max(less, counts), 0)
+    return _clip_to_step(slew, c, counts)
+
+
+@helper
+def _shaped_of_hand(slew, io, c, left):
+    """Returns the same for one channel of a hand with several: they have one factor."""
+    along = square = 0.0
+    other = np.uint64(c)
+    while True:
+        force, scale = io.force_counts[other] * io.force_scale[other], io.force_scale[other]
+        along += force * slew.first[other] * scale
+        square += force * force
+        other += io.to_next[other]
+        if other == np.uint64(c):
+            break
+    soft = min(max(1.0 - left * along / square, 0.0), 1.0) if square > 0.0 else 1.0
+    share = 1.0
+    while True:
+        low, high, step = slew.low[other], slew.high[other], slew.step[other]
+        if high - low > 2 * step:
+            return 0
+        held = _held(slew, other)
+        way = soft * io.force_counts[other] - held
+        if way * share > low + step - held:
+            share = (low + step - held) / way
+        elif way * share < high - step - held:
+            share = (high - step - held) / way
+        other += io.to_next[other]
+        if other == np.uint64(c):
+            break
+    held = _held(slew, c)
+    return held + np.int64(np.rint(share * (soft * io.force_counts[c] - held)))
+
+
+@helper
+def _held(slew, c):
+    """Returns the force from which the step of a hand with several channels counts: the last one that was sent, as far
+    as the device may hold it and it is within a step of all that the device may hold."""
+    low, high, step = slew.low[c], slew.high[c], slew.step[c]
+    sent = max(min(slew.sent[slew.newest * _ROW + np.int64(c)], high), low)
+    return max(min(sent, low + step), high - step)
 
 
 @helper

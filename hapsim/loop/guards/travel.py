@@ -1,8 +1,10 @@
 """The travel guard: outside the declared travel the force fades, and beyond a margin there the loop stops.
 
-A position x is outside by max(low - x, x - high). There the force, clipped and with any push, is multiplied by
-1 - outside / margin, and is zero beyond the margin. So the fade is no steeper than force_limit / margin, which is
-judged as a stiffness before a run. A device that rests at its own stop, within the margin, feels less force.
+A position x is outside by max(low - x, x - high); that of a hand with x and y by its distance from the nearest edge of
+a polygon, less a radius: a disc is a polygon of one corner, a box one of four. There the force, clipped and with any
+push, is multiplied by 1 - outside / margin, and is zero beyond the margin. So the fade is no steeper than the largest
+force / margin, which is judged as a stiffness before a run. A device that rests at its own stop, within the margin,
+feels less force.
 
 Beyond the margin a motor has the wrong sign, or the device's zero is wrong. The loop stops as soon as noise and counts
 do not explain the position. A device that is armed outside may stay there: until it comes within its travel, the margin
@@ -11,20 +13,25 @@ begins at its position at arming.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from firmware_protocol import schema
+from hapsim.compiling import helper
 from hapsim.compiling.native import record_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
 from hapsim.loop.ring import FADED
+from hapsim.scene.quantity import MOST_CORNERS, Area
 
 OUT_OF_TRAVEL = -24
 
 NOISE_RMS = 8.0  # of the sensor's noise, if known: one sample in 1e15 has more
 
-_EACH = (schema.MAX_CHANNELS,)
+_AHEAD, _TOWARDS = 1e-3, 0.1  # a step of this share of the margin leads out if its distance grows by this share of it
+
+_EACH, _ROW = (schema.MAX_CHANNELS,), 2 * MOST_CORNERS
 
 TRAVEL = np.dtype(
     [
@@ -33,26 +40,30 @@ TRAVEL = np.dtype(
         ("margin", np.float64, _EACH),  # m, the width of the band outside them
         ("unsure", np.float64, _EACH),  # m, error by noise and counts
         ("begun", np.int64),  # 1: there was a sample
+        ("radius", np.float64, _EACH),  # m, of the travel of the hand in the plane that has this channel,
+        ("corners", np.int64, _EACH),  # corners of it; 0: a hand with one channel,
+        ("corner", np.float64, (_ROW * schema.MAX_CHANNELS,)),  # m, their x and y, a row for each channel,
+        ("x", np.int64, _EACH),  # and the channels of the hand's x
+        ("y", np.int64, _EACH),  # and y
         ("armed", np.float64, _EACH),  # m, distance outside at arming; 0 after it was within
         ("channel", np.int64),  # the channel beyond the margin,
-        ("position", np.float64),  # and its position, m
+        ("outside", np.float64),  # and its distance outside, m
         ("faded_ticks", np.int64),
     ],
     align=True,
 )
 
-_travel_at = record_at(TRAVEL)
+travel_at = record_at(TRAVEL)
 
 
 @hook
 def fade(travel, tick):
     """Fades force and excitation on every channel that is outside. Returns OUT_OF_TRAVEL beyond the margin, else 0."""
-    travel, tick = _travel_at(travel), tick_at(tick)
+    travel, tick = travel_at(travel), tick_at(tick)
     io = io_at(tick.io)
     is_outside, code = False, 0
     for c in range(io.channels):
-        x = io.position_counts[c] * io.position_scale[c]
-        outside = max(travel.low[c] - x, x - travel.high[c])
+        outside = _distance_outside(travel, io, c, 0.0)
         if not outside > 0.0:
             travel.armed[c] = 0.0
             continue
@@ -64,7 +75,7 @@ def fade(travel, tick):
         io.as_hand[c] *= left
         is_outside = True
         if outside > travel.armed[c] + travel.margin[c] + travel.unsure[c]:
-            travel.channel, travel.position, code = c, x, OUT_OF_TRAVEL
+            travel.channel, travel.outside, code = c, outside, OUT_OF_TRAVEL
     travel.begun = 1
     if is_outside:
         travel.faded_ticks += 1
@@ -72,25 +83,71 @@ def fade(travel, tick):
     return code
 
 
+@helper
+def _distance_outside(travel, io, c, ahead):
+    """Returns how far outside (m) the hand of a channel is, `ahead` (m) along that channel; negative: within."""
+    x, y = travel.x[c], travel.y[c]
+    px = io.position_counts[x] * io.position_scale[x] + (ahead if x == c else 0.0)
+    if travel.corners[c] == 0:
+        return max(travel.low[c] - px, px - travel.high[c])
+    py = io.position_counts[y] * io.position_scale[y] + (ahead if y == c else 0.0)
+    begin, end = c * _ROW, c * _ROW + 2 * travel.corners[c]
+    ax, ay = travel.corner[end - 2], travel.corner[end - 1]
+    square, is_within = math.inf, False
+    for i in range(begin, end, 2):
+        bx, by = travel.corner[i], travel.corner[i + 1]
+        ex, ey, dx, dy = bx - ax, by - ay, px - ax, py - ay
+        length = ex * ex + ey * ey
+        share = min(max((dx * ex + dy * ey) / length, 0.0), 1.0) if length > 0.0 else 0.0
+        square = min(square, (dx - share * ex) ** 2 + (dy - share * ey) ** 2)
+        if (ay > py) != (by > py) and dx < dy / ey * ex:
+            is_within = not is_within
+        ax, ay = bx, by
+    return (-math.sqrt(square) if is_within else math.sqrt(square)) - travel.radius[c]
+
+
+@helper
+def leads_out(travel, io, c, force):
+    """Returns whether a hand in the plane is within the margin of an edge of the travel, and the force of its channel
+    `c` presses towards that edge."""
+    outside, ahead = _distance_outside(travel, io, c, 0.0), math.copysign(_AHEAD * travel.margin[c], force)
+    farther = _distance_outside(travel, io, c, ahead) - outside
+    return outside >= -travel.margin[c] and farther > _TOWARDS * abs(ahead)
+
+
 def _set_up(loop: Any, setting: Setting) -> Any:
     travel, scene, used = loop.travel, setting.scene, slice(setting.scene.channels)
-    if scene.device.travel is None:
+    area, limits = scene.device.travel, scene.device.travels(scene.channels)
+    if area is None:
         return None
     travel.low[:], travel.high[:] = -np.inf, np.inf
-    travel.low[used], travel.high[used] = np.transpose(scene.device.travels(scene.channels))
-    travel.margin[used] = scene.device.travel_margins(scene.channels)
+    travel.low[used], travel.high[used] = np.transpose(limits)
+    travel.margin[used] = scene.travel_margins
     count_m = np.array(setting.description.position_scale[used])
     travel.unsure[used] = NOISE_RMS * scene.mock_device.noise + count_m
+    travel.x[used] = travel.y[used] = np.arange(scene.channels)
+    for x, y in (hand for hand in scene.channel_groups if len(hand) == 2):
+        (left, right), (low, high) = limits[x], limits[y]
+        corners: Any = ((left, low), (right, low), (right, high), (left, high))
+        for c in (x, y):
+            corners, travel.radius[c] = (area.corners, area.radius) if isinstance(area, Area) else (corners, 0.0)
+            travel.x[c], travel.y[c], travel.corners[c] = x, y, len(corners)
+            travel.corner[c * _ROW : c * _ROW + 2 * len(corners)] = np.ravel(corners)
     return travel
 
 
 def _sentence(run: EndedRun) -> str:
-    travel, c = run.loop.travel, int(run.loop.travel.channel)
-    units = run.scene.units_of(c)
+    from hapsim.prediction.force_bounds import travel_in_words
+
+    travel, c, io = run.loop.travel, int(run.loop.travel.channel), run.loop.io
+    units, hand = run.scene.units_of(c), run.scene.hand_of(c)
+    which = f"channel {c} is" if len(hand) == 1 else f"channels {' and '.join(map(str, hand))} are"
+    place = ", ".join(units.number(io.position_counts[one] * io.position_scale[one], "m", ".6g") for one in hand)
+    place = place if len(hand) == 1 else f"({place})"
     return (
-        f"channel {c} is out of its travel at tick {run.report.ticks}: at "
-        f"{units(travel.position, 'm', '.6g')}, where device.travel goes from {units.number(travel.low[c], 'm', 'g')} "
-        f"to {units(travel.high[c], 'm', 'g')} and the force fades within {units(travel.margin[c], 'm', 'g')} outside; "
+        f"{which} out of {'its' if len(hand) == 1 else 'their'} travel at tick {run.report.ticks}: at "
+        f"{units(place, 'm')}, {units(travel.outside, 'm', '.4g')} outside, where device.travel goes "
+        f"{travel_in_words(run.scene, c)} and the force fades within {units(travel.margin[c], 'm', 'g')} outside; "
         "its force was not sent. Something drives the device outward, or its zero is not where the scene has it: a "
         "motor or an encoder with the wrong sign, a wrong device.origin, a device that restarted elsewhere, or limits "
         "that are not the device's. Move it back within its travel before the next run"

@@ -1,0 +1,202 @@
+"""The links of a scene in the plane, wherever its points are: distance, direction, curvature and force of each.
+
+This is the geometry of the scene alone, without the loop, so that pictures and measurements may use it. For small
+motions a link of slope K and tension f is K n n' + (f/r) t t', with its normal n, its tangent t and a curvature 1/r.
+Stuck friction adds its bristle along t. Friction that slides reads the pressure along n and pulls along t.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.prediction.characteristic import starts_at
+from hapsim.prediction.reach import start_positions
+from hapsim.scene import DevicePoint, Friction, Link, Scene
+from hapsim.scene.chain import Nearest, Point
+from hapsim.scene.modules.plane_links import Guide, Shape
+from hapsim.theory.arrays import Floats
+
+_MOST_STEPS = 100
+_AT_REST = 1e-12  # m: movement of a mass in the last step
+_HALVINGS = 30
+_LEAST_STIFFNESS = 1e-6  # N/m, for a mass that no spring holds
+
+
+class PlaneLink(NamedTuple):
+    """Link of the plane where its ends are. It pulls its first end by `tension` against the normal."""
+
+    name: str
+    link: Link
+    distance: float
+    """Of its law, m."""
+    normal: Point
+    """Unit vector along which the distance grows, for its first end."""
+    curvature: float
+    """Turn of the normal per metre across it, 1/m; infinite where the ends of a link between points meet."""
+    piece: int
+    """Piece of its chain; 0 without one."""
+    tension: float
+    """N, with friction at rest."""
+    slope: float
+    """N/m."""
+    damping: float
+    """N·s/m."""
+    state: str
+
+    @property
+    def tangent(self) -> Point:
+        """Unit vector along a surface or a path, a quarter of a turn to the left of the normal."""
+        return -self.normal[1], self.normal[0]
+
+    @property
+    def across(self) -> float:
+        """Stiffness along the tangent, N/m: that of a link without a length, where its ends meet, is its slope."""
+        if math.isfinite(self.curvature):
+            return self.tension * self.curvature
+        return 0.0 if self.tension else self.slope
+
+    @property
+    def acts(self) -> bool:
+        """True if it has a force, a stiffness or a damping there."""
+        return bool(self.tension or self.slope or self.damping)
+
+    @property
+    def rubs(self) -> bool:
+        """True if it touches with dry friction along its surface."""
+        return isinstance(self.link, Shape) and self.link.break_away > 0.0 and self.acts
+
+    def rows(self, sliding: int = 0) -> Iterator[Row]:
+        """Yields the rows of small motions. `sliding`: 0 while its friction sticks; 1 or -1: towards or against the
+        tangent. Friction holds no force where it sticks."""
+        n, t = self.normal, self.tangent
+        if isinstance(self.link, Friction):
+            yield from (Row(axis, axis, self.slope, self.damping) for axis in ((1.0, 0.0), (0.0, 1.0)))
+            return
+        yield Row(n, n, self.slope, self.damping)
+        yield Row(t, t, self.across, 0.0)
+        if self.rubs and isinstance(self.link, Shape):
+            if not sliding:
+                yield Row(t, t, *self.link.bristle)
+            else:
+                share = -sliding * self.link.friction_coefficient
+                yield Row(t, n, share * self.slope, share * self.damping)
+                yield Row(n, t, -share * self.across, 0.0)
+
+
+class Row(NamedTuple):
+    """Part of a link: a motion of its first end along `stretch` is answered by a force against `pull`."""
+
+    pull: Point
+    stretch: Point
+    stiffness: float
+    damping: float
+
+
+class Plane:
+    """The links of a scene in the plane, at any places of its points.
+
+    Attributes:
+        links: by name, with its law and the function from its stretch to the nearest place of it.
+        start: the places of its points at the start, m, by module.
+        hands, masses: names of the modules.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.links = {name: (link, link.law(), _opposite(link)) for name, link in scene.plane_links.items()}
+        self.start = _start(scene)
+        self.hands = tuple(name for name, one in scene.modules.items() if isinstance(one, DevicePoint))
+        self.masses = tuple(name for name in self.start if f"{name}.x" in scene.masses)
+
+    def at(self, places: Mapping[str, Point]) -> list[PlaneLink]:
+        """Returns every link with its ends at `places`, by default where they start, m."""
+        found, at = [], {**self.start, **places}
+        for name, (link, law, opposite) in self.links.items():
+            (ax, ay), (bx, by) = (at[end] for end in link.between)
+            d, normal, curvature, piece = opposite(ax - bx, ay - by)
+            is_apart = law.pushes and d >= law.knots[-1][0]
+            tension = 0.0 if is_apart else float(law.tension(d))
+            found.append(
+                PlaneLink(name, link, d, normal, curvature, piece, tension, law.slope(d), law.damping(d), law.state(d))
+            )
+        return found
+
+    def forces(self, x: Floats, y: Floats, hand: str = "") -> tuple[Floats, Floats]:
+        """Returns the static force, N, on a hand [default: the first] at each of these places, m: arrays of one shape.
+        Other hands and masses are where they start, and friction has no force."""
+        hand = hand or self.hands[0]
+        fx, fy = np.zeros(np.shape(x)), np.zeros(np.shape(x))
+        for link, law, opposite in self.links.values():
+            if hand not in link.between:
+                continue
+            side = 1.0 if link.between[0] == hand else -1.0
+            ox, oy = self.start[link.between[side > 0.0]]
+            towards = zip(np.ravel(side * (x - ox)).tolist(), np.ravel(side * (y - oy)).tolist(), strict=True)
+            each = [opposite(*one) for one in towards]
+            nx, ny = np.array([one.normal for one in each]).reshape(-1, 2).T.reshape(2, *np.shape(x))
+            pull = side * law.tension(np.array([one.distance for one in each])).reshape(np.shape(x))
+            fx, fy = fx - pull * nx, fy - pull * ny
+        return fx, fy
+
+    def at_rest(self, places: Mapping[str, Point]) -> dict[str, Point] | None:
+        """Returns the places of all points with the masses at rest and the hands at `places`, by Newton's steps, each
+        halved until the forces are less; None if no rest is found."""
+        at, column = {**self.start, **places}, {name: 2 * i for i, name in enumerate(self.masses)}
+        x = np.array([at[name] for name in self.masses]).ravel()
+
+        def forces(x: Floats) -> tuple[Floats, Floats]:
+            """Returns the forces (2 M,) on the masses, and their stiffness matrix without what is negative."""
+            force, K = np.zeros(x.size), _LEAST_STIFFNESS * np.eye(x.size)
+            for one in self.at(at | _places(self.masses, x)):
+                n, t = (as_row(one.link, each, column, x.size) for each in (one.normal, one.tangent))
+                force -= one.tension * n
+                K += max(one.slope, 0.0) * np.outer(n, n) + max(one.across, 0.0) * np.outer(t, t)
+            return force, K
+
+        for _ in range(_MOST_STEPS if x.size else 0):
+            force, K = forces(x)
+            step = np.linalg.solve(K, force)
+            if np.abs(step).max() <= _AT_REST:
+                break
+            for _ in range(_HALVINGS):
+                if np.abs(forces(x + step)[0]).max() < np.abs(force).max():
+                    break
+                step = 0.5 * step
+            x = x + step
+        else:
+            return None if x.size else at
+        return at | _places(self.masses, x)
+
+
+def as_row(link: Link, direction: Point, column: Mapping[str, int], size: int) -> Floats:
+    """Returns the row (size,) of a direction at a link's ends. `column`: of the x of each point that moves."""
+    row = np.zeros(size)
+    for end, sign in zip(link.between, (1.0, -1.0), strict=True):
+        if end in column:
+            row[column[end] : column[end] + 2] += sign * np.array(direction)
+    return row
+
+
+def _places(names: Sequence[str], x: Floats) -> dict[str, Point]:
+    return {name: (px, py) for name, (px, py) in zip(names, x.reshape(-1, 2).tolist(), strict=True)}
+
+
+def _start(scene: Scene) -> dict[str, Point]:
+    """Returns the places of all points at the start, m; of a hand at a port position 0."""
+    hands = {name: starts_at(scene, one.channel) or 0.0 for name, one in scene.device_points.items()}
+    at, points = start_positions(scene) | hands, (name for name, one in scene.modules.items() if one.is_point)
+    return {name: (at[f"{name}.x"], at[f"{name}.y"]) for name in points}
+
+
+def _opposite(link: Link) -> Callable[[float, float], Nearest]:
+    """Returns the function from the first end minus the second, m, to the nearest place of the link."""
+    return link.chain().nearest if isinstance(link, Shape | Guide) else _away
+
+
+def _away(x: float, y: float) -> Nearest:
+    d = math.hypot(x, y)
+    return Nearest(d, (x / d, y / d), 1.0 / d) if d else Nearest(0.0, (1.0, 0.0), math.inf)

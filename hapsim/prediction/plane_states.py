@@ -1,0 +1,234 @@
+"""Motions of a scene in the plane at places where its links touch: shakes, slides, and directions without a force.
+
+A place at which negative stiffness drives a point on, such as a round surface pressed from outside, slides: it has a
+real pole. A shake is what grows beside it. A hand may be anywhere, so the places judged are along each surface and
+path, and around each point, as deep as the force limit presses; the other points rest, or are where they start.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from hapsim.laws import Law
+from hapsim.prediction.plane import Plane, PlaneLink, as_row
+from hapsim.prediction.stability import Judge
+from hapsim.prediction.states import Grown
+from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
+from hapsim.scene import Link
+from hapsim.scene.chain import Nearest, Point
+from hapsim.scene.modules.plane_links import Guide, Shape
+from hapsim.theory import Network, Solution
+from hapsim.theory.network import loop
+from hapsim.theory.network.felt import matrices
+from hapsim.theory.network.modes import AT_THE_LIMIT
+
+_DEEP = 1e-4  # m, into a surface
+_TURN = 0.5  # rad, from place to place on an arc
+_ANGLES = 8  # around a point
+_ALIKE = 0.05  # rad, of two directions
+_NONE = 1e-12  # of the largest stiffness: rounding
+_MOST_PLACES = 256  # that are judged
+
+Places = Mapping[str, Point]
+
+
+class Slide(NamedTuple):
+    """Motion that negative stiffness drives: it grows without an oscillation."""
+
+    module: str
+    """Module that moves most in it."""
+    angle_deg: float
+    """Direction in which it moves, from x towards y; 0 <= angle < 180."""
+    pole: float
+    e_fold_s: float
+    """Time in which it grows e-fold, s."""
+
+
+def with_links(
+    bare: Network, points: tuple[str, ...], links: Sequence[PlaneLink], sliding: Mapping[str, int] | None = None
+) -> Network:
+    """Returns the network with these links. `sliding`: the direction, 1 or -1, of friction that slides, by name."""
+    column = {name.removesuffix(".x"): i for i, name in enumerate(points) if name.endswith(".x")}
+    rows = [(i, one.link, row) for i, one in enumerate(links) for row in one.rows((sliding or {}).get(one.name, 0))]
+    size = len(points)
+    return replace(
+        bare,
+        rows=np.array([as_row(link, row.stretch, column, size) for _, link, row in rows]).reshape(-1, size),
+        pulls=np.array([as_row(link, row.pull, column, size) for _, link, row in rows]).reshape(-1, size),
+        stiffness=np.array([row.stiffness for *_, row in rows]),
+        damping=np.array([row.damping for *_, row in rows]),
+        link_of_row=np.array([i for i, *_ in rows], np.intp),
+        margin_links=len(links),
+        damper=(),
+        outside=(),
+    )
+
+
+def directions(network: Network) -> tuple[int, int]:
+    """Returns the numbers of directions in which the scene drives its points on, and without a stiffness."""
+    *_, K = matrices(network)
+    values = np.linalg.eigvals(K)
+    least = _NONE * np.abs(values).max(initial=0.0)
+    real = np.abs(values.imag) <= least
+    return int((real & (values.real < -least)).sum()), int((np.abs(values) <= least).sum())
+
+
+def slides_of(network: Network, points: tuple[str, ...], solution: Solution) -> tuple[Slide, ...]:
+    """Returns the slides, the fastest first."""
+    count, _ = directions(network)
+    if not count or solution.eigen is None:
+        return ()
+    w, states = solution.eigen
+    moved, found = (loop(network).points @ states).real, []
+    drives = [i for i in np.argsort(-w.real) if abs(w[i].imag) <= _NONE and w[i].real > 0.0]
+    for i in drives[:count]:
+        name = points[int(np.abs(moved[:, i]).argmax())][:-2]
+        x, y = (moved[points.index(f"{name}.{axis}"), i] for axis in "xy")
+        angle = math.degrees(math.atan2(y, x)) % 180.0
+        efold = 1.0 / (float(np.log1p(w[i].real)) * network.rate)
+        found.append(Slide(name, 0.0 if 180.0 - angle < _NONE else angle, 1.0 + float(w[i].real), efold))
+    return tuple(found)
+
+
+def held(network: Network) -> Network:
+    """Returns the network without its negative stiffnesses: what slides is held."""
+    drives = (network.stiffness < 0.0) & (np.asarray(network.rows) == np.asarray(network.pulls)).all(axis=1)
+    return replace(network, stiffness=np.where(drives, 0.0, network.stiffness))
+
+
+class PlaneVerdict(NetworkVerdict):
+    """Growing motions of a scene in the plane."""
+
+    def shaken_by_network(self, snaps: int = 0, *, held: bool = True) -> Shaking | None:
+        return super().shaken_by_network(snaps or directions(self.network)[0], held=held)
+
+
+class PlaneJudge(PlaneVerdict, Judge):
+    """Verdict on a scene in the plane. A direction without a stiffness is stable if something brakes motion in it."""
+
+    @cached_property
+    def is_stable_as_taken(self) -> bool:
+        poles = self.solved.solution.poles
+        moving = poles[poles != 1.0]
+        rests = poles.size - moving.size <= directions(self.network)[1]
+        return rests and float(np.abs(moving).max(initial=0.0)) < 1.0 - AT_THE_LIMIT
+
+
+@dataclass(eq=False)
+class PlaneStates:
+    """Places at which the links of a scene in the plane touch, judged when needed, like `ContactStates`.
+
+    Attributes:
+        plane: the scene. bare, points: its points without links, and their names.
+        places: of the points where the scene is linearised.
+    """
+
+    plane: Plane
+    bare: Network
+    points: tuple[str, ...]
+    places: Places
+
+    parts = ()
+    is_complete = True
+
+    @property
+    def count(self) -> int:
+        """Number of unlike places that were judged."""
+        return len(self._verdicts)
+
+    @property
+    def growing(self) -> list[Shaking]:
+        """Motions that surely grow."""
+        return list(dict.fromkeys(one for one in self._verdicts.values() if one is not None))
+
+    @property
+    def unjudged(self) -> int:
+        """Number of places that were not judged; 0."""
+        return 0
+
+    @property
+    def words(self) -> str:
+        """Phrase that follows "stable" or "unstable" and limits the verdict."""
+        if self.growing:
+            return f"while {max(self.growing, key=lambda one: one.growth).state}"
+        return f"at {self.count} unlike places where its links touch; others are not judged (--at, --along)"
+
+    def instead(self) -> dict[str, object]:
+        """Links whose assumed state is impossible; none."""
+        return {}
+
+    def grown(self, is_unstable: bool, _regional: Collection[str]) -> list[Grown]:
+        """Returns the fastest growing motion. `is_unstable`: a motion grows where the scene is linearised too."""
+        fastest = max(self.growing, key=lambda one: one.growth, default=None)
+        return [] if is_unstable or fastest is None else [Grown(fastest, [], [])]
+
+    def swing_of(self, _grown: Grown) -> Swing | None:
+        """Size of an oscillation: it is not worked out in the plane."""
+        return None
+
+    @cached_property
+    def _verdicts(self) -> dict[object, Shaking | None]:
+        found: dict[object, Shaking | None] = {}
+        for places in (self.places, *self._touching()):
+            links = [one for one in self.plane.at(places) if one.acts]
+            for sliding in ({}, *({one.name: way} for one in links if one.rubs for way in (1, -1))):
+                key = self._key(links, sliding)
+                if key in found or len(found) >= _MOST_PLACES:
+                    continue
+                verdict = PlaneVerdict(with_links(self.bare, self.points, links, sliding), self.points)
+                shaken = verdict.shaken_by_network()
+                how = ", ".join(
+                    f"{one.name} {'slides' if one.name in sliding else f'is {one.state}'}" for one in links if one.state
+                )
+                found[key] = shaken and shaken._replace(state=how)
+        return found
+
+    def _key(self, links: list[PlaneLink], sliding: Mapping[str, int]) -> object:
+        """Returns equal keys for links that differ by a turn of all, if every hand is the same in all directions."""
+        bare, of_hands = self.bare, (self.bare.channel_mass, self.bare.channel_friction, self.bare.channel_stiffness)
+        turns = bare.mass_coupling is None and all((one[::2] == one[1::2]).all() for one in of_hands)
+        angles = [math.atan2(one.normal[1], one.normal[0]) for one in links]
+        first = angles[0] if turns and angles else 0.0
+        return tuple(
+            (*one.link.between, sliding.get(one.name, 0), one.rubs and one.link, one.slope, one.damping,
+             float(f"{one.across:.2g}"), round(math.remainder(angle - first, 2.0 * math.pi) / _ALIKE))
+            for one, angle in zip(links, angles, strict=True)
+        )  # fmt: skip
+
+    def _touching(self) -> Iterator[Places]:
+        """Yields places of the points at which a link touches, within the travel of the hands."""
+        scene, at = self.plane.scene, self.places
+        travels, moving = scene.device.travels(scene.channels), {*self.plane.hands, *self.plane.masses}
+        for link, law, opposite in self.plane.links.values():
+            moved, other, side = (*link.between, 1.0) if link.between[0] in moving else (*link.between[::-1], -1.0)
+            for x, y in _stretches(link, law, opposite, scene.device.force_limit):
+                place = at[other][0] + side * x, at[other][1] + side * y
+                hand = (scene.device_points.get(f"{moved}.{axis}") for axis in "xy")
+                ends = [travels[one.channel] for one in hand if one is not None]
+                if all(low <= value <= high for (low, high), value in zip(ends, place, strict=False)):
+                    yield {**at, moved: place}
+
+
+def _stretches(link: Link, law: Law, opposite: Callable[..., Nearest], force_limit: float) -> Iterator[Point]:
+    """Yields places of the link's first end, m, by its second, in each piece of its law that acts."""
+    turns = [2.0 * math.pi * i / _ANGLES for i in range(_ANGLES)]
+    around = [(_DEEP * math.cos(turn), _DEEP * math.sin(turn)) for turn in turns]
+    if isinstance(link, Shape | Guide):
+        line = link.chain().outline(_TURN)
+        around = [*line, *((0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])) for a, b in pairwise(line))]
+    for piece, high in zip(law.pieces, [*(one.edge for one in law.pieces[1:]), math.inf], strict=True):
+        near = min(_DEEP, 0.5 * (high - piece.edge))
+        d = high - near if math.isfinite(high) else piece.edge + near
+        if math.isinf(d):
+            d = law.knots[0][0] + (force_limit / piece.slope if piece.slope > 0.0 else _DEEP)
+        if piece.slope or piece.damping:
+            for x, y in around:
+                beside, (nx, ny), *_ = opposite(x, y)
+                yield x + (d - beside) * nx, y + (d - beside) * ny

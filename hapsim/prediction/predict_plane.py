@@ -1,0 +1,166 @@
+"""Prediction of a scene in the plane: it is linear about the places of its points, with its masses at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hapsim.errors import UsageError
+from hapsim.laws import Linear
+from hapsim.prediction.linear import LinearLink, linear_scene, network_of
+from hapsim.prediction.plane import Plane, PlaneLink
+from hapsim.prediction.plane_states import PlaneJudge, PlaneStates, Slide, directions, held, slides_of, with_links
+from hapsim.prediction.predict import Prediction
+from hapsim.scene import Scene
+from hapsim.scene.chain import Point
+from hapsim.theory import Margins, margins_of
+from hapsim.theory.network import Direction, principal
+
+_SAMPLES = 256  # along a line
+_WITHIN = 0.382  # of the way to the next sample: seldom on the edge of a link
+_HALVINGS = 30
+
+
+class Directed(NamedTuple):
+    """What a hand feels along a principal direction, with the desired k and b, and the static stiffness."""
+
+    felt: Direction
+    desired_k: float
+    desired_b: float
+    static: float
+
+    @property
+    def angle_deg(self) -> float:
+        """Angle from x towards y, 0 <= angle < 180."""
+        return math.degrees(self.felt.angle)
+
+
+class PlanePrediction(Prediction):
+    """Prediction of a scene in the plane; `at` is the place of the first hand, m.
+
+    Attributes:
+        links: every link where its ends are, in the scene's order.
+        hands: their names. places: of all points, m, by module.
+    """
+
+    def _take(self, _instead: Mapping[str, Linear] | None = None) -> None:
+        plane = Plane(self._seen)
+        self.hands = plane.hands
+        hands = {name: plane.start[name] for name in plane.hands}
+        if self._at is not None:
+            hands[plane.hands[0]] = self._require_reached(plane.hands[0], self._at)
+        rest = plane.at_rest(hands)
+        self.places, self._rests = plane.start | hands if rest is None else rest, rest is not None
+        self.links: list[PlaneLink] = plane.at(self.places)
+        points = linear_scene(self._seen)
+        bare, self.points = network_of(self._seen, points)
+        self._also = [[self.points.index(f"{name}.{axis}") for axis in "xy"] for name in plane.hands]
+        self._network = with_links(bare, self.points, self.links)
+        linear = {one.name: LinearLink(one.link.between, one.slope, one.damping) for one in self.links}
+        self._linear = points._replace(links=linear, assumptions=[*self._assumed()])
+        self.states = PlaneStates(plane, bare, self.points, self.places)  # type: ignore[assignment]
+
+    def _coupling_reason(self, _name: str) -> str:
+        return "moves in the plane"
+
+    def _require_reached(self, name: str, at: Any) -> Point:
+        """Returns the place of a hand. Raises UsageError beyond its travel."""
+        units, channels = self.scene.units, self.scene.channels
+        for axis, value in zip("xy", at, strict=True):
+            low, high = self.scene.device.travels(channels)[self.scene.device_points[f"{name}.{axis}"].channel]
+            if not low <= value <= high:
+                reach = f"{units.number(low, 'm')} to {units(high, 'm')}"
+                found = f"found {axis} = {units(value, 'm')}, outside the travel of {name}"
+                raise UsageError(f"at: {found}; expected {axis} from {reach}")
+        x, y = at
+        return x, y
+
+    def _assumed(self) -> Iterator[str]:
+        if not self._rests:
+            yield "masses are taken where they start: no rest of them was found"
+        yield from (f"{one.name} sticks, without a force along its surface" for one in self.links if one.rubs)
+
+    @cached_property
+    def judge(self) -> PlaneJudge:
+        return PlaneJudge(self._network, self.points, False, {}, (), self.states)
+
+    @cached_property
+    def slides(self) -> tuple[Slide, ...]:
+        """Motions that the scene drives without an oscillation, the fastest first."""
+        return slides_of(self._network, self.points, self.judge.solved.solution)
+
+    @property
+    def verdict(self) -> str:
+        """Verdict on the places where it is linearised, in a word or three."""
+        if self.judge.shaken_by_network() is not None:
+            return "unstable"
+        return "slides" if directions(self._network)[0] else "stable" if self.stable_as_taken else "at the limit"
+
+    @cached_property
+    def _margins(self) -> Margins:
+        """Margins of what shakes: what slides is held."""
+        if not self._with_margins or not directions(self._network)[0]:
+            return super()._margins
+        return margins_of(held(self._network))
+
+    def principal(self, name: str) -> list[Directed]:
+        """Returns what the hand of this module feels along its two principal directions, the stiffest first; empty if
+        it feels no spring and damper."""
+        one = next(one for one in self.together if f"{name}.x" in one.names)
+        own = np.ix_(*[[one.names.index(f"{name}.{axis}") for axis in "xy"]] * 2)
+        if one.felt.reason:
+            return []
+        found = []
+        for felt in principal(one.felt.k[own], one.felt.b[own]):
+            n = np.array([np.cos(felt.angle), np.sin(felt.angle)])
+            k, b, static = (
+                float(n @ each[own] @ n) for each in (one.asked_for.k, one.asked_for.b, one.static_stiffness)
+            )
+            found.append(Directed(felt, k, b, static))
+        return found
+
+
+class Stretch(NamedTuple):
+    """Part of a line along which a hand touches the same pieces of the same links, with one verdict."""
+
+    begin: Point
+    end: Point
+    middle: PlanePrediction
+
+    @property
+    def links(self) -> dict[str, str]:
+        """States of the links that act, by name."""
+        return {one.name: one.state for one in self.middle.links if one.acts}
+
+
+def stretches_along(scene: Scene, begin: Point, end: Point) -> list[Stretch]:
+    """Returns the stretches along a line of the first hand, in their order: found at some hundred places, and their
+    ends by halving."""
+
+    def place(share: float) -> Point:
+        return begin[0] + share * (end[0] - begin[0]), begin[1] + share * (end[1] - begin[1])
+
+    def at(share: float) -> PlanePrediction:
+        return PlanePrediction(scene, place(share), with_margins=False)
+
+    def kind(share: float) -> object:
+        here = at(share)
+        return [(one.name, one.piece, one.state) for one in here.links if one.acts], here.verdict
+
+    shares = [(i + _WITHIN) / _SAMPLES for i in range(_SAMPLES)]
+    edges, low, before = [0.0], shares[0], kind(shares[0])
+    for share, now in zip(shares[1:], map(kind, shares[1:]), strict=True):
+        while now != before:
+            high = share
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if kind(middle) == before else (low, middle)
+            edges.append(high)
+            low, before = high, kind(high)
+        low = share
+    return [Stretch(place(a), place(b), at(0.5 * (a + b))) for a, b in pairwise([*edges, 1.0])]

@@ -1,0 +1,421 @@
+"""Scenes with two coordinates in the kernel, beside formulas that are written here once more."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim.cordis.offline import start, tick
+from hapsim.cordis.program import compile_scene, positions_of
+from hapsim.scene.chain import Chain
+
+from .plane_scenes import RATE, Floats, forces, line, moved, noisy, scene_of, shape, turned
+
+T = 1.0 / RATE
+SQUARE = [[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]]
+
+TENSIONS: dict[str, tuple[dict[str, Any], Any]] = {
+    "spring": ({"type": "spring", "stiffness": 300.0, "length": 0.03}, lambda d, v: 300.0 * (d - 0.03)),
+    "spring without a length": ({"type": "spring", "stiffness": 300.0}, lambda d, v: 300.0 * d),
+    "damper": ({"type": "damper", "damping": 2.0}, lambda d, v: 2.0 * v),
+    "viscoelastic": (
+        {"type": "viscoelastic", "stiffness": 300.0, "damping": 2.0, "length": 0.03},
+        lambda d, v: 300.0 * (d - 0.03) + 2.0 * v,
+    ),
+    "buffer": (
+        {"type": "buffer", "stiffness": 300.0, "damping": 2.0, "distance": 0.04},
+        lambda d, v: min(300.0 * (d - 0.04) + 2.0 * v, 0.0) if d < 0.04 else 0.0,
+    ),
+    "nonlinear": (
+        {"type": "nonlinear", "force_over_distance": [[0.01, -3.0], [0.03, 0.0], [0.06, 5.0]]},
+        lambda d, v: float(np.interp(d, [0.01, 0.03, 0.06], [-3.0, 0.0, 5.0])),
+    ),
+    "plectrum": (
+        {"type": "plectrum", "stiffness": 300.0, "damping": 2.0, "release": 0.5},
+        lambda d, v: 300.0 * d + 2.0 * v,
+    ),
+}
+
+
+def wandering(seed: int, steps: int = 200, near: float = 0.006) -> Floats:
+    """A path about the post that keeps its distance from it."""
+    random = np.random.default_rng(seed)
+    angle = np.cumsum(random.normal(0.0, 0.02, steps)) + random.uniform(-math.pi, math.pi)
+    away = near + np.abs(random.uniform(0.0, 0.05) + np.cumsum(random.normal(0.0, 5e-4, steps)))
+    return np.stack([away * np.cos(angle), away * np.sin(angle)], axis=1)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("name", TENSIONS)
+def test_a_link_pulls_along_the_line_between_its_ends(name: str, precision: str) -> None:
+    link, tension = TENSIONS[name]
+    for seed in range(5):
+        path = wandering(seed)
+        found = forces({"it": link}, path, precision=precision)
+        before = np.vstack([path[:1], path[:-1]])
+        for r, last, force in zip(path, before, found, strict=True):
+            d = math.hypot(*r)
+            n = r / d
+            expected = -tension(d, n @ (r - last) * RATE) * n
+            assert force == pytest.approx(expected, abs=1e-11 if precision == "double" else 1e-2)
+
+
+def test_both_ends_are_pulled_and_neither_needs_neighbouring_channels() -> None:
+    modules = {
+        "hand": {"type": "device", "channels": [3, 0]},
+        "other": {"type": "device", "channels": [1, 4]},
+        "it": {"type": "viscoelastic", "between": ["hand", "other"], "stiffness": 300.0, "damping": 2.0},
+    }
+    random = np.random.default_rng(1)
+    path = np.cumsum(random.normal(0.0, 1e-3, (50, 5)), axis=0) + [0.01, 0.0, 0.0, 0.02, 0.03]
+    found = forces(modules, path)
+    r = path[:, [3, 0]] - path[:, [1, 4]]
+    g = np.vstack([np.zeros((1, 2)), np.diff(r, axis=0)])
+    n = r / np.linalg.norm(r, axis=1)[:, None]
+    expected = -300.0 * r - 2.0 * RATE * np.sum(n * g, axis=1)[:, None] * n
+    assert found[:, [3, 0]] == pytest.approx(expected, abs=1e-11)
+    assert found[:, [1, 4]] == pytest.approx(-expected, abs=1e-11)
+    assert not found[:, 2].any()
+
+
+# Where two points meet.
+
+
+@pytest.mark.parametrize("link", ["spring", "viscoelastic", "buffer"])
+def test_a_hand_that_is_pressed_through_a_point_is_pushed_back_to_its_side(link: str) -> None:
+    """All the way through and 5 mm further, with noise, and out again: the force never turns over, nor jumps."""
+    there = line([0.03, 0.0], [-0.005, 0.0], 350)
+    path = noisy(np.vstack([there, np.repeat(there[-1:], 2000, axis=0), there[::-1]]))
+    found = forces({"it": TENSIONS[link][0]}, path)
+    inside = path[:, 0] < 0.025
+    assert (found[inside, 0] > 0.0).all()
+    assert np.abs(found[:, 1]).max() < 0.05 * found[:, 0].max()
+    steps = np.linalg.norm(np.diff(found, axis=0), axis=1)
+    assert steps[1:].max() < 1.0  # N: K times the step of 0.1 mm, and the damper's noise
+
+
+@pytest.mark.parametrize("name", ["spring", "spring without a length", "viscoelastic", "buffer", "nonlinear"])
+def test_across_the_point_where_ends_meet_the_force_changes_by_no_more_than_it_may_turn(name: str) -> None:
+    """A direction turns by the way over a tenth of the length and 0.1 mm, so the force by its size times that."""
+    link, _ = TENSIONS[name]
+    scene = {"it": {key: value for key, value in link.items() if key != "damping"}}
+    near = 1e-4 + 0.1 * link.get("length", link.get("distance", 0.0))
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        path = np.cumsum(random.normal(0.0, 2e-5, (4000, 2)), axis=0)
+        path -= path[random.integers(4000)]  # some sample is the very point
+        found = forces(scene, path)
+        way = np.linalg.norm(np.diff(path, axis=0), axis=1) + 1e-8
+        turn = np.minimum(way / near, 1.0)
+        size = np.linalg.norm(found, axis=1)
+        assert np.isfinite(found).all()
+        allowed = 300.0 * way + size[1:] * 1.001 * turn + np.linalg.norm(found, axis=1)[:-1] * 0.001 + 1e-9
+        assert (np.linalg.norm(np.diff(found, axis=0), axis=1) < allowed * 1.5).all()
+
+
+def test_a_spring_without_a_length_is_linear_through_the_point() -> None:
+    path = np.cumsum(np.random.default_rng(3).normal(0.0, 3e-5, (1000, 2)), axis=0)
+    assert forces({"it": {"type": "spring", "stiffness": 300.0}}, path) == pytest.approx(-300.0 * path, abs=1e-12)
+
+
+# A frame that is turned.
+
+
+def test_a_frame_that_is_turned_changes_nothing() -> None:
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        angle = random.uniform(-math.pi, math.pi)
+        path = np.cumsum(random.normal(0.0, 4e-4, (600, 2)), axis=0) + random.normal(0.0, 0.01, 2)
+        whole = {}
+        for turn in (0.0, angle):
+            corners = turned([*SQUARE, [-0.03, 0.0]], turn).tolist()
+            places = turned([[-0.03, 0.02], [0.0, 0.03], [0.03, 0.02]], turn).tolist()
+            modules = {name: link for name, (link, _) in TENSIONS.items()} | {
+                "block": shape({"polygon": corners}, damping=2.0, friction_coefficient=0.3, round=0.001),
+                "wall": shape({"capsule": places[:2], "radius": 0.001}, friction_coefficient=0.3),
+                "lane": {"type": "guide", "through": places, "stiffness": 800.0, "damping": 1.0, "reach": 0.02},
+                "rub": {"type": "friction", "force": 0.5, "static": 0.8, "stiffness": 500.0, "damping": 0.1},
+                "ball": {"type": "mass", "mass": 0.05, "position": turned([0.02, 0.01], turn).tolist()},
+                "rope": {"type": "spring", "between": ["ball", "hand"], "stiffness": 90.0, "length": 0.02},
+            }
+            whole[turn] = forces(modules, turned(path, turn))
+        size = np.abs(whole[0.0]).max()
+        assert turned(whole[0.0], angle) == pytest.approx(whole[angle], rel=0.0, abs=1e-12 * size * 50)
+
+
+# Shapes.
+
+
+def surface(chain: Chain, r: Floats) -> tuple[float, Floats]:
+    nearest = chain.nearest(*r)
+    return nearest.distance, np.array(nearest.normal)
+
+
+FORMS: dict[str, dict[str, Any]] = {
+    "disc": {"form": {"disc": 0.02}},
+    "ring": {"form": {"disc": 0.02}, "side": "inside"},
+    "half plane": {"form": {"half_plane": [1.0, 2.0]}},
+    "capsule": {"form": {"capsule": [[-0.02, -0.01], [0.02, 0.01]], "radius": 0.005}},
+    "box": {"form": {"box": [0.04, 0.02]}, "round": 0.003},
+    "room": {"form": {"box": [0.04, 0.02]}, "side": "inside"},
+    "polygon": {"form": {"polygon": [[-0.02, -0.02], [0.02, -0.02], [0.0, 0.0], [0.02, 0.02], [-0.02, 0.02]]}},
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_shape_pushes_along_the_normal_of_its_nearest_place(name: str) -> None:
+    link = {"type": "shape", "stiffness": 2000.0, "damping": 5.0, **FORMS[name]}
+    scene = scene_of({"it": link})
+    chain = scene.plane_links["it"].chain()  # type: ignore[attr-defined]
+    program, touched = compile_scene(scene), 0
+    random = np.random.default_rng(4)
+    for _ in range(300):
+        begin = random.uniform(-0.03, 0.03, 2)
+        while not 0.0 < surface(chain, begin)[0] < 1e-3:
+            begin = random.uniform(-0.03, 0.03, 2)
+        towards = begin - (surface(chain, begin)[0] + random.uniform(0.0, 1e-3)) * surface(chain, begin)[1]
+        path = line(begin, towards + random.normal(0.0, 3e-4, 2), 20)
+        found = moved(program, path)
+        for r, last, force in zip(path, np.vstack([path[:1], path[:-1]]), found, strict=True):
+            d, n = surface(chain, r)
+            tension = min(2000.0 * d + 5.0 * RATE * (n @ (r - last)), 0.0) if d < 0.0 else 0.0
+            assert force == pytest.approx(-tension * n, abs=1e-9)
+            touched += d < 0.0
+    assert touched > 1000
+
+
+PRESSED = {"disc": (1.0, 0.02), "ring": (-1.0, 0.02)}
+
+
+def jacobian(modules: dict[str, Any], way_in: Floats, step: float = 1e-7) -> Floats:
+    """Minus the change of the settled force for a step from the end of a path, N/m."""
+    columns = []
+    for towards in ([step, 0.0], [0.0, step]):
+        both = []
+        for sign in (1.0, -1.0):
+            path = np.vstack([way_in, way_in[-1] + sign * np.array(towards), way_in[-1] + sign * np.array(towards)])
+            both.append(forces(modules, path)[-1])
+        columns.append((both[1] - both[0]) / (2.0 * step))
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("name", ["disc", "ring", "half plane"])
+def test_friction_that_sticks_is_the_bristle_projected_on_the_tangent(name: str) -> None:
+    K, kt, p = 2000.0, 1000.0, 1e-3
+    link = shape(FORMS[name]["form"], side=FORMS[name].get("side", "outside"), friction_coefficient=0.5)
+    link |= {"bristle_stiffness": kt, "stiffness": K}
+    n = np.array([1.0, 2.0]) / math.sqrt(5.0)
+    t = np.array([-n[1], n[0]])
+    outwards, radius = {"disc": (1.0, 0.02), "ring": (-1.0, 0.02), "half plane": (1.0, 0.0)}[name]
+    place = outwards * n * radius - p * n
+    curvature = 0.0 if name == "half plane" else outwards / (radius - outwards * p)
+    # In along the normal, then a little along the surface, so that the bristle is bent.
+    way_in = np.vstack([line(place + 2e-3 * n, place, 20), line(place, place + 2e-4 * t, 10)])
+    d, normal = surface(scene_of({"it": link}).plane_links["it"].chain(), way_in[-1])  # type: ignore[attr-defined]
+    tangent = np.array([-normal[1], normal[0]])
+    bent = -forces({"it": link}, way_in)[-1] @ tangent
+    assert 0.1 < bent < 0.5 * K * p
+    nn, tt, nt = np.outer(normal, normal), np.outer(tangent, tangent), np.outer(normal, tangent)
+    expected = K * nn + (kt + K * d * curvature) * tt - bent * curvature * nt
+    found = jacobian({"it": link}, way_in)
+    assert found == pytest.approx(expected, abs=2e-3 if curvature else 1e-5)
+
+
+@pytest.mark.parametrize("name", ["disc", "half plane"])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_friction_that_slides_is_the_cone(name: str, way: float) -> None:
+    K, mu, p = 2000.0, 0.3, 1e-3
+    link = shape(FORMS[name]["form"], friction_coefficient=mu, static_coefficient=0.4, bristle_stiffness=1000.0)
+    n = np.array([1.0, 2.0]) / math.sqrt(5.0)
+    radius = 0.02 if name == "disc" else 0.0
+    angle = np.linspace(0.0, way * 0.1, 300)
+    if name == "disc":
+        path = (radius - p) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        path = np.vstack([line(path[0] * 1.1, path[0], 20), path])
+    else:
+        path = -p * n + np.outer(0.1 * radius + 0.02 * angle / 0.1, [-n[1], n[0]])
+        path = np.vstack([line(path[0] + 2e-3 * n, path[0], 20), path])
+    found = forces({"it": link}, path)
+    chain = scene_of({"it": link}).plane_links["it"].chain()  # type: ignore[attr-defined]
+    d, normal = surface(chain, path[-1])
+    tangent = np.array([-normal[1], normal[0]])
+    assert found[-1] == pytest.approx(-K * d * normal + way * mu * K * d * tangent, abs=1e-9)
+    # Before it slides the friction rises to the static cone, and never beyond it.
+    along = np.array([abs(force @ np.array([-(m := surface(chain, r)[1])[1], m[0]])) for force, r in zip(found, path)])
+    press = np.array([max(-K * surface(chain, r)[0], 0.0) for r in path])
+    assert (along <= 0.4 * press + 1e-9).all()
+    assert along.max() > 0.38 * K * p
+    # It keeps sliding where the hand stands, and sticks at the smallest step back.
+    stopped = moved(compile_scene(scene_of({"it": link})), np.vstack([path, path[-1:], path[-1:], path[-2:-1]]))
+    assert stopped[-2] == pytest.approx(found[-1], abs=1e-9)
+    back = math.dist(path[-1], path[-2])
+    assert abs(stopped[-1] @ tangent) == pytest.approx(mu * K * p - 1000.0 * back, abs=1e-2 * mu * K * p)
+
+
+def test_a_bristle_does_not_creep_under_noise_and_goes_when_the_contact_ends() -> None:
+    link = shape({"half_plane": [0.0, 1.0]}, friction_coefficient=0.5)
+    there = np.vstack([line([0.0, 1e-3], [0.0, -1e-3], 20), line([0.0, -1e-3], [2e-4, -1e-3], 20)])
+    path = noisy(np.vstack([there, np.repeat(there[-1:], 5000, axis=0)]))
+    program = compile_scene(scene_of({"it": link}))
+    found = moved(program, path)
+    assert found[-1, 0] == pytest.approx(-1000.0 * 2e-4, abs=0.02)
+    off = np.array([[2e-4, 1e-5], [2e-4, -1e-3]])
+    assert moved(program, off, begin=False)[-1, 0] == 0.0
+
+
+# Walls.
+
+
+@pytest.mark.parametrize("deep", [0.0005, 0.0015, 0.005])
+def test_no_thin_wall_is_crossed(deep: float) -> None:
+    """A capsule of 1 mm radius, pressed at 1.9 mm in a sample, with noise of 1 um, at its side and at its end."""
+    wall = {"it": shape({"capsule": [[-0.02, 0.0], [0.02, 0.0]], "radius": 0.001})}
+    for first, towards in (([0.003, 1.0], [0.0, -1.0]), ([1.0, 0.0], [-1.0, 0.0])):
+        towards_ = np.array(towards)
+        outside = np.array([first[0], 0.002]) if towards[0] == 0.0 else np.array([0.022, 0.0])
+        for speed in (1e-4, 1e-3, 1.9e-3):
+            far = 0.001 + deep
+            steps = max(1, round(far / speed))
+            path = np.vstack([line(outside, outside + far * towards_, steps)])
+            path = noisy(np.vstack([path, np.repeat(path[-1:], 3000, axis=0), path[::-1]]))
+            found = forces(wall, path)
+            back = found @ -towards_
+            held = found[steps + 1 : steps + 3000]
+            assert back.min() > -1e-9
+            assert held @ -towards_ == pytest.approx(2000.0 * deep, abs=0.1)
+            assert np.abs(held @ np.array([towards[1], towards[0]])).max() < 0.2
+            assert found[-1] == pytest.approx([0.0, 0.0])
+
+
+@pytest.mark.parametrize("rounding", [0.002, 0.0])
+@pytest.mark.parametrize("deep", [0.0002, 0.001, 0.005])
+def test_the_force_along_a_polygon_has_no_jump(rounding: float, deep: float) -> None:
+    """All around a square, at this depth, or as deep as its rounded corners let it be, slowly."""
+    inner = 0.02 - deep
+    corners = np.array([[-inner, -inner], [inner, -inner], [inner, inner], [-inner, inner], [-inner, -inner]])
+    path = np.vstack([line([0.0, -0.021], [0.0, -inner], 2000)] + [line([0.0, -inner], corners[1], 4000)])
+    for a, b in zip(corners[1:], corners[2:], strict=False):
+        path = np.vstack([path, line(a, b, 4000)])
+    found = forces({"it": shape({"polygon": SQUARE}, round=rounding)}, path)
+    steps = np.linalg.norm(np.diff(found, axis=0), axis=1)
+    way = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    near = 1e-4 + 0.1 * rounding
+    depth = np.linalg.norm(found, axis=1)[1:] / 2000.0
+    assert (steps <= 2000.0 * way * (1.0 + 1.2 * (depth + way) / near) + 1e-9).all()
+    assert steps.max() < 2.5
+    assert found[4000] == pytest.approx([0.0, -2000.0 * deep], abs=1e-6)  # on the lower side
+    assert found[-1] == pytest.approx([-2000.0 * deep, 0.0], abs=0.5 * 2000.0 * deep) or deep > 0.001
+
+
+def test_no_closed_path_inside_a_shape_is_given_energy() -> None:
+    """What a hand puts into a shape on a random way in, about and out is never less than what it gets back."""
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        form, rounding = [({"disc": 0.001}, {}), ({"polygon": SQUARE}, {"round": 0.002}),
+                          ({"capsule": [[-0.01, 0.0], [0.01, 0.0]], "radius": 0.001}, {})][seed % 3]  # fmt: skip
+        begin = np.array([0.0, 0.03])
+        places = [begin, *random.uniform(-0.004, 0.004, (12, 2)), begin]
+        if seed % 3 == 1:
+            places[1:-1] = [place + [0.02, 0.018] for place in places[1:-1]]
+        path = np.vstack([line(a, b, 4000) for a, b in zip(places, places[1:], strict=False)])
+        found = forces({"it": shape(form, **rounding)}, path)
+        middle = 0.5 * (found[1:] + found[:-1])
+        put_in = -np.sum(middle * np.diff(path, axis=0))
+        assert put_in > -2e-3 * 2000.0 * 0.005**2, seed
+
+
+# Plectrum, friction, guide.
+
+
+def test_a_plectrum_releases_and_grips_again_where_its_ends_nearly_meet() -> None:
+    link = {"type": "plectrum", "stiffness": 300.0, "release": 0.01}
+    path = np.array(
+        [[0.0, 0.009], [0.006, 0.007], [0.0, 0.0101], [0.0, 0.009], [0.0011, 0.0], [0.0, -0.0009], [0.0, -0.009]]
+    )
+    found = forces({"it": link}, path)
+    grips = np.array([True, True, False, False, False, True, True])
+    assert found == pytest.approx(np.where(grips[:, None], -300.0 * path, 0.0))
+
+
+def test_friction_is_a_bristle_that_bends_any_way() -> None:
+    link = {"type": "friction", "force": 0.5, "static": 0.8, "stiffness": 500.0, "damping": 0.1}
+    slid = stuck = 0
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        path = np.cumsum(
+            np.cumsum(random.normal(0.0, 2e-5, (600, 2)), axis=0) * 0.1 + random.normal(0, 3e-5, (600, 2)), axis=0
+        )
+        found = forces({"it": link}, path)
+        anchor, slides, last = path[0], False, path[0]
+        for r, force in zip(path, found, strict=True):
+            g, z = r - last, r - anchor
+            if (last - anchor) @ g < 0.0:
+                slides = False
+            slides = slides or 500.0 * math.hypot(*z) > 0.8
+            if slides:
+                pull = 0.5 * z / math.hypot(*z)
+                anchor = r - pull / 500.0
+            else:
+                pull = 500.0 * z + 0.1 * RATE * g
+            assert force == pytest.approx(-pull, abs=1e-10)
+            slid, stuck, last = slid + slides, stuck + (not slides), r
+    assert min(slid, stuck) > 500
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_guide_pulls_to_its_path_within_its_reach(closed: bool) -> None:
+    places = [[-0.03, 0.0], [0.0, 0.02], [0.03, 0.0], [0.0, -0.03]]
+    link = {"type": "guide", "through": places, "closed": closed, "stiffness": 800.0, "damping": 2.0}
+    link |= {"width": 0.002, "reach": 0.005}
+    chain = scene_of({"it": link}).plane_links["it"].chain()  # type: ignore[attr-defined]
+    states = {"within": 0, "pulled": 0, "let go": 0}
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        path = np.cumsum(random.normal(0.0, 4e-4, (300, 2)), axis=0) + random.uniform(-0.03, 0.03, 2)
+        found = forces({"it": link}, path)
+        for r, last, force in zip(path, np.vstack([path[:1], path[:-1]]), found, strict=True):
+            d, n = surface(chain, r)
+            off = abs(d) - 0.001
+            state = "within" if off <= 0.0 else "let go" if abs(d) > 0.005 else "pulled"
+            tension = math.copysign(800.0 * off, d) + 2.0 * RATE * n @ (r - last) if state == "pulled" else 0.0
+            assert force == pytest.approx(-tension * n, abs=1e-9)
+            states[state] += 1
+    assert min(states.values()) > 100
+
+
+# Masses.
+
+
+def test_no_passive_scene_gains_energy() -> None:
+    """Masses on springs, between walls, with friction and no hand: what they have at the start only falls."""
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        modules: dict[str, Any] = {"far": {"type": "ground", "position": [1.0, 1.0]}}
+        for i in range(3):
+            angle = 2.0 * math.pi * (i + random.uniform(0.0, 0.3)) / 3.0
+            position = (0.012 * np.array([math.cos(angle), math.sin(angle)])).tolist()
+            velocity = random.normal(0.0, 0.3, 2).tolist()
+            modules[f"m{i}"] = {"type": "mass", "mass": 0.1, "position": position, "velocity": velocity}
+            more = {"damping": 0.3, "friction_coefficient": 0.2, "bristle_damping": 0.05}
+            room = shape({"box": [0.08, 0.06]}, 300.0, side="inside", **more)
+            modules[f"room{i}"] = room | {"between": [f"m{i}", "post"]}
+            modules[f"post{i}"] = shape({"disc": 0.004}, 300.0, damping=0.3) | {"between": [f"m{i}", "post"]}
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            ends = {"between": [f"m{i}", f"m{j}"]}
+            modules[f"k{i}"] = {"type": "viscoelastic", "stiffness": 30.0, "damping": 0.1, "length": 0.015, **ends}
+            modules[f"b{i}"] = {"type": "buffer", "stiffness": 200.0, "damping": 0.2, "distance": 0.008, **ends}
+        modules["away"] = {"type": "spring", "stiffness": 1.0, "between": ["hand", "far"]}
+        program = compile_scene(scene_of(modules))
+        start(program, np.zeros(2))
+        places = [[program.numbers[f"m{i}.{axis}"] for axis in "xy"] for i in range(3)]
+        force, still, kinetic = np.zeros(2), np.zeros(2), []
+        for _ in range(6000):
+            tick(program, still, still, force)
+            here, before = positions_of(program)
+            v = (here[places] - before[places]) * RATE
+            kinetic.append(0.05 * float(np.sum(v * v)))
+        assert max(kinetic[4000:]) < 0.1 * kinetic[0]
+        assert max(kinetic) < 3.0 * kinetic[0] + 0.02
