@@ -32,7 +32,7 @@ from hapsim.cli.run_command import print_warnings, require_stable, show_report, 
 from hapsim.documents import pick
 from hapsim.errors import RunError, UsageError
 from hapsim.measuring.diagnosis import diagnose
-from hapsim.measuring.measure import measure as measure_scene
+from hapsim.measuring.measure import measure_on_line as measure_scene
 from hapsim.measuring.measure_trace import Measurement
 from hapsim.number_format import number, relative_difference, rounded
 from hapsim.prediction import Desired, Felt, OwnMotion, Prediction, felt_at_rate, predict, predict_on_wire, with_mass
@@ -96,6 +96,11 @@ def _measure_pair(
     picture.require_writable()
     record.require_writable()
     scene, channel, at = _hand_to_measure(scene, excitation)
+    if scene.space > 1:
+        from hapsim.cli.measure_matrices import measure_plane
+
+        measure_plane(device, scene, channel, at, excitation, picture, record, unstable, json)
+        return
     prediction = predict(scene, with_margins=False, at=at)
     on_wire = None if prediction.wire_of == "none" else predict_on_wire(scene)
     if picture.wanted:

@@ -21,6 +21,7 @@ from hapsim.errors import UsageError
 from hapsim.measuring import measure_hands as rings
 from hapsim.measuring.measure_impedance import StoppedError, walls_in_place
 from hapsim.measuring.measure_impedance import measure_impedance as measure
+from hapsim.measuring.measure_plane import measure_in_plane
 from hapsim.measuring.measurement_options import require_device_point
 from hapsim.number_format import number, percent, plural, relative_difference, rounded
 from hapsim.prediction import predict
@@ -35,6 +36,7 @@ from hapsim.prediction.predict_impedance import (
     z_width_of,
 )
 from hapsim.stopping import INTERRUPTED, ignore_stops
+from hapsim.theory.network import principal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
     from hapsim.prediction import FeltTogether
     from hapsim.recording.trace import Trace
     from hapsim.scene import Scene
+    from hapsim.theory.network import FeltPair
 
 
 def measure_hands(
@@ -104,6 +107,79 @@ def _rows(one: FeltTogether, found: HandsMeasurement, i: int, j: int) -> list[tu
         cells = shown, rounded(measured, off), number(off, 1), relative_difference(measured, predicted)
         rows.append((f"{name}: {what}  {unit.name(of_unit)}", *cells))
     return rows
+
+
+def measure_plane(
+    device: DeviceOptions,
+    scene: Scene,
+    channel: int,
+    at: tuple[float, float] | None,
+    excitation: ExcitationOptions,
+    picture: PictureOptions,
+    record: RecordOptions,
+    unstable: bool,
+    json: bool,
+) -> None:
+    """Leads a hand in the plane to `at`, m, pushes it along x and y, and prints k and b along the two principal
+    directions beside the prediction. The trace of each coordinate gets a file."""
+    others = {"--mass": excitation.mass, "--picture": picture.picture, "--data": picture.data}
+    if refused := next((option for option, value in others.items() if value), ""):
+        raise UsageError(f"{refused} is for a hand with one coordinate; leave it out in a scene with space: 2")
+    kind, prediction = device.kind(), predict(scene, with_margins=False, at=at)
+    require_stable(device.scene, scene, prediction, unstable)
+    warnings = print_warnings(scene, prediction)
+    with live_line(stderr()) as show_progress:
+        options = excitation.for_runs(kind, unstable) | {"on_progress": show_progress}
+        found = measure_in_plane(scene, channel=channel, at=at, **options)
+    _save_traces(found.channels, found.traces, record.record)
+    one = next(part for part in prediction.together if channel in part.channels)
+    own = np.ix_(*[[one.channels.index(each) for each in found.channels]] * 2)
+    felt = one.felt._replace(k=one.felt.k[own], b=one.felt.b[own])
+    if json:
+        about = {"scene": device.scene, "warnings": warnings, **pick(found, "at_m channels")}
+        about |= {"predicted": None if felt.reason else _pair_document(felt)}
+        more = pick(found, "k_uncertainty b_uncertainty poles others samples")
+        print(document(about | {"measured": _pair_document(found) | more}))
+        return
+    units = output_units()
+    place = f"{units.number(found.at_m[0], 'm')}, {units(found.at_m[1], 'm')}" if found.at_m else ""
+    hand = escape(one.names[one.channels.index(channel)].partition(".")[0])
+    rows = [row for i in (0, 1) for row in _principal_rows(felt, found, i)]
+    title = f"What {hand} feels at {place}, along the two principal directions{of_mock(scene)}"
+    stdout().print(table(title, ("", "predicted", "measured", "±", "off by"), rows))
+    show(stdout(), assumption_lines(prediction.assumptions))
+    if felt.reason:
+        stdout().print(f"No k and b are predicted, because {felt.reason}.")
+    stdout().print(
+        f"Fitted to {plural(found.samples, 'sample')} of free motion. Other motions had "
+        f"{percent(found.others, 2)} of the energy. The uncertainty does not include that of the mass."
+    )
+    print_written("Trace", record.record)
+    device.print_next_run(scene, unstable)
+
+
+def _principal_rows(felt: FeltPair, found: HandsMeasurement, i: int) -> list[tuple[str, ...]]:
+    """Returns the rows of one principal direction: its angle, k and b."""
+    measured, units = found.principal[i], output_units()
+    predicted = None if felt.reason else principal(felt.k, felt.b)[i]
+    n = np.array([np.cos(measured.angle), np.sin(measured.angle)])
+    degrees = [np.nan if one is None else np.degrees(one.angle) for one in (predicted, measured)]
+    if predicted is not None:  # 179.9° is -0.1°
+        degrees[1] -= 180.0 * round((degrees[1] - degrees[0]) / 180.0)
+    rows = [("direction  °", *(number(float(one), 4) for one in degrees), "", "")]
+    for name, of_unit in (("k", "N/m"), ("b", "N·s/m")):
+        off = float(np.sqrt(np.square(np.outer(n, n) * getattr(found, f"{name}_uncertainty")).sum()))
+        values = [np.nan if one is None else getattr(one, name) for one in (predicted, measured)]
+        expected, value, shown = (units.scaled(float(each), of_unit) for each in (*values, off))
+        cells = [number(each) if np.isnan(each) else rounded(each, shown) for each in (expected, value)]
+        rows.append((f"{name}  {units.name(of_unit)}", *cells, number(shown, 1), relative_difference(value, expected)))
+    return rows
+
+
+def _pair_document(pair: FeltPair | HandsMeasurement) -> dict[str, Any]:
+    """Returns k and b of a hand in the plane as matrices, and along the principal directions."""
+    each = [{"angle_deg": float(np.degrees(one.angle)), "k": one.k, "b": one.b} for one in principal(pair.k, pair.b)]
+    return {"k": pair.k, "b": pair.b, "principal": each}
 
 
 def hands_document(one: FeltTogether, found: HandsMeasurement) -> dict[str, Any]:

@@ -33,18 +33,22 @@ from hapsim.measuring.measurement_options import (
 from hapsim.measuring.place import Place
 from hapsim.measuring.pushes import pushes, recorded
 from hapsim.one_thread import one_thread
-from hapsim.prediction.plane import Plane
+from hapsim.prediction.plane import Plane, PlaneLink
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide
-from hapsim.scene import DevicePoint, Scene
+from hapsim.scene import DevicePoint, Friction, Scene
 from hapsim.scene.load import SceneSource, as_scene
+from hapsim.scene.modules.plane_links import Shape
 
-_SECONDS, _PUSHES = 4.0, 4  # along each coordinate
+_SECONDS, _IN_VIRTUAL_TIME, _EVERY_S = 4.0, 10.0, 0.4  # of pushes along each coordinate, and from one to the next
 _MOST_RUNS = 3  # along each coordinate
 _MOST_ROOM = 0.01  # m
-_WITHIN = 0.45  # of the room: the largest motion
-_FLAT, _COUNTS = 1e-3, 1000.0  # of the room, and counts: a motion that hardly bends, and one that rounding hardly shows
+_WITHIN, _ABOUT = 0.45, (0.5, 3.0)  # of the room: the largest motion; and of the wanted one, those that do
+_STRAIGHT, _BENT = 0.1, 1e-3  # of the room: the motion where no link turns, and where one does
+_COUNTS = 4000.0  # a motion in which rounding hardly shows
+_SETTLES = 2.5  # times as long as on a line: what is felt along a surface is as far off as the depth of the press
+_EDGE = 1e-9  # m: a shorter way is none
 _AT_REST = 64  # samples before the first push
 _GROWS = (0.003, 0.1)  # of the room: between these distances a hand that slides off is observed
 
@@ -55,15 +59,20 @@ class _Place:
 
     Attributes:
         room: distance to where a link changes its state, or much of its direction.
+        share: of the room, for a motion that hardly changes any direction.
         along: the place by each coordinate, as on a line.
         guide: leads the hand there.
+        beyond: overshoot of its path by coordinate, m, in the direction of the path; then back, so that friction sticks
+            without a bent bristle.
     """
 
     at: tuple[float, float]
     words: str
     room: float
+    share: float
     along: tuple[Place, Place]
     guide: Guide
+    beyond: tuple[float, float]
 
 
 def measure_in_plane(
@@ -80,7 +89,8 @@ def measure_in_plane(
 
     `at`: x and y in m, from the scene's position 0 [default: where the hand starts]. The hand is led there along a
     straight path, and a constant force then holds it. `duration`: seconds of the pushes along each coordinate [default:
-    4]; `push`: largest force, N [default: so much that the hand moves a little; up to 3 runs along each coordinate].
+    4, or 10 in virtual time]; `push`: largest force, N [default: so much that the hand moves a little; up to 3 runs
+    along each coordinate].
     Raises UsageError if no link acts there, or if the hand slides off: the message says how fast. The rest is as for
     `measure`.
     """
@@ -89,16 +99,9 @@ def measure_in_plane(
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
     hand = next(group for group in scene.channel_groups if channel in group)
-    place, seconds = _place_of(scene, hand, at), _SECONDS if duration is None else duration
-    swing = _wanted(place, scene.mock_device.quantum[channel])
-    for tried in range(_MOST_RUNS):
-        rung = [_ring(scene, run, place, i, seconds, push, swing) for i in range(len(hand))]
-        moved, wanted = max(one.moved for one in rung), _wanted(place, float(rung[0].trace.position_scale[channel]))
-        if push is not None or 0.3 * wanted <= moved <= max(3.0 * wanted, 0.0) or tried + 1 == _MOST_RUNS:
-            break
-        swing *= wanted / max(moved, 1e-3 * wanted)
-    if moved > place.room:
-        raise UsageError(f"{place.words}, a push moved the hand by {scene.units(moved, 'm', 3)}: push less (--push)")
+    place = _place_of(scene, hand, at)
+    seconds = duration or (_IN_VIRTUAL_TIME if scene.device.clock == "lockstep" else _SECONDS)
+    rung = [_rung(scene, run, place, axis, seconds, push) for axis in range(len(hand))]
     segments, traces = [one for each in rung for one in each.segments], tuple(one.trace for one in rung)
     with one_thread():
         identify = partial(identify_free_motions, segments, mass_of(scene, hand), scene.rate)
@@ -107,11 +110,6 @@ def measure_in_plane(
         except UsageError:  # a direction in which nothing holds the hand has no place of rest
             found = identify(False, hand, traces)
     return replace(found, at_m=place.at)
-
-
-def _wanted(place: _Place, count_m: float) -> float:
-    """Returns the motion to push for, m."""
-    return min(_WITHIN * place.room, max(_FLAT * place.room, _COUNTS * count_m))
 
 
 @dataclass(frozen=True)
@@ -123,11 +121,28 @@ class _Rung:
     moved: float
 
 
+def _rung(scene: Scene, run: Run, place: _Place, axis: int, seconds: float, push: float | None) -> _Rung:
+    """Returns the first run in which the hand moved by about as much as is wanted, or the last."""
+    channel, most = place.along[axis].channel, _WITHIN * place.room
+    swing = min(most, max(place.share * place.room, _COUNTS * scene.mock_device.quantum[channel]))
+    for _ in range(_MOST_RUNS):
+        found = _ring(scene, run, place, axis, seconds, push, swing)
+        wanted = min(most, max(place.share * place.room, _COUNTS * float(found.trace.position_scale[channel])))
+        if push is not None or _ABOUT[0] * wanted <= found.moved <= _ABOUT[1] * wanted:
+            break
+        swing *= wanted / max(found.moved, 1e-3 * wanted)
+    if found.moved > place.room:
+        moved = scene.units_of(channel)(found.moved, "m", 3)
+        raise UsageError(f"{place.words}, a push moved the hand by {moved}, off its place: push less (--push)")
+    return found
+
+
 def _ring(scene: Scene, run: Run, place: _Place, axis: int, seconds: float, push: float | None, swing: float) -> _Rung:
     """Leads the hand to its place, and pushes it along one coordinate."""
     own, other = place.along[axis], place.along[1 - axis]
-    every = int(seconds * scene.rate) // _PUSHES
-    guide = replace(place.guide, target=own.at, also=((other.channel, other.at),))
+    every = int(min(_EVERY_S, seconds) * scene.rate)
+    also = ((other.channel, other.at, place.beyond[1 - axis]),)
+    guide = replace(place.guide, target=own.at, beyond=place.beyond[axis], also=also)
     pushed = pushes(scene, own.channel, seconds, push, own, swing)
     excitation: Excitation = replace(pushed, start=0, every=every, first=False, guide=guide)
     trace, failure = recorded(run, scene, excitation, seconds)
@@ -168,7 +183,7 @@ def _require_held(scene: Scene, place: _Place, away: Floats) -> None:
         angle, time = math.degrees(math.atan2(direction[1], direction[0])) % 180.0, 1.0 / (scene.rate * math.log(grows))
         raise UsageError(
             f"{place.words}, the hand slides off along {angle:.0f}°: its distance grows e-fold in {1e3 * time:.4g} ms "
-            f"(a pole of {grows:.6g}), so that no spring is felt there. Give the shape friction (friction_coefficient), "
+            f"(a pole of {grows:.6g}), so no spring is felt there. More friction (friction_coefficient) holds it; or "
             "hold the hand by a spring along the surface, or choose a place that is flat or hollow"
         )
 
@@ -184,21 +199,26 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
     links = [one for one in plane.at({name: here}) if name in one.link.between and one.acts]
     if not links:
         raise UsageError(f"{words}, no link touches the hand, so there is no spring to measure. Choose another --at")
-    force, limit = math.hypot(*(float(one) for one in plane.forces(*map(np.array, here), name))), force_limit(scene)
+    x, y = (np.array(one) for one in here)
+    force, limit = float(np.hypot(*plane.forces(x, y, name))), force_limit(scene)
     if force > limit:
         raise UsageError(
             f"{words}, the scene asks for {units(force, 'N', 4)}, more than the force limit of {units(limit, 'N')}. "
             "The force is clipped there, so the hand feels no spring. Choose a place with less force"
         )
-    stiffness, damping = np.zeros((2, 2)), np.zeros((2, 2))
+    stiffness, damping, beyond = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
     room = _MOST_ROOM
     for one in links:
-        n, t = np.array(one.normal), np.array(one.tangent)
-        stiffness += one.slope * np.outer(n, n) + one.across * np.outer(t, t)
-        damping += one.damping * np.outer(n, n)
-        edges = [abs(one.distance - edge) for edge in one.link.law().edges]
-        room = min(room, *edges, 1.0 / abs(one.curvature) if one.curvature else math.inf)
-    if room < 1e-9:
+        for row in one.rows():
+            both = np.outer(row.pull, row.stretch)
+            stiffness, damping = stiffness + row.stiffness * both, damping + row.damping * both
+        beyond += _overshoot(one, np.subtract(here, plane.start[name]))
+        law = one.link.law()
+        is_one_spring = law.memoryless and law.sector[0] == law.sector[1] and len(set(law.dampings)) == 1
+        edges = () if is_one_spring else law.edges
+        bends = [1.0 / abs(one.curvature)] if one.curvature and math.isfinite(one.curvature) else []
+        room = min([room, *bends, *(abs(one.distance - edge) for edge in edges)])
+    if room < _EDGE:
         raise UsageError(f"{words}, the hand is on the edge of a link; expected a place within or beyond it")
     device, along = scene.device, []
     for i, channel in enumerate(hand):
@@ -206,5 +226,21 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
         own = max(float(stiffness[i, i]), 0.0), friction + float(damping[i, i])
         low, high = here[i] - room, here[i] + room
         along.append(Place(name, channel, here[i], low, high, mass, *own, None, None, units))
-    stiffest = replace(along[0], stiffness=float(np.linalg.eigvalsh(stiffness)[1]))
-    return _Place(here, words, room, (along[0], along[1]), stiffest.guide(scene))
+    guide = replace(along[0], stiffness=float(np.linalg.eigvalsh(stiffness)[1])).guide(scene)
+    way, settling, mean, fade = guide.seconds
+    guide = replace(guide, seconds=(way, _SETTLES * settling, mean, fade))
+    along_path = np.where(np.subtract(here, plane.start[name]) < 0.0, -beyond, beyond).tolist()
+    share = _BENT if any(one.curvature for one in links) else _STRAIGHT
+    return _Place(here, words, room, share, (along[0], along[1]), guide, (along_path[0], along_path[1]))
+
+
+def _overshoot(link: PlaneLink, path: Floats) -> Floats:
+    """Returns how far beyond its place, m, a hand that comes along this path bends the bristle of a link until it
+    slides."""
+    if isinstance(link.link, Friction):
+        return path * link.link.break_away / link.link.stiffness / max(float(np.hypot(*path)), 1e-300)
+    if not link.rubs or not isinstance(link.link, Shape):
+        return np.zeros(2)
+    bent, t = link.link.break_away * abs(link.tension) / link.link.bristle[0], np.array(link.tangent)
+    along = float(path @ t)
+    return math.copysign(bent, along) * t if abs(along) > _EDGE else np.zeros(2)

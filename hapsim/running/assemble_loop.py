@@ -263,14 +263,14 @@ def _set_excitation(record: Any, excitation: Excitation | PeriodicExcitation, sc
                 own,
                 channel=channel,
                 target=target,
-                beyond=guide.beyond,
+                beyond=beyond,
                 ticks=guide.ticks(scene.rate),
                 rate_hz=scene.rate,
                 stiffness=guide.stiffness,
                 mass=masses[channel],
             )
-            for own, (channel, target) in zip(
-                record.guides, ((excitation.channel, guide.target), *guide.also), strict=False
+            for own, (channel, target, beyond) in zip(
+                record.guides, ((excitation.channel, guide.target, guide.beyond), *guide.also), strict=False
             )
         ]
     return []

@@ -24,12 +24,12 @@ class Guide:
     """Target from the scene's position 0, m."""
     stiffness: float
     """Stiffness of the guide's spring, N/m."""
-    also: tuple[tuple[int, float], ...] = ()
-    """Channels of the hand's other coordinates, each with its target, m."""
     beyond: float = 0.0
     """Overshoot of the path beyond the target, m."""
     seconds: tuple[float, float, float, float] = (2.0, 1.0, 0.25, 0.25)
     """Durations of the path, of settling, of the mean and of the crossfade, s."""
+    also: tuple[tuple[int, float, float], ...] = ()
+    """Channels of the hand's other coordinates, each with its target and overshoot, m."""
 
     def ticks(self, rate_hz: float) -> tuple[int, ...]:
         """Returns these durations in ticks."""

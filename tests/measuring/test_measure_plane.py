@@ -1,0 +1,145 @@
+"""A hand in the plane: its stiffness and damping matrices as measured on the mock, beside the theory of the loop with
+the links' geometry written out here."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import hapsim
+from hapsim.errors import UsageError
+from hapsim.scene import Scene, parse_scene
+from hapsim.theory import Network
+from hapsim.theory.network import felt_pair
+
+RATE, CLOSE = 1000, 1e-5
+COUPLED = [[0.2, 0.05], [0.05, 0.3]]
+DISC = {"type": "shape", "between": ["hand", "post"], "form": {"disc": 0.02}, "stiffness": 2000, "damping": 5}
+
+
+def scene_of(modules: dict[str, Any], post: list[float], **more: Any) -> Scene:
+    """Counts of the position are so fine that a motion of a micron is many of them."""
+    device = {"mass": 0.2, "friction": 1.0, "clock": "lockstep"} | more.pop("device", {})
+    points = {"hand": {"type": "device", "channels": [0, 1]}, "post": {"type": "ground", "position": post}}
+    mock = {"quantum": 1e-11} | more.pop("mock", {})
+    document = {"version": 1, "rate": RATE, "space": 2, "device": device, "mock": mock, "modules": points | modules}
+    return parse_scene(yaml.safe_dump(document | more, sort_keys=False), "scene")
+
+
+Row = tuple[list[float], float, float]
+"""Direction, stiffness in N/m, damping in N·s/m."""
+
+
+def across(n: list[float]) -> list[float]:
+    return [-n[1], n[0]]
+
+
+def felt(rows: list[Row], mass: Any = (0.2, 0.2), friction: Any = (1.0, 1.0), held: Any = (0.0, 0.0)) -> Any:
+    """What the hand feels. `held`: stiffness of springs beside the device, which no sampling changes."""
+    directions, stiffness, damping = zip(*rows, strict=True)
+    network = Network(
+        rate=RATE, channel_mass=np.array(mass), channel_friction=np.array(friction), delay=1.0, hold="zoh",
+        sampling="ideal", point_mass=np.zeros(0), ends=np.zeros((0, 2), int), stiffness=np.array(stiffness),
+        damping=np.array(damping), channel_stiffness=np.array(held), rows=np.array(directions),
+    )  # fmt: skip
+    found = felt_pair(network, most=math.inf)
+    assert not found.reason
+    return found
+
+
+def require_alike(measured: Any, expected: Any) -> None:
+    """Matrices within CLOSE of their largest number, and within what the measurement says of itself."""
+    for name in ("k", "b"):
+        found, right = getattr(measured, name), getattr(expected, name)
+        assert np.abs(found - right).max() <= CLOSE * np.abs(right).max(), name
+        assert (np.abs(found - right) <= 10.0 * getattr(measured, f"{name}_uncertainty")).all(), name
+
+
+def test_a_ring_holds_the_hand_along_its_surface() -> None:
+    measured = hapsim.measure(scene_of({"ring": DISC | {"side": "inside"}}, [-0.02, 0.0]), at=(0.001, 0.0))
+    require_alike(measured, felt([([-1.0, 0.0], 2000.0, 5.0), ([0.0, 1.0], 2000.0 * 0.001 / 0.021, 0.0)]))
+    stiff, soft = measured.principal
+    assert math.sin(stiff.angle) == pytest.approx(0.0, abs=1e-5)
+    assert math.degrees(soft.angle) == pytest.approx(90.0, abs=1e-3)
+    assert (stiff.k, soft.k) == pytest.approx((2080.439463958, 95.185098565), rel=CLOSE)
+    assert (stiff.b, soft.b) == pytest.approx((3.020774022, 0.856694249), rel=3 * CLOSE)
+    assert measured.at_m == (0.001, 0.0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6])
+def test_a_disc_that_is_pressed_from_outside_pushes_the_hand_along_it(angle: float) -> None:
+    """A spring of the mock's hand keeps it from sliding off."""
+    n = [-math.cos(angle), -math.sin(angle)]
+    at, held = (0.002, -0.001), 300.0
+    post = [at[0] - 0.019 * n[0], at[1] - 0.019 * n[1]]
+    hand = {"stiffness": held, "position": list(at)}
+    measured = hapsim.measure(scene_of({"disc": DISC}, post, mock={"hand": hand}), at=at)
+    require_alike(measured, felt([(n, 2000.0, 5.0), (across(n), -2000.0 * 0.001 / 0.019, 0.0)], held=(held, held)))
+
+
+def test_a_hand_that_slides_off_is_said_to_and_how_fast() -> None:
+    with pytest.raises(UsageError, match=r"the hand slides off along 90°: .*\(friction_coefficient\)") as error:
+        hapsim.measure(scene_of({"disc": DISC}, [0.02, 0.0]), at=(0.001, 0.0))
+    pole = float(str(error.value).partition("a pole of ")[2].partition(")")[0])
+    assert math.log(pole) == pytest.approx(math.log(1.020440217), rel=1e-3)
+    assert f"e-fold in {1e3 / (RATE * math.log(pole)):.3g}" in str(error.value)
+
+
+def test_along_a_straight_edge_the_hand_feels_nothing_but_the_device() -> None:
+    wall = DISC | {"form": {"half_plane": [-1, 0]}}
+    measured = hapsim.measure(scene_of({"wall": wall}, [0.0, 0.0]), at=(0.001, 0.0))
+    require_alike(measured, felt([([-1.0, 0.0], 2000.0, 5.0)]))
+    assert measured.principal[1].b == pytest.approx(1.0, abs=CLOSE)
+
+
+def springs(at: tuple[float, float]) -> tuple[dict[str, Any], list[Row]]:
+    """Three springs and their rows: K n n' + B, and (f/L)(1 - n n') for a tension f at a length L."""
+    modules: dict[str, Any] = {}
+    rows: list[Row] = []
+    for i, (x, y, K, B, longer) in enumerate(
+        ((0.05, 0.01, 1500, 5, 0.002), (-0.03, 0.02, 900, 3, -0.001), (0, -0.04, 600, 4, 0.003))
+    ):
+        length = math.hypot(at[0] - x, at[1] - y)
+        n = [(at[0] - x) / length, (at[1] - y) / length]
+        modules[f"end_{i}"] = {"type": "ground", "position": [x, y]}
+        ends = ["hand", f"end_{i}"] if i else [f"end_{i}", "hand"]
+        link = {"type": "viscoelastic", "between": ends, "stiffness": K, "damping": B, "length": length - longer}
+        modules[f"spring_{i}"] = link
+        rows += [(n, float(K), float(B)), (across(n), K * longer / length, 0.0)]
+    return modules, rows
+
+
+@pytest.mark.parametrize("mass", [0.2, COUPLED])
+def test_springs_in_the_plane_and_a_coupled_mass(mass: Any) -> None:
+    at = (0.004, 0.003)
+    modules, rows = springs(at)
+    measured = hapsim.measure(scene_of(modules, [0.0, 0.0], device={"mass": mass, "friction": [1.0, 2.0]}), at=at)
+    require_alike(measured, felt(rows, np.array(mass) * np.ones(2) if mass == 0.2 else mass, (1.0, 2.0)))
+
+
+def test_by_default_it_is_measured_where_it_starts() -> None:
+    at = (0.004, 0.003)
+    modules, rows = springs(at)
+    scene = scene_of(modules, [0.0, 0.0], mock={"initial": {"position": list(at)}})
+    measured = hapsim.measure(scene)
+    assert measured.at_m == at
+    require_alike(measured, felt(rows))
+
+
+def test_places_that_cannot_be_measured_are_refused_in_words() -> None:
+    scene = scene_of({"disc": DISC}, [0.02, 0.0])
+    with pytest.raises(UsageError, match="no link touches the hand"):
+        hapsim.measure(scene, at=(-0.01, 0.0))
+    with pytest.raises(UsageError, match="the scene asks for 20 N, more than the force limit of 10 N"):
+        hapsim.measure(scene, at=(0.01, 0.0))
+    with pytest.raises(UsageError, match=r"at: found 0\.01, expected \(x, y\)"):
+        hapsim.measure(scene, at=0.01)
+    with pytest.raises(UsageError, match="channel 7: the scene has nothing there"):
+        hapsim.measure(scene, channel=7)
+    line = scene.model_copy(update={"space": 1})
+    with pytest.raises(UsageError, match=r"at: found 0,0\.1, expected one position in a scene with one coordinate"):
+        hapsim.measure(line, at=(0.0, 0.1))
