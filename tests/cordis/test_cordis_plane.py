@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,9 @@ T = 1.0 / RATE
 SQUARE = [[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]]
 
 TENSIONS: dict[str, tuple[dict[str, Any], Any]] = {
-    "spring": ({"type": "spring", "stiffness": 300.0, "length": 0.03}, lambda d, v: 300.0 * (d - 0.03)),
-    "spring without a length": ({"type": "spring", "stiffness": 300.0}, lambda d, v: 300.0 * d),
-    "damper": ({"type": "damper", "damping": 2.0}, lambda d, v: 2.0 * v),
+    "spring": ({"type": "spring", "stiffness": 300.0, "length": 0.03}, lambda d, _: 300.0 * (d - 0.03)),
+    "loose_spring": ({"type": "spring", "stiffness": 300.0}, lambda d, _: 300.0 * d),
+    "damper": ({"type": "damper", "damping": 2.0}, lambda _, v: 2.0 * v),
     "viscoelastic": (
         {"type": "viscoelastic", "stiffness": 300.0, "damping": 2.0, "length": 0.03},
         lambda d, v: 300.0 * (d - 0.03) + 2.0 * v,
@@ -31,7 +32,7 @@ TENSIONS: dict[str, tuple[dict[str, Any], Any]] = {
     ),
     "nonlinear": (
         {"type": "nonlinear", "force_over_distance": [[0.01, -3.0], [0.03, 0.0], [0.06, 5.0]]},
-        lambda d, v: float(np.interp(d, [0.01, 0.03, 0.06], [-3.0, 0.0, 5.0])),
+        lambda d, _: float(np.interp(d, [0.01, 0.03, 0.06], [-3.0, 0.0, 5.0])),
     ),
     "plectrum": (
         {"type": "plectrum", "stiffness": 300.0, "damping": 2.0, "release": 0.5},
@@ -70,7 +71,7 @@ def test_both_ends_are_pulled_and_neither_needs_neighbouring_channels() -> None:
         "it": {"type": "viscoelastic", "between": ["hand", "other"], "stiffness": 300.0, "damping": 2.0},
     }
     random = np.random.default_rng(1)
-    path = np.cumsum(random.normal(0.0, 1e-3, (50, 5)), axis=0) + [0.01, 0.0, 0.0, 0.02, 0.03]
+    path = np.cumsum(random.normal(0.0, 1e-3, (50, 5)), axis=0) + np.array([0.01, 0.0, 0.0, 0.02, 0.03])
     found = forces(modules, path)
     r = path[:, [3, 0]] - path[:, [1, 4]]
     g = np.vstack([np.zeros((1, 2)), np.diff(r, axis=0)])
@@ -97,7 +98,7 @@ def test_a_hand_that_is_pressed_through_a_point_is_pushed_back_to_its_side(link:
     assert steps[1:].max() < 1.0  # N: K times the step of 0.1 mm, and the damper's noise
 
 
-@pytest.mark.parametrize("name", ["spring", "spring without a length", "viscoelastic", "buffer", "nonlinear"])
+@pytest.mark.parametrize("name", ["spring", "loose_spring", "viscoelastic", "buffer", "nonlinear"])
 def test_across_the_point_where_ends_meet_the_force_changes_by_no_more_than_it_may_turn(name: str) -> None:
     """A direction turns by the way over a tenth of the length and 0.1 mm, so the force by its size times that."""
     link, _ = TENSIONS[name]
@@ -161,7 +162,10 @@ FORMS: dict[str, dict[str, Any]] = {
     "capsule": {"form": {"capsule": [[-0.02, -0.01], [0.02, 0.01]], "radius": 0.005}},
     "box": {"form": {"box": [0.04, 0.02]}, "round": 0.003},
     "room": {"form": {"box": [0.04, 0.02]}, "side": "inside"},
-    "polygon": {"form": {"polygon": [[-0.02, -0.02], [0.02, -0.02], [0.0, 0.0], [0.02, 0.02], [-0.02, 0.02]]}},
+    "polygon": {
+        "form": {"polygon": [[-0.02, -0.02], [0.02, -0.02], [0.0, 0.0], [0.02, 0.02], [-0.02, 0.02]]},
+        "round": 0.003,
+    },
 }
 
 
@@ -211,17 +215,17 @@ def test_friction_that_sticks_is_the_bristle_projected_on_the_tangent(name: str)
     t = np.array([-n[1], n[0]])
     outwards, radius = {"disc": (1.0, 0.02), "ring": (-1.0, 0.02), "half plane": (1.0, 0.0)}[name]
     place = outwards * n * radius - p * n
-    curvature = 0.0 if name == "half plane" else outwards / (radius - outwards * p)
     # In along the normal, then a little along the surface, so that the bristle is bent.
     way_in = np.vstack([line(place + 2e-3 * n, place, 20), line(place, place + 2e-4 * t, 10)])
-    d, normal = surface(scene_of({"it": link}).plane_links["it"].chain(), way_in[-1])  # type: ignore[attr-defined]
+    chain = scene_of({"it": link}).plane_links["it"].chain()  # type: ignore[attr-defined]
+    (d, normal), curvature = surface(chain, way_in[-1]), chain.nearest(*way_in[-1]).curvature
     tangent = np.array([-normal[1], normal[0]])
     bent = -forces({"it": link}, way_in)[-1] @ tangent
     assert 0.1 < bent < 0.5 * K * p
     nn, tt, nt = np.outer(normal, normal), np.outer(tangent, tangent), np.outer(normal, tangent)
     expected = K * nn + (kt + K * d * curvature) * tt - bent * curvature * nt
     found = jacobian({"it": link}, way_in)
-    assert found == pytest.approx(expected, abs=2e-3 if curvature else 1e-5)
+    assert found == pytest.approx(expected, abs=1e-3)  # 1e-6 of the stiffness
 
 
 @pytest.mark.parametrize("name", ["disc", "half plane"])
@@ -244,10 +248,11 @@ def test_friction_that_slides_is_the_cone(name: str, way: float) -> None:
     tangent = np.array([-normal[1], normal[0]])
     assert found[-1] == pytest.approx(-K * d * normal + way * mu * K * d * tangent, abs=1e-9)
     # Before it slides the friction rises to the static cone, and never beyond it.
-    along = np.array([abs(force @ np.array([-(m := surface(chain, r)[1])[1], m[0]])) for force, r in zip(found, path)])
+    normals = np.array([surface(chain, r)[1] for r in path])
+    along = np.abs(normals[:, 0] * found[:, 1] - normals[:, 1] * found[:, 0])
     press = np.array([max(-K * surface(chain, r)[0], 0.0) for r in path])
     assert (along <= 0.4 * press + 1e-9).all()
-    assert along.max() > 0.38 * K * p
+    assert along.max() > 0.36 * K * p
     # It keeps sliding where the hand stands, and sticks at the smallest step back.
     stopped = moved(compile_scene(scene_of({"it": link})), np.vstack([path, path[-1:], path[-1:], path[-2:-1]]))
     assert stopped[-2] == pytest.approx(found[-1], abs=1e-9)
@@ -290,24 +295,27 @@ def test_no_thin_wall_is_crossed(deep: float) -> None:
             assert found[-1] == pytest.approx([0.0, 0.0])
 
 
-@pytest.mark.parametrize("rounding", [0.002, 0.0])
-@pytest.mark.parametrize("deep", [0.0002, 0.001, 0.005])
+@pytest.mark.parametrize(
+    ("rounding", "deep"), [(0.002, 0.0002), (0.002, 0.0018), (0.002, 0.005), (0.0, 0.001), (0.0, 0.005)]
+)
 def test_the_force_along_a_polygon_has_no_jump(rounding: float, deep: float) -> None:
-    """All around a square, at this depth, or as deep as its rounded corners let it be, slowly."""
+    """Along the lower side of a square at this depth. Less deep than its rounded corners are, on around all others;
+    deeper, straight on and out at the right."""
     inner = 0.02 - deep
-    corners = np.array([[-inner, -inner], [inner, -inner], [inner, inner], [-inner, inner], [-inner, -inner]])
-    path = np.vstack([line([0.0, -0.021], [0.0, -inner], 2000)] + [line([0.0, -inner], corners[1], 4000)])
-    for a, b in zip(corners[1:], corners[2:], strict=False):
-        path = np.vstack([path, line(a, b, 4000)])
+    places = [np.array([0.0, -0.021]), np.array([0.0, -inner])]
+    if deep < rounding:
+        corners = [(inner, -inner), (inner, inner), (-inner, inner), (-inner, 0.0)]
+        expected = [-2000.0 * deep, 0.0]  # of the left side
+    else:
+        corners, expected = [(0.03, -inner)], [0.0, 0.0]
+    path = np.vstack([line(a, b, 8000) for a, b in pairwise([*places, *map(np.array, corners)])])
     found = forces({"it": shape({"polygon": SQUARE}, round=rounding)}, path)
     steps = np.linalg.norm(np.diff(found, axis=0), axis=1)
     way = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    near = 1e-4 + 0.1 * rounding
-    depth = np.linalg.norm(found, axis=1)[1:] / 2000.0
-    assert (steps <= 2000.0 * way * (1.0 + 1.2 * (depth + way) / near) + 1e-9).all()
-    assert steps.max() < 2.5
-    assert found[4000] == pytest.approx([0.0, -2000.0 * deep], abs=1e-6)  # on the lower side
-    assert found[-1] == pytest.approx([-2000.0 * deep, 0.0], abs=0.5 * 2000.0 * deep) or deep > 0.001
+    turn = (way + 1e-8) / (1e-4 + 0.1 * rounding)  # at most: the normal's, rad
+    assert (steps <= 2000.0 * (way + math.sqrt(2.0) * deep * turn)).all()
+    assert found[8000] == pytest.approx([0.0, -2000.0 * deep], abs=1e-6)  # of the lower side
+    assert found[-1] == pytest.approx(expected, abs=1e-6)
 
 
 def test_no_closed_path_inside_a_shape_is_given_energy() -> None:
@@ -319,8 +327,8 @@ def test_no_closed_path_inside_a_shape_is_given_energy() -> None:
         begin = np.array([0.0, 0.03])
         places = [begin, *random.uniform(-0.004, 0.004, (12, 2)), begin]
         if seed % 3 == 1:
-            places[1:-1] = [place + [0.02, 0.018] for place in places[1:-1]]
-        path = np.vstack([line(a, b, 4000) for a, b in zip(places, places[1:], strict=False)])
+            places[1:-1] = [place + np.array([0.02, 0.018]) for place in places[1:-1]]
+        path = np.vstack([line(a, b, 4000) for a, b in pairwise(places)])
         found = forces({"it": shape(form, **rounding)}, path)
         middle = 0.5 * (found[1:] + found[:-1])
         put_in = -np.sum(middle * np.diff(path, axis=0))

@@ -112,8 +112,8 @@ def find_nearest(chains, place, i, x, y):
         along, bend = dx * chains.ex[k] + dy * chains.ey[k], chains.bend[k]
         if bend == 0:
             distance = dx * chains.ey[k] - dy * chains.ex[k]
-            gap = digit * (abs(x) + abs(y) + abs(chains.x[k]) + abs(chains.y[k]))
-            if abs(distance) < abs(nearest) and -gap <= along <= chains.extent[k] + gap:
+            end, gap = chains.extent[k], digit * (abs(x) + abs(y) + abs(chains.x[k]) + abs(chains.y[k]))
+            if abs(distance) < abs(nearest) and (-gap <= along <= end + gap or end >= real(_FAR)):
                 nearest, found, nx, ny = distance, k, chains.ey[k], -chains.ex[k]
         else:
             away = math.sqrt(dx * dx + dy * dy)
