@@ -148,7 +148,7 @@ def _hand_to_measure(scene: Scene, excitation: ExcitationOptions) -> tuple[Scene
     if channel in channels:
         output.use_channel_units(channel)
         excitation.require_units(scene, [channel])
-    if excitation.mass and channel in channels:
+    if excitation.mass and channel in channels and scene.space == 1:
         unit = scene.units_of(channel).si.name("N/m")
         stiffness = require_positive("--hand-stiffness", excitation.hand_stiffness, unit)
         scene = remarks.with_hand(scene, channel, stiffness)

@@ -96,6 +96,20 @@ def test_along_a_straight_edge_the_hand_feels_nothing_but_the_device() -> None:
     assert measured.principal[1].b == pytest.approx(1.0, abs=CLOSE)
 
 
+def test_friction_that_sticks_holds_the_hand_along_a_surface() -> None:
+    """The hand comes along the surface and bends the bristle; at its place the bristle is straight again."""
+    post, at = [0.02, 0.0], (0.0021, 0.003)
+    away = (at[0] - post[0], at[1] - post[1])
+    far = math.hypot(*away)
+    n = [away[0] / far, away[1] / far]
+    measured = hapsim.measure(scene_of({"disc": DISC | {"friction_coefficient": 0.3}}, post), at=at)
+    press = 0.02 - far
+    rows = [(n, 2000.0, 5.0), (across(n), -2000.0 * press / far, 0.0), (across(n), 1000.0, 5.0)]
+    expected = felt(rows)
+    stiff, soft = measured.principal
+    assert (stiff.k, soft.k) == pytest.approx(tuple(sorted(np.linalg.eigvalsh(expected.k), reverse=True)), rel=CLOSE)
+
+
 def springs(at: tuple[float, float]) -> tuple[dict[str, Any], list[Row]]:
     """Three springs and their rows: K n n' + B, and (f/L)(1 - n n') for a tension f at a length L."""
     modules: dict[str, Any] = {}

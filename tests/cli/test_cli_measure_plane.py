@@ -1,0 +1,78 @@
+"""`hapsim measure` of a hand in the plane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Hapsim = Callable[..., Any]
+RING = """version: 1
+rate: 1000
+space: 2
+device: {mass: 0.2, friction: 1.0, clock: lockstep}
+mock: {quantum: 1.0e-11}
+modules:
+  hand: {type: device, channels: [0, 1]}
+  post: {type: ground, position: [-20 mm, 0]}
+  ring: {type: shape, between: [hand, post], form: {disc: 20 mm}, side: inside, stiffness: 2000, damping: 5}
+"""
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Path:
+    path = tmp_path / "ring.yaml"
+    path.write_text(RING)
+    return path
+
+
+def test_both_directions_are_stated_beside_the_prediction(hapsim: Hapsim, ring: Path) -> None:
+    answer = hapsim("measure", ring, "--at", "1mm,0", "--duration", "4")
+    assert answer.status == 0
+    assert "What hand feels at 1, 0 mm, along the two principal directions, on the built-in mock" in answer.out
+    rows = [line.split("│")[1:-1] for line in answer.out.splitlines() if line.count("│") == 6]
+    assert [row[0].split()[0] for row in rows] == ["direction", "k", "b"] * 2
+    predicted, measured = ([float(row[i]) for row in rows] for i in (1, 2))
+    assert predicted == pytest.approx([0.0, 2080.43946, 3.0207740, 90.0, 95.1850986, 0.85669425], rel=1e-6)
+    assert measured == pytest.approx(predicted, rel=1e-4, abs=1e-3)
+    assert "hapsim run" in answer.out
+
+
+def test_the_document_has_matrices_and_directions(hapsim: Hapsim, ring: Path, tmp_path: Path) -> None:
+    record = tmp_path / "ring.trace"
+    document = hapsim("measure", ring, "--at", "0.001,0", "--duration", "4", "--json", "--record", record).document
+    assert document["at_m"] == [0.001, 0.0]
+    for side in ("predicted", "measured"):
+        found = document[side]
+        assert found["k"][0][0] == pytest.approx(2080.439463958, rel=1e-4)
+        assert found["b"][1][1] == pytest.approx(0.856694249, rel=1e-3)
+        stiff, soft = found["principal"]
+        assert (stiff["k"], soft["k"]) == pytest.approx((found["k"][0][0], found["k"][1][1]), rel=1e-6)
+        assert math.sin(math.radians(stiff["angle_deg"])) == pytest.approx(0.0, abs=1e-4)
+    assert [path.name for path in sorted(tmp_path.glob("ring.*.trace"))] == ["ring.0.trace", "ring.1.trace"]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["--at", "0.001"], "--at: found 0.001, expected X,Y in a scene with space: 2"),
+        (["--hands"], "space: found 2, expected one coordinate; `measure` takes both coordinates of a hand together"),
+        (["--mass"], "--mass is for a hand with one coordinate; leave it out in a scene with space: 2"),
+        (["--picture", "ring.svg"], "--picture is for a hand with one coordinate"),
+        (["--at", "-0.03,0"], "at: -30,0 mm, no link touches the hand, so there is no spring to measure"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_words(hapsim: Hapsim, ring: Path, words: list[str], found: str) -> None:
+    answer = hapsim("measure", ring, *words)
+    assert answer.status == 2
+    assert found in " ".join(answer.err.split())
+
+
+def test_a_hand_that_slides_off_is_said_to(hapsim: Hapsim, ring: Path) -> None:
+    ring.write_text(RING.replace("side: inside, ", "").replace("[-20 mm", "[20 mm"))
+    answer = hapsim("measure", ring, "--at", "0.001,0")
+    assert answer.status == 2
+    assert "the hand slides off along 90°: its distance grows e-fold in 49.4" in answer.err
