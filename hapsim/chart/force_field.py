@@ -76,7 +76,7 @@ def draw_field(field: ForceField, scene: Scene, path: Path) -> None:
 
     (left, low), (right, high) = field.area.tolist()
     width = 6.0 if right - left >= high - low else 6.0 * (right - left) / (high - low)
-    with figure_to(path, width + 1.8, (width * (high - low) / (right - left)) + 1.0) as figure:
+    with figure_to(path, width + 1.8, width * (high - low) / (right - left) + 1.4) as figure:
         axes, units = figure.add_subplot(), drawn_in()
         _draw_outlines(axes, scene, field.name)
         size, limit = field.strength, scene.device.force_limit

@@ -139,6 +139,7 @@ def scene_of(scene: Scene, bounds: Bounds, channel: int, drive: Drive | None, ho
         "mock": mock.model_copy(update={"initial": Initial(position=mock.initial.position)}),
         "modules": modules,
         "scheme": "cordis",
+        "space": 1,
         "precision": "double",
     }
     return scene.model_copy(update=changed)

@@ -23,6 +23,7 @@ from hapsim.theory.network import (
     felt_mass,
     felt_pair,
     no_pair,
+    principal,
     state_size,
     static_stiffness,
 )
@@ -90,16 +91,23 @@ class FeltTogether:
     @property
     def _most(self) -> float:
         """Limit of the share of other motions; x and y of a single hand, without masses, have none."""
-        is_one = len({name.partition(".")[0] for name in self.names}) == 1
-        return math.inf if is_one and not self._network.point_mass.size else CARRIED
+        return math.inf if self._is_one_hand and not self._network.point_mass.size else CARRIED
+
+    @property
+    def _is_one_hand(self) -> bool:
+        return len({name.partition(".")[0] for name in self.names}) == 1
 
     @property
     def own_motion(self) -> OwnMotion | None:
-        """Own motion of a single hand; None if no pair is felt."""
-        if self.felt.reason or len(self.names) > 1:
+        """Own motion of a single hand, in the plane along its stiffest principal direction; None if no pair is felt."""
+        if self.felt.reason or not self._is_one_hand:
             return None
-        k, b = float(self.felt.k[0, 0]), float(self.felt.b[0, 0])
-        frequency, ratio = frequency_and_ratio(float(self._network.channel_mass[0]), k, b)
+        k, b, mass = float(self.felt.k[0, 0]), float(self.felt.b[0, 0]), float(self._network.channel_mass[0])
+        if len(self.names) > 1:
+            (angle, k, b), _ = principal(self.felt.k, self.felt.b)
+            n = np.array([math.cos(angle), math.sin(angle)])
+            mass = 1.0 / float(n @ np.linalg.solve(self._network.mass_matrix, n))
+        frequency, ratio = frequency_and_ratio(mass, k, b)
         return OwnMotion(k, b, float(frequency), float(ratio))
 
     @cached_property

@@ -53,9 +53,7 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
     f = np.asarray(frequency, dtype=float)
     rendering = rendered(scene)
     run = on_wire(rendering.scene)
-    linear = scene_at(run)
-    network, _ = network_of(run, linear)
-    assumptions = [*linear.assumptions, *places_of(run)]
+    (network, desired), assumptions = _networks(run, scene)
     try:
         loop = loop_impedance(network, f)
     except NotWorkedOutError as reason:
@@ -77,12 +75,24 @@ def predict_impedance(scene: Scene, frequency: ArrayLike) -> PredictedImpedance:
     return PredictedImpedance(
         names=tuple(scene.device_points),
         frequency=f,
-        desired=desired_impedance(network_of(scene, scene_at(scene))[0], f),
+        desired=desired_impedance(desired, f),
         device=loop.device,
         ideal_device=ideal,
         rendered=loop.rendered,
         assumptions=tuple(assumptions),
     )
+
+
+def _networks(run: Scene, desired: Scene) -> tuple[tuple[Network, Network], list[str]]:
+    """Returns both scenes as arrays, and sentences on the linear forms that were assumed."""
+    if run.space == 1:
+        linear = scene_at(run)
+        taken = [*linear.assumptions, *places_of(run)]
+        return (network_of(run, linear)[0], network_of(desired, scene_at(desired))[0]), taken
+    from hapsim.prediction.predict_plane import PlanePrediction
+
+    one = PlanePrediction(run, with_margins=False)
+    return (one.network, one.network), [*one.assumptions]
 
 
 def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:

@@ -44,7 +44,7 @@ class PlanePrediction(Prediction):
     """Prediction of a scene in the plane; `at` is the place of the first hand, m.
 
     Attributes:
-        links: every link where its ends are, in the scene's order.
+        network: the scene, linear. links: every link where its ends are, in the scene's order.
         hands: their names. places: of all points, m, by module.
     """
 
@@ -60,7 +60,7 @@ class PlanePrediction(Prediction):
         points = linear_scene(self._seen)
         bare, self.points = network_of(self._seen, points)
         self._also = [[self.points.index(f"{name}.{axis}") for axis in "xy"] for name in plane.hands]
-        self._network = with_links(bare, self.points, self.links)
+        self._network = self.network = with_links(bare, self.points, self.links)
         linear = {one.name: LinearLink(one.link.between, one.slope, one.damping) for one in self.links}
         self._linear = points._replace(links=linear, assumptions=[*self._assumed()])
         self.states = PlaneStates(plane, bare, self.points, self.places)  # type: ignore[assignment]

@@ -94,8 +94,9 @@ def most_force(scene: Scene) -> str:
         by_speed = isinstance(link, Nonlinear) and link.force_over_velocity
         return math.inf if by_speed else link.law().strongest(scene.rate)
 
+    links = [*(scene.links | scene.plane_links).values()]  # of which one ends at a hand's own name
     pulls = {
-        hand.channel: sum(of_link(link) for link in scene.links.values() if name in link.between)
+        hand.channel: sum(of_link(link) for link in links if {name, name.partition(".")[0]} & {*link.between})
         for name, hand in scene.device_points.items()
     }
     channel = max(pulls, key=pulls.__getitem__)

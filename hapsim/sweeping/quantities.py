@@ -15,7 +15,8 @@ from hapsim.measuring.measure import measure_on_line as measure
 from hapsim.measuring.measure_impedance import measure_impedance
 from hapsim.measuring.periodic_excitation import lines_for
 from hapsim.one_thread import one_thread
-from hapsim.prediction import Prediction, predict_impedance
+from hapsim.prediction import predict_impedance
+from hapsim.prediction.predict import prediction_of
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene
 from hapsim.sweeping.sweep_points import Value, Varied
@@ -99,7 +100,7 @@ class Task:
 
 
 def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
-    prediction = Prediction(scene, with_margins=False)
+    prediction = prediction_of(scene, with_margins=False)
     hand = next((one for one in prediction.felt if one.channel == task.channel), None)
     found = {name: one.of(prediction) for name, one in _OF_SCENE.items()}
     if hand is not None:

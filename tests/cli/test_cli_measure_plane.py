@@ -29,7 +29,7 @@ def ring(tmp_path: Path) -> Path:
     return path
 
 
-def test_both_directions_are_stated_beside_the_prediction(hapsim: Hapsim, ring: Path) -> None:
+def test_both_directions_stand_beside_the_prediction(hapsim: Hapsim, ring: Path) -> None:
     answer = hapsim("measure", ring, "--at", "1mm,0", "--duration", "4")
     assert answer.status == 0
     assert "What hand feels at 1, 0 mm, along the two principal directions, on the built-in mock" in answer.out
@@ -71,7 +71,7 @@ def test_what_does_not_fit_is_refused_in_words(hapsim: Hapsim, ring: Path, words
     assert found in " ".join(answer.err.split())
 
 
-def test_a_hand_that_slides_off_is_said_to(hapsim: Hapsim, ring: Path) -> None:
+def test_a_hand_that_slides_off_is_reported(hapsim: Hapsim, ring: Path) -> None:
     ring.write_text(RING.replace("side: inside, ", "").replace("[-20 mm", "[20 mm"))
     answer = hapsim("measure", ring, "--at", "0.001,0")
     assert answer.status == 2

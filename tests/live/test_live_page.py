@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from live_clients import SCENE
 
@@ -33,6 +34,18 @@ DETENT = SCENE.replace(
     "touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}",
     "notch: {type: detent, between: [hand, wall], shape: snap, pitch: 0.01, depth: 1.0, sharpness: 1.0, damping: 5}",
 )
+PLANE = """
+version: 1
+rate: 1000
+space: 2
+device: {mass: 0.2, friction: 1.0}
+modules:
+  hand: {type: device, channels: [0, 1]}
+  post: {type: ground, position: [0.03, 0.0]}
+  ball: {type: mass, mass: 0.05, position: [0.0, 0.03]}
+  disc: {type: shape, between: [hand, post], form: {disc: 0.02}, stiffness: 2000, damping: 5}
+  ring: {type: shape, between: [ball, post], form: {box: [0.1, 0.08]}, side: inside, stiffness: 200}
+"""
 TWO_HANDS = (
     SCENE
     + """
@@ -62,7 +75,7 @@ class Page:
         self.until(lambda: self.text("title") not in ("", "hapsim") and self.is_predicted())
 
     def is_predicted(self) -> bool:
-        return any(words in self.text("felt") for words in ("feel like", "states of its contacts"))
+        return any(words in self.text("felt") for words in ("feel like", "states of its contacts", "feels"))
 
     def until(self, holds: Callable[[], object]) -> Any:
         from selenium.webdriver.support.ui import WebDriverWait
@@ -149,6 +162,64 @@ def test_the_mock_follows_a_dragged_handle(page: Page) -> None:
     page.until(lambda: session.state().position[0] > 2e-3)
     ActionChains(page.browser).release().perform()
     page.until(lambda: page.value("mock.hand.stiffness") == 0.0)
+
+
+def test_a_hand_of_the_plane_follows_a_drag_and_the_arrow_keys_in_both_coordinates(
+    browser: Any, serve: Callable[..., Any]
+) -> None:
+    from selenium.webdriver import ActionChains, Keys
+
+    page = Page(browser, serve(PLANE))
+    session, handle = page.served.session, page.part("handle")
+    assert "hand feels 0 N/m and 1 N·s/m along 0°" in page.text("felt")
+    page.until(lambda: handle.size["height"] == handle.size["width"] > 100)
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", handle)
+    before = np.array(session.state().position)
+    drag = ActionChains(browser).move_to_element_with_offset(handle, -80, 40).click_and_hold()
+    drag.move_by_offset(-20, 30).perform()
+    page.until(lambda: session.parameters["mock.hand.stiffness"].value == (200.0, 200.0))
+    to = np.array(session.parameters["mock.hand.position"].value)
+    # What there is about the post, box, hand and ball, is 0.1 m wide: with its room 0.13 m are as wide as the canvas.
+    metres = 0.13 / handle.size["width"]
+    np.testing.assert_allclose(to, [0.03 - 100 * metres, -70 * metres], atol=1.5 * metres)
+    page.until(lambda: np.abs(session.state().position - to).max() < 1e-4)
+    assert np.abs(to - before).min() > 1e-3
+    ActionChains(browser).release().perform()
+    page.until(lambda: session.parameters["mock.hand.stiffness"].value == (0.0, 0.0))
+    handle.click()
+    for key, axis, way in ((Keys.ARROW_DOWN, 1, -1), (Keys.ARROW_LEFT, 0, -1), (Keys.ARROW_UP, 1, 1)):
+        at = session.state().position[axis]
+        ActionChains(browser).key_down(key).perform()
+        page.until(lambda at=at, axis=axis, way=way: way * (session.state().position[axis] - at) > 1e-3)
+        ActionChains(browser).key_up(key).perform()
+        page.until(lambda: session.parameters["mock.hand.stiffness"].value == (0.0, 0.0))
+    assert browser.get_log("browser") == []
+
+
+def test_the_plane_shows_its_outlines_where_the_points_are(browser: Any, serve: Callable[..., Any]) -> None:
+    page = Page(browser, serve(PLANE))
+    session = page.served.session
+    inked = """
+        const canvas = document.getElementById("handle"), [x, y] = arguments, scale = canvas.width / 0.13;
+        const at = (value, middle) => Math.round(canvas.width / 2 + (value - middle) * scale);
+        const pixels = canvas.getContext("2d").getImageData(at(x, 0.03) - 2, at(-y, 0) - 2, 5, 5).data;
+        return pixels.filter((_, i) => i % 4 === 3).reduce((most, one) => Math.max(most, one), 0)"""
+
+    def ink(x: float, y: float) -> int:
+        return int(browser.execute_script(inked, x, y))
+
+    page.until(lambda: ink(0.03, 0.02) > 200)  # the top of the disc
+    assert ink(0.05, 0.0) > 200
+    assert 0 < ink(0.035, 0.015) < 100  # within it
+    assert ink(0.08, 0.03) > 200  # the box of the ball,
+    assert ink(0.0, 0.03) > 200  # the ball,
+    assert ink(0.06, 0.03) == 0  # and nothing
+    page.served.hub.adopt(PLANE.replace("{disc: 0.02}", "{disc: 0.012}"))
+    page.until(lambda: ink(0.03, 0.012) > 200)
+    assert ink(0.03, 0.02) == 0
+    session.set({"post.y": {"position": 0.01}})
+    page.until(lambda: ink(0.03, 0.022) > 200)
+    assert 0 < ink(0.03, 0.016) < 100
 
 
 def choose(page: Page, id: str, value: str) -> None:

@@ -118,6 +118,6 @@ def test_a_change_is_predicted_before_it_is_made_and_instability_elsewhere_is_re
     assert (ask()["stable"], ask()["states"]) == (True, "")
     shaken = ask(disc__damping=0.5)
     assert (shaken["stable"], shaken["verdict"]) == (False, "stable")
-    assert "disc is touched" in shaken["states"]
+    assert "disc" in shaken["states"]
     near = ask(post__x__position=0.015)
     assert near["contacts"] == "disc is touched"

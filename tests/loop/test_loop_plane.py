@@ -41,9 +41,10 @@ def kept(scene: Scene, **options: Any) -> tuple[Trace, Any]:
 
 def test_a_force_beyond_a_limit_keeps_its_direction() -> None:
     with field_of(12.0, 5.0):
-        trace = run(plane(HEAVY), duration=0.02)
+        trace, loop = kept(plane(HEAVY), duration=0.02, judges_energy=True)
     assert np.abs(trace.force_counts - [10.0, 50.0 / 12.0] / trace.force_scale).max() <= 1.0
     assert np.all(trace.flags & LIMITED)
+    np.testing.assert_allclose(loop.record.history.decided[:2], trace.force[-1], rtol=1e-12)
     with field_of(-4.0, 9.9):
         trace = run(plane(HEAVY), duration=0.02)
     assert np.abs(trace.force_counts - [-4.0, 9.9] / trace.force_scale).max() <= 1.0
@@ -153,6 +154,14 @@ def test_the_soft_start_keeps_the_direction_and_does_not_depend_on_the_frame(ang
     assert 10 < np.count_nonzero(trace.flags & SLEWED) <= 50
     straight = at(0.0)
     np.testing.assert_allclose(np.hypot(*trace.force.T), np.hypot(*straight.force.T), rtol=0, atol=2e-5)
+
+
+def test_a_soft_start_ends_at_the_force_within_the_limit() -> None:
+    with field_of(12.0, 5.0):
+        trace = run(plane({**HEAVY, "soft_start": 0.05}), duration=0.06)
+    u = np.minimum(trace.sample / 50.0, 1.0)
+    wanted = np.outer(u * u * (3.0 - 2.0 * u), [10.0, 50.0 / 12.0])
+    np.testing.assert_allclose(trace.force, wanted, rtol=0, atol=1e-6)
 
 
 def test_a_test_of_a_sensor_lowers_the_whole_force() -> None:

@@ -11,9 +11,10 @@ from loop_rig import arrive, assembled, frame
 from numpy.typing import NDArray
 from plane_field import field_of, plane
 
+from firmware_protocol.compiled import new_record
 from hapsim.errors import GuardError
 from hapsim.loop.endings import RECEIVED
-from hapsim.loop.guards.energy_guard import ENERGY_EXCEEDED, SCENE
+from hapsim.loop.guards.energy_guard import ENERGY_EXCEEDED, ENERGY_GUARD, SCENE, _enters
 from hapsim.running import run, start
 from hapsim.running.session_options import RunOptions
 
@@ -93,7 +94,27 @@ def test_a_hand_is_credited_with_the_force_of_both_channels() -> None:
     """A spring that both channels stretch to their limits returns all that it got."""
     corner = (0.25, 0.25)
     path = np.concatenate([glide((0.0, 0.0), corner, 2.0), glide(corner, (0.0, 0.0), 2.0)])
-    assert led(path, 40.0, friction=0.01) == RECEIVED
+    assert led(path, 50.0, friction=0.01) == RECEIVED
     far = (0.45, 0.45)
     path = np.concatenate([glide((0.0, 0.0), far, 2.0), glide(far, (0.0, 0.0), 2.0)])
-    assert led(path, 40.0, friction=0.01) == ENERGY_EXCEEDED
+    assert led(path, 50.0, friction=0.01) == ENERGY_EXCEEDED
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "enters"),
+    [
+        ((0.0, 0.0), (9.0, 9.0), True),
+        ((0.0, 0.0), (7.0, 7.0), False),
+        ((9.0, 9.0), (12.0, -8.0), False),
+        ((9.0, 9.0), (8.0, -12.0), True),
+        ((9.0, 9.0), (-7.0, -7.0), False),
+        ((7.0, 7.0), (7.0, 8.0), True),
+    ],
+)
+def test_an_episode_begins_beyond_the_circle_of_the_limit_or_in_another_direction(
+    before: tuple[float, float], now: tuple[float, float], enters: bool
+) -> None:
+    energy, io = new_record(ENERGY_GUARD), assembled(plane()).record.io
+    energy.asked[:2], io.asked[:2] = before, now
+    with np.errstate(over="ignore"):  # steps to the next channel wrap round
+        assert [_enters(energy, io, c, 1.0) for c in (0, 1)] == [enters, enters]

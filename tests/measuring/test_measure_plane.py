@@ -39,7 +39,7 @@ def across(n: list[float]) -> list[float]:
 
 
 def felt(rows: list[Row], mass: Any = (0.2, 0.2), friction: Any = (1.0, 1.0), held: Any = (0.0, 0.0)) -> Any:
-    """What the hand feels. `held`: stiffness of springs beside the device, which no sampling changes."""
+    """Returns the pair that the hand feels. `held`: stiffness of springs beside the device, which no sampling changes."""
     directions, stiffness, damping = zip(*rows, strict=True)
     network = Network(
         rate=RATE, channel_mass=np.array(mass), channel_friction=np.array(friction), delay=1.0, hold="zoh",
@@ -81,7 +81,7 @@ def test_a_disc_that_is_pressed_from_outside_pushes_the_hand_along_it(angle: flo
     require_alike(measured, felt([(n, 2000.0, 5.0), (across(n), -2000.0 * 0.001 / 0.019, 0.0)], held=(held, held)))
 
 
-def test_a_hand_that_slides_off_is_said_to_and_how_fast() -> None:
+def test_a_hand_that_slides_off_is_reported_with_its_rate() -> None:
     with pytest.raises(UsageError, match=r"the hand slides off along 90°: .*\(friction_coefficient\)") as error:
         hapsim.measure(scene_of({"disc": DISC}, [0.02, 0.0]), at=(0.001, 0.0))
     pole = float(str(error.value).partition("a pole of ")[2].partition(")")[0])

@@ -85,7 +85,7 @@ def test_a_room_imports_only_what_stands_below_it(module: str) -> None:
     assert {other for other in others if LEVELS[other] >= LEVELS[room]} == set()
 
 
-RUNS = ("measure", "measure_hands", "measure_impedance", "identify_device", "place")
+RUNS = ("measure", "measure_hands", "measure_plane", "pushes", "measure_impedance", "identify_device", "place")
 HAVE_SCENES_RUN = {f"hapsim.measuring.{name}" for name in RUNS}
 
 
@@ -114,4 +114,4 @@ def test_prediction_and_measurement_are_two_roads(room: str, never: str) -> None
 
 def test_of_a_prediction_measuring_knows_the_geometry_alone() -> None:
     known = {other for m in GRAPH if m.startswith("hapsim.measuring.") for other in GRAPH[m] if "prediction" in other}
-    assert known == {"hapsim.prediction.characteristic"}
+    assert known == {"hapsim.prediction.characteristic", "hapsim.prediction.plane"}

@@ -12,11 +12,20 @@ from hapsim.scene import Scene, ViscoElastic, load_scene
 
 FOLDER = Path(__file__).parents[2] / "configs"
 BOARDS = sorted(f"boards/{path.stem}" for path in (FOLDER / "boards").glob("*.yaml"))
+#: A scene in the plane: where its hand presses a straight side, or a disc, in m.
+IN_THE_PLANE = {
+    "disc": (0.011, 0.0),
+    "maze": (-0.0235, 0.0),
+    "puck": (-0.051, 0.0),
+    "boards/haply_disc": (0.009, 0.0),
+}
+ON_A_LINE = [name for name in BOARDS if name not in IN_THE_PLANE]
 EVERY = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 #: With masses, strings or contacts: the tests of the tick hold what they do.
 PLAYED = [
     *("bell", "bowed_string", "button", "buzzing_contact", "fader", "four_keys", "guiro", "held_string", "knob_24"),
     *("plucked_string", "rubbed_string", "struck_membrane", "toggle", "two_hands", "wall"),
+    *("disc", "maze", "puck"),
 ]
 NAMES = [name for name in EVERY if name not in PLAYED]
 FORETOLD = re.compile(
@@ -76,7 +85,7 @@ def test_a_scene_that_ships_rings_as_in_its_comment(name: str) -> None:
     assert 0.05 < predicted.damping_ratio < 0.8
 
 
-@pytest.mark.parametrize("name", BOARDS)
+@pytest.mark.parametrize("name", ON_A_LINE)
 def test_the_first_scene_of_a_board_is_far_from_unstable_and_rings_as_in_its_comment(name: str) -> None:
     predicted = predict(load_scene(FOLDER / f"{name}.yaml"))
     told = FORETOLD.search(text_of(name))
@@ -85,6 +94,46 @@ def test_the_first_scene_of_a_board_is_far_from_unstable_and_rings_as_in_its_com
     assert told
     assert predicted.k == pytest.approx(float(told["k"]), abs=0.005)
     assert predicted.b == pytest.approx(float(told["b"]), abs=0.00005)
+
+
+@pytest.mark.parametrize(("name", "at"), IN_THE_PLANE.items())
+def test_a_scene_in_the_plane_is_stable_and_pressed_it_feels_as_in_its_comment(
+    name: str, at: tuple[float, float]
+) -> None:
+    scene = load_scene(FOLDER / f"{name}.yaml")
+    start = predict(scene)
+    assert start.stable
+    assert min(margin.stiffness_factor for margin in start.margins) > 2.0
+    told = re.findall(r"k = ([\d.]+) N/m, b = ([\d.]+) N·s/m", text_of(name))
+    felt = predict(scene, at=at).principal("hand")
+    assert told
+    for (k, b), one in zip(told, felt, strict=False):
+        assert one.felt.k == pytest.approx(float(k), abs=0.005)
+        assert one.felt.b == pytest.approx(float(b), abs=0.00005)
+
+
+def test_what_slides_off_is_as_fast_as_the_comments_say() -> None:
+    disc, haply = load_scene(FOLDER / "disc.yaml"), load_scene(FOLDER / "boards" / "haply_disc.yaml")
+    slippery = disc.modules["disc"].model_copy(update={"friction_coefficient": 0.0})
+    disc = disc.model_copy(update={"modules": {**disc.modules, "disc": slippery}})
+    for scene, name in ((disc, "disc"), (haply, "boards/haply_disc")):
+        here = predict(scene, at=IN_THE_PLANE[name])
+        (slide,) = here.slides
+        _, along = here.principal("hand")
+        text = text_of(name)
+        assert f"{along.felt.k:.2f} N/m" in text
+        assert f"e-fold in {1e3 * slide.e_fold_s:.3g} ms" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "rest"),
+    [("disc", (0.06, 0.03)), ("maze", (-0.006 + 0.00152, 0.022)), ("puck", (-0.03, 0.0))],
+)
+def test_the_mocks_hand_ends_in_the_plane_where_the_comment_says(name: str, rest: tuple[float, float]) -> None:
+    scene = load_scene(FOLDER / f"{name}.yaml")
+    trace = run(scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})}), duration=3)
+    np.testing.assert_allclose(trace.position[-1], rest, atol=2e-4)
+    assert 0.5 < np.hypot(*trace.asked_force.T).max() < scene.device.force_limit
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -310,6 +310,7 @@ const points = () => placesOf(new Map([...model.channels.map((/** @type {any} */
 /** @param {PointerEvent} event */
 function drag(event) {
   const { left, top, width, height } = handle.getBoundingClientRect(), isPlane = model?.space > 1;
+  if (isPlane && !view) return;
   const along = (2 * (event.clientX - left)) / width - 1, up = 1 - (2 * (event.clientY - top)) / height;
   const to = isPlane && view ? [view.x + along * view.half * (width / Math.min(width, height)), view.y + up * view.half * (height / Math.min(width, height))] : [along * reach];
   if (event.type === "pointerdown") {
@@ -355,6 +356,7 @@ function drawPlane() {
   view = viewOf(model, places, view);
   const from = /** @type {[number, number]} */ (channels.map(latest));
   drawTable(prepared(handle), model, places, view, dragged && { from, to: [dragged[0], dragged[1]] });
+  if (!model.outlines.every((/** @type {any} */ one) => !one.about || places.has(one.about))) view = null; // more is to come
 }
 
 function drawHandle() {
