@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
     from hapsim.scene.chain import Point
 
+_NONE = 1e-9  # of the largest stiffness: what rounding leaves
 _DIRECTION = "angle_deg k=felt.k b=felt.b desired_k desired_b static_stiffness=static"
 
 
@@ -55,9 +56,11 @@ def place_lines(prediction: Prediction) -> Iterator[Line]:
 def principal_rows(prediction: PlanePrediction, together: FeltTogether) -> Iterator[tuple[str, ...]]:
     """Yields rows for each hand along its principal directions, as of `check_hands.together_lines`."""
     for name in (one for one in prediction.hands if f"{one}.x" in together.names):
-        for one in prediction.principal(name):
+        every = prediction.principal(name)
+        least = _NONE * max((abs(one.static) for one in every), default=0.0)
+        for one in every:
             units, who = output_units(), f"{escape(name)} at {number(one.angle_deg, 4)}°"
-            k = (units.number(value, "N/m") for value in (one.desired_k, one.felt.k, one.static))
+            k = (units.number(value * (abs(value) > least), "N/m") for value in (one.desired_k, one.felt.k, one.static))
             b = (units.number(value, "N·s/m") for value in (one.desired_b, one.felt.b))
             yield f"{who}: k", *k, units.name("N/m")
             yield f"{who}: b", *b, "", units.name("N·s/m")

@@ -21,8 +21,8 @@ from hapsim.scene.modules.plane_links import Guide, Shape
 from hapsim.theory.arrays import Floats
 
 _MOST_STEPS = 100
-_AT_REST = 1e-12  # m: movement of a mass in the last step
-_HALVINGS = 30
+_AT_REST = 1e-15  # m, by which what is left of the force stretches the stiffest link
+_HALVINGS, _BEYOND = 30, 0.9
 _LEAST_STIFFNESS = 1e-6  # N/m, for a mass that no spring holds
 
 
@@ -143,27 +143,29 @@ class Plane:
         return fx, fy
 
     def at_rest(self, places: Mapping[str, Point]) -> dict[str, Point] | None:
-        """Returns the places of all points with the masses at rest and the hands at `places`, by Newton's steps, each
-        halved until the forces are less; None if no rest is found."""
+        """Returns the places of all points with the masses at rest and the hands at `places`, by Newton's steps down
+        the energy, each halved until it does not go far beyond the rest; None if no rest is found."""
         at, column = {**self.start, **places}, {name: 2 * i for i, name in enumerate(self.masses)}
         x = np.array([at[name] for name in self.masses]).ravel()
 
         def forces(x: Floats) -> tuple[Floats, Floats]:
-            """Returns the forces (2 M,) on the masses, and their stiffness matrix without what is negative."""
-            force, K = np.zeros(x.size), _LEAST_STIFFNESS * np.eye(x.size)
+            """Returns the forces (2 M,) on the masses, and their stiffness matrix."""
+            force, K = np.zeros(x.size), np.zeros((x.size, x.size))
             for one in self.at(at | _places(self.masses, x)):
                 n, t = (as_row(one.link, each, column, x.size) for each in (one.normal, one.tangent))
                 force -= one.tension * n
-                K += max(one.slope, 0.0) * np.outer(n, n) + max(one.across, 0.0) * np.outer(t, t)
+                K += one.slope * np.outer(n, n) + one.across * np.outer(t, t)
             return force, K
 
         for _ in range(_MOST_STEPS if x.size else 0):
             force, K = forces(x)
-            step = np.linalg.solve(K, force)
-            if np.abs(step).max() <= _AT_REST:
+            values, vectors = np.linalg.eigh(K)  # where one is negative, the rest is the other way
+            values = np.maximum(np.abs(values), _LEAST_STIFFNESS)
+            if np.abs(force).max() <= _AT_REST * values.max():
                 break
+            step = vectors @ (vectors.T @ force / values)
             for _ in range(_HALVINGS):
-                if np.abs(forces(x + step)[0]).max() < np.abs(force).max():
+                if forces(x + step)[0] @ step >= -_BEYOND * force @ step:
                     break
                 step = 0.5 * step
             x = x + step

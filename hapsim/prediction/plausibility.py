@@ -11,14 +11,16 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hapsim.number_format import duration, frequency, number, plural, short, short_duration
 from hapsim.prediction.characteristic import characteristic_of
 from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.plane import Plane
 from hapsim.scene import Mock, Scene
 from hapsim.scene.modules.plane_links import Shape
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import Area, Expectation, Known, Span, expectation_of
-from hapsim.scene.scene import AXES
 from hapsim.theory.hand.configuration import stiffest_stable
 from hapsim.units import Units
 
@@ -137,7 +139,7 @@ def unlikely(scene: Scene) -> list[str]:
         also = f" The same holds for {plural(len(others), 'other module')}." if others else ""
         sentences.append(first.sentence(scene.units_at(first.module)) + also)
     is_explained = any(one.unit in ("kg", "m", "N/m", "N") for one in off)
-    return [*sentences, *(() if is_explained else _jumps(scene))]
+    return [*sentences, *(() if is_explained else _jumps(scene) if scene.space == 1 else _jumps_in_plane(scene))]
 
 
 def _weights(scene: Scene, far_m: float) -> Iterator[str]:
@@ -244,16 +246,17 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
     """Yields values of links that depend on the masses at their ends, and of structures and cells on their own."""
     spans, limit = scene.device.mass_spans(scene.channels), scene.device.force_limit
     every = scene.material_points | scene.structures
+    every = {_module(name): one for name, one in every.items()}
     masses = {name: module.mass for name, module in every.items() if name not in scene.proxies}  # those have no limit
     for name, mass in masses.items():
         yield from _spring_values(scene, name, mass, "")
     moved = frozenset(every)
-    masses |= {name: spans[point.channel][0] for name, point in scene.device_points.items()}
-    ranges = _ranges(scene)
+    masses |= {_module(name): spans[point.channel][0] for name, point in scene.device_points.items()}
+    hands, ranges = {_module(name): name for name in scene.device_points}, _ranges(scene)
     strong = ranges["N"]._replace(most=_STRONG * limit, why=f"the force limit is {scene.units(limit, 'N')}")
-    for name, link in scene.links.items():
-        ends = [end.partition(".")[0] for end in link.between]
-        hand = next((end for end in ends if end in scene.device_points), "")
+    for name, link in (scene.links | scene.plane_links).items():
+        ends = [_module(end) for end in link.between]
+        hand = next((hands[end] for end in ends if end in hands), "")
         explicit = [masses[end] for end in ends if end in masses]
         if explicit and scene.proxies.keys().isdisjoint(ends):  # a proxy gives way to the stiffest coupling
             yield from _spring_values(scene, name, min(explicit), hand, not moved.isdisjoint(ends))
@@ -270,6 +273,11 @@ def _link_values(scene: Scene) -> Iterator[_Value]:
             _slips(scene, "kg"),
         )
         yield _Value(f"modules.{name}.mass", structure.mass, "kg", heavy)
+
+
+def _module(point: str) -> str:
+    """Returns the name of a point's module."""
+    return point.partition(".")[0]
 
 
 def _spring_values(scene: Scene, name: str, mass: float, hand: str, moves: bool = True) -> Iterator[_Value]:
@@ -335,23 +343,28 @@ def _jumps(scene: Scene) -> Iterator[str]:
 
 def begun_inside(scene: Scene) -> Iterator[str]:
     """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps."""
-    device, mock, points = scene.device, scene.mock_device, {**scene.grounds, **scene.masses}
-    if device.port is not None or device.soft_start:
-        return
-    starts = zip(mock.initial_position, device.origins(scene.channels), strict=True)
-    start = [0.0 if origin is None else position - origin for position, origin in starts]
-    places = {name: one.position for name, one in points.items()}
-    places |= {name: start[one.channel] for name, one in scene.device_points.items()}
-    for name, shape in scene.plane_links.items():
-        hand = next((end for end in shape.between if f"{end}.x" in scene.device_points), "")
-        if not hand or not isinstance(shape, Shape):
-            continue
-        first, second = shape.between
-        x, y = (places[f"{first}.{axis}"] - places[f"{second}.{axis}"] for axis in AXES)
-        depth = -shape.chain().nearest(x, y).distance
-        if depth > 0.0:
-            force, units = min(shape.stiffness * depth, device.force_limit), scene.units
+    device, units = scene.device, scene.units
+    plane = Plane(scene)
+    for one in plane.at({}) if device.port is None and not device.soft_start else ():
+        hand = next((end for end in one.link.between if end in plane.hands), "")
+        if hand and isinstance(one.link, Shape) and one.distance < 0.0:
+            force = min(one.link.stiffness * -one.distance, device.force_limit)
             yield (
-                f"{hand} starts {units(depth, 'mm', '.3g')} inside {name}: at arming the force jumps to "
+                f"{hand} starts {units(-one.distance, 'mm', '.3g')} inside {one.name}: at arming the force jumps to "
                 f"{units(force, 'N', '.3g')}. Let it start outside (mock.initial.position), or set device.soft_start."
             )
+
+
+def _jumps_in_plane(scene: Scene) -> Iterator[str]:
+    """Yields a sentence for each link between points that meet at the start, and one for each hand as `_jumps` does."""
+    plane, limit, units = Plane(scene), scene.device.force_limit, scene.units
+    for one in plane.at({}):
+        if one.distance == 0.0 and one.tension and math.isinf(one.curvature):
+            ends = " and ".join(one.link.between)
+            yield f"modules.{one.name}: {ends} meet at the start, where its force has no direction: it acts along x."
+    for hand in plane.hands:
+        x, y = np.array(plane.start[hand])
+        total = math.hypot(*plane.forces(x, y, hand))
+        if total > _PRESSES * limit:
+            pushes = f"at arming the scene pushes {hand} with {units(total, 'N', short)}"
+            yield f"{pushes}; the force limit is {units(limit, 'N')}: check its links and the positions of their ends."

@@ -94,17 +94,22 @@ class PlanePrediction(Prediction):
         """Motions that the scene drives without an oscillation, the fastest first."""
         return slides_of(self._network, self.points, self.judge.solved.solution)
 
+    @cached_property
+    def directions(self) -> tuple[int, int]:
+        """Numbers of directions in which the scene drives its points on, and without a stiffness."""
+        return directions(self.network)
+
     @property
     def verdict(self) -> str:
         """Verdict on the places where it is linearised, in a word or three."""
         if self.judge.shaken_by_network() is not None:
             return "unstable"
-        return "slides" if directions(self._network)[0] else "stable" if self.stable_as_taken else "at the limit"
+        return "slides" if self.directions[0] else "stable" if self.stable_as_taken else "at the limit"
 
     @cached_property
     def _margins(self) -> Margins:
         """Margins of what shakes: what slides is held."""
-        if not self._with_margins or not directions(self._network)[0]:
+        if not self._with_margins or not self.directions[0]:
             return super()._margins
         return margins_of(held(self._network))
 

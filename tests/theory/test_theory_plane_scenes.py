@@ -1,0 +1,248 @@
+"""Predictions of scenes in the plane: reference figures, a simulation of a slide, and finite differences."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapsim import predict
+from hapsim.errors import UsageError
+from hapsim.prediction import surely_shaken_by, unlikely
+from hapsim.prediction.plane import Plane
+from hapsim.prediction.predict_plane import PlanePrediction, stretches_along
+from hapsim.scene import Scene
+
+REFERENCE = 1.1e-9  # of figures with nine decimals
+DEVICE = {"mass": 0.2, "friction": 1.0, "force_limit": 10.0, "clock": "lockstep"}
+HAND = {"type": "device", "channels": [0, 1]}
+POST = {"type": "ground", "position": [0.03, 0.0]}
+DISC = {"type": "shape", "between": ["hand", "post"], "form": {"disc": 0.02}, "stiffness": 2000.0, "damping": 5.0}
+EDGE = DISC | {"form": {"half_plane": [-1.0, 0.0]}}
+RUB = {"friction_coefficient": 0.3, "bristle_stiffness": 1000.0, "bristle_damping": 2.0}
+
+
+def plane(device: dict[str, Any] | None = None, **modules: Any) -> Scene:
+    """A scene at 1 kHz with a hand and a post."""
+    every = {"hand": HAND, "post": POST} | modules
+    return Scene.model_validate(
+        {"version": 1, "rate": 1000.0, "space": 2, "device": DEVICE | (device or {}), "modules": every}
+    )
+
+
+def felt_at(scene: Scene, x: float, y: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """The felt matrices with the hand at a place."""
+    (one,) = predict(scene, at=(x, y)).together
+    return one.felt.k, one.felt.b
+
+
+PRESSED_DISC = (0.011, 0.0)
+PRESSED_EDGE = (0.031, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("disc", "at", "k", "b"),
+    [
+        (DISC, PRESSED_DISC, (2080.439463958, -105.328041658), (3.020774022, 1.158643213)),
+        (DISC | {"side": "inside"}, (0.009, 0.0), (2080.439463958, 95.185098565), (3.020774022, 0.856694249)),
+        (EDGE, PRESSED_EDGE, (2080.439463958, 0.0), (3.020774022, 1.0)),
+        (EDGE | RUB, PRESSED_EDGE, (2080.439463958, 1014.435834031), (3.020774022, 1.503365494883)),
+        (DISC | RUB, PRESSED_DISC, (2080.439463958, 908.240980727), (3.020774022, 1.666214325)),
+    ],
+)
+def test_a_hand_feels_a_surface_as_the_reference_has_it(disc: Any, at: Any, k: Any, b: Any) -> None:
+    """Round from outside, in a ring, flat, and with friction that sticks."""
+    found = felt_at(plane(disc=disc), *at)
+    for matrix, expected in zip(found, (k, b), strict=True):
+        assert matrix == pytest.approx(np.diag(expected), abs=REFERENCE)
+
+
+def test_masses_that_move_each_other_are_felt_as_the_reference_has_them() -> None:
+    """Two edges at right angles, on a device whose mass is a matrix."""
+    flat = {"x": EDGE | {"form": {"half_plane": [1.0, 0.0]}}, "y": EDGE | {"form": {"half_plane": [0.0, 1.0]}}}
+    flat["y"] |= {"stiffness": 800.0, "damping": 2.0}
+    scene = plane({"mass": [[0.2, 0.05], [0.05, 0.3]]}, **flat)
+    prediction = predict(scene, at=(0.029, -0.001))
+    k, b = felt_at(scene, 0.029, -0.001)
+    assert k == pytest.approx(np.array([[2084.173923226, -5.697022493], [-5.696440096, 808.687595188]]), abs=REFERENCE)
+    assert b == pytest.approx(np.array([[3.02151507, -0.005667347], [-0.001394268, 1.809042967]]), abs=6e-9)
+    poles = [pole for pole in prediction.poles if pole.imag > 0.0]
+    assert poles == pytest.approx([0.995734798 + 0.051264131j, 0.986512821 + 0.103735424j], abs=REFERENCE)
+
+
+def slide_growth(start: float, until: float) -> float:
+    """Growth in a sample of the way that a hand has slid, in m, once it is `until`: off a disc that it is pushed onto by a steady 2 N: sampled,
+    held, a sample late, with the exact motion of its mass."""
+    m, b, T, K, B, R = 0.2, 1.0, 1e-3, 2000.0, 5.0, 0.02
+    decay = math.exp(-b * T / m)
+    drift, gain = (1.0 - decay) * m / b, (T - (1.0 - decay) * m / b) / b
+    x, v = np.array([-0.019, start]), np.zeros(2)
+    held, before, ways = np.array([-2.0, 0.0]), x.copy(), []
+    while abs(x[1]) < until:
+        n = x / np.hypot(*x)
+        force = -(K * (np.hypot(*x) - R) + B * (n @ (x - before)) / T) * n
+        acts = held + [2.0, 0.0]
+        before, held = x.copy(), force
+        x, v = x + drift * v + gain * acts, decay * v + (1.0 - decay) / b * acts
+        ways.append(x[1])
+    return ways[-1] / ways[-2]
+
+
+def test_a_hand_slides_off_as_fast_as_predicted() -> None:
+    """The slide has a real pole, along the surface; a simulation of the whole round surface grows by it."""
+    prediction = predict(plane(disc=DISC), at=PRESSED_DISC)
+    assert isinstance(prediction, PlanePrediction)
+    (slide,) = prediction.slides
+    assert (slide.module, prediction.verdict, prediction.stable) == ("hand", "slides", False)
+    assert slide.pole == pytest.approx(1.020440217, abs=REFERENCE)
+    assert slide.angle_deg == pytest.approx(90.0, abs=1e-9)
+    assert slide.e_fold_s == pytest.approx(1e-3 / math.log(1.020440217), rel=1e-7)
+    assert slide_growth(1e-10, 1e-6) == pytest.approx(slide.pole, abs=1e-9)
+    assert slide_growth(1e-8, 2.4e-4) == pytest.approx(1.020439143, abs=5e-7)  # a quarter of a millimetre is not small
+
+
+def test_margins_are_of_what_shakes() -> None:
+    """A slide takes nothing from a link's margin, which is that of the same wall on a line."""
+    round_off, flat = (predict(plane(disc=one), at=at) for one, at in ((DISC, PRESSED_DISC), (EDGE, PRESSED_EDGE)))
+    assert round_off.margins[0].stiffness_factor == pytest.approx(flat.margins[0].stiffness_factor, rel=1e-9)
+    assert flat.stable
+    hard = EDGE | {"stiffness": 2000.0 * 1.0001 * flat.margins[0].stiffness_factor}
+    assert not predict(plane(disc=hard), at=PRESSED_EDGE).stable
+
+
+def test_a_shape_that_shakes_the_hand_is_found_wherever_it_starts() -> None:
+    """A wall too stiff for the loop is refused before it is touched; a slide alone is not."""
+    for disc in (DISC, DISC | RUB, DISC | {"side": "inside"}):
+        assert surely_shaken_by(plane(disc=disc)) is None
+    shaken = surely_shaken_by(plane(disc=DISC | {"stiffness": 8000.0}))
+    assert shaken is not None
+    assert (shaken.module, shaken.state) == ("hand", "disc is touched")
+    assert not predict(plane(disc=DISC | {"stiffness": 8000.0})).stable
+
+
+def test_walls_that_overlap_are_judged_together() -> None:
+    """Each of two edges is stable by itself, both in one place are not; apart by a gap they are."""
+    hard = EDGE | {"stiffness": 3500.0}
+    other = hard | {"between": ["hand", "far"]}
+    far = {"type": "ground", "position": [0.03, 0.0]}
+    assert surely_shaken_by(plane(disc=hard)) is None
+    shaken = surely_shaken_by(plane(disc=hard, far=far, wall=other))
+    assert shaken is not None
+    assert shaken.state == "disc is touched, wall is touched"
+    back = other | {"form": {"half_plane": [1.0, 0.0]}}
+    assert surely_shaken_by(plane(disc=hard, far=far | {"position": [0.02, 0.0]}, wall=back)) is None
+
+
+def test_static_stiffness_is_the_change_of_the_force() -> None:
+    """Beside differences of the static force, in random places among all kinds of links; masses rest."""
+    random, checked = np.random.default_rng(5), 0
+    box = DISC | {"form": {"polygon": [[-0.02, -0.02], [0.03, -0.01], [0.02, 0.02], [-0.01, 0.01]]}, "round": 0.004}
+    lane = {"type": "guide", "between": ["hand", "post"], "through": [[-0.03, 0], [0.0, 0.01], [0.03, 0.03]]}
+    for _ in range(40):
+        spring = {"type": "spring", "between": ["hand", "post"], "length": random.uniform(0.0, 0.05)}
+        scene = plane(
+            box=box | {"side": random.choice(["inside", "outside"])},
+            lane=lane | {"stiffness": 300.0, "damping": 1.0},
+            rope=spring | {"stiffness": random.uniform(50.0, 500.0)},
+            ball={"type": "mass", "mass": 0.05, "position": random.uniform(-0.02, 0.02, 2).tolist()},
+            tie=spring | {"between": ["ball", "post"], "stiffness": 200.0, "length": 0.01},
+            hit={"type": "buffer", "between": ["hand", "ball"], "distance": 0.03, "stiffness": 700.0},
+        )
+        at = random.uniform(-0.01, 0.06), random.uniform(-0.03, 0.03)
+        prediction, there = predict(scene, at=at), Plane(scene)
+        assert isinstance(prediction, PlanePrediction)
+
+        def force(x: float, y: float, there: Plane = there) -> np.ndarray:
+            rest = there.at_rest({"hand": (x, y)})
+            assert rest is not None
+            ends = [(one, (one.link.between[0] == "hand") - (one.link.between[1] == "hand")) for one in there.at(rest)]
+            return -sum(side * one.tension * np.array(one.normal) for one, side in ends)
+
+        step, (x, y) = 1e-7, at
+        along_x = (force(x + step, y) - force(x - step, y)) / (2.0 * step)
+        along_y = (force(x, y + step) - force(x, y - step)) / (2.0 * step)
+        if not prediction.directions[1]:  # the ball rests in one place
+            checked += 1
+            (one,) = prediction.together
+            assert -np.array([along_x, along_y]).T == pytest.approx(one.static_stiffness, rel=1e-5, abs=1e-3)
+    assert checked > 10
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_sliding_friction_reads_the_pressure(way: int) -> None:
+    """Its rows are the derivative of a force that is the coefficient times the pressure, along the surface."""
+    link = next(one for one in Plane(plane(disc=DISC | RUB)).at({"hand": (0.012, 0.006)}) if one.name == "disc")
+
+    def force(r: np.ndarray) -> np.ndarray:
+        away, press = r / np.hypot(*r), 2000.0 * (0.02 - np.hypot(*r))
+        return np.asarray(press * away - way * 0.3 * press * np.array([-away[1], away[0]]))
+
+    r, step = np.array([0.012 - 0.03, 0.006]), 1e-8
+    K = -np.array([(force(r + step * e) - force(r - step * e)) / (2.0 * step) for e in np.eye(2)]).T
+    assert sum(row.stiffness * np.outer(row.pull, row.stretch) for row in link.rows(way)) == pytest.approx(K, rel=1e-6)
+
+
+def test_a_turn_of_the_frame_changes_no_pole() -> None:
+    """Hand, post and ball are turned about position 0 by any angle."""
+    rope = {"type": "viscoelastic", "between": ["ball", "post"], "stiffness": 300.0, "damping": 2.0, "length": 0.01}
+    spring = rope | {"between": ["hand", "ball"], "length": 0.015}
+
+    def turned(angle: float) -> PlanePrediction:
+        def at(x: float, y: float) -> list[float]:
+            return [math.cos(angle) * x - math.sin(angle) * y, math.sin(angle) * x + math.cos(angle) * y]
+
+        ball = {"type": "mass", "mass": 0.05, "position": at(0.02, 0.005)}
+        scene = plane(disc=DISC, ball=ball, rope=rope, spring=spring, post=POST | {"position": at(0.03, 0.0)})
+        found = predict(scene, at=tuple(at(0.012, 0.001)))
+        assert isinstance(found, PlanePrediction)
+        return found
+
+    as_it_is = turned(0.0)
+    for angle in (0.3, 1.2, 2.9, 4.0):
+        found = turned(angle)
+        for before, after in zip(as_it_is.poles[:8], found.poles[:8], strict=True):
+            assert min(abs(after - before), abs(after.conjugate() - before)) < 1e-11
+        turn = [(b.angle_deg - a.angle_deg) % 180.0 for a, b in zip(as_it_is.slides, found.slides, strict=True)]
+        assert turn == pytest.approx([math.degrees(angle) % 180.0] * len(turn), abs=1e-5)
+
+
+def test_stretches_of_a_line_end_where_a_link_is_touched() -> None:
+    """Through a disc, off its middle."""
+    scene = plane(disc=DISC)
+    found = stretches_along(scene, (0.0, 0.005), (0.06, 0.005))
+    half = math.sqrt(0.02**2 - 0.005**2)
+    assert [one.end[0] for one in found] == pytest.approx([0.03 - half, 0.03 + half, 0.06], abs=1e-12)
+    assert [(one.links, one.middle.verdict) for one in found] == [
+        ({}, "stable"),
+        ({"disc": "touched"}, "slides"),
+        ({}, "stable"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("scene", "at", "words"),
+    [
+        (plane(disc=DISC), 0.03, "at: found 0.03, expected x, y in a scene with space: 2"),
+        (plane({"travel": [-0.01, 0.02]}, disc=DISC), (0.0, 0.03), "outside the travel of hand; expected y from -0.01"),
+    ],
+)
+def test_a_place_that_is_none_is_refused(scene: Scene, at: Any, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        predict(scene, at=at)
+
+
+def test_two_coordinates_are_refused_on_a_line() -> None:
+    modules = {"hand": {"type": "device", "channel": 0}}
+    scene = Scene.model_validate({"version": 1, "rate": 1000.0, "device": DEVICE, "modules": modules})
+    with pytest.raises(UsageError, match=r"at: found \(0.0, 0.1\), expected a position in a scene with one coordinate"):
+        predict(scene, at=(0.0, 0.1))
+
+
+def test_ends_that_meet_have_no_direction() -> None:
+    """A spring with a length whose ends start in one place."""
+    spring = {"type": "spring", "between": ["hand", "post"], "stiffness": 100.0, "length": 0.01}
+    scene = plane(post=POST | {"position": [0.0, 0.0]}, rope=spring)
+    assert [one for one in unlikely(scene) if "modules.rope: hand and post meet at the start" in one]
+    assert not unlikely(plane(rope=spring))
