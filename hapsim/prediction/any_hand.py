@@ -147,8 +147,7 @@ class AnyHand:
 
     @cached_property
     def shaking(self) -> ShakingHand | None:
-        """Single mass or spring on one device point that is shaken most; None if none was found. On a device whose mass
-        is a matrix only masses are tried."""
+        """Single mass or spring on one device point that is shaken most; None if none was found."""
         if self.is_passive is not False:
             return None
         with one_thread():
@@ -162,8 +161,6 @@ class AnyHand:
             omega = theta * self._network.rate
             reactance = -float(self._held.driving_impedance(np.array([theta]), at)[0].imag)
             mass, stiffness = max(reactance, 0.0) / omega, max(-reactance, 0.0) * omega
-            if stiffness and self._network.mass_coupling is not None:
-                continue
             hands = ((share, self._pole(at, share * mass, share * stiffness, theta)) for share in _CLOSER.tolist())
             share, pole = max(hands, key=lambda one: np.nan_to_num(abs(one[1])))
             if abs(pole) > SURELY:
@@ -212,13 +209,8 @@ class AnyHand:
         the neighbourhood of the worst of both. None if the loop is too large for it.
 
         Raises:
-            UsageError: a range begins below 0, or ends before it begins; or hands have a stiffness on coupled masses.
+            UsageError: a range begins below 0, or ends before it begins.
         """
-        if self._network.mass_coupling is not None and any(stiffness):
-            raise UsageError(
-                f"a hand's stiffness: found {stiffness[0]:g}:{stiffness[1]:g}, expected 0:0: on a device whose mass is "
-                "a matrix only hands without stiffness are worked out"
-            )
         for name, (low, high) in (("mass", mass), ("stiffness", stiffness)):
             if not 0.0 <= low <= high < math.inf:
                 raise UsageError(f"a hand's {name}: found {low:g}:{high:g}, expected low:high, both 0 or more")

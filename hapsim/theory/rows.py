@@ -37,7 +37,9 @@ Rows = Any
 
 
 def times(factors: NDArray[Any], rows: Rows) -> Rows:
-    """Returns each row multiplied by its factor."""
+    """Returns each row multiplied by its factor, (n,); by factors (n, n) the rows are combined."""
+    if factors.ndim == 2:
+        return as_rows(factors, not isinstance(rows, np.ndarray)) @ rows
     return factors[:, None] * rows if isinstance(rows, np.ndarray) else rows.multiply(factors[:, None]).tocsr()
 
 
@@ -280,5 +282,5 @@ def sensed_channels(network: Network) -> Indices:
     if network.ahead is not None:
         return np.arange(network.channel_mass.size)
     links = [link for link in damping_links(network).tolist() if network.damper[link].senses]
-    _, point = joined_points(network, np.array(links, np.intp))
+    point = joined_points(network, np.array(links, np.intp))[1] if links else np.zeros(0, np.intp)
     return np.unique(point[point < network.channel_mass.size])

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.device_step import DeviceStep, device_step
+from hapsim.theory.device_step import DeviceStep, coupled_step, device_step
 from hapsim.theory.interface import SAMPLINGS, acting_at_sample, hold_lag
 from hapsim.theory.network.network import Network, damping_links
-from hapsim.theory.rows import Rows, Tick, as_rows, cut, sensed_channels, stack, step_weights, times, unit_rows
+from hapsim.theory.rows import Rows, Tick, cut, sensed_channels, stack, step_weights, times, unit_rows
 
 LARGE = 1000  # numbers in the state; above, the eigenvalues of the whole matrix take too long
 
@@ -24,29 +24,24 @@ class Sample:
     channels' velocities times T; the lead of the positions over their readings (averaged sampling); the last steps of
     the readings; the mean velocities that links sense (averaged sampling); the last changes of the sensed velocities
     (substeps); the masses' steps; the forces that a later sample still needs, newest first, times T²/m; and the
-    memories of the dampers. The state has no other parts. The channels' positions and velocities, with their lead and
-    their forces, are those along ``axes``.
+    memories of the dampers. The state has no other parts.
     """
 
     def __init__(self, network: Network, sparse: bool = False) -> None:
         self.network, self.tick, self.sizes = network, Tick(network, sparse), sizes_of(network)
-        self._sensed, self._axes = sensed_channels(network), axes_of(network)
-        basis = self._axes.basis
-        self._basis = None if basis is None else as_rows(basis, sparse)
+        self._sensed = sensed_channels(network)
         self._acceleration = _acceleration(network)
-        steps = channel_steps(network)
-        self._motion = np.array([step.motion for step in steps]).reshape(len(steps), 4, 2)
-        self._forces = np.array([step.forces for step in steps]).reshape(len(steps), 4, -1 if steps else 0)
+        (self._motion, self._forces), channels = device_step_of(network), network.channel_mass.size
         self.step_sizes = {
-            "hand": len(steps),
-            "gain": len(steps),
+            "hand": channels,
+            "gain": channels,
             "sensed": self._sensed.size,
             "sensed_step": self._sensed.size,
             "mass": network.point_mass.size,
             "mass_step": network.point_mass.size,
             "old_steps": self.sizes["old_steps"],
             "old_rates": self.sizes["old_rates"],
-            "force": len(steps),
+            "force": channels,
         }
         if network.substeps == 1:
             del self.step_sizes["sensed_step"]
@@ -56,16 +51,12 @@ class Sample:
         return stack([self._read(state), state["mass"]])
 
     def _read(self, state: dict[str, Rows]) -> Rows:
-        return self._at_points(state["position"] - state["lag"] if state["lag"].shape[0] else state["position"])
-
-    def _at_points(self, along_axes: Rows) -> Rows:
-        """Returns a motion of the channels from one along the axes."""
-        return along_axes if self._basis is None else self._basis @ along_axes
+        return state["position"] - state["lag"] if state["lag"].shape[0] else state["position"]
 
     def _seen(self, state: dict[str, Rows]) -> tuple[Rows, Rows]:
         """Channels as the links see them: positions (C), and the sensed velocities that a link uses."""
         x, averaged = self._read(state), state["lag"].shape[0]
-        v = state["mean_velocity"] if averaged else self._at_points(state["velocity"])[self._sensed]
+        v = state["mean_velocity"] if averaged else state["velocity"][self._sensed]
         if self._acceleration is None:
             return x, v
         ahead, of_position, of_velocity, *of_forces = self._acceleration
@@ -87,22 +78,21 @@ class Sample:
     def state_change(self, state: dict[str, Rows], moved: dict[str, Rows], pushed: Rows | None = None) -> Rows:
         """Returns the change of the state over a sample of steps ``moved``; ``pushed``: other forces on channels, N."""
         network, x, v = self.network, state["position"], state["velocity"]
-        unit, force = 1.0 / self._axes.mass / network.rate**2, moved["force"]
-        force = force if pushed is None else force + pushed
-        acting = times(unit, force if self._basis is None else self._basis.T @ force)
-        held = range(0, self.sizes["held"], max(unit.size, 1))
-        ranks = [acting, *(state["held"][at : at + unit.size] for at in held)]
+        unit, force = mobility(network) / network.rate**2, moved["force"]
+        acting = times(unit, force if pushed is None else force + pushed)
+        held = range(0, self.sizes["held"], max(len(unit), 1))
+        ranks = [acting, *(state["held"][at : at + len(unit)] for at in held)]
 
         def row(of: int) -> Rows:
-            out = times(self._motion[:, of, 0], x) + times(self._motion[:, of, 1], v)
+            out = times(self._motion[of, :, 0], x) + times(self._motion[of, :, 1], v)
             for age, rank in enumerate(ranks[: self._forces.shape[2]]):
-                out = out + times(self._forces[:, of, age], rank)
+                out = out + times(self._forces[of, :, age], rank)
             return out
 
         new = {"position": row(0), "mass": moved["mass"], "velocity": row(1), "mass_step": moved["mass_step"]}
         new["lag"] = row(2) - state["lag"] if state["lag"].shape[0] else state["lag"]
         if state["lag"].shape[0]:
-            new["mean_velocity"] = self._at_points(row(3))[self._sensed] - state["mean_velocity"]
+            new["mean_velocity"] = row(3)[self._sensed] - state["mean_velocity"]
         new["held"] = stack(ranks)[: self.sizes["held"]] - state["held"]
         last_step, turned = self._seen(new)
         new["last_step"] = last_step - state["last_step"]
@@ -215,28 +205,29 @@ def _acceleration(network: Network) -> list[Floats] | None:
     return [lag * one, *own, *forces]
 
 
-class Axes(NamedTuple):
-    """Coordinates q of the channels, x = ``basis`` q, each of which moves by itself: ``mass`` and ``friction`` (C,). A
-    force f acts on q by ``basis``' f. ``basis`` None: q are the channels."""
-
-    mass: Floats
-    friction: Floats
-    basis: Floats | None
-
-
-def axes_of(network: Network) -> Axes:
-    """Returns the axes: of a matrix of masses M the eigenvectors V with V' M V = 1 and V' b0 V diagonal."""
+def mobility(network: Network) -> Floats:
+    """Inverse of the channels' masses, (C,), or (C, C) if they are a matrix."""
     if network.mass_coupling is None:
-        return Axes(network.channel_mass, network.channel_friction, None)
-    root = np.linalg.inv(np.linalg.cholesky(network.mass_matrix))
-    friction, turn = np.linalg.eigh(root * network.channel_friction @ root.T)
-    return Axes(np.ones(friction.size), np.maximum(friction, 0.0), root.T @ turn)
+        return 1.0 / network.channel_mass
+    return np.asarray(np.linalg.inv(network.mass_matrix), float)
+
+
+def device_step_of(network: Network) -> DeviceStep:
+    """Step of all channels: (4, C, 2) and (4, C, ages), or that of coupled ones."""
+    if network.mass_coupling is None:
+        steps = channel_steps(network)
+        motion = np.array([step.motion for step in steps]).reshape(len(steps), 4, 2)
+        forces = np.array([step.forces for step in steps]).reshape(len(steps), 4, -1 if steps else 0)
+        return DeviceStep(motion.swapaxes(0, 1), forces.swapaxes(0, 1))
+    free = mobility(network) / network.rate
+    own = free * network.channel_friction, free * network.channel_stiffness / network.rate
+    return coupled_step(own[0], network.delay, network.hold, own[1], network.sampling)
 
 
 def channel_steps(network: Network) -> list[DeviceStep]:
-    """Step of each channel, along its axis, over one sample period, in normalised units."""
-    mass, rate = axes_of(network).mass, network.rate
-    friction = axes_of(network).friction / (mass * rate)
+    """Step of each channel over one sample period, in normalised units."""
+    mass, rate = network.channel_mass, network.rate
+    friction = network.channel_friction / (mass * rate)
     stiffness = network.channel_stiffness / (mass * rate) / rate
     return [
         device_step(float(b), network.delay, network.hold, float(k), network.sampling)

@@ -24,7 +24,7 @@ import numpy as np
 from hapsim.theory.arrays import Complexes, Floats, Indices
 from hapsim.theory.network.network import Network, kinetic_energy
 from hapsim.theory.rows import Rows, as_rows, geometry_of, times, unit_rows
-from hapsim.theory.sample import axes_of, is_large, loop, sizes_of
+from hapsim.theory.sample import is_large, loop, mobility, sizes_of
 
 
 class ContinuousMode(NamedTuple):
@@ -162,12 +162,10 @@ def felt_pair(network: Network, eigen: tuple[Complexes, Complexes] | None = None
             return no_pair(hands, "its numbers are out of range")
         eigen = np.linalg.eig(change)
     w, states = eigen
-    begin, basis = sizes["position"] + sizes["mass"], axes_of(network).basis
+    begin = sizes["position"] + sizes["mass"]
     kick = np.eye(len(states))[:, begin : begin + hands]
-    kept, moved, speeds = np.abs(1.0 + w) > _MEMORY, states[:begin], states[begin : begin + hands]
-    if basis is not None:
-        kick, speeds, moved = kick @ basis.T, basis @ speeds, np.vstack([basis @ moved[:hands], moved[hands:]])
-    s, at, share, carried = _motions(network, np.log1p(w.astype(complex)), states, moved, speeds, kick)
+    kept = np.abs(1.0 + w) > _MEMORY
+    s, at, share, carried = _motions(network, np.log1p(w.astype(complex)), states, states[begin : begin + hands], kick)
     return _pair(network, _Motions(s[kept], at[:, kept], share[kept], carried[..., kept]), most)
 
 
@@ -179,10 +177,8 @@ def continuous_pair(network: Network, most: float = CARRIED) -> FeltPair:
     hands, size = network.channel_mass.size, network.channel_mass.size + network.point_mass.size
     roots, states = np.linalg.eig(first_order(network))
     kick = np.eye(2 * size)[:, size : size + hands]
-    if network.mass_coupling is not None:
-        kick = kick @ np.linalg.inv(network.mass_matrix)
     s = np.asarray(roots / network.rate, complex)
-    motions = _motions(network, s, states, states[:size], states[size : size + hands], kick)
+    motions = _motions(network, s, states, states[size : size + hands], kick)
     return _pair(network, motions, most)
 
 
@@ -229,18 +225,18 @@ def no_pair(hands: int, reason: str, share: float = 0.0, others: float = 1.0, at
     return FeltPair(np.full((hands, hands), np.nan), np.full((hands, hands), np.nan), share, others, at, reason)
 
 
-def _motions(
-    network: Network, s: Complexes, states: Complexes, moved: Complexes, speeds: Complexes, kick: Floats
-) -> _Motions:
-    """Returns the motions. ``moved`` (C + M, n), ``speeds`` (C, n): the points' positions and the hands' velocities in
-    each. ``kick`` (size, C): the state after an impulse on each hand."""
-    hands, energy = network.channel_mass.size, kinetic_energy(network, moved)
+def _motions(network: Network, s: Complexes, states: Complexes, speeds: Complexes, kick: Floats) -> _Motions:
+    """Returns the motions. ``speeds`` (C, n): the hands' velocities in each. ``kick`` (size, C): the state after an
+    impulse on each hand alone."""
+    hands = network.channel_mass.size
+    energy = kinetic_energy(network, states[: hands + network.point_mass.size])
+    kick = kick if network.mass_coupling is None else kick @ mobility(network)
     share = np.nan_to_num(energy[:hands].sum(axis=0) / energy.sum(axis=0))
     try:
         amounts = np.linalg.solve(states, kick.astype(complex))
     except np.linalg.LinAlgError:
         amounts = np.linalg.lstsq(states, kick.astype(complex), rcond=None)[0]
-    return _Motions(s, moved[:hands], share, speeds[:, None, :] * amounts.T[None, :, :])
+    return _Motions(s, states[:hands], share, speeds[:, None, :] * amounts.T[None, :, :])
 
 
 def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
@@ -264,7 +260,7 @@ def _pair(network: Network, motions: _Motions, most: float) -> FeltPair:
     else:
         inertia = network.mass_matrix @ (X * of**2)
     pairs = (begins, X), (drifts, X * of), (0.0 * drifts, inertia)
-    X, moving, inertia = (np.hstack(pair) for pair in pairs)
+    X, moving, inertia = (np.asarray(np.hstack(pair), complex) for pair in pairs)
     both = np.vstack([X, moving])
     alike = np.vstack([X, moving / max(np.abs(of).max(initial=0.0 if own.size else rate), 1e-300)])
     if theirs.size < 2 * hands or any(np.abs(s[own] - one.conj()).min() > _SAME * abs(one) for one in s[own]):

@@ -69,7 +69,7 @@ class Network:
         pulls: (L, C + M) direction in which the tension of each row pulls the points. Default: ``rows``.
         link_of_row: (L,) number of the link that a row belongs to, for margins: they scale all rows of a link together.
             Default: each row is a link.
-        mass_coupling: (C, C) real masses beside the diagonal, kg; not with own springs, nor ``ahead``. Default: none.
+        mass_coupling: (C, C) real masses beside the diagonal, kg; not with ``ahead``. Default: none.
 
     Raises:
         ValueError: an argument is out of its range or its shape does not fit; the message states which.
@@ -132,8 +132,8 @@ class Network:
         for name in ("damper", "outside", "link_of_row"):
             if len(checked[name]) not in {0, links}:
                 raise ValueError(f"{name} has {len(checked[name])} elements, but there are {links} links.")
-        if coupling is not None and (checked["channel_stiffness"].any() or self.ahead is not None):
-            raise ValueError("mass_coupling takes no channel_stiffness and no motion that is seen ahead.")
+        if coupling is not None and self.ahead is not None:
+            raise ValueError("masses that are a matrix take no motion that is seen ahead.")
         if checked["implicit"].any():
             if rows is not None:
                 raise ValueError("implicit masses take ends, not rows.")

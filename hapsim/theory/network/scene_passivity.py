@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -86,8 +86,7 @@ class HeldScene:
     def _rows(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Rows of the scene's own state: its change in a sample, from itself and from the hands' positions and last
         steps; and the forces from both."""
-        still = replace(self.network, mass_coupling=None)  # the masses of held hands do not matter
-        change, _, _, force, _ = loop(still, inputs=True)
+        change, _, _, force, _ = loop(self.network, inputs=True)
         starts, own, given = 0, np.zeros(len(change), bool), np.zeros(len(change), bool)
         for name, size in sizes_of(self.network).items():
             part = slice(starts, starts + size)
