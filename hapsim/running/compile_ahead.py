@@ -137,6 +137,7 @@ UNITS: dict[str, CompileUnit] = {
         ("device.mock.motion:move_with_spring_or_friction", "device.mock.stand_ins:move_hand"),
         in_second_process=True,
     ),
+    "coupled": CompileUnit(7, ("device.mock.firmware:advance_coupled",), in_second_process=True),
     "wire": CompileUnit(
         20,
         ("device.mock.firmware:take_late_force", "device.mock.wire:receive_in_time", "device.mock.wire:send_in_time"),
@@ -256,6 +257,8 @@ def prepare(scenes: Sequence[Scene] = (), on_progress: Callable[[Progress], None
     names = {"loop", "port", "guards", "changes"}.union(*(DEVICE_UNITS[place] for place in places))
     if places - {"port"}:
         names.add("motion")
+    if any(scene.mock_device.mass_matrix for scene in scenes):
+        names.add("coupled")
     if any(scene.sound for scene in scenes):
         names |= {"sound", "playback"}
     if any(wire_of(scene) == "mock" for scene in scenes):

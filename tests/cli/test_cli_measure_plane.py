@@ -29,7 +29,7 @@ def ring(tmp_path: Path) -> Path:
     return path
 
 
-def test_both_directions_stand_beside_the_prediction(hapsim: Hapsim, ring: Path) -> None:
+def test_both_directions_are_compared_with_the_prediction(hapsim: Hapsim, ring: Path) -> None:
     answer = hapsim("measure", ring, "--at", "1mm,0", "--duration", "4")
     assert answer.status == 0
     assert "What hand feels at 1, 0 mm, along the two principal directions, on the built-in mock" in answer.out
