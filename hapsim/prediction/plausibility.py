@@ -344,8 +344,10 @@ def _jumps(scene: Scene) -> Iterator[str]:
 def begun_inside(scene: Scene) -> Iterator[str]:
     """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps."""
     device, units = scene.device, scene.units
+    if scene.space == 1 or device.port is not None or device.soft_start:
+        return
     plane = Plane(scene)
-    for one in plane.at({}) if device.port is None and not device.soft_start else ():
+    for one in plane.at({}):
         hand = next((end for end in one.link.between if end in plane.hands), "")
         if hand and isinstance(one.link, Shape) and one.distance < 0.0:
             force = min(one.link.stiffness * -one.distance, device.force_limit)
