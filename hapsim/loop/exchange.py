@@ -19,13 +19,13 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.frames import FRAMING, write_frame
-from hapsim.compiling import helper, inlined
+from hapsim.compiling import inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
 from hapsim.cordis.tick import program_at, start, stored_energy
 from hapsim.loop import endings, ring
-from hapsim.loop.buffers import IO_BUFFER, clip, next_place, share_within_limit
+from hapsim.loop.buffers import IO_BUFFER, clip, next_place
 from hapsim.loop.counts import words_at
 from hapsim.loop.force_history import FORCE_HISTORY, IN_ALL
 from hapsim.loop.guards import GUARDS
@@ -381,18 +381,7 @@ def _set_force(io, control, state, guided):
     if not sound:
         _take_force_away(io)
         return False, False
-    if limited and io.has_hands:
-        _limit_hands(io)
     return True, limited
-
-
-@helper
-def _limit_hands(io):
-    """Limits the force of hands with several channels by one factor."""
-    for c in range(np.uint64(io.channels)):
-        if io.to_next[c] != 0:
-            force = clip((io.asked[c] + io.excitation[c]) * share_within_limit(io, c, True), io.force_limit[c])
-            io.force_counts[c] = np.int64(np.rint(force / io.force_scale[c]))
 
 
 @inlined
