@@ -14,7 +14,7 @@ from hapsim.number_format import between, duration, number, rounded_down, rounde
 from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.felt_alone import felt_if_sensed
-from hapsim.prediction.force_bounds import force_bounds, largest_force, run_bounds, sign_warning, travel_in_words
+from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning, travel_in_words
 from hapsim.prediction.timing import wire_parts, wire_remedies
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import SURELY
@@ -312,7 +312,7 @@ def travel_sentences(scene: Scene) -> Iterator[str]:
         hand = scene.hand_of(c)
         if device.travel is not None and c == hand[0]:
             margin = scene.travel_margins[c]
-            stiffness, goes = largest_force(scene, c) / margin, travel_in_words(scene, c)
+            stiffness, goes = device.force_limit / margin, travel_in_words(scene, c)
             of_hand = where if len(hand) == 1 else f" of channels {' and '.join(map(str, hand))}"
             yield (
                 f"Travel{of_hand}: {goes.removeprefix('from ')}. Outside, the force fades "

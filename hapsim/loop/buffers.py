@@ -6,6 +6,7 @@ ended. Nothing is copied for that: bytes go to the next place of a buffer, and t
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -93,17 +94,18 @@ def clip(force, limit):
 
 @helper
 def share_within_limit(io, c, excited):
-    """Returns the factor that brings all channels of a hand within their limits, so that clipping does not turn the
-    force: the scene's, with the excitation if `excited`. `c`: one of its channels. A single channel is clipped: 1."""
-    share, other = 1.0, np.uint64(c)
+    """Returns the factor that brings the force of a hand with several channels within its limit, a circle (an ellipse
+    where channels differ): the scene's force, with the excitation if `excited`. `c`: one of its channels. A single
+    channel is clipped: 1. Clipped one by one, x and y would turn the force; a limit that is a square is no passive
+    one, since a spring pulled along an axis and let go between two gives back more than it took."""
+    total, other = 0.0, np.uint64(c)
     while io.to_next[other] != 0:
-        force = abs(io.asked[other] + io.excitation[other] if excited else io.asked[other])
-        if force * share > io.force_limit[other]:
-            share = io.force_limit[other] / force
+        force = io.asked[other] + io.excitation[other] if excited else io.asked[other]
+        total += (force / io.force_limit[other]) ** 2
         other += io.to_next[other]
         if other == np.uint64(c):
             break
-    return share
+    return 1.0 / math.sqrt(total) if total > 1.0 else 1.0
 
 
 @inlined

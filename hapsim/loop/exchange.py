@@ -238,6 +238,7 @@ def _answer(loop):
         limited = False  # nothing is sent of it
     if is_finite:
         call_hooks(loop.hooks.after_limit, tick)
+    limited = limited or tick.flags & ring.LIMITED != 0
     state.slewed_ticks += 1 if tick.flags & ring.SLEWED else 0
     state.newest_ns = tick.now_ns
     state.limited_ticks += limited

@@ -139,7 +139,7 @@ def travel_error(scene: Scene) -> str:
     if device.travel is None:
         return ""
     for channel, margin in enumerate(scene.travel_margins):
-        most = largest_force(scene, channel)
+        most = device.force_limit
         stable, damping = fade_stiffness(scene, channel), device.scales(scene.channels)[channel].grip_damping
         if not most <= stable * margin:
             where = f" on channel {channel}" if scene.channels > 1 else ""
@@ -165,11 +165,6 @@ def travel_in_words(scene: Scene, channel: int) -> str:
         return f"to the edge of a polygon of {len(area.polygon)} corners" if area.polygon else disc
     ranges = [[units.number(end, "m", "g") for end in each[c]] for c in scene.hand_of(channel)]
     return " and ".join(f"from {least} to {units(most, 'm')}" for least, most in ranges)
-
-
-def largest_force(scene: Scene, channel: int) -> float:
-    """Largest force on the hand of a channel, N: of x and y together, where both are at their limit."""
-    return scene.device.force_limit * math.sqrt(len(scene.hand_of(channel)))
 
 
 def fade_stiffness(scene: Scene, channel: int) -> float:

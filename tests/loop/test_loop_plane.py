@@ -42,13 +42,21 @@ def kept(scene: Scene, **options: Any) -> tuple[Trace, Any]:
 def test_a_force_beyond_a_limit_keeps_its_direction() -> None:
     with field_of(12.0, 5.0):
         trace, loop = kept(plane(HEAVY), duration=0.02, judges_energy=True)
-    assert np.abs(trace.force_counts - [10.0, 50.0 / 12.0] / trace.force_scale).max() <= 1.0
+    assert np.abs(trace.force_counts - [120.0 / 13.0, 50.0 / 13.0] / trace.force_scale).max() <= 1.5
     assert np.all(trace.flags & LIMITED)
     np.testing.assert_allclose(loop.record.history.decided[:2], trace.force[-1], rtol=1e-12)
-    with field_of(-4.0, 9.9):
+    with field_of(-4.0, 9.1):
         trace = run(plane(HEAVY), duration=0.02)
-    assert np.abs(trace.force_counts - [-4.0, 9.9] / trace.force_scale).max() <= 1.0
+    assert np.abs(trace.force_counts - [-4.0, 9.1] / trace.force_scale).max() <= 1.0
     assert not np.any(trace.flags & LIMITED)
+
+
+def test_the_limit_is_a_circle_within_which_each_channel_is_too() -> None:
+    with field_of(9.0, 9.0):
+        trace = run(plane(HEAVY), duration=0.02)
+    np.testing.assert_allclose(trace.force[-1], [10.0 / math.sqrt(2.0)] * 2, rtol=1e-8)
+    assert np.all(trace.flags & LIMITED)
+    assert trace.report.limited_ticks == trace.report.ticks
 
 
 def test_two_hands_are_limited_each_by_itself() -> None:
@@ -60,17 +68,18 @@ def test_two_hands_are_limited_each_by_itself() -> None:
             duration=0.02,
             excitation=Excitation(channel=3, force=8.0, ticks=1, every=1000, start=0, first=True),
         )
-    np.testing.assert_allclose(trace.force[0], [7.5, 10.0, 0.0, 8.0], atol=1e-6)
+    np.testing.assert_allclose(trace.force[0], [6.0, 8.0, 0.0, 8.0], atol=1e-6)
 
 
 def test_an_excitation_is_limited_with_the_force_and_what_is_cut_because_of_it_is_the_hand_s() -> None:
     pushes = Excitation(channel=1, force=12.0, ticks=1, every=1000, start=0, first=True)
+    both = np.array([6.0, 20.0]) * 10.0 / math.hypot(6.0, 20.0)
     with field_of(6.0, 8.0):
         trace, loop = kept(plane(HEAVY), duration=0.001, excitation=pushes, judges_energy=True)
-    np.testing.assert_allclose(trace.force[0], [3.0, 10.0], atol=1e-6)
+    np.testing.assert_allclose(trace.force[0], both, atol=1e-6)
     decided = loop.record.history.decided
     np.testing.assert_allclose(decided[:2], [6.0, 8.0], atol=1e-6)
-    np.testing.assert_allclose(decided[schema.MAX_CHANNELS :][:2], [3.0, 10.0], atol=1e-6)
+    np.testing.assert_allclose(decided[schema.MAX_CHANNELS :][:2], both, atol=1e-6)
 
 
 def test_a_step_is_shortened_as_a_vector() -> None:
@@ -160,7 +169,7 @@ def test_a_soft_start_ends_at_the_force_within_the_limit() -> None:
     with field_of(12.0, 5.0):
         trace = run(plane({**HEAVY, "soft_start": 0.05}), duration=0.06)
     u = np.minimum(trace.sample / 50.0, 1.0)
-    wanted = np.outer(u * u * (3.0 - 2.0 * u), [10.0, 50.0 / 12.0])
+    wanted = np.outer(u * u * (3.0 - 2.0 * u), [120.0 / 13.0, 50.0 / 13.0])
     np.testing.assert_allclose(trace.force, wanted, rtol=0, atol=1e-6)
 
 

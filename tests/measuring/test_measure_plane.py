@@ -39,7 +39,7 @@ def across(n: list[float]) -> list[float]:
 
 
 def felt(rows: list[Row], mass: Any = (0.2, 0.2), friction: Any = (1.0, 1.0), held: Any = (0.0, 0.0)) -> Any:
-    """Returns the pair that the hand feels. `held`: springs beside the device, N/m, which no sampling changes."""
+    """Returns the pair that the hand feels. `held`: N/m, of springs beside the device, which no sampling changes."""
     directions, stiffness, damping = zip(*rows, strict=True)
     network = Network(
         rate=RATE, channel_mass=np.array(mass), channel_friction=np.array(friction), delay=1.0, hold="zoh",

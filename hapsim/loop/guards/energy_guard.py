@@ -18,8 +18,8 @@ a difference of stored energies and K T/2 · dx²/T. Each further sample of dela
 K/2 (dx[n-j]² + dx[n]²): summed, at most K T · dx²/T. The damper, however late, gives -B/T dx[m] dx[n], summed at most
 |B| dx²/T. Friction dissipates all of it. That is Colgate's condition (`theory/hand/wall_passivity.py`) sample by
 sample. A clipped force makes the spring softer; two channels are two sums. For a hand with x and y, f dx and dx² are
-scalar products, and K is the largest stiffness in any direction. One factor that limits x and y makes a spring softer
-along an axis than between two, so a hand that goes round far beyond the limit gets some energy.
+scalar products, and K is the largest stiffness in any direction; the limit is a circle, so that a clipped spring still
+is one.
 
 Energy from the hand is its credit, but no more than a scene could hold: S stays above -`credit`. S begins at minus the
 energy that the scene holds at the first sample (cordis/stored_energy.py), without modules that no link connects to a
@@ -348,8 +348,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
         friction=np.array(scene.device.frictions(scene.channels)),
         limit_j=limit_j,
         usual_j=force_limit * min(one.energy for one in scales),
-        # Both channels of a hand at their limits give a larger force between them.
-        credit_j=force_limit * max(one.credit for one in scales) * math.sqrt(max(map(len, scene.channel_groups))),
+        credit_j=force_limit * max(one.credit for one in scales),
     )
     return loop.energy_guard
 
