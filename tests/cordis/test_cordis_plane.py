@@ -143,7 +143,9 @@ def test_a_frame_that_is_turned_changes_nothing() -> None:
             }
             whole[turn] = forces(modules, turned(path, turn))
         size = np.abs(whole[0.0]).max()
-        assert turned(whole[0.0], angle) == pytest.approx(whole[angle], rel=0.0, abs=1e-12 * size * 50)
+        assert turned(whole[0.0], angle) == pytest.approx(
+            whole[angle], rel=0.0, abs=5e-12 * size
+        )  # some pass 0.1 mm from the post, where rounding turns a direction most
 
 
 # Shapes.
