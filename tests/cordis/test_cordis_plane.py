@@ -143,7 +143,9 @@ def test_a_frame_that_is_turned_changes_nothing() -> None:
             }
             whole[turn] = forces(modules, turned(path, turn))
         size = np.abs(whole[0.0]).max()
-        assert turned(whole[0.0], angle) == pytest.approx(whole[angle], rel=0.0, abs=1e-12 * size * 50)
+        assert turned(whole[0.0], angle) == pytest.approx(
+            whole[angle], rel=0.0, abs=5e-12 * size
+        )  # some pass 0.1 mm from the post, where rounding turns a direction most
 
 
 # Shapes.
@@ -332,6 +334,43 @@ def test_no_closed_path_inside_a_shape_is_given_energy() -> None:
         middle = 0.5 * (found[1:] + found[:-1])
         put_in = -np.sum(middle * np.diff(path, axis=0))
         assert put_in > -2e-3 * 2000.0 * 0.005**2, seed
+
+
+def test_no_path_about_the_middle_of_a_disc_is_given_energy() -> None:
+    """A hand that is pressed to the middle of a disc and wanders about there, as deep as a direction is remembered."""
+    link = shape({"disc": 0.02})
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        begin = np.array([0.0, 0.021])
+        places = [begin, *random.uniform(-0.0015, 0.0015, (40, 2)), begin]
+        path = np.vstack([line(a, b, 2000) for a, b in pairwise(places)])
+        found = forces({"it": link}, path)
+        put_in = -np.sum(0.5 * (found[1:] + found[:-1]) * np.diff(path, axis=0))
+        assert put_in > -1e-3 * 1000.0 * 0.02**2, seed
+
+
+def test_a_hand_that_leaves_one_side_into_another_is_pushed_by_that() -> None:
+    """Across a gap of 1 mm in one sample, from inside one wall of a U to inside the other."""
+    u = [
+        [0.0, 0.0],
+        [0.021, 0.0],
+        [0.021, 0.02],
+        [0.011, 0.02],
+        [0.011, 0.005],
+        [0.01, 0.005],
+        [0.01, 0.02],
+        [0.0, 0.02],
+    ]
+    path = [[0.0105, 0.015], [0.0098, 0.015], [0.0113, 0.015], [0.0113, 0.015]]
+    assert forces({"it": shape({"polygon": u})}, path) == pytest.approx(
+        np.array([[0.0, 0.0], [0.4, 0.0], [-0.6, 0.0], [-0.6, 0.0]])
+    )
+
+
+def test_a_contact_begins_with_a_bristle_that_is_not_bent() -> None:
+    link = shape({"half_plane": [0.0, 1.0]}, friction_coefficient=1.0)
+    found = forces({"it": link}, [[0.0, 1e-3], [1e-3, -1e-3], [1.1e-3, -1e-3]])
+    assert found == pytest.approx(np.array([[0.0, 0.0], [0.0, 2.0], [-0.1, 2.0]]))
 
 
 # Plectrum, friction, guide.
