@@ -358,8 +358,10 @@ def _jumps_in_plane(scene: Scene) -> Iterator[str]:
 
 def begun_inside(scene: Scene) -> Iterator[str]:
     """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps."""
+    if scene.space == 1 or scene.device.port is not None or scene.device.soft_start:
+        return
     plane, units = Plane(scene), scene.units
-    for one in () if scene.device.port is not None or scene.device.soft_start else plane.at({}):
+    for one in plane.at({}):
         hand = next((end for end in one.link.between if end in plane.hands), "")
         if hand and isinstance(one.link, Shape) and one.distance < 0.0:
             force = min(-one.tension, scene.device.force_limit)
