@@ -39,7 +39,7 @@ def slide_sentences(prediction: Prediction) -> Iterator[str]:
     for one in getattr(prediction, "slides", ()):
         slides = "slides off" if f"{one.module}.x" in prediction.scene.device_points else "moves off"
         fast = f"grows e-fold in {duration(one.e_fold_s)}"
-        yield f"{escape(one.module)} {slides} along {number(one.angle_deg, 4)}°: {fast}"
+        yield f"{escape(one.module)} {slides} along {_angle(one.angle_deg)}: {fast}"
 
 
 def place_lines(prediction: Prediction) -> Iterator[Line]:
@@ -59,7 +59,7 @@ def principal_rows(prediction: PlanePrediction, together: FeltTogether) -> Itera
         every = prediction.principal(name)
         least = _NONE * max((abs(one.static) for one in every), default=0.0)
         for one in every:
-            units, who = output_units(), f"{escape(name)} at {number(one.angle_deg, 4)}°"
+            units, who = output_units(), f"{escape(name)} at {_angle(one.angle_deg)}"
             k = (units.number(value * (abs(value) > least), "N/m") for value in (one.desired_k, one.felt.k, one.static))
             b = (units.number(value, "N·s/m") for value in (one.desired_b, one.felt.b))
             yield f"{who}: k", *k, units.name("N/m")
@@ -96,7 +96,7 @@ def along(scene: Scene, ends: Sequence[Point], json: bool) -> list[Line] | dict[
 def _stretch_row(one: Stretch) -> tuple[str, ...]:
     felt = one.middle.principal(one.middle.hands[0])
     cells = [output_units().number(each.felt.k, "N/m", 4) for each in felt] or ["–", "–"]
-    angle = f"{number(felt[0].angle_deg, 3)}°" if felt else "–"
+    angle = _angle(felt[0].angle_deg) if felt else "–"
     states = {name: "" if state == "touched" else state for name, state in one.links.items()}
     links = ", ".join(f"{escape(name)} {state}".rstrip() for name, state in states.items())
     return _place(one.begin), _place(one.end), links or "none", cells[0], angle, cells[1], one.middle.verdict
@@ -112,3 +112,7 @@ def _stretch_document(one: Stretch) -> dict[str, Any]:
 
 def _place(place: Point) -> str:
     return ", ".join(output_units().number(value, "mm", 4) for value in place)
+
+
+def _angle(degrees: float) -> str:
+    return f"{number(round(degrees, 6), 4)}°"

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from hapsim.prediction.plane import Plane, PlaneLink, as_row
 from hapsim.prediction.stability import Judge
 from hapsim.prediction.states import Grown
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
-from hapsim.scene import Link
+from hapsim.scene import Friction, Link
 from hapsim.scene.chain import Nearest, Point
 from hapsim.scene.modules.plane_links import Guide, Shape
 from hapsim.theory import Network, Solution
@@ -32,6 +32,7 @@ from hapsim.theory.network.modes import AT_THE_LIMIT
 _DEEP = 1e-4  # m, into a surface
 _TURN = 0.5  # rad, from place to place on an arc
 _ANGLES = 8  # around a point
+_CORNER = 1e-9  # m, from a sharp corner
 _ALIKE = 0.05  # rad, of two directions
 _NONE = 1e-12  # of the largest stiffness: rounding
 _MOST_PLACES = 256  # that are judged
@@ -177,19 +178,22 @@ class PlaneStates:
                 how = ", ".join(
                     f"{one.name} {'slides' if one.name in sliding else f'is {one.state}'}" for one in links if one.state
                 )
+                where = ", ".join(self.plane.scene.units.number(one, "mm", 4) for one in places[self.plane.hands[0]])
+                how += f" with {self.plane.hands[0]} at {self.plane.scene.units(where, 'mm')}"
                 found[key] = shaken and shaken._replace(state=how)
         return found
 
     def _key(self, links: Sequence[PlaneLink], sliding: Mapping[str, int]) -> object:
         """Returns equal keys for links that differ by a turn of all, if every hand is the same in all directions."""
-        bare, angles = self.bare, [math.atan2(one.normal[1], one.normal[0]) for one in links]
+        bare, turned = self.bare, [one for one in links if not isinstance(one.link, Friction)]
+        angles = {one.name: math.atan2(one.normal[1], one.normal[0]) for one in turned}
         of_hands = bare.channel_mass, bare.channel_friction, bare.channel_stiffness
         is_round = bare.mass_coupling is None and all((one[::2] == one[1::2]).all() for one in of_hands)
-        first = angles[0] if is_round and angles else 0.0
+        first = next(iter(angles.values()), 0.0) if is_round else 0.0
         return tuple(
             (*one.link.between, sliding.get(one.name), one.rubs and one.link, one.slope, one.damping,
-             f"{one.across:.2g}", round(math.remainder(angle - first, 2.0 * math.pi) / _ALIKE))
-            for one, angle in zip(links, angles, strict=True)
+             f"{one.across:.2g}", round(math.remainder(angles.get(one.name, first) - first, 2.0 * math.pi) / _ALIKE))
+            for one in links
         )  # fmt: skip
 
     def _touching(self) -> Iterator[Places]:
@@ -211,14 +215,14 @@ def _stretches(link: Link, law: Law, opposite: Callable[..., Nearest], force_lim
     turns = [2.0 * math.pi * i / _ANGLES for i in range(_ANGLES)]
     around = [(_DEEP * math.cos(turn), _DEEP * math.sin(turn)) for turn in turns]
     if isinstance(link, Shape | Guide):
-        line = link.chain().outline(_TURN)
-        around = [*line, *((0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])) for a, b in pairwise(line))]
+        line, pieces = link.chain().outline(_TURN), link.chain().pieces
+        around = [*((0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])) for a, b in pairwise(line)), *line]
+        around += [one._replace(radius=_CORNER).at(0.5) for one in pieces if one.bend and not one.radius]
     for piece, high in zip(law.pieces, [*(one.edge for one in law.pieces[1:]), math.inf], strict=True):
-        near = min(_DEEP, 0.5 * (high - piece.edge))
-        d = high - near if math.isfinite(high) else piece.edge + near
-        if math.isinf(d):
-            d = law.knots[0][0] + (force_limit / piece.slope if piece.slope > 0.0 else _DEEP)
-        if piece.slope or piece.damping:
-            for x, y in around:
-                beside, (nx, ny), *_ = opposite(x, y)
-                yield x + (d - beside) * nx, y + (d - beside) * ny
+        most = force_limit / piece.slope if piece.slope > 0.0 else _DEEP
+        edge, way = (high, -1.0) if math.isfinite(high) else (piece.edge, 1.0)
+        edge = edge if math.isfinite(edge) else law.knots[0][0]
+        deep = [min(one, 0.5 * (high - piece.edge)) for one in (_DEEP, most) if piece.slope or piece.damping]
+        for d, (x, y) in product((edge + way * one for one in deep), around):
+            beside, (nx, ny), *_ = opposite(x, y)
+            yield x + (d - beside) * nx, y + (d - beside) * ny
