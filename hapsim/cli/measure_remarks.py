@@ -16,6 +16,7 @@ from hapsim.measuring.diagnosis import Diagnosis
 from hapsim.measuring.measure_trace import Attempt, Measurement
 from hapsim.number_format import percent
 from hapsim.scene import Scene
+from hapsim.scene.quantity import per_channel
 
 if TYPE_CHECKING:
     from hapsim.cli.command_options import ExcitationOptions
@@ -25,8 +26,12 @@ if TYPE_CHECKING:
 
 
 def of_mock(scene: Scene) -> str:
-    """Returns the end of a title, which names the mock if that is the device."""
-    return "" if scene.device.port is not None else ", on the built-in mock"
+    """Returns the end of a title, which names the mock if that is the device, and a hand that adds to k and b."""
+    if scene.device.port is not None:
+        return ""
+    hand = scene.mock_device.hand
+    holds = any(any(per_channel(one, scene.channels)) for one in (hand.stiffness, hand.damping))
+    return f", on the built-in mock{' and with its hand, which adds to k and b (mock.hand)' * holds}"
 
 
 def attempts(measurement: Measurement) -> Iterator[str]:
@@ -162,7 +167,6 @@ def with_hand(scene: Scene, channel: int, stiffness: float | None) -> Scene:
             )
         return scene
     from hapsim.scene import Mock
-    from hapsim.scene.quantity import per_channel
 
     mock = scene.mock or Mock()
     stiffnesses = list(per_channel(mock.hand.stiffness, scene.channels))
@@ -177,7 +181,6 @@ def measured_weight(
     scene: Scene, prediction: Prediction, measurement: Measurement, channel: int, excitation: ExcitationOptions
 ) -> MeasuredWeight:
     """Returns the measured and the predicted felt mass."""
-    from hapsim.scene.quantity import per_channel
 
     stiffness = excitation.hand_stiffness
     if stiffness is None:

@@ -382,7 +382,7 @@ class StoredEnergy:
             elif length := getattr(link, "length", None):
                 yield _spring(SPRING, ends, at, measured=BETWEEN, place=memory[:2], offset=self._keep(length), **more)
             else:
-                side = memory[3] if isinstance(link, Plectrum) else 0
+                side = memory[4] if isinstance(link, Plectrum) else 0
                 yield _spring(SPRING, ends, at, measured=FROM_PLACE, place=[zeros, zeros], side=side, **more)
 
     def _points(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:

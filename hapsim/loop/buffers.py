@@ -75,6 +75,7 @@ IO_BUFFER = np.dtype(
         ("acceleration_scale", np.float64, _EACH),  # (m/s²) per count
         ("force_scale", np.float64, _EACH),  # N per count
         ("force_limit", np.float64, _EACH),  # N
+        ("has_hands", np.int64),  # 1: a hand has several channels;
         ("to_next", np.uint64, _EACH),  # channels to the next one of its hand, round and round; 0: there is no other
         SCRATCH,
         ("sent", LAST_BYTES),
@@ -91,19 +92,23 @@ def clip(force, limit):
     return -limit if force < -limit else limit if force > limit else force
 
 
-@helper
+@inlined
 def share_within_limit(io, c, excited):
     """Returns the factor that brings all channels of a hand within their limits, so that clipping does not turn the
     force: the scene's, with the excitation if `excited`. `c`: one of its channels. A single channel is clipped: 1."""
-    share, other = 1.0, np.uint64(c)
-    while io.to_next[other] != 0:
+    return 1.0 if io.has_hands == 0 or io.to_next[c] == 0 else _share_of_hand(io, np.uint64(c), excited)
+
+
+@helper
+def _share_of_hand(io, c, excited):
+    share, other = 1.0, c
+    while True:
         force = abs(io.asked[other] + io.excitation[other] if excited else io.asked[other])
         if force * share > io.force_limit[other]:
             share = io.force_limit[other] / force
         other += io.to_next[other]
-        if other == np.uint64(c):
-            break
-    return share
+        if other == c:
+            return share
 
 
 @inlined

@@ -19,7 +19,7 @@ import numpy as np
 
 from firmware_protocol import schema
 from firmware_protocol.frames import FRAMING, write_frame
-from hapsim.compiling import inlined
+from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import array_at
 from hapsim.cordis.stored_energy import TANK
 from hapsim.cordis.substep_loop import SCENE_SLOT, move_scene
@@ -374,14 +374,25 @@ def _set_force(io, control, state, guided):
     for c in range(np.uint64(io.channels)):
         wanted = io.asked[c] + io.excitation[c]
         sound = sound and math.isfinite(wanted)
-        force = clip(wanted * share_within_limit(io, c, True), io.force_limit[c])
+        force = clip(wanted, io.force_limit[c])
         limited = limited or force != wanted
         counts = np.rint(force / io.force_scale[c])
         io.force_counts[c] = np.int64(clip(counts, 2147483647.0))
     if not sound:
         _take_force_away(io)
         return False, False
+    if limited and io.has_hands:
+        _limit_hands(io)
     return True, limited
+
+
+@helper
+def _limit_hands(io):
+    """Limits the force of hands with several channels by one factor."""
+    for c in range(np.uint64(io.channels)):
+        if io.to_next[c] != 0:
+            force = clip((io.asked[c] + io.excitation[c]) * share_within_limit(io, c, True), io.force_limit[c])
+            io.force_counts[c] = np.int64(np.rint(force / io.force_scale[c]))
 
 
 @inlined

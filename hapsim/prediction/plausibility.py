@@ -341,6 +341,22 @@ def _jumps(scene: Scene) -> Iterator[str]:
             yield f"{pushes}; the force limit is {units(limit, 'N')}: {hint}"
 
 
+def begun_inside(scene: Scene) -> Iterator[str]:
+    """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps."""
+    device, units = scene.device, scene.units
+    if scene.space == 1 or device.port is not None or device.soft_start:
+        return
+    plane = Plane(scene)
+    for one in plane.at({}):
+        hand = next((end for end in one.link.between if end in plane.hands), "")
+        if hand and isinstance(one.link, Shape) and one.distance < 0.0:
+            force = min(one.link.stiffness * -one.distance, device.force_limit)
+            yield (
+                f"{hand} starts {units(-one.distance, 'mm', '.3g')} inside {one.name}: at arming the force jumps to "
+                f"{units(force, 'N', '.3g')}. Let it start outside (mock.initial.position), or set device.soft_start."
+            )
+
+
 def _jumps_in_plane(scene: Scene) -> Iterator[str]:
     """Yields a sentence for each link between points that meet at the start, and one for each hand as `_jumps` does."""
     plane, limit, units = Plane(scene), scene.device.force_limit, scene.units
@@ -354,18 +370,3 @@ def _jumps_in_plane(scene: Scene) -> Iterator[str]:
         if total > _PRESSES * limit:
             pushes = f"at arming the scene pushes {hand} with {units(total, 'N', short)}"
             yield f"{pushes}; the force limit is {units(limit, 'N')}: check its links and the positions of their ends."
-
-
-def begun_inside(scene: Scene) -> Iterator[str]:
-    """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps."""
-    if scene.space == 1 or scene.device.port is not None or scene.device.soft_start:
-        return
-    plane, units = Plane(scene), scene.units
-    for one in plane.at({}):
-        hand = next((end for end in one.link.between if end in plane.hands), "")
-        if hand and isinstance(one.link, Shape) and one.distance < 0.0:
-            force = min(-one.tension, scene.device.force_limit)
-            yield (
-                f"{hand} starts {units(-one.distance, 'mm', '.3g')} inside {one.name}: at arming the force jumps to "
-                f"{units(force, 'N', '.3g')}. Let it start outside (mock.initial.position), or set device.soft_start."
-            )

@@ -295,3 +295,4 @@ def _set_io(io: Any, scene: Scene, description: Description) -> None:
     for hand in scene.channel_groups:
         for c, following in zip(hand, (*hand[1:], hand[0]), strict=True):
             io.to_next[c] = (following - c) % 2**64
+            io.has_hands |= following != c

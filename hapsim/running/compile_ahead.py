@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 
 _EVERY_MODULE = Path(__file__).with_name("every_module.yaml")
+_EVERY_PLANE_MODULE = Path(__file__).with_name("every_plane_module.yaml")
 _PROXY = "  cup: {type: proxy, mass: 1, hand: hand, stiffness: 1}\n"  # has no other scheme
 
 
@@ -288,8 +289,8 @@ def _compile_scenes(scenes: Sequence[Scene]) -> None:
 
 
 def scenes_with_every_module(precision: str) -> Iterator[Scene]:
-    """Yields two scenes with every module type for each scheme. In one of them damping couples the modes, so that the
-    exact scheme uses one matrix."""
+    """Yields two scenes with every module type of a line for each scheme, then one with those of the plane. In one of
+    the two damping couples the modes, so that the exact scheme uses one matrix."""
     from hapsim.scene import DamperScheme, SchemeName, parse_scene
     from hapsim.scene.choices import WITH_CUTOFF
 
@@ -301,6 +302,8 @@ def scenes_with_every_module(precision: str) -> Iterator[Scene]:
     for scheme, damping in product(get_args(SchemeName), (0, 1)):
         text = Template(template).substitute(precision=precision, scheme=scheme, damping=damping)
         yield parse_scene(text + _PROXY if scheme == "cordis" else text, "every module")
+    plane = Template(_EVERY_PLANE_MODULE.read_text(encoding="utf-8")).substitute(precision=precision)
+    yield parse_scene(plane, "every module of the plane")
 
 
 if __name__ == "__main__":

@@ -183,19 +183,26 @@ def everything() -> None:
 
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_every_type_of_module_and_every_scheme_is_in_it(precision: str) -> None:
-    scenes = list(scenes_with_every_module(precision))
+    *scenes, plane = scenes_with_every_module(precision)
     assert {scene.scheme for scene in scenes} == set(get_args(SchemeName))
-    assert {scene.precision for scene in scenes} == {precision}
+    assert {scene.precision for scene in (*scenes, plane)} == {precision}
+    of_plane = [kind for kind in PART_TYPES if kind.select(plane)]
+    assert {kind.name for kind in of_plane if "plane" not in kind.name} == {"grounds", "masses", "shapes", "guides"}
+    of_line = [kind for kind in PART_TYPES if kind not in of_plane or kind.name in ("grounds", "masses")]
     for scene in scenes:
         has_proxy = scene.scheme == "cordis"  # the only scheme that has it
-        missing = [part_type.name for part_type in PART_TYPES if not part_type.select(scene)]
+        missing = [part_type.name for part_type in of_line if not part_type.select(scene)]
         assert missing == ([] if has_proxy else [PROXY.name])
-        assert {module.type for module in scene.modules.values()} == set(MODULE_TYPES) - (
-            {"proxy"} if not has_proxy else set()
-        )
+        of_space = {name for name, kind in MODULE_TYPES.items() if 1 in kind.spaces}
+        assert {module.type for module in scene.modules.values()} == of_space - ({"proxy"} if not has_proxy else set())
         selected = {name for part_type in PART_TYPES for name in part_type.select(scene)}
         assert selected == (scene.modules.keys() | scene.sound.keys()) - scene.device_points.keys()
         assert linear_scene(scene).links.keys() == scene.links.keys()
+    points = plane.grounds.keys() | plane.material_points.keys()
+    assert {name for kind in of_plane for name in kind.select(plane)} == points | plane.plane_links.keys()
+    # Links with knots are one type.
+    of_plane_types = {name for name, kind in MODULE_TYPES.items() if 2 in kind.spaces} - {"nonlinear", "click"}
+    assert {module.type for module in plane.modules.values()} == of_plane_types
 
 
 @pytest.mark.usefixtures("everything")
@@ -204,7 +211,7 @@ def test_afterwards_no_shipped_scene_compiles_anything(precision: str) -> None:
     names: list[str] = []
     for path in sorted(Path("configs").glob("*.yaml")):
         scene = parse_scene(path.read_text(encoding="utf-8"), str(path)).model_copy(update={"precision": precision})
-        for scheme in get_args(SchemeName):
+        for scheme in get_args(SchemeName) if scene.space == 1 else ("cordis",):
             with on_compilation(names.append):
                 compile_scene(scene.model_copy(update={"scheme": scheme}))
             assert names == [], (path, scheme)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hapsim.cordis.offline import start, tick
+from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import Program, compile_scene
 from hapsim.scene import Scene
 
@@ -33,12 +33,11 @@ def shape(form: Mapping[str, Any], stiffness: float = 2000.0, **more: Any) -> di
 
 
 def moved(program: Program, path: Floats, begin: bool = True) -> Floats:
-    """Forces on the hands along a path, (N, channels) m and N."""
-    forces, still = np.zeros_like(path), np.zeros(path.shape[1])
+    """Forces on the hands along a path, (samples, channels) m and N."""
+    forces = np.zeros_like(path)
     if begin:
         start(program, path[0])
-    for measured, force in zip(path, forces, strict=True):
-        tick(program, measured, still, force)
+    ticks(program, path, np.zeros_like(path), forces, len(path))
     return forces
 
 

@@ -63,6 +63,21 @@ MODULES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "plectra": ({"type": "plectrum", "stiffness": 9.0, "release": 0.1, **LINK}, ("add_forces",)),
 }
 
+#: Those of the plane.
+IN_PLANE: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "visco-elastic links in the plane": (MODULES["visco-elastic links"][0], ("add_forces",)),
+    "springs in the plane": (MODULES["springs"][0], ("add_forces",)),
+    "dampers in the plane": (MODULES["dampers"][0], ("add_forces",)),
+    "contacts, curves and clicks in the plane": (MODULES[TABLES][0], TABLE),
+    "plectra in the plane": (MODULES["plectra"][0], ("add_forces",)),
+    "friction links in the plane": (MODULES["friction links"][0], ("initialize", "add_forces")),
+    "shapes": ({"type": "shape", "form": {"disc": 0.1}, "stiffness": 9.0, **LINK}, ("initialize", "add_forces")),
+    "guides": (
+        {"type": "guide", "through": [[0.0, 0.0], [0.1, 0.0]], "stiffness": 9.0, **LINK},
+        ("initialize", "add_forces"),
+    ),
+}
+
 
 def scene_of(modules: Mapping[str, Any]) -> Scene:
     always = {"hand": {"type": "device", "channel": 0}, "ball": {"type": "mass", "mass": 0.1, "position": 0.01}}
@@ -74,6 +89,12 @@ def scene_of(modules: Mapping[str, Any]) -> Scene:
 
 def with_types(names: Sequence[str]) -> Scene:
     return scene_of({f"m{i}": MODULES[name][0] for i, name in enumerate(names)})
+
+
+def in_plane(names: Sequence[str]) -> Scene:
+    points = {"hand": {"type": "device", "channels": [0, 1]}, "ball": {"type": "mass", "mass": 0.1}}
+    modules = points | {f"m{i}": IN_PLANE[name][0] for i, name in enumerate(names)}
+    return Scene.model_validate({"version": 1, "rate": 1000, "space": 2, "device": {"mass": 0.2}, "modules": modules})
 
 
 _words_at = array_at(np.uint64)
@@ -98,16 +119,17 @@ def calls_in(program: Program) -> dict[str, NDArray[np.uint64]]:
 
 
 def test_every_type_of_module_is_here() -> None:
-    assert {"masses", *MODULES} == {kind.name for kind in PART_TYPES}
+    assert {"masses", *MODULES, *IN_PLANE} == {kind.name for kind in PART_TYPES}
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", [*MODULES, *IN_PLANE])
 def test_a_type_of_module_adds_its_own_calls_and_no_other(name: str) -> None:
-    without, having = (calls_in(compile_scene(with_types(names))) for names in ([], [name]))
+    make = with_types if name in MODULES else in_plane
+    without, having = (calls_in(compile_scene(make(names))) for names in ([], [name]))
     assert {each: len(calls) for each, calls in without.items()} == dict.fromkeys(LISTS, 0) | {"integrate": 1}
     for each in LISTS:
         more = Counter(having[each][:, 0].tolist()) - Counter(without[each][:, 0].tolist())
-        assert more.total() == (each in MODULES[name][1]), each
+        assert more.total() == (each in (MODULES | IN_PLANE)[name][1]), each
         # What a mass does stays the very same code.
         assert set(without[each][:, 0].tolist()) <= set(having[each][:, 0].tolist())
 
@@ -127,7 +149,7 @@ def test_a_scene_of_every_type_has_the_calls_of_all_and_each_with_numbers_of_its
         # over distance and over velocity work out.
         shared = {"add_forces": 1, "initialize": 2, "retarget": 1}.get(each, 0)
         assert len(calls) == expected == len(set(calls[:, 0].tolist())) + shared == len(set(calls[:, 1].tolist()))
-    assert len(program.parts) == len(PART_TYPES)
+    assert len(program.parts) == len(PART_TYPES) - len(IN_PLANE)
 
 
 # A type of module that hapsim does not have: it doubles every force.

@@ -119,6 +119,11 @@ def test_a_diagonal_matrix_is_a_list_of_masses(new_host: New) -> None:
     assert np.array_equal(matrix.bodies, listed.bodies)
 
 
+def test_a_hand_too_stiff_for_the_series_is_refused(new_host: New) -> None:
+    with pytest.raises(UsageError, match=r"move a mass that is a matrix in 1/2\.\d+e\+03 of a sample period"):
+        new_host(2, device={"mass": MASS}, mock={"hand": {"stiffness": 1e12}})
+
+
 GOOD = """version: 1
 rate: 1000
 space: 2

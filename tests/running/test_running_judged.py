@@ -12,7 +12,7 @@ import pytest
 import hapsim
 from hapsim.errors import UsageError
 from hapsim.prediction import Prediction, Shaking, surely_shaken_by
-from hapsim.prediction.predict import is_soon_stable
+from hapsim.prediction.predict import is_soon_stable, prediction_of
 from hapsim.running import changes
 from hapsim.scene import Scene, parse_scene
 from hapsim.scene.part import Table
@@ -42,7 +42,7 @@ def varied(scene: Scene, chance: random.Random) -> Scene:
 
 def by_poles(scene: Scene) -> Shaking | None:
     """Returns the unstable motion by every pole, without squares of the transition."""
-    judge = Prediction(scene, wherever=True).judge
+    judge = prediction_of(scene, wherever=True).judge
     judge.decays = False
     return judge.shaking
 
@@ -59,7 +59,8 @@ def require_one_verdict(scene: Scene) -> tuple[bool, bool]:
 def test_what_is_quickly_accepted_shakes_no_hand(name: str) -> None:
     chance = random.Random(name)
     found = [require_one_verdict(varied(SCENES[name], chance)) for _ in range(12)]
-    assert is_soon_stable(SCENES[name], LARGE)
+    # In the plane every place where links touch is judged, which is never soon.
+    assert is_soon_stable(SCENES[name], LARGE) is (SCENES[name].space == 1)
     assert any(soon or shakes for soon, shakes in found)
 
 

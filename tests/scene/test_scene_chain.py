@@ -71,7 +71,12 @@ def test_normal_and_curvature_are_derivatives(name: str, at: tuple[float, float]
     seen = chain.nearest(*at)
     (nx, ny), t = seen.normal, (-seen.normal[1], seen.normal[0])
     ahead, behind = (chain.nearest(at[0] + s * h * t[0], at[1] + s * h * t[1]) for s in (1.0, -1.0))
-    if abs(seen.distance) < 1e-4 or abs(seen.curvature) > 1e4 or ahead.piece != seen.piece or behind.piece != seen.piece:
+    if (
+        abs(seen.distance) < 1e-4
+        or abs(seen.curvature) > 1e4
+        or ahead.piece != seen.piece
+        or behind.piece != seen.piece
+    ):
         return
     assert (nx * nx + ny * ny) == pytest.approx(1.0)
     outward = chain.nearest(at[0] + h * nx, at[1] + h * ny)

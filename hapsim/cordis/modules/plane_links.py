@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapsim.compiling import helper, inlined
-from hapsim.compiling.native import value_of
-from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType
+from hapsim.compiling.native import NativeFunction, value_of
+from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, all_of
 from hapsim.cordis.dispatch import Column, Memory, Part, action, fma_action
-from hapsim.cordis.modules.link import Ends, count, link_type
+from hapsim.cordis.modules.link import Ends, count, ends_of, link_type
 from hapsim.cordis.modules.table_links import TableLinks, knot_columns, law_at, table_numbers, update_pieces
 from hapsim.laws import Law
 from hapsim.scene import Damper, Friction, Plectrum, Scene, Spring, ViscoElastic
@@ -30,17 +30,25 @@ NEAR, NEAR_SHARE = 1e-4, 0.1
 """m, and share of the radius: nearer to its centre than these together a direction is remembered. At 0.1 m/s and 1 kHz
 a hand moves 0.1 mm in a sample, so that a direction turns by no more than about a radian."""
 
-_TINY = 1e-16  # m²: a hand at rest has a way too, of 10 nm, by which a direction that lags catches up
+EXACT = -1.0
+"""Slack of a direction that is not remembered."""
+
+_AT_REST = 1e-4  # rad: by so much a direction that lags catches up in a sample without a way
 
 
 class Directions(NamedTuple):
-    """Directions of L links, unit vectors, shape (L,). `near`: m, from the centre, within which they are remembered;
-    `slack`: m, of the way sideways there."""
+    """Directions of L links, shape (L,). `near`: m, from the centre, within which one is remembered.
+
+    Attributes:
+        x, y: unit vector of one that is remembered, else 0, and `slack`: m, of its way sideways, else EXACT.
+        free_from: m², product of two places in a row above which none is remembered; infinite while one is.
+    """
 
     near: Column
     x: Column
     y: Column
     slack: Column
+    free_from: Column
 
 
 class PlaneLinks(NamedTuple):
@@ -67,6 +75,7 @@ class PlanePlectra(NamedTuple):
     stiffness: Column
     damping_per_sample: Column
     release: Column
+    length: Column
     directions: Directions
     side: Column
 
@@ -107,30 +116,31 @@ def pull(ends, i, x, y, force):
 
 @inlined
 def turned(directions, i, nx, ny, x, y, gx, gy):
-    """Returns a direction after a sample, of a place (x, y) from the centre that moved by (gx, gy), all in m: the
-    place's own, unless that is near the centre or would turn by more than the place's way over `near`."""
-    near, tiny = directions.near[i], directions.near.dtype.type(_TINY)
-    ahead, aside, way = nx * x + ny * y, nx * y - ny * x, gx * gx + gy * gy + tiny
-    if ahead > near and aside * aside * (near * near) <= ahead * ahead * way:
+    """Returns direction i, (nx, ny) before, of a place (x, y) from the centre that moved by (gx, gy) in this sample, m:
+    the place's own, except near the centre and until it has caught up after that."""
+    ahead = nx * x + ny * y
+    if ahead > directions.near[i] and directions.slack[i] == directions.near.dtype.type(EXACT):
         size = math.sqrt(x * x + y * y)
         return x / size, y / size
-    return _turned_slowly(directions, i, nx, ny, ahead, aside, nx * gy - ny * gx, math.sqrt(way))
+    return _turned_slowly(directions, i, nx, ny, ahead, nx * y - ny * x, gx, gy)
 
 
 @helper
-def _turned_slowly(directions, i, nx, ny, ahead, aside, sideways, way):
-    """Returns the direction of a place that is near the centre or beyond it. There it turns towards the place alone,
-    which never adds energy, and by way sideways alone, less what may be noise: a tenth of `near` either way."""
-    near, real = directions.near[i], directions.near.dtype.type
-    most = way / near
+def _turned_slowly(directions, i, nx, ny, ahead, aside, gx, gy):
+    """Returns a direction after a sample. Near the centre and beyond it, it turns towards the place alone, which never
+    adds energy, and by way sideways over `near` alone, less what may be noise: a tenth of `near` either way. Else it
+    catches up by the way over `near`."""
+    near, slack, real = directions.near[i], directions.slack[i], directions.near.dtype.type
+    angle = math.atan2(aside, ahead)
     if ahead > near:
-        directions.slack[i] = real(0)
+        most = math.sqrt(gx * gx + gy * gy) / near + real(_AT_REST)
+        directions.slack[i] = real(EXACT) if most >= abs(angle) else real(0)
     else:
-        slack, play = directions.slack[i] + sideways, real(0.1) * near
+        play = real(0.1) * near
+        slack = nx * gy - ny * gx + (real(0) if slack == real(EXACT) else slack)
         directions.slack[i] = min(max(slack, -play), play)
         beyond = slack - directions.slack[i]
         most = abs(beyond) / near if beyond * aside > 0 else real(0)
-    angle = math.atan2(aside, ahead)
     most = min(most, abs(angle), real(1))
     c, s = math.cos(most), math.copysign(math.sin(most), angle)
     return c * nx - s * ny, s * nx + c * ny
@@ -138,47 +148,47 @@ def _turned_slowly(directions, i, nx, ny, ahead, aside, sideways, way):
 
 @inlined
 def turn(directions, i, x, y, gx, gy):
-    """Turns direction i to its place, and returns it."""
-    nx, ny = turned(directions, i, directions.x[i], directions.y[i], x, y, gx, gy)
-    directions.x[i], directions.y[i] = nx, ny
-    return nx, ny
-
-
-@inlined
-def point_at_ends(directions, ends, state):
-    """Sets every direction to that of its ends; to x where they coincide."""
-    real = directions.x.dtype.type
-    for i in range(count(ends)):
-        x, y, _, _ = between(ends, i, state)
+    """Returns direction i of a place (x, y) from the other end that moved by (gx, gy) in this sample, m."""
+    if x * (x - gx) + y * (y - gy) > directions.free_from[i]:
         size = math.sqrt(x * x + y * y)
-        directions.x[i], directions.y[i] = (x / size, y / size) if size > 0 else (real(1), real(0))
+        return x / size, y / size
+    return _remember(directions, i, x, y, gx, gy)
 
 
-@action
-def initialize(links, state):
-    """Sets every direction to that of its ends."""
-    links, state = value_of(links), value_of(state)
-    point_at_ends(links.directions, links.ends, state)
+@helper
+def _remember(directions, i, x, y, gx, gy):
+    """Turns and remembers direction i as `turned` does; until then it was that of the place before."""
+    nx, ny, real = directions.x[i], directions.y[i], directions.near.dtype.type
+    if nx == 0 and ny == 0:
+        size = math.sqrt((x - gx) * (x - gx) + (y - gy) * (y - gy))
+        nx, ny = ((x - gx) / size, (y - gy) / size) if size > 0 else (real(1), real(0))
+    nx, ny = turned(directions, i, nx, ny, x, y, gx, gy)
+    if directions.slack[i] == real(EXACT):
+        directions.x[i] = directions.y[i] = real(0)
+        directions.free_from[i] = directions.near[i] * directions.near[i]
+    else:
+        directions.x[i], directions.y[i], directions.free_from[i] = nx, ny, real(np.inf)
+    return nx, ny
 
 
 @fma_action
 def add_forces(links, state):
-    """Adds the force of every straight link: K (r - length n) and the damper along n."""
+    """Adds the force of every straight link: K (r - length n) and the damper along n. A direction that is not
+    remembered is not worked out: one division less is a third of the time."""
     links, state = value_of(links), value_of(state)
     for i in range(count(links.ends)):
         x, y, gx, gy = between(links.ends, i, state)
-        nx, ny = turn(links.directions, i, x, y, gx, gy)
         K = links.stiffness[i]
-        along = links.damping_per_sample[i] * (nx * gx + ny * gy) - K * links.length[i]
-        pull(links.ends, i, K * x + along * nx, K * y + along * ny, state.force)
-
-
-@action
-def initialize_tables(links, state):
-    """Computes the numbers that depend on the live ones, and sets every direction to that of its ends."""
-    links, state = value_of(links), value_of(state)
-    update_pieces(links.table)
-    point_at_ends(links.directions, links.table.ends, state)
+        if x * (x - gx) + y * (y - gy) > links.directions.free_from[i]:
+            square = x * x + y * y
+            along = (
+                K + (links.damping_per_sample[i] * (x * gx + y * gy) - K * links.length[i] * math.sqrt(square)) / square
+            )
+            pull(links.ends, i, along * x, along * y, state.force)
+        else:
+            nx, ny = _remember(links.directions, i, x, y, gx, gy)
+            along = links.damping_per_sample[i] * (nx * gx + ny * gy) - K * links.length[i]
+            pull(links.ends, i, K * x + along * nx, K * y + along * ny, state.force)
 
 
 @action
@@ -253,29 +263,39 @@ def near_of(radii: Iterable[float], context: BuildContext) -> Column:
     return context.column([NEAR + NEAR_SHARE * abs(radius) for radius in radii])
 
 
-def _straight_type(
-    module: type[Link], name: str, both: Callable[[Sequence[Column]], tuple[Column, Column]]
+def _rest(link: Any) -> float:
+    """Returns the distance of a link's ends at rest, m."""
+    return getattr(link, "length", None) or getattr(link, "distance", None) or 0.0
+
+
+def _plane_type(
+    module: type[Link], name: str, numbers: Callable[..., Any], forces: NativeFunction, words: str = "", more: int = 0
 ) -> PartType:
-    """Returns the type of straight links of a module type. `both`: K and B/T, by the live columns."""
-    lives = len(module.live)
+    """Returns the type of the links of a module type with a direction each, and `more` columns of memory.
 
-    def constants(links: Iterable[Any], context: BuildContext) -> tuple[Column, Column]:
-        lengths = [getattr(link, "length", None) or 0.0 for link in links]
-        return context.column(lengths), near_of(lengths, context)
+    Args:
+        numbers: makes the part's numbers of ends, live columns, lengths, directions, and those columns.
+        name, words: as of `PartType`.
+    """
 
-    def numbers(ends: Ends, *columns: Column) -> PlaneLinks:
-        length, *directions = columns[lives:]
-        return PlaneLinks(ends, *both(columns[:lives]), length, Directions(*directions))
+    def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+        directions, remembered = _directions(links, context, more)
+        lengths = context.column([_rest(link) for link in links.values()])
+        own = numbers(ends_of(links, context), *columns, lengths, directions, *remembered[4:])
+        return Part(own, add_forces=forces, memory=Memory(tuple(links), remembered))
 
-    return link_type(
-        module, numbers, add_forces, name, _REMEMBERED,
-        constants=constants, remembers=3, initialize=initialize, space=2,
-    )  # fmt: skip
+    return PartType(all_of(module, space=2), build, name=f"{name} in the plane", compiled_as=f"{words}a direction each")
 
 
-def _plectra(ends: Ends, stiffness: Column, damping: Column, release: Column, *rest: Column) -> PlanePlectra:
-    *directions, side = rest
-    return PlanePlectra(ends, stiffness, damping, release, Directions(*directions), side)
+def _directions(
+    links: Mapping[str, Any], context: BuildContext, more: int = 0
+) -> tuple[Directions, tuple[Column, ...]]:
+    """Returns the directions of links, and what is remembered of them, with `more` columns."""
+    near = near_of([_rest(link) for link in links.values()], context)
+    x, y, slack, *others = np.zeros((3 + more, near.size), context.real)
+    slack[:] = EXACT
+    remembered = x, y, slack, near * near, *others
+    return Directions(near, *remembered[:4]), remembered
 
 
 def _laws(links: Mapping[str, Link]) -> dict[str, Law]:
@@ -291,36 +311,33 @@ def _live_knots(links: Mapping[str, Link], rate: float) -> list[LiveColumn]:
     return knot_columns(_laws(links), rate, 1.0, "")
 
 
-def _tables(links: Mapping[str, Link], columns: Sequence[Column], context: BuildContext) -> Part:
-    near = near_of((getattr(link, "distance", 0.0) for link in links.values()), context)
-    remembered = tuple(np.zeros((3, near.size), context.real))
+def _tables(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+    directions, remembered = _directions(links, context)
     table = table_numbers(links, list(_laws(links).values()), columns, context)
     return Part(
-        PlaneTables(table, Directions(near, *remembered)),
-        initialize=initialize_tables,
+        PlaneTables(table, directions),
+        initialize=retarget_tables,
         retarget=retarget_tables,
         add_forces=add_table_forces,
         memory=Memory(tuple(links), remembered),
     )
 
 
-_REMEMBERED = "a direction each"
-
-PLANE_VISCOELASTIC = _straight_type(ViscoElastic, "visco-elastic links in the plane", lambda both: (both[0], both[1]))
-PLANE_SPRING = _straight_type(Spring, "springs in the plane", lambda live: (live[0], np.zeros_like(live[0])))
-PLANE_DAMPER = _straight_type(Damper, "dampers in the plane", lambda live: (np.zeros_like(live[0]), live[0]))
+PLANE_VISCOELASTIC = _plane_type(ViscoElastic, "visco-elastic links", PlaneLinks, add_forces)
+PLANE_SPRING = _plane_type(
+    Spring, "springs", lambda ends, K, *rest: PlaneLinks(ends, K, np.zeros_like(K), *rest), add_forces
+)
+PLANE_DAMPER = _plane_type(
+    Damper, "dampers", lambda ends, B, *rest: PlaneLinks(ends, np.zeros_like(B), B, *rest), add_forces
+)
 PLANE_TABLES = PartType(
     _with_knots,
     _tables,
     name="contacts, curves and clicks in the plane",
-    compiled_as=f"a search in each one's knots; {_REMEMBERED}",
+    compiled_as="a search in each one's knots; a direction each",
     live=_live_knots,
 )
-PLANE_PLECTRUM = link_type(
-    Plectrum, _plectra, add_plectrum_forces, "plectra in the plane", f"a grip and {_REMEMBERED}",
-    constants=lambda links, context: (near_of((0.0 for _ in links), context),),
-    remembers=4, initialize=initialize, space=2,
-)  # fmt: skip
+PLANE_PLECTRUM = _plane_type(Plectrum, "plectra", PlanePlectra, add_plectrum_forces, "a grip and ", more=1)
 PLANE_FRICTION = link_type(
     Friction, PlaneFrictions, add_friction_forces, "friction links in the plane", "an anchor each",
     remembers=3, initialize=initialize_friction, space=2,

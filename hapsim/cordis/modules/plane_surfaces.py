@@ -20,7 +20,7 @@ from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType, all_of
 from hapsim.cordis.dispatch import Column, Memory, Part, action
 from hapsim.cordis.modules.link import Ends, count, ends_of
-from hapsim.cordis.modules.plane_links import between, near_of, pull, turned
+from hapsim.cordis.modules.plane_links import EXACT, between, near_of, pull, turned
 from hapsim.scene import Guide, Shape
 from hapsim.scene.chain import Chain, Piece
 
@@ -125,7 +125,7 @@ def find_nearest(chains, place, i, x, y):
                 else:
                     nx, ny = bend * chains.ex[k], bend * chains.ey[k]
     place.piece[i], place.x[i], place.y[i] = real(found - first), nx, ny
-    place.level[i], place.slack[i] = nx * x + ny * y - nearest, real(0)
+    place.level[i], place.slack[i] = nx * x + ny * y - nearest, real(EXACT)
     return nearest
 
 

@@ -20,6 +20,7 @@ from hapsim.prediction.timing import time_to_live_samples
 from hapsim.scene import Scene
 from hapsim.scene.device import FORCE_COUNTS
 
+_MOST_STEPS = 1000.0  # in a sample, of bodies whose mass is a matrix
 _HARDEST = 1000.0  # the largest acceleration on the wire, in that of the largest force alone
 
 
@@ -49,10 +50,9 @@ def assemble_mock(scene: Scene) -> Any:
     mock = described_mock(description)
     bodies, converters = mock.initial[: scene.channels], mock.converters[: scene.channels]
     bodies["mass"] = device.mass
-    if device.mass_matrix is not None:
-        mock.coupling.inverse[: scene.channels, : scene.channels] = np.linalg.inv(device.mass_matrix)
-        mock.called.advance = advance_coupled.address()
     bodies["friction"], bodies["stiffness"], bodies["push"] = hand_values(scene)
+    if device.mass_matrix is not None:
+        _couple(mock, bodies, np.linalg.inv(device.mass_matrix), 1.0 / scene.rate)
     bodies["coulomb"] = device.coulomb
     bodies["position"] = device.initial_position
     bodies["velocity"] = device.initial_velocity
@@ -72,6 +72,19 @@ def assemble_mock(scene: Scene) -> Any:
     for grip, (second, mass) in zip(mock.grips, device.grips, strict=False):
         grip.sample, grip.mass = max(0, round(second * scene.rate)), mass
     return mock
+
+
+def _couple(mock: Any, bodies: Any, inverse: NDArray[np.float64], period: float) -> None:
+    """Lets the bodies move together. `inverse`: of the mass matrix. Raises UsageError if that would take too long."""
+    damped, sprung = (np.abs(inverse) @ bodies[name] for name in ("friction", "stiffness"))
+    steps = max(float(damped.max()), math.sqrt(sprung.max())) * period
+    if steps > _MOST_STEPS:
+        raise UsageError(
+            f"mock: its friction, and the hand that holds it, move a mass that is a matrix in 1/{steps:.3g} of a "
+            f"sample period; expected at least 1/{_MOST_STEPS:g}: a larger mass, or less of both"
+        )
+    mock.coupling.inverse[: len(inverse), : len(inverse)] = inverse
+    mock.called.advance = advance_coupled.address()
 
 
 def described_mock(description: Description) -> Any:

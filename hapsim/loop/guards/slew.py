@@ -80,34 +80,48 @@ def shape_force(slew, tick):
     if slew.elapsed < slew.soft_samples:
         u = slew.elapsed / slew.soft_samples
         left = 1.0 - u * u * (3.0 - 2.0 * u)
-    for c in range(io.channels if slew.begun == 0 else 0):
-        first = io.asked[c] * share_within_limit(io, c, False)
-        slew.first[c] = clip(first, io.force_limit[c]) / io.force_scale[c]
     for c in range(io.channels):
-        alone = io.to_next[c] == 0
-        slew.decided[c] = _shaped(slew, c, io.force_counts[c], left) if alone else _shaped_of_hand(slew, io, c, left)
-    for c in range(io.channels):
-        if tick.withheld == 0 and slew.decided[c] != io.force_counts[c]:
-            io.force_counts[c] = slew.decided[c]
-            tick.flags |= SLEWED
-        slew.decided[c] = io.force_counts[c]
+        if slew.begun == 0:
+            first = io.asked[c] * share_within_limit(io, c, False)
+            slew.first[c] = clip(first, io.force_limit[c]) / io.force_scale[c]
+        if io.has_hands and io.to_next[c] != 0:
+            continue
+        counts = io.force_counts[c]
+        reduction = np.int64(np.rint(slew.first[c] * left))
+        if reduction != 0:
+            less = counts - reduction
+            counts = max(min(less, counts), 0) if counts > 0 else min(max(less, counts), 0)
+        slew.decided[c] = _clip_to_step(slew, c, counts)
+        _send_decided(slew, io, tick, c)
+    if io.has_hands:
+        _shape_hands(slew, io, tick, left)
     slew.begun = 1
     return 0
 
 
+@inlined
+def _send_decided(slew, io, tick, c):
+    if tick.withheld == 0 and slew.decided[c] != io.force_counts[c]:
+        io.force_counts[c] = slew.decided[c]
+        tick.flags |= SLEWED
+    slew.decided[c] = io.force_counts[c]
+
+
 @helper
-def _shaped(slew, c, counts, left):
-    """Returns the force of a hand with one channel, in counts, during the soft start and within a step."""
-    reduction = np.int64(np.rint(slew.first[c] * left))
-    if reduction != 0:
-        less = counts - reduction
-        counts = max(min(less, counts), 0) if counts > 0 else min(max(less, counts), 0)
-    return _clip_to_step(slew, c, counts)
+def _shape_hands(slew, io, tick, left):
+    """Shapes the forces of hands with several channels."""
+    for c in range(io.channels):
+        if io.to_next[c] != 0:
+            slew.decided[c] = _shaped_of_hand(slew, io, c, left)
+    for c in range(io.channels):
+        if io.to_next[c] != 0:
+            _send_decided(slew, io, tick, c)
 
 
 @helper
 def _shaped_of_hand(slew, io, c, left):
-    """Returns the same for one channel of a hand with several: they have one factor."""
+    """Returns the force of a channel, in counts, of a hand with several: they have one factor for the soft start and
+    one for the step."""
     along = square = 0.0
     other = np.uint64(c)
     while True:

@@ -1,10 +1,9 @@
 """The travel guard: outside the declared travel the force fades, and beyond a margin there the loop stops.
 
 A position x is outside by max(low - x, x - high); that of a hand with x and y by its distance from the nearest edge of
-a polygon, less a radius: a disc is a polygon of one corner, a box one of four. There the force, clipped and with any
-push, is multiplied by 1 - outside / margin, and is zero beyond the margin. So the fade is no steeper than the largest
-force / margin, which is judged as a stiffness before a run. A device that rests at its own stop, within the margin,
-feels less force.
+a polygon, less a radius: a disc is a polygon of one corner. There the force, clipped and with any push, is multiplied
+by 1 - outside / margin, and is zero beyond the margin. So the fade is no steeper than the largest force / margin, which
+is judged as a stiffness before a run. A device that rests at its own stop, within the margin, feels less force.
 
 Beyond the margin a motor has the wrong sign, or the device's zero is wrong. The loop stops as soon as noise and counts
 do not explain the position. A device that is armed outside may stay there: until it comes within its travel, the margin
@@ -31,7 +30,7 @@ NOISE_RMS = 8.0  # of the sensor's noise, if known: one sample in 1e15 has more
 
 _AHEAD, _TOWARDS = 1e-3, 0.1  # a step of this share of the margin leads out if its distance grows by this share of it
 
-_EACH, _ROW = (schema.MAX_CHANNELS,), 2 * MOST_CORNERS
+_EACH = (schema.MAX_CHANNELS,)
 
 TRAVEL = np.dtype(
     [
@@ -40,11 +39,11 @@ TRAVEL = np.dtype(
         ("margin", np.float64, _EACH),  # m, the width of the band outside them
         ("unsure", np.float64, _EACH),  # m, error by noise and counts
         ("begun", np.int64),  # 1: there was a sample
-        ("radius", np.float64, _EACH),  # m, of the travel of the hand in the plane that has this channel,
-        ("corners", np.int64, _EACH),  # corners of it; 0: a hand with one channel,
-        ("corner", np.float64, (_ROW * schema.MAX_CHANNELS,)),  # m, their x and y, a row for each channel,
-        ("x", np.int64, _EACH),  # and the channels of the hand's x
-        ("y", np.int64, _EACH),  # and y
+        ("radius", np.float64),  # m, of an area in the plane,
+        ("corners", np.int64),  # its corners; 0: the limits hold,
+        ("corner", np.float64, (2 * MOST_CORNERS,)),  # m, their x and y
+        ("x", np.int64, _EACH),  # channels of x
+        ("y", np.int64, _EACH),  # and y of the hand of each channel
         ("armed", np.float64, _EACH),  # m, distance outside at arming; 0 after it was within
         ("channel", np.int64),  # the channel beyond the margin,
         ("outside", np.float64),  # and its distance outside, m
@@ -63,7 +62,9 @@ def fade(travel, tick):
     io = io_at(tick.io)
     is_outside, code = False, 0
     for c in range(io.channels):
-        outside = _distance_outside(travel, io, c, 0.0)
+        x = io.position_counts[c] * io.position_scale[c]
+        is_alone = io.has_hands == 0 or io.to_next[c] == 0
+        outside = max(travel.low[c] - x, x - travel.high[c]) if is_alone else _outside_in_plane(travel, io, c, 0.0)
         if not outside > 0.0:
             travel.armed[c] = 0.0
             continue
@@ -84,17 +85,18 @@ def fade(travel, tick):
 
 
 @helper
-def _distance_outside(travel, io, c, ahead):
-    """Returns how far outside (m) the hand of a channel is, `ahead` (m) along that channel; negative: within."""
+def _outside_in_plane(travel, io, c, ahead):
+    """Returns how far outside (m) the hand of a channel would be `ahead` (m) along that channel; negative: within."""
     x, y = travel.x[c], travel.y[c]
     px = io.position_counts[x] * io.position_scale[x] + (ahead if x == c else 0.0)
-    if travel.corners[c] == 0:
-        return max(travel.low[c] - px, px - travel.high[c])
     py = io.position_counts[y] * io.position_scale[y] + (ahead if y == c else 0.0)
-    begin, end = c * _ROW, c * _ROW + 2 * travel.corners[c]
+    if travel.corners == 0:
+        dx, dy = max(travel.low[x] - px, px - travel.high[x]), max(travel.low[y] - py, py - travel.high[y])
+        return math.hypot(max(dx, 0.0), max(dy, 0.0)) if max(dx, dy) > 0.0 else max(dx, dy)
+    end = 2 * travel.corners
     ax, ay = travel.corner[end - 2], travel.corner[end - 1]
     square, is_within = math.inf, False
-    for i in range(begin, end, 2):
+    for i in range(0, end, 2):
         bx, by = travel.corner[i], travel.corner[i + 1]
         ex, ey, dx, dy = bx - ax, by - ay, px - ax, py - ay
         length = ex * ex + ey * ey
@@ -103,36 +105,33 @@ def _distance_outside(travel, io, c, ahead):
         if (ay > py) != (by > py) and dx < dy / ey * ex:
             is_within = not is_within
         ax, ay = bx, by
-    return (-math.sqrt(square) if is_within else math.sqrt(square)) - travel.radius[c]
+    return (-math.sqrt(square) if is_within else math.sqrt(square)) - travel.radius
 
 
 @helper
 def leads_out(travel, io, c, force):
     """Returns whether a hand in the plane is within the margin of an edge of the travel, and the force of its channel
     `c` presses towards that edge."""
-    outside, ahead = _distance_outside(travel, io, c, 0.0), math.copysign(_AHEAD * travel.margin[c], force)
-    farther = _distance_outside(travel, io, c, ahead) - outside
+    outside, ahead = _outside_in_plane(travel, io, c, 0.0), math.copysign(_AHEAD * travel.margin[c], force)
+    farther = _outside_in_plane(travel, io, c, ahead) - outside
     return outside >= -travel.margin[c] and farther > _TOWARDS * abs(ahead)
 
 
 def _set_up(loop: Any, setting: Setting) -> Any:
     travel, scene, used = loop.travel, setting.scene, slice(setting.scene.channels)
-    area, limits = scene.device.travel, scene.device.travels(scene.channels)
+    area = scene.device.travel
     if area is None:
         return None
     travel.low[:], travel.high[:] = -np.inf, np.inf
-    travel.low[used], travel.high[used] = np.transpose(limits)
+    travel.low[used], travel.high[used] = np.transpose(scene.device.travels(scene.channels))
     travel.margin[used] = scene.travel_margins
     count_m = np.array(setting.description.position_scale[used])
     travel.unsure[used] = NOISE_RMS * scene.mock_device.noise + count_m
-    travel.x[used] = travel.y[used] = np.arange(scene.channels)
-    for x, y in (hand for hand in scene.channel_groups if len(hand) == 2):
-        (left, right), (low, high) = limits[x], limits[y]
-        corners: Any = ((left, low), (right, low), (right, high), (left, high))
-        for c in (x, y):
-            corners, travel.radius[c] = (area.corners, area.radius) if isinstance(area, Area) else (corners, 0.0)
-            travel.x[c], travel.y[c], travel.corners[c] = x, y, len(corners)
-            travel.corner[c * _ROW : c * _ROW + 2 * len(corners)] = np.ravel(corners)
+    for hand in scene.channel_groups:
+        travel.x[[*hand]], travel.y[[*hand]] = hand[0], hand[-1]
+    if isinstance(area, Area):
+        travel.corners, travel.radius = len(area.corners), area.radius
+        travel.corner[: 2 * len(area.corners)] = np.ravel(area.corners)
     return travel
 
 
