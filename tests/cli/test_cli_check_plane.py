@@ -98,7 +98,7 @@ def test_along_a_line_it_lists_what_the_hand_touches(hapsim: Hapsim, written: Wr
     rows = [words(row) for row in hapsim("check", path, "--along", "0,0:60mm,10mm").out.splitlines()[2:5]]
     assert rows == [
         "0, 0 10.07, 1.678 none 0 0° 0 stable",
-        "10.07, 1.678 48.31, 8.051 disc 2080 99.5° -6345 slides",
+        "10.07, 1.678 48.31, 8.051 disc 2080 99.46° -6345 slides",
         "48.31, 8.051 60, 10 none 0 0° 0 stable",
     ]
     found = hapsim("check", path, "--along", "0,0:60mm,10mm", "--json").document["stretches"]
