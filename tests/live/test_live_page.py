@@ -171,6 +171,7 @@ def test_a_hand_of_the_plane_follows_a_drag_and_the_arrow_keys_in_both_coordinat
 
     page = Page(browser, serve(PLANE))
     session, handle = page.served.session, page.part("handle")
+    browser.get_log("browser")  # of the tests before
     assert "hand feels 0 N/m and 1 N·s/m along 0°" in page.text("felt")
     page.until(lambda: handle.size["height"] == handle.size["width"] > 100)
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", handle)
