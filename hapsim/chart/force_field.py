@@ -36,7 +36,7 @@ class ForceField(NamedTuple):
 
     @property
     def strength(self) -> Floats:
-        """Its size, N."""
+        """Size of the force, N."""
         return np.hypot(self.fx, self.fy)
 
 

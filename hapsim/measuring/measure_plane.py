@@ -39,7 +39,7 @@ from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide
 from hapsim.scene import DevicePoint, Friction, Scene
 from hapsim.scene.load import SceneSource, as_scene
-from hapsim.scene.modules.plane_links import Shape
+from hapsim.scene.modules.surfaces import Shape
 
 _SECONDS, _IN_VIRTUAL_TIME, _EVERY_S = 4.0, 10.0, 0.4  # of pushes along each coordinate, and from one to the next
 _MOST_RUNS = 3  # along each coordinate

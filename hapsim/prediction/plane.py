@@ -17,7 +17,7 @@ from hapsim.prediction.characteristic import starts_at
 from hapsim.prediction.reach import start_positions
 from hapsim.scene import DevicePoint, Friction, Link, Scene
 from hapsim.scene.chain import Nearest, Point
-from hapsim.scene.modules.plane_links import Guide, Shape
+from hapsim.scene.modules.surfaces import Guide, Shape
 from hapsim.theory.arrays import Floats
 
 _MOST_STEPS = 100

@@ -23,7 +23,7 @@ from hapsim.prediction.states import Grown
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
 from hapsim.scene import Friction, Link
 from hapsim.scene.chain import Nearest, Point
-from hapsim.scene.modules.plane_links import Guide, Shape
+from hapsim.scene.modules.surfaces import Guide, Shape
 from hapsim.theory import Network, Solution
 from hapsim.theory.network import loop
 from hapsim.theory.network.felt import matrices

@@ -18,7 +18,7 @@ from hapsim.prediction.characteristic import characteristic_of
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plane import Plane
 from hapsim.scene import Mock, Scene
-from hapsim.scene.modules.plane_links import Shape
+from hapsim.scene.modules.surfaces import Shape
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import Area, Expectation, Known, Span, expectation_of
 from hapsim.theory.hand.configuration import stiffest_stable

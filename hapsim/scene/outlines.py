@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
 from .chain import Chain, Point, disc, polygon
-from .modules.plane_links import Guide, Shape
+from .modules.surfaces import Guide, Shape
 from .quantity import Area
 from .scene import Scene
 

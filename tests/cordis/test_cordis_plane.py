@@ -320,7 +320,7 @@ def test_the_force_along_a_polygon_has_no_jump(rounding: float, deep: float) -> 
 
 
 def test_no_closed_path_inside_a_shape_is_given_energy() -> None:
-    """What a hand puts into a shape on a random way in, about and out is never less than what it gets back."""
+    """A hand puts into a shape, on a random way in, about and out, at least what it gets back."""
     for seed in range(60):
         random = np.random.default_rng(seed)
         form, rounding = [({"disc": 0.001}, {}), ({"polygon": SQUARE}, {"round": 0.002}),

@@ -41,7 +41,7 @@ def place(block: Block) -> list[float]:
 
 
 def blocks_until(client: Client, holds: Callable[[list[float]], bool]) -> list[float]:
-    """Where the watched modules are, once that holds."""
+    """Places of the watched modules, once that holds."""
     for _ in range(3000):
         message = client.next()
         if isinstance(message, Block) and message.kind == 2 and holds(place(message)):

@@ -32,7 +32,7 @@ modules:
 
 
 def settled(session: hapsim.Session) -> np.ndarray:
-    """Where the hand comes to rest, m."""
+    """Place where the hand comes to rest, m."""
     before = np.full(2, np.inf)
     for _ in range(100):
         session.wait(0.1)

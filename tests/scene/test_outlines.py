@@ -40,7 +40,7 @@ def area(places: tuple[tuple[float, float], ...]) -> float:
         ("polygon: [[0, 0], [0, 0.02], [0.02, 0]]", 2e-4),  # clockwise in the file
     ],
 )
-def test_a_shape_is_followed_around_with_its_material_on_the_left_or_on_the_right(form: str, size: float) -> None:
+def test_a_shape_has_its_material_on_one_side(form: str, size: float) -> None:
     (outside,) = outlines(f"type: shape, form: {{{form}}}")
     (inside,) = outlines(f"type: shape, side: inside, form: {{{form}}}")
     assert (outside.name, outside.kind, outside.of, outside.about) == ("it", "outside", "hand", "post")

@@ -112,7 +112,7 @@ def test_a_scene_in_the_plane_is_stable_and_pressed_it_feels_as_in_its_comment(
         assert one.felt.b == pytest.approx(float(b), abs=0.00005)
 
 
-def test_what_slides_off_is_as_fast_as_the_comments_say() -> None:
+def test_what_slides_off_is_as_fast_as_its_comment() -> None:
     disc, haply = load_scene(FOLDER / "disc.yaml"), load_scene(FOLDER / "boards" / "haply_disc.yaml")
     slippery = disc.modules["disc"].model_copy(update={"friction_coefficient": 0.0})
     disc = disc.model_copy(update={"modules": {**disc.modules, "disc": slippery}})
@@ -129,7 +129,7 @@ def test_what_slides_off_is_as_fast_as_the_comments_say() -> None:
     ("name", "rest"),
     [("disc", (0.06, 0.03)), ("maze", (-0.006 + 0.00152, 0.022)), ("puck", (-0.03, 0.0))],
 )
-def test_the_mocks_hand_ends_in_the_plane_where_the_comment_says(name: str, rest: tuple[float, float]) -> None:
+def test_the_mocks_hand_ends_in_the_plane_where_its_comment_has_it(name: str, rest: tuple[float, float]) -> None:
     scene = load_scene(FOLDER / f"{name}.yaml")
     trace = run(scene.model_copy(update={"device": scene.device.model_copy(update={"clock": "lockstep"})}), duration=3)
     np.testing.assert_allclose(trace.position[-1], rest, atol=2e-4)

@@ -103,11 +103,11 @@ def test_units_are_taken_in_forms_and_places() -> None:
         ("{type: spring", "{type: viscoelastic, damper: centred", "found centred in a scene with space: 2"),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_the_plane_is_told(old: str, new: str, told: str) -> None:
+def test_what_does_not_fit_the_plane_is_an_error(old: str, new: str, told: str) -> None:
     assert told in fault((old, new))
 
 
-def test_what_needs_the_plane_is_told_on_a_line() -> None:
+def test_what_needs_the_plane_is_an_error_on_a_line() -> None:
     told = fault(("space: 2\n", ""))
     assert "found channels in a scene with one coordinate, expected channel; or write space: 2" in told
     assert "found two coordinates, expected a number (m); or write space: 2" in told

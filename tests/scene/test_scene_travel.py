@@ -81,8 +81,8 @@ def test_a_radius_in_mm_is_an_unlikely_one() -> None:
     assert "device.travel: found 80 m, more than 1 m" in unlikely(planar({"disc": 80}))[0]
 
 
-def test_a_hand_that_starts_inside_a_shape_is_told_so() -> None:
-    def told(
+def test_a_hand_that_starts_inside_a_shape_has_a_warning() -> None:
+    def warned(
         position: list[float], side: str = "outside", between: tuple[str, str] = ("hand", "post"), **device: Any
     ) -> list[str]:
         shape = {"type": "shape", "between": list(between), "form": {"disc": 0.02}, "side": side, "stiffness": 2000}
@@ -90,13 +90,13 @@ def test_a_hand_that_starts_inside_a_shape_is_told_so() -> None:
         mock = {"initial": {"position": position}}
         return list(begun_inside(planar(None, modules=modules, mock=mock, device=device)))
 
-    (sentence,) = told([0.03, 0.028])
+    (sentence,) = warned([0.03, 0.028])
     assert sentence.startswith("hand starts 2 mm inside disc: at arming the force jumps to 4 N. Let it start outside")
-    assert told([0.03, 0.0301]) == []
-    assert "hand starts 0.1 mm inside disc" in told([0.03, 0.0301], "inside")[0]
-    assert "2 mm inside disc" in told([0.03, 0.028], between=("post", "hand"))[0]
-    assert "the force jumps to 10 N" in told([0.03, 0.011])[0]
-    assert told([0.03, 0.028], soft_start=0.05) == []
-    assert told([0.03, 0.028], port="/dev/ttyACM0") == []
-    (sentence,) = told([0.03, 0.028], origin=[0.0, 0.01])
+    assert warned([0.03, 0.0301]) == []
+    assert "hand starts 0.1 mm inside disc" in warned([0.03, 0.0301], "inside")[0]
+    assert "2 mm inside disc" in warned([0.03, 0.028], between=("post", "hand"))[0]
+    assert "the force jumps to 10 N" in warned([0.03, 0.011])[0]
+    assert warned([0.03, 0.028], soft_start=0.05) == []
+    assert warned([0.03, 0.028], port="/dev/ttyACM0") == []
+    (sentence,) = warned([0.03, 0.028], origin=[0.0, 0.01])
     assert sentence.startswith("hand starts 12 mm inside disc")

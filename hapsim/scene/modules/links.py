@@ -351,12 +351,16 @@ class Click(Link):
     drop: Annotated[float, quantity("Drop of its force then; if larger than the peak, it stays down", "N", least=0)]
     bottom: Annotated[float, quantity("Stiffness of the bottom", "N/m", above=0)]
     damping: Annotated[float, quantity("Viscosity while it is pressed", "N·s/m", least=0)] = 0.0
+    length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        travel, peak, low = self.travel, self.peak, self.peak - self.drop
-        knots = (-travel, -low - 0.5 * peak), (-0.75 * travel, -low), (-0.5 * travel, -peak), (0.0, 0.0)
+        travel, peak, low, rest = self.travel, self.peak, self.peak - self.drop, self.length or 0.0
+        forces = (-low - 0.5 * peak, -low, -peak, 0.0)
+        knots = tuple(
+            (rest - share * travel, force) for share, force in zip((1.0, 0.75, 0.5, 0.0), forces, strict=True)
+        )
         states = ("at the bottom", "after the click", "in the click", "before the click", "apart")
-        dampings, at, taken = (self.damping,) * 4 + (0.0,), -0.25 * travel, "is taken as pressed before its click"
+        dampings, at, taken = (self.damping,) * 4 + (0.0,), rest - 0.25 * travel, "is taken as pressed before its click"
         return Law(knots, dampings, states, self.bottom, pushes=True, taken_at=at, assumption=taken)
 
 

@@ -28,7 +28,7 @@ class DevicePoint(Module):
 
     @property
     def all_channels(self) -> tuple[int, ...]:
-        """Its channels of the device: those of x and y, or the single one; none where its keys are faulty."""
+        """Channels of the device that it holds: those of x and y, or the single one; none where its keys are faulty."""
         return (self.channel,) if self.channel is not None else self.channels or ()
 
     def along(self, axis: int) -> DevicePoint:
