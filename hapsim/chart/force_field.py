@@ -12,7 +12,7 @@ import numpy as np
 from hapsim.chart import style
 from hapsim.chart.figure import drawn_in, figure_to, legend_below, once
 from hapsim.errors import UsageError
-from hapsim.prediction.plane import Plane
+from hapsim.prediction.plane_geometry import Plane
 from hapsim.scene import Scene
 from hapsim.scene.chain import Point
 from hapsim.scene.outlines import FAR, outlines_of

@@ -33,7 +33,7 @@ from hapsim.measuring.measurement_options import (
 from hapsim.measuring.place import Place
 from hapsim.measuring.pushes import pushes, recorded
 from hapsim.one_thread import one_thread
-from hapsim.prediction.plane import Plane, PlaneLink
+from hapsim.prediction.plane_geometry import Plane, PlaneLink
 from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide

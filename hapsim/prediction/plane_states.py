@@ -17,7 +17,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from hapsim.laws import Law
-from hapsim.prediction.plane import Plane, PlaneLink, as_row
+from hapsim.prediction.plane_geometry import Plane, PlaneLink, as_row
 from hapsim.prediction.stability import Judge
 from hapsim.prediction.states import Grown
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing

@@ -16,7 +16,7 @@ import numpy as np
 from hapsim.number_format import duration, frequency, number, plural, short, short_duration
 from hapsim.prediction.characteristic import characteristic_of
 from hapsim.prediction.linear import configuration_of
-from hapsim.prediction.plane import Plane
+from hapsim.prediction.plane_geometry import Plane
 from hapsim.scene import Mock, Scene
 from hapsim.scene.modules.surfaces import Shape
 from hapsim.scene.part import Part

@@ -12,9 +12,9 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.prediction.linear import LinearLink, linear_scene, network_of
-from hapsim.prediction.plane import Plane, PlaneLink
+from hapsim.prediction.plane_geometry import Plane, PlaneLink
 from hapsim.prediction.plane_states import PlaneJudge, PlaneStates, Slide, directions, held, slides_of, with_links
-from hapsim.prediction.predict import Prediction
+from hapsim.prediction.prediction import Prediction
 from hapsim.scene import Scene
 from hapsim.scene.chain import Point
 from hapsim.theory import Margins, margins_of
@@ -26,7 +26,7 @@ _HALVINGS = 30
 
 
 class Directed(NamedTuple):
-    """What a hand feels along a principal direction, with the desired k and b, and the static stiffness."""
+    """Felt k and b along a principal direction, with the desired ones and the static stiffness."""
 
     felt: Direction
     desired_k: float

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from .load import load_scene, parse_scene, scene_schema
     from .modules import *  # noqa: F403
     from .modules.links import *  # noqa: F403
-    from .modules.surfaces import *  # noqa: F403
     from .modules.point_modules import *  # noqa: F403
     from .modules.structures import *  # noqa: F403
+    from .modules.surfaces import *  # noqa: F403
     from .quantity import Known, Span
     from .scene import VERSION, Scene
 

@@ -7,8 +7,8 @@ from hapsim.dampers import DAMPERS
 
 from .issue import Issue, one_of
 from .modules.links import Click, Nonlinear, Spring, ViscoElastic
-from .modules.surfaces import crossed
 from .modules.point_modules import DevicePoint
+from .modules.surfaces import crossed
 from .part import Module, ModuleContext
 from .quantity import MOST_CHANNELS, Area
 from .written_units import in_si

@@ -114,4 +114,4 @@ def test_prediction_and_measurement_are_two_roads(room: str, never: str) -> None
 
 def test_of_a_prediction_measuring_knows_the_geometry_alone() -> None:
     known = {other for m in GRAPH if m.startswith("hapsim.measuring.") for other in GRAPH[m] if "prediction" in other}
-    assert known == {"hapsim.prediction.characteristic", "hapsim.prediction.plane"}
+    assert known == {"hapsim.prediction.characteristic", "hapsim.prediction.plane_geometry"}

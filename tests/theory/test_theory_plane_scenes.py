@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import Any
 
 import numpy as np
 import pytest
 
+import hapsim
 from hapsim import predict
 from hapsim.errors import UsageError
 from hapsim.prediction import surely_shaken_by, unlikely
-from hapsim.prediction.plane import Plane
+from hapsim.prediction.plane_geometry import Plane
 from hapsim.prediction.predict_plane import PlanePrediction, stretches_along
 from hapsim.scene import Scene
 
@@ -155,18 +155,32 @@ def test_walls_that_overlap_are_judged_together() -> None:
     assert surely_shaken_by(plane(disc=hard, far=far | {"position": [0.02, 0.0]}, wall=back)) is None
 
 
-def test_a_sharp_hollow_corner_shakes_a_hand_pressed_into_it() -> None:
-    """It holds a hand along both sides, and nothing brakes across its press; rounded it does not. (A run of both, with
-    a hand that pushes with 3 N along each, grows to millimetres in the one, and stays in the other.)"""
-    box = DISC | {"form": {"box": [0.1, 0.08]}, "side": "inside"}
-    shaken = surely_shaken_by(plane(box=box))
-    assert shaken is not None
-    assert re.fullmatch(r"box is touched with hand at (80|-20)(.1)?, -?40(.1)? mm", shaken.state)
-    assert surely_shaken_by(plane(box=box | {"round": 0.01})) is None
+@pytest.mark.parametrize("radius", [0.0, 0.002, 0.01])
+def test_both_walls_of_a_hollow_corner_hold_and_damp_a_hand_pressed_into_it(radius: float) -> None:
+    box = DISC | {"form": {"box": [0.1, 0.08]}, "side": "inside", "round": radius}
+    scene = plane(box=box)
+    assert surely_shaken_by(scene) is None
+    depth, edge = 0.001, radius * (1.0 - math.sqrt(0.5))
+    x, y = (0.03 + 0.05 - edge + depth * math.sqrt(0.5), 0.04 - edge + depth * math.sqrt(0.5))
+    network = predict(scene, at=(x, y)).network
+    share = depth / (radius + depth)
+    assert sorted(network.stiffness) == pytest.approx(sorted([2000.0, 2000.0 * share]), rel=1e-9)
+    assert sorted(network.damping) == pytest.approx(sorted([5.0, 5.0 * share]), rel=1e-9)
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.002])
+def test_a_hand_that_is_pushed_into_a_hollow_corner_comes_to_rest(radius: float) -> None:
+    box = DISC | {"form": {"box": [0.1, 0.08]}, "side": "inside", "round": radius}
+    document = plane({"clock": "lockstep"}, box=box).model_dump() | {
+        "mock": {"initial": {"position": [0.079, 0.039]}, "hand": {"force": [3.0, 3.0]}}
+    }
+    position = hapsim.run(Scene.model_validate(document), duration=2.0).position
+    assert np.ptp(position[-200:], axis=0).max() < 1e-6
+    assert 0.0005 < position[-1, 0] - 0.08 + radius * (1.0 - math.sqrt(0.5)) < 0.003
 
 
 def test_static_stiffness_is_the_change_of_the_force() -> None:
-    """Beside differences of the static force, in random places among all kinds of links; masses rest."""
+    """Compares it with differences of the static force, in random places among all kinds of links; masses rest."""
     random, checked = np.random.default_rng(5), 0
     box = DISC | {"form": {"polygon": [[-0.02, -0.02], [0.03, -0.01], [0.02, 0.02], [-0.01, 0.01]]}, "round": 0.004}
     lane = {"type": "guide", "between": ["hand", "post"], "through": [[-0.03, 0], [0.0, 0.01], [0.03, 0.03]]}
@@ -203,7 +217,7 @@ def test_static_stiffness_is_the_change_of_the_force() -> None:
 
 @pytest.mark.parametrize("way", [1, -1])
 def test_sliding_friction_reads_the_pressure(way: int) -> None:
-    """Its rows are the derivative of a force that is the coefficient times the pressure, along the surface."""
+    """Friction that slides is the coefficient times the pressure, along the surface: the rows are its derivative."""
     link = next(one for one in Plane(plane(disc=DISC | RUB)).at({"hand": (0.012, 0.006)}) if one.name == "disc")
 
     def force(r: np.ndarray) -> np.ndarray:

@@ -205,7 +205,11 @@ def add_shape_forces(shapes, state):
         if tension > 0:
             tension = real(0)
         shapes.press[i] = -tension
-        rub = _rub(shapes, i, nx * gy - ny * gx, began)
+        way = nx * gy - ny * gx
+        rub = _rub(shapes, i, way, began)
+        k = shapes.chains.begin[i] + np.uint64(place.piece[i])
+        if shapes.chains.bend[k] < 0 and shapes.chains.extent[k] > 0:  # a hollow corner, where two walls damp
+            rub -= shapes.damping_per_sample[i] * way * nearest / (shapes.chains.radius[k] - nearest)
         pull(shapes.ends, i, tension * nx - rub * ny, tension * ny + rub * nx, state.force)
 
 

@@ -32,7 +32,7 @@ class PlaneLink(NamedTuple):
     name: str
     link: Link
     distance: float
-    """Of its law, m."""
+    """Distance of its law, m."""
     normal: Point
     """Unit vector along which the distance grows, for its first end."""
     curvature: float
@@ -60,6 +60,14 @@ class PlaneLink(NamedTuple):
         return 0.0 if self.tension else self.slope
 
     @property
+    def damping_across(self) -> float:
+        """Damping along the tangent, N·s/m: in a hollow corner two walls damp, by the same share as they are stiff."""
+        if not isinstance(self.link, Shape) or self.curvature >= 0.0 or not self.acts:
+            return 0.0
+        is_corner = self.link.chain().pieces[self.piece].extent < math.pi
+        return self.damping * self.distance * self.curvature if is_corner else 0.0
+
+    @property
     def acts(self) -> bool:
         """True if it has a force, a stiffness or a damping there."""
         return bool(self.tension or self.slope or self.damping)
@@ -77,7 +85,7 @@ class PlaneLink(NamedTuple):
             yield from (Row(axis, axis, self.slope, self.damping) for axis in ((1.0, 0.0), (0.0, 1.0)))
             return
         yield Row(n, n, self.slope, self.damping)
-        yield Row(t, t, self.across, 0.0)
+        yield Row(t, t, self.across, self.damping_across)
         if self.rubs and isinstance(self.link, Shape):
             if not sliding:
                 yield Row(t, t, *self.link.bristle)

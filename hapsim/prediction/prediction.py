@@ -1,0 +1,353 @@
+"""Stiffness and damping that a hand will feel, and the stability of its scene: each part computed on demand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+
+from hapsim.errors import UsageError
+from hapsim.laws import Linear
+from hapsim.one_thread import one_thread
+from hapsim.prediction.any_hand import AnyHand
+from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
+from hapsim.prediction.correction import Rendering, rendered
+from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, desired_of, felt_of, tolerance_of
+from hapsim.prediction.felt_together import FeltTogether
+from hapsim.prediction.linear import coupling_reason, links_of, needs_network, network_of, require_within_numbers
+from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
+from hapsim.prediction.states import ContactStates
+from hapsim.prediction.timing import wire_delay, wire_of, wire_time_of
+from hapsim.scene import Scene
+from hapsim.scene.quantity import per_channel
+from hapsim.theory import Margins, Mode, Network, margins_of
+from hapsim.theory.arrays import Indices, sort_by_modulus
+from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, part_of, parts_of
+from hapsim.theory.network.network import is_centred
+
+Place = float | tuple[float, float] | None
+"""Position of a hand, m: in the plane x and y; None: not given."""
+
+
+class Prediction:
+    """Prediction of a scene; each part is computed on demand, and once."""
+
+    points: tuple[str, ...]
+    """Names to which a mode's participation refers."""
+    _also: Sequence[Sequence[int]] = ()
+    """Pairs of points that count as joined."""
+
+    def __init__(self, scene: Scene, at: Place = None, *, with_margins: bool = True, wherever: bool = False) -> None:
+        """`at`, `with_margins`: as in `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
+        require_within_numbers(scene)
+        self.scene, self._at, self._with_margins, self._wherever = scene, cast(Any, at), with_margins, wherever
+        self._rendering = rendered(scene)
+        self._tolerances: dict[object, Tolerance | None] = {}
+        self._seen = self._rendering.seen
+        self._take()
+        if scene.space == 1 and (instead := self.states.instead()):
+            self._take(instead)
+        whys = {name: self._coupling_reason(name) for name in scene.device_points}
+        self.coupled: dict[str, str] = {name: why for name, why in whys.items() if why}
+        """Device points that are no temporary hybrid systems of their own, each with a reason that follows its name."""
+        self.is_lone: bool = not self.coupled and not self._linear.masses
+        """True if the scene has nothing but hands, each an oscillator of its own."""
+        self.rate = scene.rate
+        """Sample rate, Hz."""
+        self.wire_time, self.wire_of = wire_time_of(scene), wire_of(scene)
+        """Duration of an exchange, and the kind of wire."""
+        self.wire_delay = wire_delay(scene)
+        """Sentence on the declared and the wire's delay, which this prediction assumes; "" if the wire adds none."""
+
+    def _take(self, instead: Mapping[str, Linear] | None = None) -> None:
+        """Sets the linear form of the scene; `instead` replaces the forms of some links."""
+        self._linear = scene_at(self._seen, self._at, instead)
+        self._network, self.points = network_of(self._seen, self._linear)
+        self.states = ContactStates(self._seen, self._linear, self._network, self.points)
+        """States of its contacts."""
+
+    def _coupling_reason(self, name: str) -> str:
+        return coupling_reason(self._seen, self._linear, name)
+
+    @cached_property
+    def _lone(self) -> tuple[Felt, ...]:
+        names = (name for name in self.scene.device_points if name not in self.coupled)
+        return tuple(felt_of(self._rendering, self._linear, name) for name in names)
+
+    @cached_property
+    def felt(self) -> tuple[Felt, ...]:
+        """Predictions for the device points that are temporary hybrid systems of their own, in the scene's order."""
+        return self._lone
+
+    def regions_of(self, name: str, around: float | None = None) -> tuple[Region, ...]:
+        """Returns the regions of the hand at this device point, by position; at one place first the one with all
+        friction stuck. Empty if it moves more than itself. `around`: as in `characteristic_of` [default: its assumed
+        position]."""
+        around = (self._at or 0.0) if around is None else around
+        hand = characteristic_of(self._rendering.desired, name, around, self._wherever)
+        same = self._seen is self._rendering.desired and around == 0.0
+        simulated = hand if same else characteristic_of(self._seen, name, wherever=self._wherever)
+        if hand is None or simulated is None:
+            return ()
+        pieces = [(piece, linear_at(simulated, self._linear, piece)) for piece in hand.pieces()]
+        felt = ((piece, here, felt_of(self._rendering, here, name)) for piece, here in pieces)
+        return tuple(Region(piece, one, links_of(here, name), hand) for piece, here, one in felt)
+
+    @cached_property
+    def _every_region(self) -> dict[str, tuple[Region, ...]]:
+        """Regions of each hand that is an oscillator of its own with piecewise links."""
+        every = {name: self.regions_of(name) for name in self.scene.device_points if name not in self.coupled}
+        return {name: found for name, found in every.items() if found and found[0].hand.is_regional}
+
+    @cached_property
+    def regions(self) -> dict[str, tuple[Region, ...]]:
+        """Regions of each hand that feels other springs and dampers at other places; `felt` is that of one region."""
+        return {name: found for name, found in self._every_region.items() if len(found) > 1}
+
+    @cached_property
+    def here(self) -> dict[str, Piece]:
+        """Assumed piece of each of these hands."""
+        at, found = self._at, {}
+        for name, (first, *_) in self.regions.items():
+            hand = first.hand
+            found[name] = piece_at(hand, name, at if at is not None and hand.low <= at <= hand.high else None)
+        return found
+
+    @property
+    def region_here(self) -> dict[str, Region]:
+        """Assumed region of each of these hands, with stuck friction."""
+        here = {name: (piece.low, piece.high) for name, piece in self.here.items()}
+        every = ((name, one) for name, regions in self.regions.items() for one in reversed(regions))
+        return {name: one for name, one in every if (one.piece.low, one.piece.high) == here[name]}
+
+    @cached_property
+    def together(self) -> tuple[FeltTogether, ...]:
+        """Predictions for the device points that are `coupled`, by the parts of the scene that no link joins."""
+        kind, (network, solution, _) = self._rendering.kind, self.judge.solved
+        not_predicted = f"it is not worked out with correction: {kind.name}" if kind and kind.predicts else ""
+        written = self._network if kind is None else self._written
+        return tuple(
+            FeltTogether(
+                names, channels, not_predicted, part_of(network, inside), part_of(written, inside),
+                solution.eigen if inside.size == len(self.points) else None,
+            )
+            for names, channels, inside in self._parts(self.coupled)
+        )  # fmt: skip
+
+    @property
+    def _written(self) -> Network:
+        """Network of the desired scene, without the correction."""
+        return network_of(self._rendering.desired, scene_at(self._rendering.desired))[0]
+
+    def _parts(self, names: Collection[str]) -> Iterator[tuple[tuple[str, ...], tuple[int, ...], Indices]]:
+        """Yields, per part of the scene with some of these device points, these, their channels and all its points."""
+        part, number = parts_of(self._network, also=self._also), self.points.index
+        for its in dict.fromkeys(int(part[number(name)]) for name in names):
+            own = tuple(name for name in names if part[number(name)] == its)
+            yield own, tuple(self.scene.device_points[name].channel for name in own), np.flatnonzero(part == its)
+
+    @cached_property
+    def any_hands(self) -> tuple[AnyHand, ...]:
+        """Stability in hands other than the declared one, by the parts of the scene that no link joins."""
+        kind, network = self._rendering.kind, self.judge.solved.network
+        why = "the condition is not derived for a predictor" if kind and kind.predicts else ""
+        return tuple(
+            AnyHand(names, channels, why, part_of(network, inside), tuple(self.points[at] for at in inside))
+            for names, channels, inside in self._parts(self.scene.device_points)
+        )
+
+    @cached_property
+    def judge(self) -> Judge:
+        """Verdict on the stability of the scene."""
+        regions = self.regions.items() if self._at is not None else ()
+        held = {name for name, every in regions if any(one.kind == "held" and one.is_stable for one in every)}
+        loose = tuple(felt for felt in self._lone if not felt.stable and felt.name not in held)
+        judged = {name: one for name, one in self._every_region.items() if not needs_network(self._seen, name)}
+        return Judge(self._network, self.points, self.is_lone, judged, loose, self.states)
+
+    @property
+    def by_its_scheme(self) -> bool:
+        """True if poles, modes and margins are those of the scene's own scheme, False if of CORDIS's."""
+        return not self.judge.solved.instead
+
+    @property
+    def stable(self) -> bool:
+        """True if the scene is stable, for the computed poles: see `poles_method`."""
+        return self.judge.is_stable
+
+    @property
+    def stable_as_taken(self) -> bool:
+        """True if it is stable with contacts that move masses as in `assumptions`: margins and modes are of that."""
+        return self.judge.is_stable_as_taken
+
+    def contacts_at(self, hands: Mapping[str, float]) -> str:
+        """Returns a phrase for the contacts that move masses, such as "finger is touched", while all hands hold still
+        at these positions (m) and the masses rest; "" if there are none, or no rest is found."""
+        from hapsim.prediction.reach import distances_at_rest
+
+        names = {name for part in self.states.parts for state in part[:1] for name in state}
+        if not names:
+            return ""
+        try:
+            at = distances_at_rest(self._seen, hands)
+        except UsageError:
+            return ""
+        how = {name: link.law().state(at[name]) for name, link in self._seen.links.items() if name in names}
+        return ", ".join(f"{name} is {state}" for name, state in how.items() if state)
+
+    @property
+    def is_judged(self) -> bool:
+        """True if there is a verdict: either a motion is unstable, or each state that was found was judged."""
+        return not self.states.unjudged or not self.stable_as_taken or bool(self.states.growing)
+
+    @property
+    def trembles(self) -> tuple[str, ...]:
+        """Points that oscillate by themselves, by under a count and with hardly a force, if no hand is shaken more."""
+        return () if self.judge.shaking else tuple(self.judge.swings)
+
+    @property
+    def at_limit(self) -> bool:
+        """True if the scene is neither stable nor unstable: a motion drifts or oscillates with a constant amplitude."""
+        return not self.stable and abs(self.spectral_radius - 1.0) < SURELY - 1.0
+
+    @cached_property
+    def spectral_radius(self) -> float:
+        """Largest modulus of a pole, over all regions of the hands."""
+        radius = (
+            max(one.spectral_radius for one in self._lone)
+            if self.is_lone
+            else self.judge.solved.solution.spectral_radius
+        )
+        grown = [one.growth for regions in self.judge.regions.values() for one in regions]
+        return max([radius, *grown, *(one.growth for one in self.states.growing)])
+
+    @cached_property
+    def poles(self) -> tuple[complex, ...]:
+        """Poles of the whole closed loop, by decreasing modulus, without those at zero; for a large scene only some."""
+        if self.is_lone:
+            poles = sort_by_modulus(np.array([pole for one in self._lone for pole in one.poles], complex))
+        else:
+            poles = self.judge.solved.solution.poles
+        return tuple(complex(pole) for pole in poles if abs(pole) > 1e-9)
+
+    @property
+    def poles_in_all(self) -> int:
+        """Number of poles of the closed loop, those at zero included."""
+        return self.judge.solved.solution.all
+
+    @property
+    def poles_method(self) -> str:
+        """Sentence on which poles of a large scene were computed; "" for all."""
+        return self.judge.solved.solution.method
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Modes of the whole closed loop, the slowest to decay first."""
+        return tuple(self.judge.solved.solution.modes)
+
+    @cached_property
+    def _margins(self) -> Margins:
+        if not self._with_margins:
+            return Margins([])
+        network, solution, _ = self.judge.solved
+        if not is_centred(network):  # searched by scipy too: `one_thread` has to find its libraries
+            import scipy.linalg  # noqa: F401
+        with one_thread(not is_centred(network) and not is_large(network)):
+            return margins_of(network, solution.poles)
+
+    @cached_property
+    def margins(self) -> tuple[LinkMargin, ...]:
+        """Gain margins, one for each link, in the scene's order; empty without `with_margins`."""
+        every = [one for regions in self.regions.values() for one in regions]
+        return link_margins(self._linear, self._margins, self._lone, every)
+
+    @property
+    def margins_method(self) -> str:
+        """Sentence on which links of a large scene were computed, and how reliably; "" for all."""
+        return self._margins.method
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """Sentences on the simplifications of the theory for this scene."""
+        instead = [self.judge.solved.instead] if self.judge.solved.instead else []
+        units, channels = self.scene.units, self.scene.channels
+        if (at := self.scene.device.mass_at) is not None:
+            pose = ", ".join(units.number(one, "m", "g") for one in per_channel(at, channels))
+            instead.append(
+                f"k and b are valid near {units(pose, 'm')} (device.mass_at): elsewhere the device has another mass "
+                "and friction, and a force on one channel also moves others"
+            )
+        return (*self._linear.assumptions, *instead)
+
+    @property
+    def rendering(self) -> Rendering | None:
+        """Corrected scene that runs, or None without a correction: `stiffness` and `damping` of `felt`, poles, modes
+        and margins belong to it."""
+        return None if self._rendering.kind is None else self._rendering
+
+    @cached_property
+    def desired(self) -> tuple[Desired, ...]:
+        """Desired stiffness and damping, for the same device points as `felt`; empty without a correction."""
+        return tuple(desired_of(self._rendering, self._lone, self.here))
+
+    def tolerances(self, name: str, shares: Sequence[float] = SHARES) -> tuple[Tolerance, ...]:
+        """Returns the tolerances of the device's parameters within which the corrected k and b at this device point are
+        off by no more than each of these shares; empty if there is no correction, or it is not reached."""
+        felt = next((one for one in self.felt if one.name == name), None)
+        wanted = next((one for one in self.desired if one.name == name), None)
+        kind = self._rendering.kind
+        if felt is None or wanted is None or kind is None or kind.adapts or name in self.regions:
+            return ()
+        alike = felt.configuration, felt.stiffness, felt.damping
+        found = []
+        for share in shares:
+            if (*alike, share) not in self._tolerances:
+                self._tolerances[*alike, share] = tolerance_of(felt, wanted.k, wanted.b, share)
+            found.append(self._tolerances[*alike, share])
+        return tuple(one for one in found if one is not None)
+
+    @cached_property
+    def desired_modes(self) -> tuple[ContinuousMode, ...]:
+        """Modes of the scene in continuous time, the slowest to decay first; empty without a correction."""
+        if self._rendering.kind is None or is_large(network := self._written):
+            return ()
+        return tuple(continuous_modes(network))
+
+    def asked_for(self, felt: Felt) -> tuple[float, float]:
+        """Returns the desired k and b, N/m and N·s/m, where `felt` is, the device's own included."""
+        wanted = next((one for one in self.desired if one.name == felt.name), None)
+        own = felt.configuration
+        return (wanted.k, wanted.b) if wanted else (felt.stiffness + own.stiffness, felt.damping + own.friction)
+
+    @property
+    def first(self) -> Felt | None:
+        """Prediction for the scene's first device point that is a system of its own."""
+        return self.felt[0] if self.felt else None
+
+    @property
+    def k(self) -> float:
+        """Felt stiffness of the first, N/m; NaN if there is none."""
+        return self.first.k if self.first else math.nan
+
+    @property
+    def b(self) -> float:
+        """Felt damping of the first, N·s/m; NaN if there is none."""
+        return self.first.b if self.first else math.nan
+
+    @property
+    def frequency_hz(self) -> float:
+        """Eigenfrequency of the first, Hz; NaN if there is none."""
+        return self.first.frequency_hz if self.first else math.nan
+
+    @property
+    def damping_ratio(self) -> float:
+        """Damping ratio of the first; NaN if there is none."""
+        return self.first.damping_ratio if self.first else math.nan
+
+    @property
+    def dominant(self) -> bool:
+        """True if the first has an equivalent spring and damper."""
+        return self.first is not None and self.first.dominant
