@@ -16,9 +16,10 @@ from hapsim.chart.figure import drawn_in, figure_to, legend_below
 from hapsim.chart.hand import Hand
 from hapsim.errors import UsageError
 from hapsim.prediction import Prediction
-from hapsim.prediction.predict_impedance import PredictedImpedance, predict_impedance, spring_and_damper
+from hapsim.prediction.predict_impedance import PredictedImpedance, predict_impedance
 from hapsim.scene import Scene
 from hapsim.theory.arrays import Complexes, Floats
+from hapsim.theory.network.impedance import spring_and_damper
 
 if TYPE_CHECKING:
     from hapsim.measuring.measure_impedance import MeasuredImpedance

@@ -31,12 +31,12 @@ from hapsim.prediction.predict_impedance import (
     decades_of,
     mean_width,
     predict_impedance,
-    spring_and_damper,
     width_db,
     z_width_of,
 )
 from hapsim.stopping import INTERRUPTED, ignore_stops
 from hapsim.theory.network import principal
+from hapsim.theory.network.impedance import spring_and_damper
 
 if TYPE_CHECKING:
     from rich.console import Console

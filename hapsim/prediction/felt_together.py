@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hapsim.one_thread import one_thread
-from hapsim.prediction.predict_impedance import spring_and_damper
 from hapsim.theory import Network, frequency_and_ratio
 from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.network import (
@@ -27,7 +26,7 @@ from hapsim.theory.network import (
     state_size,
     static_stiffness,
 )
-from hapsim.theory.network.impedance import loop_impedance
+from hapsim.theory.network.impedance import loop_impedance, spring_and_damper
 
 HAND_HZ = (2.0, 8.0, 30.0)
 """Frequencies at which a hand moves: slowly, as fast as it can, and shaken by the masses that it holds."""

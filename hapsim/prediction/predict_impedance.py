@@ -110,11 +110,6 @@ def _of_predictors(rendering: Rendering, frequency: Floats) -> Complexes:
     return found
 
 
-def spring_and_damper(frequency: Floats, impedance: Complexes) -> tuple[Floats, Floats]:
-    """Returns k in N/m and b in N·s/m with this impedance, N·s/m, at each frequency in Hz; k of a mass is negative."""
-    return np.asarray(-2.0 * np.pi * frequency * impedance.imag), impedance.real
-
-
 @dataclass(frozen=True)
 class ZWidth:
     """Range of a device, from itself alone to its stiffest wall K/s + B (Colgate and Brown, 1994), at frequencies (n,)

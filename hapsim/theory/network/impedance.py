@@ -129,3 +129,8 @@ def _loop_forces(network: Network, w: Complexes) -> Complexes:
         state = np.full(right.shape, np.nan) if solve is None else solve(right)
         found[:, n] = -asked @ state[:size], state[size:]
     return found
+
+
+def spring_and_damper(frequency: Floats, impedance: Complexes) -> tuple[Floats, Floats]:
+    """Returns k in N/m and b in N·s/m with this impedance, N·s/m, at each frequency in Hz; k of a mass is negative."""
+    return np.asarray(-2.0 * np.pi * frequency * impedance.imag), impedance.real
