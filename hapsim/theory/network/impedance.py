@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hapsim.theory.arrays import Complexes
+from hapsim.theory.arrays import Complexes, Floats
 from hapsim.theory.interface import delay_and_hold
 from hapsim.theory.network.crossings import in_blocks, on_circle
 from hapsim.theory.network.felt import matrices
