@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,8 @@ _MOST_STEPS = 100
 _AT_REST = 1e-15  # m, by which what is left of the force stretches the stiffest link
 _HALVINGS, _BEYOND = 30, 0.9
 _LEAST_STIFFNESS = 1e-6  # N/m, for a mass that no spring holds
+_PARALLEL, _OUTSIDE = 1e-9, 1e-12  # sine of an angle that is none, and m
+_NEAR = 4.0  # times the depth of the press: shapes that are farther do not share a way out
 
 
 class PlaneLink(NamedTuple):
@@ -46,6 +49,8 @@ class PlaneLink(NamedTuple):
     damping: float
     """N·s/m."""
     state: str
+    along: Point | None = None
+    """Motion that changes its distance by itself, by the unit: the normal unless it shares a corner with another."""
 
     @property
     def tangent(self) -> Point:
@@ -84,7 +89,10 @@ class PlaneLink(NamedTuple):
         if isinstance(self.link, Friction):
             yield from (Row(axis, axis, self.slope, self.damping) for axis in ((1.0, 0.0), (0.0, 1.0)))
             return
-        yield Row(n, n, self.slope, self.damping)
+        if self.along is None:
+            yield Row(n, n, self.slope, self.damping)
+        else:
+            yield from (Row(n, self.along, self.slope, 0.0), Row(n, n, 0.0, self.damping))
         yield Row(t, t, self.across, self.damping_across)
         if self.rubs and isinstance(self.link, Shape):
             if not sliding:
@@ -122,33 +130,34 @@ class Plane:
 
     def at(self, places: Mapping[str, Point]) -> list[PlaneLink]:
         """Returns every link with its ends at `places`, by default where they start, m."""
-        found, at = [], {**self.start, **places}
+        found, at = list[PlaneLink](), {**self.start, **places}
+        together: dict[tuple[str, str], list[int]] = {}
         for name, (link, law, opposite) in self.links.items():
             (ax, ay), (bx, by) = (at[end] for end in link.between)
             d, normal, curvature, piece = opposite(ax - bx, ay - by)
             is_apart = law.pushes and d >= law.knots[-1][0]
             tension = 0.0 if is_apart else float(law.tension(d))
+            if isinstance(link, Shape):
+                together.setdefault(link.between, []).append(len(found))
             found.append(
                 PlaneLink(name, link, d, normal, curvature, piece, tension, law.slope(d), law.damping(d), law.state(d))
             )
+        for own in together.values():
+            for i, shared in zip(own, _shared([found[i] for i in own]), strict=True):
+                found[i] = shared
         return found
 
     def forces(self, x: Floats, y: Floats, hand: str = "") -> tuple[Floats, Floats]:
         """Returns the static force, N, on a hand [default: the first] at each of these places, m: arrays of one shape.
         Other hands and masses are where they start, and friction has no force."""
         hand = hand or self.hands[0]
-        fx, fy = np.zeros(np.shape(x)), np.zeros(np.shape(x))
-        for link, law, opposite in self.links.values():
-            if hand not in link.between:
-                continue
-            side = 1.0 if link.between[0] == hand else -1.0
-            ox, oy = self.start[link.between[side > 0.0]]
-            towards = zip(np.ravel(side * (x - ox)).tolist(), np.ravel(side * (y - oy)).tolist(), strict=True)
-            each = [opposite(*one) for one in towards]
-            nx, ny = np.array([one.normal for one in each]).reshape(-1, 2).T.reshape(2, *np.shape(x))
-            pull = side * law.tension(np.array([one.distance for one in each])).reshape(np.shape(x))
-            fx, fy = fx - pull * nx, fy - pull * ny
-        return fx, fy
+        force = np.zeros((np.size(x), 2))
+        for i, place in enumerate(zip(np.ravel(x).tolist(), np.ravel(y).tolist(), strict=True)):
+            for one in self.at({hand: place}):
+                if hand in one.link.between:
+                    side = 1.0 if one.link.between[0] == hand else -1.0
+                    force[i] -= side * one.tension * np.array(one.normal)
+        return force[:, 0].reshape(np.shape(x)), force[:, 1].reshape(np.shape(x))
 
     def at_rest(self, places: Mapping[str, Point]) -> dict[str, Point] | None:
         """Returns the places of all points with the masses at rest and the hands at `places`, by Newton's steps down
@@ -180,6 +189,35 @@ class Plane:
         else:
             return None if x.size else at
         return at | _places(self.masses, x)
+
+
+def _shared(shapes: list[PlaneLink]) -> list[PlaneLink]:
+    """Returns shapes that one point may touch as they share its way out: the shortest that leaves them all. One of them
+    leads out alone, or two to the corner where they meet; the others have no force."""
+    deepest = -min(one.distance for one in shapes)
+    near = [i for i, one in enumerate(shapes) if one.distance < _NEAR * deepest]
+    if len(near) < 2:
+        return shapes
+    for several in (*((i,) for i in near), *combinations(near, 2)):
+        N = np.array([shapes[i].normal for i in several])
+        if len(several) == 2 and abs(np.linalg.det(N)) < _PARALLEL:
+            continue
+        along = np.linalg.solve(N @ N.T, N)
+        deep = np.linalg.solve(N @ N.T, [-shapes[i].distance for i in several])
+        way = N.T @ deep
+        if (deep >= 0.0).all() and all(one.distance + np.dot(one.normal, way) >= -_OUTSIDE for one in shapes):
+            out = [
+                one._replace(tension=0.0, slope=0.0, damping=0.0, state="behind another") if one.distance < 0.0 else one
+                for one in shapes
+            ]
+            for i, depth, (x, y) in zip(several, deep.tolist(), along.tolist(), strict=True):
+                law, own = shapes[i].link.law(), None if len(several) == 1 else (x, y)
+                slope, damping, state = law.slope(-depth), law.damping(-depth), law.state(-depth)
+                out[i] = shapes[i]._replace(
+                    tension=-slope * depth, slope=slope, damping=damping, state=state, along=own
+                )
+            return out
+    return shapes
 
 
 def as_row(link: Link, direction: Point, column: Mapping[str, int], size: int) -> Floats:

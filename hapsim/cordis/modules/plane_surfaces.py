@@ -8,7 +8,7 @@ corner jumps. MODULES.md has the rules.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,8 +22,11 @@ from hapsim.cordis.dispatch import Column, Memory, Part, action
 from hapsim.cordis.modules.link import Ends, count, ends_of
 from hapsim.cordis.modules.plane_links import EXACT, between, near_of, pull, turned
 from hapsim.scene import Guide, Shape
-from hapsim.scene.chain import Chain, Piece
+from hapsim.scene.chain import Chain, Piece, Point
 
+_INSIDE = 1e-9  # m, of another shape: a place that is less deep is on its surface
+_SWEEPS, _SMALL = 40, 1e-12  # steps to the way out, and m: a smaller change ends them
+_CUTS = 64  # places of a piece that are looked at
 _FAR = 1e30  # m: extent of a whole line, and reach of a guide that never lets go
 _MOST_WALKED = 64  # pieces in a sample
 _DIGITS = 64  # last ones of a number, by which pieces overlap
@@ -70,11 +73,17 @@ class Places(NamedTuple):
 
 class Shapes(NamedTuple):
     """L shapes, shape (L,): K and B/T in N/m, friction coefficients. The bristle has K and B/T of its own, N/m, or
-    shares of those of the surface. Remembered: `touches`, 1 or 0; `bent`, m; `sliding`, 1, -1 or 0; `press`, N."""
+    shares of those of the surface. `group`: number of the first shape between the same ends; `out_x`, `out_y`: m, way
+    out of those that are touched; `deep`: the part of each in it. Remembered: `touches`, 1 (-1 in the first sample) or
+    0; `bent`, m; `sliding`, 1, -1 or 0; `press`, N."""
 
     ends: Ends
     chains: Chains
     place: Places
+    group: NDArray[np.uint64]
+    out_x: Column
+    out_y: Column
+    deep: Column
     stiffness: Column
     damping_per_sample: Column
     coefficient: Column
@@ -105,7 +114,7 @@ class Guides(NamedTuple):
 def find_nearest(chains, place, i, x, y):
     """Puts place i on the piece nearest to (x, y), and returns its distance, m; infinite where none is opposite."""
     real, first, digit = chains.x.dtype.type, chains.begin[i], chains.digit[0]
-    nearest, found = real(np.inf) + (x - x) + (y - y), first
+    nearest, found = real(np.inf) + (x - x) + (y - y), first + np.uint64(place.piece[i])
     nx, ny = place.x[i], place.y[i]
     for k in range(first, chains.begin[i + ONE]):
         dx, dy = x - chains.x[k], y - chains.y[k]
@@ -183,25 +192,38 @@ def add_shape_forces(shapes, state):
     """Adds the force of every shape that is touched."""
     shapes, state = value_of(shapes), value_of(state)
     real, place = shapes.bent.dtype.type, shapes.place
+    _find_ways_out(shapes, state)
     for i in range(count(shapes.ends)):
         x, y, gx, gy = between(shapes.ends, i, state)
         began, piece, nx, ny = shapes.touches[i] == 0, place.piece[i], place.x[i], place.y[i]
+        out_x, out_y = x + shapes.out_x[shapes.group[i]], y + shapes.out_y[shapes.group[i]]
         nearest = real(0)
         if began:
-            nearest = find_nearest(shapes.chains, place, i, x, y)
+            nearest = find_nearest(shapes.chains, place, i, out_x, out_y)
         if not nearest > 0:
             place.piece[i], place.x[i], place.y[i] = piece, nx, ny
-            nearest = follow(shapes.chains, place, i, x, y, gx, gy)
-            if nearest > 0:
-                nearest = find_nearest(shapes.chains, place, i, x, y)
+            if not began:
+                nearest = follow(shapes.chains, place, i, x, y, gx, gy)
+            if began or nearest > 0:  # without the others it may be free, but not where they lead
+                place.piece[i], place.x[i], place.y[i] = piece, nx, ny
+                nearest = follow(shapes.chains, place, i, out_x, out_y, gx, gy)
+            if nearest > 0 and not shapes.deep[i] > 0:
+                nearest = find_nearest(shapes.chains, place, i, out_x, out_y)
                 began = True
-        if nearest > 0:
+        if nearest > 0 and not shapes.deep[i] > 0:
             shapes.touches[i] = shapes.bent[i] = shapes.sliding[i] = shapes.press[i] = real(0)
+        elif began:
+            shapes.touches[i], shapes.bent[i], shapes.sliding[i] = real(-1), real(0), real(0)
+    _find_ways_out(shapes, state)
+    for i in range(count(shapes.ends)):
+        deep, began = shapes.deep[i], shapes.touches[i] < 0
+        if shapes.touches[i] == 0 or deep == 0:
+            shapes.press[i] = real(0)
             continue
-        if began:
-            shapes.touches[i], shapes.bent[i], shapes.sliding[i] = real(1), real(0), real(0)
+        shapes.touches[i] = real(1)
+        _, _, gx, gy = between(shapes.ends, i, state)
         nx, ny = place.x[i], place.y[i]
-        tension = shapes.stiffness[i] * nearest + shapes.damping_per_sample[i] * (nx * gx + ny * gy)
+        tension = shapes.damping_per_sample[i] * (nx * gx + ny * gy) - shapes.stiffness[i] * deep
         if tension > 0:
             tension = real(0)
         shapes.press[i] = -tension
@@ -209,8 +231,35 @@ def add_shape_forces(shapes, state):
         rub = _rub(shapes, i, way, began)
         k = shapes.chains.begin[i] + np.uint64(place.piece[i])
         if shapes.chains.bend[k] < 0 and shapes.chains.extent[k] > 0:  # a hollow corner, where two walls damp
-            rub -= shapes.damping_per_sample[i] * way * nearest / (shapes.chains.radius[k] - nearest)
+            rub += shapes.damping_per_sample[i] * way * deep / (shapes.chains.radius[k] + deep)
         pull(shapes.ends, i, tension * nx - rub * ny, tension * ny + rub * nx, state.force)
+
+
+@inlined
+def _find_ways_out(shapes, state):
+    """Finds the shortest way from each point out of all shapes between the same ends that it touches, and the part of
+    each in it, by Gauss and Seidel's steps. At its end a hand would be that had not entered them. A single shape has
+    the distance from its surface; of two that coincide one has all, and in a corner both lead to where they meet."""
+    place, real, touched = shapes.place, shapes.bent.dtype.type, 0
+    for i in range(count(shapes.ends)):
+        shapes.out_x[i] = shapes.out_y[i] = shapes.deep[i] = real(0)
+        touched += shapes.touches[i] != 0
+    for _ in range(_SWEEPS if touched > 1 else touched):
+        most = real(0)
+        for i in range(count(shapes.ends)):
+            if shapes.touches[i] != 0:
+                x, y, _, _ = between(shapes.ends, i, state)
+                g, nx, ny = shapes.group[i], place.x[i], place.y[i]
+                before = shapes.deep[i]
+                deep = before + place.level[i] - nx * (x + shapes.out_x[g]) - ny * (y + shapes.out_y[g])
+                if deep < 0:
+                    deep = real(0)
+                shapes.deep[i] = deep
+                shapes.out_x[g] += (deep - before) * nx
+                shapes.out_y[g] += (deep - before) * ny
+                most = max(most, abs(deep - before))
+        if not most > real(_SMALL):
+            break
 
 
 @inlined
@@ -251,9 +300,8 @@ def add_guide_forces(guides, state):
             pull(guides.ends, i, tension * nx, tension * ny, state.force)
 
 
-def _chains_of(links: Iterable[Any], context: BuildContext) -> Chains:
-    """Returns the chains of these links."""
-    chains: list[Chain] = [link.chain() for link in links]
+def _chains_of(chains: Sequence[Chain], context: BuildContext) -> Chains:
+    """Returns these chains as numbers."""
     begin = np.cumsum([0, *(len(chain.pieces) for chain in chains)]).astype(np.uint64)
     rows, joins = [], []
     for first, chain in zip(begin.tolist(), chains, strict=False):
@@ -264,6 +312,38 @@ def _chains_of(links: Iterable[Any], context: BuildContext) -> Chains:
     before, after = (np.array(side, np.uint64) for side in zip(*joins, strict=True))
     digit = context.column([_DIGITS * np.finfo(context.real).eps])
     return Chains(begin, before, after, digit, near_of(radii, context), *columns)
+
+
+def _joined(chains: Sequence[Chain], group: Sequence[int]) -> list[Chain]:
+    """Returns the boundaries without the ends of pieces that are inside other shapes of their group: an arc is shorter,
+    and a straight piece has no way on. A contact stays there, so that a hand is not pressed through a joint of walls.
+    """
+
+    def is_inside(number: int, at: Point) -> bool:
+        others = (i for i, its in enumerate(group) if its == group[number] and i != number)
+        return any(chains[i].nearest(*at).distance < -_INSIDE for i in others)
+
+    def cut(number: int, k: int, piece: Piece) -> Piece:
+        shares = [step / _CUTS for step in range(_CUTS + 1)]
+        free = [share for share in shares if not is_inside(number, piece.at(share))]
+        if piece.bend == 0:
+            blocked = {side: k for side, share in (("before", 0.0), ("after", 1.0)) if share not in free}
+            return piece._replace(**blocked) if free else piece
+        if not free or len(free) == len(shares):
+            return piece
+        angle = piece.bend * free[0] * piece.extent
+        c, s = math.cos(angle), math.sin(angle)
+        ex, ey = c * piece.ex - s * piece.ey, s * piece.ex + c * piece.ey
+        return piece._replace(ex=ex, ey=ey, extent=(free[-1] - free[0]) * piece.extent)
+
+    return [
+        Chain(
+            tuple(cut(number, k, piece) for k, piece in enumerate(chain.pieces))
+            if len(chain.pieces) > 1
+            else chain.pieces
+        )
+        for number, chain in enumerate(chains)
+    ]
 
 
 def _numbers_of(piece: Piece) -> tuple[float, ...]:
@@ -289,8 +369,11 @@ def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
         K, B = link.bristle_stiffness, link.bristle_damping
         rows.append((K or 0.0, 0.5 * (K is None), (B or 0.0) * context.rate, float(B is None)))
     bristles = [context.column(column) for column in zip(*rows, strict=True)]
-    chains = _chains_of(links.values(), context)
-    numbers = Shapes(ends_of(links, context), chains, place, *columns, *bristles, *remembered[6:])
+    ends = [link.between for link in links.values()]
+    group = np.array([ends.index(one) for one in ends], np.uint64)
+    ways_out = np.zeros((3, len(links)), context.real)
+    chains = _chains_of(_joined([link.chain() for link in links.values()], group.tolist()), context)
+    numbers = Shapes(ends_of(links, context), chains, place, group, *ways_out, *columns, *bristles, *remembered[6:])
     memory = Memory(tuple(links), remembered)
     return Part(numbers, initialize=initialize, add_forces=add_shape_forces, memory=memory)
 
@@ -299,7 +382,7 @@ def _guides(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
     half = context.column([0.5 * link.width for link in links.values()])
     reach = context.column([_FAR if link.reach is None else link.reach for link in links.values()])
     place, remembered = _places(len(links), context)
-    chains = _chains_of(links.values(), context)
+    chains = _chains_of([link.chain() for link in links.values()], context)
     numbers = Guides(ends_of(links, context), chains, place, half, reach, *columns)
     return Part(numbers, initialize=initialize, add_forces=add_guide_forces, memory=Memory(tuple(links), remembered))
 
