@@ -8,7 +8,7 @@ corner jumps. MODULES.md has the rules.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -319,17 +319,17 @@ def _joined(chains: Sequence[Chain], group: Sequence[int]) -> list[Chain]:
     and a straight piece has no way on. A contact stays there, so that a hand is not pressed through a joint of walls.
     """
 
-    def is_inside(number: int, at: Point) -> bool:
-        others = (i for i, its in enumerate(group) if its == group[number] and i != number)
-        return any(chains[i].nearest(*at).distance < -_INSIDE for i in others)
+    def around(at: Point, shapes: Iterable[int]) -> set[int]:
+        return {i for i in shapes if chains[i].nearest(*at).distance < -_INSIDE}
 
     def cut(number: int, k: int, piece: Piece) -> Piece:
-        shares = [step / _CUTS for step in range(_CUTS + 1)]
-        free = [share for share in shares if not is_inside(number, piece.at(share))]
+        others = [i for i, its in enumerate(group) if its == group[number] and i != number]
+        first, last = around(piece.at(0.0), others), around(piece.at(1.0), others)
         if piece.bend == 0:
-            blocked = {side: k for side, share in (("before", 0.0), ("after", 1.0)) if share not in free}
-            return piece._replace(**blocked) if free else piece
-        if not free or len(free) == len(shares):
+            return piece._replace(before=k if first else piece.before, after=k if last else piece.after)
+        shares = [step / _CUTS for step in range(_CUTS + 1)] if first or last else []
+        free = [share for share in shares if not around(piece.at(share), first | last)]
+        if not free:
             return piece
         angle = piece.bend * free[0] * piece.extent
         c, s = math.cos(angle), math.sin(angle)
