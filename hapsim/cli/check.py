@@ -100,7 +100,10 @@ def check(
         of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
     show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
     if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and not refused:
-        print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
+        if check_plane.is_held(prediction):
+            print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
+        else:
+            print_next("run", scene)
     elif not explain:
         print_next("check", scene, "--explain")
 
@@ -291,7 +294,11 @@ def _margin_summary(prediction: Prediction) -> str:
         return "Gain margins were not worked out"
     how = f" ({SEARCHED})" if SEARCHED in prediction.margins_method else ""
     how += ", what slides being held" if slides else ""
-    how += "" if prediction.stable or prediction.at_limit or slides else ", its contacts as they are taken below"
+    how += (
+        ""
+        if prediction.stable or prediction.at_limit or slides
+        else ", its contacts as the assumptions below have them"
+    )
     if math.isinf(details.change_to_limit(links[0])):
         return f"Gain margin: no link makes it unstable{' here' if prediction.scene.space > 1 else ''}{how}"
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}

@@ -34,6 +34,15 @@ def is_sliding(prediction: Prediction) -> bool:
     return plane is not None and plane.verdict == "slides"
 
 
+def is_held(prediction: Prediction) -> bool:
+    """Returns whether a hand can be measured where it is: on a line, or in the plane where a link acts on it and it
+    does not slide off."""
+    plane = in_plane(prediction)
+    if plane is None:
+        return True
+    return not is_sliding(prediction) and any(one.acts and plane.hands[0] in one.link.between for one in plane.links)
+
+
 def slide_sentences(prediction: Prediction) -> Iterator[str]:
     """Yields the slides, the fastest first; nothing on a line."""
     for one in getattr(prediction, "slides", ()):

@@ -93,7 +93,9 @@ def measure_on_line(
     """
     scene, run = as_scene(scene), partial(run, **options)
     if scene.space > 1:
-        raise UsageError("space: found 2, expected a scene with one coordinate; measure_in_plane measures both of two")
+        raise UsageError(
+            "space: found 2; a hand in the plane is measured with a place, as by `hapsim measure --at X,Y`"
+        )
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)

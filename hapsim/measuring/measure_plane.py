@@ -99,6 +99,7 @@ def measure_in_plane(
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
     hand = next(group for group in scene.channel_groups if channel in group)
+    _require_alone(scene, hand)
     place = _place_of(scene, hand, at)
     seconds = duration or (_IN_VIRTUAL_TIME if scene.device.clock == "lockstep" else _SECONDS)
     rung = [_rung(scene, run, place, axis, seconds, push) for axis in range(len(hand))]
@@ -185,6 +186,22 @@ def _require_held(scene: Scene, place: _Place, away: Floats) -> None:
             f"{place.words}, the hand slides off along {angle:.0f}°: its distance grows e-fold in {1e3 * time:.4g} ms "
             f"(a pole of {grows:.6g}), so no spring is felt there. More friction (friction_coefficient) holds it; or "
             "hold the hand by a spring along the surface, or choose a place that is flat or hollow"
+        )
+
+
+def _require_alone(scene: Scene, hand: Sequence[int]) -> None:
+    """Raises UsageError if links join this hand with another one, which would move too."""
+    hands = {name: one.all_channels for name, one in scene.modules.items() if isinstance(one, DevicePoint)}
+    moving = {name for name, one in scene.modules.items() if one.can_move}
+    joined = {name for name, channels in hands.items() if channels == tuple(hand)}
+    for _ in scene.plane_links:
+        for link in scene.plane_links.values():
+            if joined & {*link.between}:
+                joined |= moving & {*link.between}
+    if others := [name for name in hands if name in joined and hands[name] != tuple(hand)]:
+        raise UsageError(
+            f"measure: found links that join the hand with {' and '.join(others)}, which would move too; "
+            "expected a hand that is joined with no other. `hapsim check --at X,Y` predicts both"
         )
 
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from hapsim.prediction.characteristic import starts_at
 from hapsim.prediction.reach import start_positions
-from hapsim.scene import DevicePoint, Friction, Link, Scene
-from hapsim.scene.chain import Nearest, Point
+from hapsim.scene import DevicePoint, Friction, Link, Scene, Spring, ViscoElastic
+from hapsim.scene.chain import NEAR, NEAR_SHARE, Nearest, Point
 from hapsim.scene.modules.surfaces import Guide, Shape
 from hapsim.theory.arrays import Floats
 
@@ -39,7 +39,8 @@ class PlaneLink(NamedTuple):
     normal: Point
     """Unit vector along which the distance grows, for its first end."""
     curvature: float
-    """Turn of the normal per metre across it, 1/m; infinite where the ends of a link between points meet."""
+    """Turn of the normal per metre across it, 1/m; infinite near the centre of a round, or where the ends of a link
+    between points meet: there the normal is remembered, and does not turn."""
     piece: int
     """Piece of its chain; 0 without one."""
     tension: float
@@ -59,18 +60,19 @@ class PlaneLink(NamedTuple):
 
     @property
     def across(self) -> float:
-        """Stiffness along the tangent, N/m: that of a link without a length, where its ends meet, is its slope."""
+        """Stiffness along the tangent, N/m. Where a normal is remembered, only a spring has one."""
         if math.isfinite(self.curvature):
             return self.tension * self.curvature
-        return 0.0 if self.tension else self.slope
+        return self.slope if isinstance(self.link, Spring | ViscoElastic) or not self.tension else 0.0
 
     @property
     def damping_across(self) -> float:
-        """Damping along the tangent, N·s/m: in a hollow corner two walls damp, by the same share as they are stiff."""
-        if not isinstance(self.link, Shape) or self.curvature >= 0.0 or not self.acts:
+        """Damping along the tangent, N·s/m: a hollow corner of a shape, and a guide outside a bend or beyond its end,
+        damp along themselves by the same share as they are stiff."""
+        if not isinstance(self.link, Shape | Guide) or not self.slope or not 0.0 < self.across < math.inf:
             return 0.0
         is_corner = self.link.chain().pieces[self.piece].extent < math.pi
-        return self.damping * self.distance * self.curvature if is_corner else 0.0
+        return self.damping * self.across / self.slope if is_corner or isinstance(self.link, Guide) else 0.0
 
     @property
     def acts(self) -> bool:
@@ -135,6 +137,8 @@ class Plane:
         for name, (link, law, opposite) in self.links.items():
             (ax, ay), (bx, by) = (at[end] for end in link.between)
             d, normal, curvature, piece = opposite(ax - bx, ay - by)
+            if curvature > 0.0 and _remembers(link, d, piece):
+                curvature = math.inf
             is_apart = law.pushes and d >= law.knots[-1][0]
             tension = 0.0 if is_apart else float(law.tension(d))
             if isinstance(link, Shape):
@@ -243,6 +247,14 @@ def _start(scene: Scene) -> dict[str, Point]:
 def _opposite(link: Link) -> Callable[[float, float], Nearest]:
     """Returns the function from the first end minus the second, m, to the nearest place of the link."""
     return link.chain().nearest if isinstance(link, Shape | Guide) else _away
+
+
+def _remembers(link: Link, distance: float, piece: int) -> bool:
+    """Returns whether a place is so near the centre of a round that its normal is remembered."""
+    if isinstance(link, Guide):
+        return False
+    radius = link.chain().pieces[piece].radius if isinstance(link, Shape) else abs(link.law().knots[-1][0])
+    return (radius if isinstance(link, Shape) else 0.0) + distance < NEAR + NEAR_SHARE * radius
 
 
 def _away(x: float, y: float) -> Nearest:

@@ -179,7 +179,8 @@ class PlaneStates:
                     f"{one.name} {'slides' if one.name in sliding else f'is {one.state}'}" for one in links if one.state
                 )
                 where = ", ".join(self.plane.scene.units.number(one, "mm", 4) for one in places[self.plane.hands[0]])
-                how += f" with {self.plane.hands[0]} at {self.plane.scene.units(where, 'mm')}"
+                how += f"{' with ' if how else ''}{self.plane.hands[0]} {'' if how else 'is '}at "
+                how += self.plane.scene.units(where, "mm")
                 found[key] = shaken and shaken._replace(state=how)
         return found
 

@@ -15,6 +15,10 @@ from typing import NamedTuple
 
 Point = tuple[float, float]
 
+NEAR, NEAR_SHARE = 1e-4, 0.1
+"""m, and share of the radius: nearer to its centre than these together a direction is remembered. At 0.1 m/s and 1 kHz
+a hand moves 0.1 mm in a sample, so that a direction turns by no more than about a radian."""
+
 _STRAIGHT = 1e-9  # rad: a smaller turn is none
 _FAR = 10.0  # m: half of a whole line in a picture
 

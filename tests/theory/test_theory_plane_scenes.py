@@ -184,7 +184,7 @@ def test_static_stiffness_is_the_change_of_the_force() -> None:
     random, checked = np.random.default_rng(5), 0
     box = DISC | {"form": {"polygon": [[-0.02, -0.02], [0.03, -0.01], [0.02, 0.02], [-0.01, 0.01]]}, "round": 0.004}
     lane = {"type": "guide", "between": ["hand", "post"], "through": [[-0.03, 0], [0.0, 0.01], [0.03, 0.03]]}
-    for _ in range(40):
+    for _ in range(60):
         spring = {"type": "spring", "between": ["hand", "post"], "length": random.uniform(0.0, 0.05)}
         scene = plane(
             box=box | {"side": random.choice(["inside", "outside"])},
@@ -197,6 +197,8 @@ def test_static_stiffness_is_the_change_of_the_force() -> None:
         at = random.uniform(-0.01, 0.06), random.uniform(-0.03, 0.03)
         prediction, there = predict(scene, at=at), Plane(scene)
         assert isinstance(prediction, PlanePrediction)
+        if any(math.isinf(one.curvature) for one in prediction.links):
+            continue  # its normal is remembered, which a static force does not know
 
         def force(x: float, y: float, there: Plane = there) -> np.ndarray:
             rest = there.at_rest({"hand": (x, y)})

@@ -24,11 +24,8 @@ from hapsim.cordis.modules.link import Ends, count, ends_of, link_type
 from hapsim.cordis.modules.table_links import TableLinks, knot_columns, law_at, table_numbers, update_pieces
 from hapsim.laws import Law
 from hapsim.scene import Damper, Friction, Plectrum, Scene, Spring, ViscoElastic
+from hapsim.scene.chain import NEAR, NEAR_SHARE
 from hapsim.scene.modules import Link
-
-NEAR, NEAR_SHARE = 1e-4, 0.1
-"""m, and share of the radius: nearer to its centre than these together a direction is remembered. At 0.1 m/s and 1 kHz
-a hand moves 0.1 mm in a sample, so that a direction turns by no more than about a radian."""
 
 EXACT = -1.0
 """Slack of a direction that is not remembered."""

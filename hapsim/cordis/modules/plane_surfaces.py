@@ -297,7 +297,11 @@ def add_guide_forces(guides, state):
             nx, ny = place.x[i], place.y[i]
             tension = math.copysign(guides.stiffness[i] * off, distance)
             tension += guides.damping_per_sample[i] * (nx * gx + ny * gy)
-            pull(guides.ends, i, tension * nx, tension * ny, state.force)
+            k, rub = guides.chains.begin[i] + np.uint64(place.piece[i]), place.x.dtype.type(0)
+            if guides.chains.bend[k] * distance > 0:  # outside a bend, or beyond an end, it holds along itself too
+                share = off / (guides.chains.radius[k] + abs(distance))
+                rub = guides.damping_per_sample[i] * share * (nx * gy - ny * gx)
+            pull(guides.ends, i, tension * nx - rub * ny, tension * ny + rub * nx, state.force)
 
 
 def _chains_of(chains: Sequence[Chain], context: BuildContext) -> Chains:

@@ -113,6 +113,7 @@ _SAME = 1e-6  # relative difference that rounding alone causes
 _WORST = 1e12  # condition number of the motions from which a pair is solved
 _SHOWN = 0.1  # rms share of the hands' velocity after an impulse in a motion that the hands take part in
 _ROUNDED = 1e-13  # of a matrix's largest singular value
+_ROUNDING = 1e-13  # of the largest entry of a pair: less is none
 _ROUND = 1e-9  # largest relative difference of two directions in which the same is felt
 _TURNS = 10.0  # radians of the slowest motion of the hands: time over which a motion without decay is summed
 
@@ -204,6 +205,7 @@ def principal(pair_k: Floats, pair_b: Floats) -> tuple[Direction, Direction]:
     eigenvectors of the symmetric part of k, with k and b along each. If k is the same in all directions, they are those
     of b, the most damped first; if b is so too, x and y."""
     k, b = (0.5 * (np.asarray(one, float) + np.transpose(one)) for one in (pair_k, pair_b))
+    k, b = (np.where(np.abs(one) > _ROUNDING * np.abs(one).max(), one, 0.0) for one in (k, b))
 
     def angle(of: Floats) -> float | None:
         """Angle of the largest value of a symmetric matrix; None if it is round."""
@@ -216,7 +218,13 @@ def principal(pair_k: Floats, pair_b: Floats) -> tuple[Direction, Direction]:
     for turn in (first, first + 0.5 * math.pi):
         n = np.array([math.cos(turn), math.sin(turn)])
         at = turn % math.pi
-        found.append(Direction(at if at < math.pi else 0.0, float(n @ k @ n), float(n @ b @ n)))
+        along = (float(n @ one @ n) for one in (k, b))
+        least = (_ROUNDING * float(np.abs(one).max()) for one in (k, b))
+        found.append(
+            Direction(
+                at if at < math.pi else 0.0, *(v if abs(v) > m else 0.0 for v, m in zip(along, least, strict=True))
+            )
+        )
     return found[0], found[1]
 
 
