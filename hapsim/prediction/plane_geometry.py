@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +25,6 @@ _AT_REST = 1e-15  # m, by which what is left of the force stretches the stiffest
 _HALVINGS, _BEYOND = 30, 0.9
 _LEAST_STIFFNESS = 1e-6  # N/m, for a mass that no spring holds
 _PARALLEL, _OUTSIDE = 1e-9, 1e-12  # sine of an angle that is none, and m
-_NEAR = 4.0  # times the depth of the press: shapes that are farther do not share a way out
 
 
 class PlaneLink(NamedTuple):
@@ -147,9 +145,37 @@ class Plane:
                 PlaneLink(name, link, d, normal, curvature, piece, tension, law.slope(d), law.damping(d), law.state(d))
             )
         for own in together.values():
-            for i, shared in zip(own, _shared([found[i] for i in own]), strict=True):
+            (ax, ay), (bx, by) = (at[end] for end in found[own[0]].link.between)
+            for i, shared in zip(own, self._shared([found[i] for i in own], ax - bx, ay - by), strict=True):
                 found[i] = shared
         return found
+
+    def _shared(self, shapes: list[PlaneLink], x: float, y: float) -> list[PlaneLink]:
+        """Returns shapes that one point at (x, y) may touch as they share its way out: the shortest that leaves them
+        all. One of them leads out alone, or two to the corner where they meet; the others have no force."""
+        touched = [i for i, one in enumerate(shapes) if one.distance < 0.0]
+        if not touched or len(shapes) == 1:
+            return shapes
+        for i in sorted(touched, key=lambda i: shapes[i].distance):
+            (nx, ny), d = shapes[i].normal, shapes[i].distance
+            out = x - d * nx, y - d * ny
+            there = [self.links[one.name][2](*out) for one in shapes]
+            inside = [j for j, one in enumerate(there) if one.distance < -_OUTSIDE and j != i]
+            if not inside:
+                return _led_out(shapes, {i: -d}, {})
+            for j in inside:
+                N = np.array([(nx, ny), there[j].normal])
+                if abs(np.linalg.det(N)) < _PARALLEL:
+                    continue
+                deep = np.linalg.solve(N @ N.T, [-d, -there[j].distance - d * float(N[0] @ N[1])])
+                if (deep >= 0.0).all():
+                    along = dict(zip((i, j), np.linalg.solve(N @ N.T, N).tolist(), strict=True))
+                    both = [
+                        one._replace(normal=there[j].normal, piece=there[j].piece) if k == j else one
+                        for k, one in enumerate(shapes)
+                    ]
+                    return _led_out(both, dict(zip((i, j), deep.tolist(), strict=True)), along)
+        return shapes
 
     def forces(self, x: Floats, y: Floats, hand: str = "") -> tuple[Floats, Floats]:
         """Returns the static force, N, on a hand [default: the first] at each of these places, m: arrays of one shape.
@@ -195,33 +221,23 @@ class Plane:
         return at | _places(self.masses, x)
 
 
-def _shared(shapes: list[PlaneLink]) -> list[PlaneLink]:
-    """Returns shapes that one point may touch as they share its way out: the shortest that leaves them all. One of them
-    leads out alone, or two to the corner where they meet; the others have no force."""
-    deepest = -min(one.distance for one in shapes)
-    near = [i for i, one in enumerate(shapes) if one.distance < _NEAR * deepest]
-    if len(near) < 2:
-        return shapes
-    for several in (*((i,) for i in near), *combinations(near, 2)):
-        N = np.array([shapes[i].normal for i in several])
-        if len(several) == 2 and abs(np.linalg.det(N)) < _PARALLEL:
-            continue
-        along = np.linalg.solve(N @ N.T, N)
-        deep = np.linalg.solve(N @ N.T, [-shapes[i].distance for i in several])
-        way = N.T @ deep
-        if (deep >= 0.0).all() and all(one.distance + np.dot(one.normal, way) >= -_OUTSIDE for one in shapes):
-            out = [
-                one._replace(tension=0.0, slope=0.0, damping=0.0, state="behind another") if one.distance < 0.0 else one
-                for one in shapes
-            ]
-            for i, depth, (x, y) in zip(several, deep.tolist(), along.tolist(), strict=True):
-                law, own = shapes[i].link.law(), None if len(several) == 1 else (x, y)
-                slope, damping, state = law.slope(-depth), law.damping(-depth), law.state(-depth)
-                out[i] = shapes[i]._replace(
-                    tension=-slope * depth, slope=slope, damping=damping, state=state, along=own
-                )
-            return out
-    return shapes
+def _led_out(
+    shapes: list[PlaneLink], deep: Mapping[int, float], along: Mapping[int, Sequence[float]]
+) -> list[PlaneLink]:
+    """Returns shapes of which these, by number, share the way out: m each, and the motion that changes it."""
+    found = []
+    for i, one in enumerate(shapes):
+        if i in deep:
+            law = one.link.law()
+            tension, slope = float(law.tension(-deep[i])), law.slope(-deep[i])
+            damping, state = law.damping(-deep[i]), law.state(-deep[i])
+            motion = (along[i][0], along[i][1]) if along else None
+            found.append(one._replace(tension=tension, slope=slope, damping=damping, state=state, along=motion))
+        elif one.distance < 0.0:
+            found.append(one._replace(tension=0.0, slope=0.0, damping=0.0, state="behind another"))
+        else:
+            found.append(one)
+    return found
 
 
 def as_row(link: Link, direction: Point, column: Mapping[str, int], size: int) -> Floats:
