@@ -138,7 +138,7 @@ def _comma_hint(text: str) -> str:
 def _list_hint(node: yaml.SequenceNode) -> str:
     """Returns the advice for a list in which a comma parts a number, or an indentation joins items; else ""."""
     text = str(node.start_mark.buffer)[node.start_mark.pointer : node.end_mark.pointer]
-    if node.flow_style and re.search(r"[0-9],[0-9]", text):
+    if node.flow_style and re.search(r"(?<![.0-9])[0-9]+,[0-9]+(?![.0-9])", text):
         in_pairs = all(run.count(",") % 2 for run in re.findall(r"[0-9]+(?:,[-+]?[0-9]+)+", text))
         meant = re.sub(r"([0-9]),([0-9]+)", r"\1.\2", " ".join(text.split()))
         return f"; a comma separates entries, and a decimal has a point{': ' + quote(meant)[1:-1] if in_pairs else ''}"

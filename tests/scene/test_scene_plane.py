@@ -116,6 +116,11 @@ def test_what_needs_the_plane_is_an_error_on_a_line() -> None:
     assert "Traceback" not in told
 
 
+def test_places_with_decimals_are_not_taken_for_numbers_with_a_comma() -> None:
+    told = fault(("{disc: 0.02}", "{capsule: [[0.01,0.5],[0.01,0.5]], radius: 0.002}"))
+    assert told.endswith("found a list, expected another place than the one before")
+
+
 def test_schema_describes_forms_and_paths() -> None:
     described = str(scene_schema())
     assert all(word in described for word in ("half_plane", "Corners of a polygon", "Channels of x and y", "closed"))
