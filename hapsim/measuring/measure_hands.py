@@ -243,7 +243,7 @@ def _hand_modes(modes: _Modes, n: int) -> Any:
     whole = len(own) == 2 * n and all(np.abs(poles - one.conjugate()).min() < _PAIRED for one in poles)
     if not whole or (poles.real[np.abs(poles.imag) < _PAIRED] <= 0.0).any():
         raise UsageError(
-            f"the motion does not show clearly the {2 * n} decaying modes of {n} hands on springs and dampers: push "
+            f"the motion does not show clearly the {2 * n} decaying modes of {n} springs and dampers: push "
             "harder (--push), or record longer (--duration)"
         )
     return own

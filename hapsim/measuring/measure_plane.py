@@ -184,8 +184,8 @@ def _require_held(scene: Scene, place: _Place, away: Floats) -> None:
         angle, time = math.degrees(math.atan2(direction[1], direction[0])) % 180.0, 1.0 / (scene.rate * math.log(grows))
         raise UsageError(
             f"{place.words}, the hand slides off along {angle:.0f}°: its distance grows e-fold in {1e3 * time:.4g} ms "
-            f"(a pole of {grows:.6g}), so no spring is felt there. More friction (friction_coefficient) holds it; or "
-            "hold the hand by a spring along the surface, or choose a place that is flat or hollow"
+            f"(a pole of {grows:.6g}), so no spring is felt there. If dry friction should hold it, push less (--push). "
+            "Otherwise add friction (friction_coefficient) or a spring along the surface, or choose another place"
         )
 
 

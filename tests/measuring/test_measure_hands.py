@@ -161,7 +161,7 @@ class TestMatrices:
     def test_are_not_reported_where_too_little_moves(self) -> None:
         scene = scene_of(TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}, mock={"noise": 1e-4})
         (one,) = predict(scene, with_margins=False).together
-        with pytest.raises(UsageError, match=r"show clearly the 4 decaying modes of 2 hands on springs and dampers"):
+        with pytest.raises(UsageError, match=r"show clearly the 4 decaying modes of 2 springs and dampers"):
             measured(scene, one)
 
     def test_need_a_record(self) -> None:
