@@ -19,6 +19,7 @@ NEAR, NEAR_SHARE = 1e-4, 0.1
 """m, and share of the radius: nearer to its centre than these together a direction is remembered. At 0.1 m/s and 1 kHz
 a hand moves 0.1 mm in a sample, so that a direction turns by no more than about a radian."""
 
+_CENTRE = 1e-150  # m: nearer a square is no number
 _STRAIGHT = 1e-9  # rad: a smaller turn is none
 _FAR = 10.0  # m: half of a whole line in a picture
 
@@ -65,8 +66,10 @@ class Piece(NamedTuple):
         if not (turned if turned >= 0.0 else turned + 2.0 * math.pi) <= self.extent:
             return None
         away = math.hypot(dx, dy)
-        normal = (self.bend * dx / away, self.bend * dy / away) if away else (self.bend * self.ex, self.bend * self.ey)
-        return Nearest(self.bend * (away - self.radius), normal, self.bend / away if away else math.inf)
+        if away < _CENTRE:
+            return Nearest(-self.bend * self.radius, (self.bend * self.ex, self.bend * self.ey), math.inf)
+        normal = self.bend * dx / away, self.bend * dy / away
+        return Nearest(self.bend * (away - self.radius), normal, self.bend / away)
 
 
 class Nearest(NamedTuple):

@@ -81,7 +81,9 @@ def test_at_a_place_of_its_own(hapsim: Hapsim, written: Written) -> None:
     assert "hand at 5, 3 mm: no contact is touched" in told
     assert "Stable at 3 unlike places where its links touch; others are not judged (--at, --along)" in told
     assert told.endswith("plane.yaml")
-    assert words(hapsim("check", written(friction_coefficient=0.3), "--at", "11mm,0").out).endswith("plane.yaml --at=11mm,0")
+    assert words(hapsim("check", written(friction_coefficient=0.3), "--at", "11mm,0").out).endswith(
+        "plane.yaml --at=11mm,0"
+    )
 
 
 def test_a_wall_that_is_too_stiff_is_reported_before_it_is_touched(hapsim: Hapsim, written: Written) -> None:
