@@ -97,7 +97,7 @@ def share_within_limit(io, c, excited):
     """Returns the factor that brings the force of a hand with several channels within its limit, a circle (an ellipse
     where channels differ): the scene's force, with the excitation if `excited`. `c`: one of its channels. A single
     channel is clipped: 1. Clipped one by one, x and y would turn the force; a limit that is a square is no passive
-    one, since a spring pulled along an axis and let go between two gives back more than it took."""
+    one, since a spring pulled along an axis and released between two gives back more than it took."""
     total, other = 0.0, np.uint64(c)
     while io.to_next[other] != 0:
         force = io.asked[other] + io.excitation[other] if excited else io.asked[other]

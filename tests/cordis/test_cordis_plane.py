@@ -420,7 +420,7 @@ def test_a_guide_pulls_to_its_path_within_its_reach(closed: bool) -> None:
     link = {"type": "guide", "through": places, "closed": closed, "stiffness": 800.0, "damping": 2.0}
     link |= {"width": 0.002, "reach": 0.005}
     chain = scene_of({"it": link}).plane_links["it"].chain()  # type: ignore[attr-defined]
-    states = {"within": 0, "pulled": 0, "let go": 0}
+    states = {"within": 0, "pulled": 0, "released": 0}
     for seed in range(20):
         random = np.random.default_rng(seed)
         path = np.cumsum(random.normal(0.0, 4e-4, (300, 2)), axis=0) + random.uniform(-0.03, 0.03, 2)
@@ -428,7 +428,7 @@ def test_a_guide_pulls_to_its_path_within_its_reach(closed: bool) -> None:
         for r, last, force in zip(path, np.vstack([path[:1], path[:-1]]), found, strict=True):
             d, n = surface(chain, r)
             off = abs(d) - 0.001
-            state = "within" if off <= 0.0 else "let go" if abs(d) > 0.005 else "pulled"
+            state = "within" if off <= 0.0 else "released" if abs(d) > 0.005 else "pulled"
             tension = math.copysign(800.0 * off, d) + 2.0 * RATE * n @ (r - last) if state == "pulled" else 0.0
             nearest = chain.nearest(*r)
             bend, t = chain.pieces[nearest.piece], np.array([-n[1], n[0]])

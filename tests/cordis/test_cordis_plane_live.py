@@ -77,7 +77,7 @@ STORED: dict[str, tuple[dict[str, Any], Floats, float]] = {
         line([0.02, 0.0], [0.05, -0.004], 50),
         400.0 * 0.003**2,
     ),
-    "guide let go": (
+    "guide released": (
         {"type": "guide", "through": [[0.0, 0.0], [0.1, 0.0]], "stiffness": 800.0, "width": 0.002, "reach": 0.01},
         line([0.02, 0.0], [0.05, -0.014], 50),
         0.0,

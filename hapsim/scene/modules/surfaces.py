@@ -193,7 +193,7 @@ class Guide(Link):
             return Law(knots, dampings, states, K, K, assumption="is taken at its edge", taken_at=half)
         far, most = self.reach, K * (self.reach - half)
         knots = ((-far, 0.0), (-far, -most), *knots, (far, most), (far, 0.0))
-        dampings, states = (0.0, 0.0, *dampings, 0.0, 0.0), ("let go", "", *states, "", "let go")
+        dampings, states = (0.0, 0.0, *dampings, 0.0, 0.0), ("released", "", *states, "", "released")
         return Law(knots, dampings, states, assumption="is taken within its reach", taken_at=half)
 
     @check_of("through", "path", "closed", "round", "width", "reach")
