@@ -88,11 +88,15 @@ def measure_hands(
         stdout().print(
             f"No k and b are predicted, because {one.felt.reason}. Measured: the motions with the most energy."
         )
-    stdout().print(
-        f"Fitted to {plural(found.samples, 'sample')} of free motion. Other motions had "
-        f"{percent(found.others, 2)} of the energy. The uncertainty does not include that of the masses."
-    )
+    stdout().print(_fitted(found, "masses"))
     device.print_next_run(scene, unstable)
+
+
+def _fitted(found: HandsMeasurement, masses: str) -> str:
+    return (
+        f"Fitted to {plural(found.samples, 'sample')} of free motion. Other motions had "
+        f"{percent(found.others, 2)} of the energy. The uncertainty does not include that of the {masses}."
+    )
 
 
 def _rows(one: FeltTogether, found: HandsMeasurement, i: int, j: int) -> list[tuple[str, ...]]:
@@ -150,10 +154,7 @@ def measure_plane(
     show(stdout(), assumption_lines(prediction.assumptions))
     if felt.reason:
         stdout().print(f"No k and b are predicted, because {felt.reason}.")
-    stdout().print(
-        f"Fitted to {plural(found.samples, 'sample')} of free motion. Other motions had "
-        f"{percent(found.others, 2)} of the energy. The uncertainty does not include that of the mass."
-    )
+    stdout().print(_fitted(found, "mass"))
     print_written("Trace", record.record)
     device.print_next_run(scene, unstable)
 

@@ -215,7 +215,7 @@ class Scene(Part):
     def links_at_proxies(self) -> dict[str, Link]:
         """The links that end on a proxy, couplings aside."""
         proxies = self.proxies.keys()
-        return {name: link for name, link in self._of(Link).items() if proxies and proxies & {*link.between}}
+        return {name: link for name, link in self._of(Link).items() if proxies & {*link.between}}
 
     @property
     def sensed_links(self) -> tuple[str, ...]:
