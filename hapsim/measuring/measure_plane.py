@@ -45,9 +45,9 @@ _SECONDS, _IN_VIRTUAL_TIME, _EVERY_S = 4.0, 10.0, 0.4  # of pushes along each co
 _MOST_RUNS = 3  # along each coordinate
 _MOST_ROOM = 0.01  # m
 _WITHIN, _ABOUT = 0.45, (0.5, 3.0)  # of the room: the largest motion; and of the wanted one, those that do
-_STRAIGHT, _BENT = 0.1, 1e-3  # of the room: the motion where no link turns, and where one does
+_STRAIGHT, _BENT = 0.1, 1e-3  # of the room, and of the radius at which a link turns: the motion that is wanted
 _COUNTS = 4000.0  # a motion in which rounding hardly shows
-_SETTLES = 2.5  # times as long as on a line: what is felt along a surface is as far off as the depth of the press
+_SETTLES = 8.0  # times as long as on a line: what is felt along a surface is as far off as the depth of the press
 _EDGE = 1e-9  # m: a shorter way is none
 _AT_REST = 64  # samples before the first push
 _GROWS = (0.003, 0.1)  # of the room: between these distances a hand that slides off is observed
@@ -59,7 +59,7 @@ class _Place:
 
     Attributes:
         room: distance to where a link changes its state, or much of its direction.
-        share: of the room, for a motion that hardly changes any direction.
+        swing: a motion that hardly changes any direction.
         along: the place by each coordinate, as on a line.
         guide: leads the hand there.
         beyond: overshoot of its path by coordinate, m, in the direction of the path; then back, so that friction sticks
@@ -69,7 +69,7 @@ class _Place:
     at: tuple[float, float]
     words: str
     room: float
-    share: float
+    swing: float
     along: tuple[Place, Place]
     guide: Guide
     beyond: tuple[float, float]
@@ -125,10 +125,10 @@ class _Rung:
 def _rung(scene: Scene, run: Run, place: _Place, axis: int, seconds: float, push: float | None) -> _Rung:
     """Returns the first run in which the hand moved by about as much as is wanted, or the last."""
     channel, most = place.along[axis].channel, _WITHIN * place.room
-    swing = min(most, max(place.share * place.room, _COUNTS * scene.mock_device.quantum[channel]))
+    swing = min(most, max(place.swing, _COUNTS * scene.mock_device.quantum[channel]))
     for _ in range(_MOST_RUNS):
         found = _ring(scene, run, place, axis, seconds, push, swing)
-        wanted = min(most, max(place.share * place.room, _COUNTS * float(found.trace.position_scale[channel])))
+        wanted = min(most, max(place.swing, _COUNTS * float(found.trace.position_scale[channel])))
         if push is not None or _ABOUT[0] * wanted <= found.moved <= _ABOUT[1] * wanted:
             break
         swing *= wanted / max(found.moved, 1e-3 * wanted)
@@ -224,7 +224,7 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
             "The force is clipped there, so the hand feels no spring. Choose a place with less force"
         )
     stiffness, damping, beyond = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
-    room = _MOST_ROOM
+    room, swing = _MOST_ROOM, _STRAIGHT * _MOST_ROOM
     for one in links:
         for row in one.rows():
             both = np.outer(row.pull, row.stretch)
@@ -235,6 +235,7 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
         edges = () if is_one_spring else law.edges
         bends = [1.0 / abs(one.curvature)] if one.curvature and math.isfinite(one.curvature) else []
         room = min([room, *bends, *(abs(one.distance - edge) for edge in edges)])
+        swing = min([swing, _STRAIGHT * room, *(_BENT * bend for bend in bends)])
     if room < _EDGE:
         raise UsageError(f"{words}, the hand is on the edge of a link; expected a place within or beyond it")
     device, along = scene.device, []
@@ -247,8 +248,7 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
     way, settling, mean, fade = guide.seconds
     guide = replace(guide, seconds=(way, _SETTLES * settling, mean, fade))
     along_path = np.where(np.subtract(here, plane.start[name]) < 0.0, -beyond, beyond).tolist()
-    share = _BENT if any(one.curvature for one in links) else _STRAIGHT
-    return _Place(here, words, room, share, (along[0], along[1]), guide, (along_path[0], along_path[1]))
+    return _Place(here, words, room, swing, (along[0], along[1]), guide, (along_path[0], along_path[1]))
 
 
 def _overshoot(link: PlaneLink, path: Floats) -> Floats:
