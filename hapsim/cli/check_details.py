@@ -14,8 +14,9 @@ from hapsim.number_format import between, duration, number, rounded_down, rounde
 from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.felt_alone import felt_if_sensed
-from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning, travel_in_words
+from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
 from hapsim.prediction.timing import wire_parts, wire_remedies
+from hapsim.scene.outlines import travel_in_words
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import SURELY
 

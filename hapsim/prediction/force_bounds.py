@@ -156,17 +156,6 @@ def travel_error(scene: Scene) -> str:
     return ""
 
 
-def travel_in_words(scene: Scene, channel: int) -> str:
-    """Words on the travel of the hand of a channel, to follow "goes"."""
-    area, units, each = scene.device.travel, scene.units_of(channel), scene.device.travels(scene.channels)
-    if isinstance(area, Area):
-        center = units(f"({', '.join(units.number(one, 'm', 'g') for one in area.center)})", "m")
-        disc = f"up to {units(area.radius, 'm', 'g')} from {center}"
-        return f"to the edge of a polygon of {len(area.polygon)} corners" if area.polygon else disc
-    ranges = [[units.number(end, "m", "g") for end in each[c]] for c in scene.hand_of(channel)]
-    return " and ".join(f"from {least} to {units(most, 'm')}" for least, most in ranges)
-
-
 def fade_stiffness(scene: Scene, channel: int) -> float:
     """Largest stiffness, N/m, with which the loop of a channel is stable, held by a hand, without a simulated damper,
     with the least mass that the scene declares."""

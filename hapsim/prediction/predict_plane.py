@@ -17,6 +17,7 @@ from hapsim.prediction.plane_states import PlaneJudge, PlaneStates, Slide, direc
 from hapsim.prediction.prediction import Prediction
 from hapsim.scene import Scene
 from hapsim.scene.chain import Point
+from hapsim.scene.outlines import travel_boundary, travel_in_words
 from hapsim.theory import Margins, margins_of
 from hapsim.theory.network import Direction, principal
 
@@ -69,13 +70,14 @@ class PlanePrediction(Prediction):
 
     def _require_reached(self, name: str, at: Any) -> Point:
         """Returns the place of a hand. Raises UsageError beyond its travel."""
-        units, travels = self.scene.units, self.scene.device.travels(self.scene.channels)
-        for axis, value in zip("xy", at, strict=True):
-            low, high = travels[self.scene.device_points[f"{name}.{axis}"].channel]
-            if not low <= value <= high:
-                expected = f"expected {axis} from {units.number(low, 'm')} to {units(high, 'm')}"
-                raise UsageError(f"at: found {units(value, 'm')}, outside the travel of {name}; {expected}")
         x, y = at
+        channel, units = self.scene.device_points[f"{name}.x"].channel, self.scene.units
+        if (travel := travel_boundary(self.scene, self.scene.hand_of(channel))) is not None:
+            (about_x, about_y), boundary = travel
+            if (outside := boundary.nearest(x - about_x, y - about_y).distance) > 0.0:
+                place, beyond = f"{units.number(x, 'm')},{units(y, 'm')}", units(outside, "m", 3)
+                goes = f"which goes {travel_in_words(self.scene, channel)}"
+                raise UsageError(f"at: found {place}, {beyond} outside the travel of {name}, {goes}")
         return x, y
 
     def _assumed(self) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
 from .chain import Chain, Point, disc, polygon
@@ -40,14 +40,32 @@ def outlines_of(scene: Scene) -> Iterator[Outline]:
             yield Outline(name, link.side, *link.between, _around(link.chain()))
         elif isinstance(link, Guide):
             yield Outline(name, "guide", *link.between, tuple(link.chain().outline()))
+    if (travel := travel_boundary(scene, scene.channel_groups[0])) is not None:
+        (x, y), boundary = travel
+        yield Outline("", "travel", "", "", tuple((x + dx, y + dy) for dx, dy in _around(boundary)))
+
+
+def travel_boundary(scene: Scene, hand: Sequence[int]) -> tuple[Point, Chain] | None:
+    """Returns the edge of the travel of the hand on these two channels: the place that it is about, m, and a chain with
+    the travel on its left; None without travel."""
     travel = scene.device.travel
+    if travel is None or len(hand) < 2:
+        return None
     if isinstance(travel, Area):
-        x, y = travel.center if travel.disc else (0.0, 0.0)
-        around = _around(disc(travel.disc) if travel.disc else polygon(travel.polygon))
-        yield Outline("", "travel", "", "", tuple((x + dx, y + dy) for dx, dy in around))
-    elif travel is not None and scene.space > 1:
-        (left, right), (low, high) = (scene.device.travels(scene.channels)[one] for one in scene.channel_groups[0])
-        yield Outline("", "travel", "", "", _around(polygon([(left, low), (right, low), (right, high), (left, high)])))
+        return (travel.center, disc(travel.disc)) if travel.disc else ((0.0, 0.0), polygon(travel.polygon))
+    (left, right), (low, high) = (scene.device.travels(scene.channels)[one] for one in hand)
+    return (0.0, 0.0), polygon([(left, low), (right, low), (right, high), (left, high)])
+
+
+def travel_in_words(scene: Scene, channel: int) -> str:
+    """Words on the travel of the hand of a channel, to follow "goes"."""
+    area, units, each = scene.device.travel, scene.units_of(channel), scene.device.travels(scene.channels)
+    if isinstance(area, Area):
+        center = units(f"({', '.join(units.number(one, 'm', 'g') for one in area.center)})", "m")
+        disc = f"up to {units(area.radius, 'm', 'g')} from {center}"
+        return f"to the edge of a polygon of {len(area.polygon)} corners" if area.polygon else disc
+    ranges = [[units.number(end, "m", "g") for end in each[c]] for c in scene.hand_of(channel)]
+    return " and ".join(f"from {least} to {units(most, 'm')}" for least, most in ranges)
 
 
 def _around(boundary: Chain) -> tuple[Point, ...]:

@@ -272,7 +272,16 @@ def test_stretches_of_a_line_end_where_a_link_is_touched() -> None:
     ("scene", "at", "words"),
     [
         (plane(disc=DISC), 0.03, "at: found 0.03, expected x, y in a scene with space: 2"),
-        (plane({"travel": [-0.01, 0.02]}, disc=DISC), (0.0, 0.03), "outside the travel of hand; expected y from -0.01"),
+        (
+            plane({"travel": [-0.01, 0.02]}, disc=DISC),
+            (0.0, 0.03),
+            "at: found 0,0.03 m, 0.01 m outside the travel of hand, which goes from -0.01 to 0.02 m and from -0.01 to",
+        ),
+        (
+            plane({"travel": {"disc": 0.04, "center": [0.01, 0.0]}}, disc=DISC),
+            (0.04, 0.04),
+            r"at: found 0.04,0.04 m, 0.01 m outside the travel of hand, which goes up to 0.04 m from \(0.01, 0\) m",
+        ),
     ],
 )
 def test_a_place_that_is_none_is_refused(scene: Scene, at: Any, words: str) -> None:

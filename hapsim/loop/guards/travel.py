@@ -145,7 +145,7 @@ def _set_up(loop: Any, setting: Setting) -> Any:
 
 
 def _sentence(run: EndedRun) -> str:
-    from hapsim.prediction.force_bounds import travel_in_words
+    from hapsim.scene.outlines import travel_in_words
 
     travel, c, io = run.loop.travel, int(run.loop.travel.channel), run.loop.io
     units, hand = run.scene.units_of(c), run.scene.hand_of(c)
