@@ -157,3 +157,26 @@ def test_places_that_cannot_be_measured_are_refused_in_words() -> None:
     line = scene.model_copy(update={"space": 1})
     with pytest.raises(UsageError, match=r"at: found 0,0\.1, expected one position in a scene with one coordinate"):
         hapsim.measure(line, at=(0.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("form", "at", "is_reached"),
+    [
+        ({"capsule": [[0.0, -0.05], [0.0, 0.05]], "radius": 0.001}, (0.05, 0.0), False),
+        ({"disc": 0.02}, (0.049, 0.0), False),
+        ({"disc": 0.02}, (0.012, 0.0), True),
+        ({"disc": 0.02}, (0.03, 0.03), True),
+    ],
+    ids=["through a wall", "behind a disc", "before it", "past its side"],
+)
+def test_a_place_behind_a_shape_is_refused_before_the_run(
+    form: dict[str, Any], at: tuple[float, float], is_reached: bool
+) -> None:
+    hold = {"type": "viscoelastic", "between": ["hand", "post"], "stiffness": 100.0, "damping": 1.0}
+    wall = DISC | {"form": form, "friction_coefficient": 0.5}
+    scene = scene_of({"wall": wall, "hold": hold}, [0.03, 0.0])
+    if is_reached:
+        assert hapsim.measure(scene, at=at).at_m == at
+        return
+    with pytest.raises(UsageError, match="wall is in the way: the hand is led there along a straight line"):
+        hapsim.measure(scene, at=at)
