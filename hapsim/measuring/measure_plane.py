@@ -161,7 +161,7 @@ def _ring(scene: Scene, run: Run, place: _Place, axis: int, seconds: float, push
     if failure is not None:
         raise failure
     begins = np.arange(guided, trace.sample[-1], every)
-    quiet = excitation.ticks + RUN_UP + math.ceil(scene.device.delay)
+    quiet = excitation.ticks + RUN_UP * (1 + math.ceil(scene.device.delay))  # the loop's other motions are over
     segments = free_motions(trace, begins + quiet, begins + every, channels)
     return _Rung(trace, [one - rest for one in segments], float(np.hypot(*away.T).max()))
 
