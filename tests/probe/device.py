@@ -290,6 +290,8 @@ class Device:
         self.farthest = max(self.farthest, *(abs(body.x) for body in self.bodies))
         if "frozen" in self.faults:
             counts = [0] * self.channels
+        if "swapped" in self.faults:
+            counts[:2] = counts[1::-1]
         if self.parts & 0x80:
             counts += [round(body.v / (self.scale * 100)) for body in self.bodies]
         if self.parts & 0x20:

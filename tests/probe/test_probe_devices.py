@@ -338,3 +338,10 @@ def test_a_slow_device_and_one_that_slows_down_are_not_taken_for_one_that_waits(
     checks = judged(new_bench("slows_down", channels=4), "blocked")
     assert failed(checks) == set(), summary(checks)
     assert "too unsteady to tell" in checks["tick_goes_on"].found
+
+
+def test_a_channel_that_moves_in_place_of_the_pushed_one_is_named(new_bench: NewBench) -> None:
+    checks = judged(new_bench("swapped", channels=2), "push", leave=GENTLE)
+    assert "but that of channel 1 has: are their wires exchanged?" in checks["sign"].found, summary(checks)
+    dead = judged(new_bench("frozen", channels=2), "push", leave=GENTLE)
+    assert "exchanged" not in dead["sign"].found

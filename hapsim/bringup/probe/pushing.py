@@ -114,9 +114,16 @@ class Pusher:
         acted = [abs(force) for force in self.forces.values() if force]
         return (
             f"the position has not changed by one count for {len(acted) / self._rate_hz:.2g} s while force acts "
-            f"({self.units(max(acted), 'N', '.3g')} at most): sensor or cable? Move the device by hand: if its "
-            "position changes, it is held, or stuck by dry friction, and only then try a greater --push and --travel"
+            f"({self.units(max(acted), 'N', '.3g')} at most){self._swapped()}: sensor or cable? "
+            "Move the device by hand: if its position changes, it is held, or stuck by dry friction, and only "
+            "then try a greater --push and --travel"
         )
+
+    def _swapped(self) -> str:
+        """Returns a clause that names another channel that moved while this one did not; "" if none did."""
+        counts = np.array([sample.counts[: self.device.channels] for sample in self.session.samples])
+        other = int(np.argmax(spans := np.ptp(counts, axis=0)))
+        return f", but that of channel {other} has: are their wires exchanged? Else" if spans[other] > 1 else ""
 
     def why_stopped(self) -> str:
         """Returns why nothing more came of it."""

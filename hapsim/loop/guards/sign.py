@@ -217,10 +217,13 @@ def _set_up(loop: Any, setting: Setting) -> Any:
 
 
 def _sentence(run: EndedRun) -> str:
+    channel = run.loop.sign.channel
+    swapped = ". Or the motors of x and y are exchanged: `hapsim probe --push`" if run.loop.io.to_next[channel] else ""
     return (
-        f"motor and position of channel {run.loop.sign.channel} disagree in sign: the device accelerated against its "
+        f"motor and position of channel {channel} disagree in sign: the device accelerated against its "
         f"force, and a release of the force confirmed it (tick {run.report.ticks}). Swap the motor's two wires; or "
-        "reverse the encoder, if the position falls when the hand moves the positive way (hapsim/STABILITY.md)"
+        f"reverse the encoder, if the position falls when the hand moves the positive way{swapped} "
+        "(hapsim/STABILITY.md)"
     )
 
 
