@@ -86,9 +86,7 @@ def sweep(
     quantities: QuantityOptions,
     channel: int | None = option(None, "Channel of the hand [default: the first]"),
     at: At = None,
-    duration: float | None = seconds(
-        "Duration of each measurement in seconds [default: about 2; in a plane 10 per coordinate]"
-    ),
+    duration: float | None = seconds("Duration of each measurement in seconds [default: about 2; 10 each for x, y]"),
     jobs: int | None = option("N", "Number of processes [default: one per processor if the sweep is long]", min=1),
     scheduler: str | None = option(
         "ADDRESS", "Use the workers of a dask.distributed scheduler, such as tcp://host:8786."
@@ -116,7 +114,7 @@ def sweep(
     drawn = _names_to_draw(loaded, kinds, chosen, draw, over) if pictures.wanted else None
     if channel is not None:
         use_channel_units(channel)
-    place = place_at(loaded, at, None if channel is None else loaded.units_of(channel))
+    place = place_at(loaded, at, loaded.units_of(channel) if channel in range(loaded.channels) else None)
     options: dict[str, Any] = {"channel": channel, "duration": duration, "jobs": jobs, "scheduler": scheduler}
     try:
         with live_words(stderr()) as show:
