@@ -18,10 +18,11 @@ from hapsim.scene.issue import did_you_mean
 if TYPE_CHECKING:
     import xarray
 
-_DEVIATION = "measured_k_off"
+_OFF = "_off"  # after the name of a measured variable: how far it is off the predicted one
+_DEVIATIONS = ("measured_k_off", "measured_k_1_off", "measured_k_2_off")
 _LONGEST = 40  # characters of a line
 _LOGARITHMIC = 30.0  # a parameter whose values span more has a logarithmic axis
-_USUAL = (_DEVIATION, "predicted_k", "predicted_b", "measured_k", "measured_b")
+_USUAL = (*_DEVIATIONS, "predicted_k", "predicted_b", "measured_k", "measured_b")
 _UNCERTAINTIES = 4.0  # a difference of more is none of chance,
 _FEW = 0.05  # unless only this share of the points have one
 _ROUNDING = 1e-9  # of a value
@@ -52,8 +53,7 @@ def names_to_draw(
     measured k is off, k, b and all others, over the first two. `parameters`: those with numbers. Raises UsageError for
     an unknown name."""
     variables, parameters = list(variables), list(parameters)
-    if {"measured_k", "predicted_k"} <= {*variables}:
-        variables.append(_DEVIATION)
+    variables += [one for one in _DEVIATIONS if {*_compared(one)} <= {*variables}]
     for what, word, known in (("--draw", variable, variables), *(("--over", one, parameters) for one in over)):
         if word is not None and word not in known:
             raise UsageError(f"{what}: found '{word}', expected {', '.join(known)}{did_you_mean(word, known)}")
@@ -68,19 +68,25 @@ def names_to_draw(
 def sweep_chart(dataset: xarray.Dataset, variables: Sequence[str], along: Sequence[str]) -> SweepChart:
     """Returns the chart over one or two parameters of the first variable that varies by more than its uncertainty; of
     the first one where none does."""
-    charts = (_chart_of(dataset, variable, along) for variable in variables if variable in {*dataset, _DEVIATION})
+    charts = (_chart_of(dataset, variable, along) for variable in variables if variable in {*dataset, *_DEVIATIONS})
     first = next(charts)
     return next((one for one in (first, *charts) if _varies(dataset, one.values)), first)
 
 
 def _varies(dataset: xarray.Dataset, values: xarray.DataArray) -> bool:
     known = values.values[np.isfinite(values.values)]
-    if values.name == _DEVIATION:
-        off = abs(dataset["measured_k"] - dataset["predicted_k"])
-        return float((off > _UNCERTAINTIES * dataset["measured_k_uncertainty"]).mean()) > _FEW
+    if values.name in _DEVIATIONS:
+        measured, predicted = _compared(str(values.name))
+        off = abs(dataset[measured] - dataset[predicted])
+        return float((off > _UNCERTAINTIES * dataset[f"{measured}_uncertainty"]).mean()) > _FEW
     unsure = dataset.get(f"{values.name}_uncertainty")
     least = 0.0 if unsure is None else _UNCERTAINTIES * float(unsure.max())
     return bool(known.size) and float(np.ptp(known)) > max(least, _ROUNDING * float(abs(known).max()))
+
+
+def _compared(deviation: str) -> tuple[str, str]:
+    measured = deviation.removesuffix(_OFF)
+    return measured, measured.replace("measured", "predicted")
 
 
 def shares_of(values: xarray.DataArray) -> str:
@@ -93,11 +99,11 @@ def shares_of(values: xarray.DataArray) -> str:
 
 
 def _chart_of(dataset: xarray.Dataset, variable: str, along: Sequence[str]) -> SweepChart:
-    if variable == _DEVIATION:
-        off = abs(dataset["measured_k"] / dataset["predicted_k"] - 1.0)
-        dataset = dataset.assign(
-            {_DEVIATION: off.assign_attrs(units="", description="how far measured k is off the predicted one")}
-        )
+    if variable in _DEVIATIONS:
+        measured, predicted = _compared(variable)
+        off = abs(dataset[measured] / dataset[predicted] - 1.0)
+        what = f"how far {measured.replace('_', ' ', 1)} is off the predicted one"
+        dataset = dataset.assign({variable: off.assign_attrs(units="", description=what)})
     values = dataset[variable]
     if "point" in values.dims:
         return SweepChart(values, tuple(along), True, shares_of(values) if variable in SHARES else "")

@@ -163,13 +163,12 @@ def _principal_rows(felt: FeltPair, found: HandsMeasurement, i: int) -> list[tup
     """Returns the rows of one principal direction: its angle, k and b."""
     measured, units = found.principal[i], output_units()
     predicted = None if felt.reason else principal(felt.k, felt.b)[i]
-    n = np.array([np.cos(measured.angle), np.sin(measured.angle)])
     degrees = [np.nan if one is None else np.degrees(one.angle) for one in (predicted, measured)]
     if predicted is not None:  # 179.9° is -0.1°
         degrees[1] -= 180.0 * round((degrees[1] - degrees[0]) / 180.0)
     rows = [("direction  °", *(number(float(one), 4) for one in degrees), "", "")]
     for name, of_unit in (("k", "N/m"), ("b", "N·s/m")):
-        off = float(np.sqrt(np.square(np.outer(n, n) * getattr(found, f"{name}_uncertainty")).sum()))
+        off = getattr(measured, f"{name}_uncertainty")
         values = [np.nan if one is None else getattr(one, name) for one in (predicted, measured)]
         expected, value, shown = (units.scaled(float(each), of_unit) for each in (*values, off))
         cells = [number(each) if np.isnan(each) else rounded(each, shown) for each in (expected, value)]

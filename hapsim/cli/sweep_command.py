@@ -8,7 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hapsim.cli.command_options import Json, PictureOptions, SceneFile, argument, flag, load, option, seconds
+from hapsim.cli.command_options import (
+    At,
+    Json,
+    PictureOptions,
+    SceneFile,
+    argument,
+    flag,
+    load,
+    option,
+    place_at,
+    seconds,
+)
 from hapsim.cli.live import live_words
 from hapsim.cli.output import document, output_units, print_line, stderr, stdout, table, use_channel_units
 from hapsim.errors import UsageError
@@ -18,6 +29,7 @@ from hapsim.stopping import note_work
 if TYPE_CHECKING:
     import xarray
 
+    from hapsim.scene import Scene
     from hapsim.sweeping.sweep_points import Points
 
 _ERRORS_SHOWN = 3  # failures
@@ -73,7 +85,8 @@ def sweep(
     out: Path = option("FILE.nc", "File for the results: .nc (netCDF) or .zarr.", default=...),
     quantities: QuantityOptions,
     channel: int | None = option(None, "Channel of the hand [default: the first]"),
-    duration: float | None = seconds("Duration of each measurement in seconds [default: about 2]"),
+    at: At = None,
+    duration: float | None = seconds("Duration of each measurement in seconds [default: about 2; 10 each for x, y]"),
     jobs: int | None = option("N", "Number of processes [default: one per processor if the sweep is long]", min=1),
     scheduler: str | None = option(
         "ADDRESS", "Use the workers of a dask.distributed scheduler, such as tcp://host:8786."
@@ -97,14 +110,16 @@ def sweep(
     pictures.require_writable()
     if (draw or over) and not pictures.wanted:
         raise UsageError("--draw, --over: they choose what --picture or --data shows; add one of these")
-    drawn = _names_to_draw(kinds, chosen, draw, over) if pictures.wanted else None
-    options: dict[str, Any] = {"channel": channel, "duration": duration, "jobs": jobs, "scheduler": scheduler}
     loaded = load(scene)
+    drawn = _names_to_draw(loaded, kinds, chosen, draw, over) if pictures.wanted else None
     if channel is not None:
         use_channel_units(channel)
+    place = place_at(loaded, at, loaded.units_of(channel) if channel in range(loaded.channels) else None)
+    options: dict[str, Any] = {"channel": channel, "duration": duration, "jobs": jobs, "scheduler": scheduler}
     try:
         with live_words(stderr()) as show:
-            dataset = run_sweep(loaded, chosen, out=out, quantities=kinds, on_progress=_Progress(show, out), **options)
+            options |= {"at": place, "quantities": kinds, "on_progress": _Progress(show, out)}
+            dataset = run_sweep(loaded, chosen, out=out, **options)
     except KeyboardInterrupt:
         if Path(f"{out}.parts").exists():
             note_work(f"before it was finished; run the same command again to go on with what {out}.parts keeps")
@@ -142,13 +157,13 @@ class _Progress:
 
 
 def _names_to_draw(
-    kinds: tuple[str, ...], points: Points, variable: str | None, over: str | None
+    scene: Scene, kinds: tuple[str, ...], points: Points, variable: str | None, over: str | None
 ) -> tuple[list[str], list[str]]:
     from hapsim.chart.sweep_chart import names_to_draw
     from hapsim.scene.written_units import QUANTITY
-    from hapsim.sweeping.quantities import KINDS
+    from hapsim.sweeping.quantities import kinds_of
 
-    variables = (name for kind in kinds for name in KINDS[kind])
+    variables = (name for kind in kinds for name in kinds_of(scene)[kind])
     words = {path: [one for one in column if isinstance(one, str)] for path, column in points.columns.items()}
     numbers = [path for path, each in words.items() if all(map(QUANTITY.match, each))]
     return names_to_draw(variables, numbers, variable, over.split(",") if over else [])
@@ -175,7 +190,7 @@ def summary_of(dataset: xarray.Dataset) -> dict[str, Any]:
             found[str(name)] = {"least": known.min(), "median": float(np.median(known)), "most": known.max()}
             found[str(name)]["unit"] = values.attrs.get("units", "")
     deviations = {}
-    for what in ("k", "b"):
+    for what in ("k", "b", "k_1", "b_1", "k_2", "b_2"):
         if {f"measured_{what}", f"predicted_{what}"} <= {*dataset.data_vars}:
             off = abs(dataset[f"measured_{what}"] - dataset[f"predicted_{what}"]).values
             scale, unsure = abs(dataset[f"predicted_{what}"]).values, dataset[f"measured_{what}_uncertainty"].values

@@ -28,7 +28,7 @@ from hapsim.recording.trace import Trace
 from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
-from hapsim.theory.network.felt import Direction, principal
+from hapsim.theory.network.felt import principal
 
 _SECONDS, _PUSHES = 4.0, 4
 RUN_UP = 8  # samples from the end of a push to the end of its effect
@@ -112,6 +112,16 @@ _MOST_COLUMNS = 3e8  # numbers of a singular value decomposition, rows squared t
 _ROUNDED = 1e-6  # of the largest: the least uncertainty, because the rounding of forces is no noise of the positions
 
 
+class MeasuredDirection(NamedTuple):
+    """k in N/m and b in N·s/m along a principal direction, with standard uncertainties; `angle`: from x to y, rad."""
+
+    angle: float
+    k: float
+    b: float
+    k_uncertainty: float
+    b_uncertainty: float
+
+
 @dataclass(frozen=True)
 class HandsMeasurement:
     """k (n, n) in N/m and b (n, n) in N·s/m of n hands, with standard uncertainties without that of the masses.
@@ -134,9 +144,14 @@ class HandsMeasurement:
     """Place of a hand in the plane, whose coordinates are the channels."""
 
     @property
-    def principal(self) -> tuple[Direction, Direction]:
+    def principal(self) -> list[MeasuredDirection]:
         """The two principal directions of a hand in the plane, the stiffest first."""
-        return principal(self.k, self.b)
+        found = []
+        for one in principal(self.k, self.b):
+            n = np.array([math.cos(one.angle), math.sin(one.angle)])
+            unsure = (float(np.linalg.norm(np.outer(n, n) * each)) for each in (self.k_uncertainty, self.b_uncertainty))
+            found.append(MeasuredDirection(*one, *unsure))
+        return found
 
 
 class _Modes(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapsim.errors import HapsimError, UsageError
-from hapsim.measuring.measure import measure_on_line as measure
+from hapsim.measuring.measure import measure
 from hapsim.measuring.measure_impedance import measure_impedance
 from hapsim.measuring.periodic_excitation import lines_for
 from hapsim.one_thread import one_thread
 from hapsim.prediction import predict_impedance
 from hapsim.prediction.predict import prediction_of
+from hapsim.prediction.predict_plane import PlanePrediction
+from hapsim.prediction.prediction import Place
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene
 from hapsim.sweeping.sweep_points import Value, Varied
@@ -71,6 +73,28 @@ _IMPEDANCE = {
 KINDS = {"predicted": _OF_HAND | _PASSIVE | _OF_SCENE, "measured": _MEASURED, "impedance": _IMPEDANCE}
 """The variables of each kind of quantity, by name."""
 
+_RANKS = {1: "stiffer", 2: "softer"}
+_ALONG = {
+    "k_{}": _FELT["k"],
+    "b_{}": _FELT["b"],
+    "angle_{}": Variable("°", "angle from x towards y", lambda one: math.degrees(one.angle)),
+}
+_UNCERTAIN = {f"{one}_{{}}_uncertainty": _MEASURED[f"measured_{one}_uncertainty"] for one in "kb"}
+_IN_PLANE = KINDS | {
+    how: {
+        f"{how}_{name.format(rank)}": one._replace(description=f"{one.description}: {how}, {word} direction")
+        for rank, word in _RANKS.items()
+        for name, one in variables.items()
+    }
+    for how, variables in (("predicted", _ALONG), ("measured", _ALONG | _UNCERTAIN))
+}
+_IN_PLANE["predicted"] |= {name: _OF_SCENE[name] for name in ("stable", "spectral_radius")}
+
+
+def kinds_of(scene: Scene) -> dict[str, dict[str, Variable]]:
+    """Returns `KINDS` of a scene; in the plane the variables are those of two principal directions."""
+    return KINDS if scene.space == 1 else _IN_PLANE
+
 
 @dataclass(frozen=True)
 class Task:
@@ -79,6 +103,7 @@ class Task:
     document: dict[str, Any]  # the scene
     kinds: tuple[str, ...]  # of KINDS
     channel: int = 0
+    place: Place = None  # of the hand, m or rad, in the plane (x, y); None: where it rests, or starts
     duration: float | None = None  # of each measurement, s; None: the default of `measure`
     function: Callable[[Scene], Mapping[str, float]] | None = None
     """Computes further numbers of a scene, by name."""
@@ -96,11 +121,17 @@ class Task:
                 failures.append(f"{kind}: {error}")
             except Exception as error:  # a user's function, or a defect: neither may end thousands of points
                 failures.append(f"{kind}: {type(error).__name__}: {error}")
+        for one in (f"angle_{rank}" for rank in _RANKS):
+            if {f"predicted_{one}", f"measured_{one}"} <= found.keys():  # 179.9° is -0.1°
+                turned = found[f"measured_{one}"] - found[f"predicted_{one}"]
+                found[f"measured_{one}"] -= 180.0 * round(turned / 180.0)
         return found, "; ".join(failures)
 
 
 def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
-    prediction = prediction_of(scene, with_margins=False)
+    prediction = prediction_of(scene, task.place, with_margins=False)
+    if isinstance(prediction, PlanePrediction):
+        return _predicted_in_plane(task, prediction)
     hand = next((one for one in prediction.felt if one.channel == task.channel), None)
     found = {name: one.of(prediction) for name, one in _OF_SCENE.items()}
     if hand is not None:
@@ -115,8 +146,25 @@ def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
     return {f"predicted_{name}": one.of(own) for name, one in _FELT.items()} | found, ""
 
 
+def _predicted_in_plane(task: Task, prediction: PlanePrediction) -> tuple[Values, str]:
+    found = {name: _OF_SCENE[name].of(prediction) for name in ("stable", "spectral_radius")}
+    shared = next(one for one in prediction.together if task.channel in one.channels)
+    hand = shared.names[shared.channels.index(task.channel)].rpartition(".")[0]
+    return found | _along("predicted", _ALONG, [one.felt for one in prediction.principal(hand)]), shared.felt.reason
+
+
+def _along(how: str, variables: Mapping[str, Variable], directions: Iterable[object]) -> Values:
+    return {
+        f"{how}_{name.format(rank)}": one.of(direction)
+        for rank, direction in enumerate(directions, 1)
+        for name, one in variables.items()
+    }
+
+
 def _measured(task: Task, scene: Scene) -> tuple[Values, str]:
-    measurement = measure(scene, channel=task.channel, duration=task.duration, run=run_in_memory)
+    measurement = measure(scene, channel=task.channel, at=task.place, duration=task.duration, run=run_in_memory)
+    if scene.space > 1:
+        return _along("measured", _ALONG | _UNCERTAIN, measurement.principal), ""
     return {name: one.of(measurement) for name, one in _MEASURED.items()}, measurement.reason
 
 
@@ -133,7 +181,7 @@ def _impedances(task: Task, scene: Scene) -> tuple[Values, str]:
 
 def _by_function(task: Task, scene: Scene) -> tuple[Values, str]:
     found = {} if task.function is None else {name: float(one) for name, one in task.function(scene).items()}
-    if taken := found.keys() & {ERROR, FREQUENCY, *(name for kind in KINDS.values() for name in kind)}:
+    if taken := found.keys() & {ERROR, FREQUENCY, *(name for kind in kinds_of(scene).values() for name in kind)}:
         raise UsageError(f"the function returns {min(taken)}, a name that sweeps use: expected another")
     return found, ""
 

@@ -28,11 +28,13 @@ from numpy.typing import NDArray
 
 from hapsim.errors import UsageError
 from hapsim.measuring.measurement_options import require_above_zero, require_device_point
+from hapsim.prediction.predict import prediction_of
+from hapsim.prediction.prediction import Place
 from hapsim.running.recorded_run import versions_of_now
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene
 from hapsim.sweeping.parts import Parts
-from hapsim.sweeping.quantities import ERROR, FREQUENCY, KINDS, Task, frequencies, work
+from hapsim.sweeping.quantities import ERROR, FREQUENCY, KINDS, Task, frequencies, kinds_of, work
 from hapsim.sweeping.sweep_points import Points, Varied, grid, listed
 from hapsim.whole_file import file_for_hdf5
 
@@ -145,6 +147,7 @@ def sweep(
     quantities: tuple[str, ...] = ("predicted", "measured"),
     function: Callable[[Scene], Mapping[str, float]] | None = None,
     channel: int | None = None,
+    at: Place = None,
     duration: float | None = None,
     jobs: int | None = 1,
     scheduler: str | None = None,
@@ -161,6 +164,7 @@ def sweep(
         quantities: "predicted", "measured" (k and b), "impedance"; none for `function` alone.
         function: returns further numbers of a scene by name. Several jobs need a function of a module.
         channel: the hand's channel [default: the first].
+        at: the hand's position in m or rad, as of `predict` and `measure`; with space: 2, x and y.
         duration: duration of each measurement, s.
         jobs: number of processes; None: all processors if the sweep takes longer than some seconds. A script that uses
             several processes must keep its own work below `if __name__ == "__main__"`.
@@ -179,7 +183,7 @@ def sweep(
     scene = as_scene(scene)
     if not isinstance(points, Points):
         points = grid(points) if isinstance(points, Mapping) else listed(points)
-    task, points = _task(scene, points, quantities, channel, duration, function)
+    task, points = _task(scene, points, quantities, channel, at, duration, function)
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs: found {jobs}, expected 1 or more")
     with contextlib.ExitStack() as stack:
@@ -196,6 +200,7 @@ def _task(
     points: Points,
     quantities: tuple[str, ...],
     channel: int | None,
+    at: Place,
     duration: float | None,
     function: Callable[[Scene], Mapping[str, float]] | None,
 ) -> tuple[Task, Points]:
@@ -216,7 +221,13 @@ def _task(
     if channel is None and first is not None:
         channel = first.channel
     require_device_point(scene, 0 if channel is None else channel)
-    return Task(varied.document, tuple(quantities), channel or 0, duration, function), points
+    if at is not None and "impedance" in quantities:
+        raise UsageError("at: an impedance is measured where the hand is; omit the place")
+    if at is not None and scene.space > 1 and (channel or 0) not in scene.channel_groups[0]:
+        raise UsageError(f"at: found channel {channel}; the place is that of the first hand, on another channel")
+    if at is not None and not any(path.startswith("device.travel") for path in points.columns):
+        prediction_of(scene, at)  # raises beyond the travel
+    return Task(varied.document, tuple(quantities), channel or 0, at, duration, function), points
 
 
 def _run(
@@ -306,6 +317,7 @@ def _manifest(task: Task, points: Points) -> dict[str, Any]:
         "points": {"sizes": points.sizes, "sha256": columns},
         "quantities": list(task.kinds),
         "channel": task.channel,
+        "at": task.place,
         "duration": task.duration,
         "function": function and getattr(function, "__qualname__", repr(function)),
         "versions": versions_of_now(),
@@ -316,9 +328,9 @@ def dataset_of(task: Task, points: Points, parts: Parts) -> xarray.Dataset:
     """Returns the results as a Dataset, with units and descriptions."""
     import xarray
 
-    variables = {name: one for kind in task.kinds for name, one in KINDS[kind].items()}
-    columns = parts.together(len(points), variables)
     scene = Scene.model_validate(task.document)
+    variables = {name: one for kind in task.kinds for name, one in kinds_of(scene)[kind].items()}
+    columns = parts.together(len(points), variables)
     shape, units, varied = tuple(points.sizes.values()), scene.units_of(task.channel).si, Varied(scene)
     coordinates = {path: (*one, {"units": varied.unit(path)}) for path, one in _coordinates(points).items()}
     found: dict[str, Any] = {}
