@@ -129,7 +129,8 @@ def measure_plane(
     others = {"--mass": excitation.mass, "--picture": picture.picture, "--data": picture.data}
     if refused := next((option for option, value in others.items() if value), ""):
         raise UsageError(f"{refused} is for a hand with one coordinate; leave it out in a scene with space: 2")
-    kind, prediction = device.kind(), predict(scene, with_margins=False, at=at)
+    name = next(name for name, one in scene.device_points.items() if one.channel == channel).rpartition(".")[0]
+    kind, prediction = device.kind(), predict(scene, with_margins=False, at=None if at is None else {name: at})
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)
     with live_line(stderr()) as show_progress:
@@ -147,9 +148,8 @@ def measure_plane(
         return
     units = output_units()
     place = f"{units.number(found.at_m[0], 'm')}, {units(found.at_m[1], 'm')}" if found.at_m else ""
-    hand = escape(one.names[one.channels.index(channel)].partition(".")[0])
     rows = [row for i in (0, 1) for row in _principal_rows(felt, found, i)]
-    title = f"What {hand} feels at {place}, along the two principal directions{of_mock(scene)}"
+    title = f"What {escape(name)} feels at {place}, along the two principal directions{of_mock(scene)}"
     stdout().print(table(title, ("", "predicted", "measured", "±", "off by"), rows))
     show(stdout(), assumption_lines(prediction.assumptions))
     if felt.reason:

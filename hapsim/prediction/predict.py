@@ -13,7 +13,7 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.prediction.felt_alone import Felt, swing
 from hapsim.prediction.predict_plane import PlanePrediction
-from hapsim.prediction.prediction import Place, Prediction
+from hapsim.prediction.prediction import Places, Prediction
 from hapsim.prediction.swings import Shaking
 from hapsim.prediction.timing import PACED, wire_of, wire_time_of, with_wire_delay
 from hapsim.scene import Buffer, Click, Friction, Link, Plectrum, Scene
@@ -26,18 +26,18 @@ _MOST_DAMPED = 0.1  # of critical; with more damping it is a thud
 _LEAST_SHARE = 1e-4  # of the largest energy that a motion has at the pick-up's point
 
 
-def predict(scene: SceneSource, *, with_margins: bool = True, at: Place = None) -> Prediction:
+def predict(scene: SceneSource, *, with_margins: bool = True, at: Places = None) -> Prediction:
     """Returns the prediction for `scene`: the felt stiffness and damping, the stability of the whole, and the time on
     the wire. `scene`: a Scene, or the path of a scene file. `with_margins`: also each link's gain margin, which for a
     large scene takes longer than the rest. `at`: the position of the hands in m [default: where they rest, or are held
-    nearest to position 0]; with space: 2, x and y of the first hand [default: where it starts]. UsageError if that is
-    beyond the travel."""
+    nearest to position 0]; with space: 2, x and y of the first hand, or those of hands by name [default: where they
+    start]. UsageError if that is beyond the travel."""
     prediction = prediction_of(as_scene(scene), at, with_margins=with_margins)
     _ = prediction.stable, prediction.poles  # so that their errors are raised by this call
     return prediction
 
 
-def prediction_of(scene: Scene, at: Place = None, **options: bool) -> Prediction:
+def prediction_of(scene: Scene, at: Places = None, **options: bool) -> Prediction:
     """Returns the prediction, not yet computed; arguments as of `Prediction`. Raises UsageError where `at` is no place
     in the scene's space."""
     if isinstance(at, float | int | None) is not (scene.space == 1 or at is None):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -41,7 +41,7 @@ class Directed(NamedTuple):
 
 
 class PlanePrediction(Prediction):
-    """Prediction of a scene in the plane; `at` is the place of the first hand, m.
+    """Prediction of a scene in the plane; `at` is the place of the first hand, m, or places by hand.
 
     Attributes:
         network: the scene, linear. links: every link where its ends are, in the scene's order.
@@ -53,7 +53,8 @@ class PlanePrediction(Prediction):
         self.hands = plane.hands
         hands = {name: plane.start[name] for name in plane.hands}
         if self._at is not None:
-            hands[plane.hands[0]] = self._require_reached(plane.hands[0], self._at)
+            at = self._at if isinstance(self._at, Mapping) else {plane.hands[0]: self._at}
+            hands |= {name: self._require_reached(name, place) for name, place in at.items()}
         rest = plane.at_rest(hands)
         self.places, self._rests = plane.start | hands if rest is None else rest, rest is not None
         self.links: list[PlaneLink] = plane.at(self.places)

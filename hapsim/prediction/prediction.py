@@ -29,6 +29,7 @@ from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_l
 from hapsim.theory.network.network import is_centred
 
 Place = float | tuple[float, float] | None
+Places = Place | Mapping[str, tuple[float, float]]
 """Position of a hand, m: in the plane x and y; None: not given."""
 
 
@@ -40,7 +41,7 @@ class Prediction:
     _also: Sequence[Sequence[int]] = ()
     """Pairs of points that count as joined."""
 
-    def __init__(self, scene: Scene, at: Place = None, *, with_margins: bool = True, wherever: bool = False) -> None:
+    def __init__(self, scene: Scene, at: Places = None, *, with_margins: bool = True, wherever: bool = False) -> None:
         """`at`, `with_margins`: as in `predict`. `wherever`: the scene runs, and its hands may be anywhere."""
         require_within_numbers(scene)
         self.scene, self._at, self._with_margins, self._wherever = scene, cast(Any, at), with_margins, wherever

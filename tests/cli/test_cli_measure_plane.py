@@ -76,3 +76,11 @@ def test_a_hand_that_slides_off_is_reported(hapsim: Hapsim, ring: Path) -> None:
     answer = hapsim("measure", ring, "--at", "0.001,0")
     assert answer.status == 2
     assert "the hand slides off along 90°: its distance grows e-fold in 49.4" in answer.err
+
+
+def test_a_place_is_that_of_the_measured_hand(hapsim: Hapsim, ring: Path) -> None:
+    """The first of two hands is free, the second is in the ring."""
+    ring.write_text(RING.replace("  hand:", "  free: {type: device, channels: [2, 3]}\n  hand:"))
+    document = hapsim("measure", ring, "--at", "1mm,0", "--channel", "0", "--json").document
+    for side in ("predicted", "measured"):
+        assert document[side]["k"][0][0] == pytest.approx(2080.439463958, rel=1e-4)
