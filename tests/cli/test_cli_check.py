@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 import yaml
 
 from hapsim.errors import UsageError
+from hapsim.prediction import predict
 from hapsim.running import start
 from hapsim.scene import load_scene
 from hapsim.theory.network import LARGE
@@ -210,8 +212,9 @@ def chain(tmp_path: Path, masses: int, mass: float, damping: float, grown: float
 
 
 def test_a_large_scene_is_judged_by_some_of_its_poles_and_names_them(
-    hapsim: Hapsim, checked: Checked, tmp_path: Path
+    hapsim: Hapsim, checked: Checked, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("hapsim.cli.check.predict", cache(predict))  # the same for words and JSON
     path = chain(tmp_path, 500, 0.1, 0.5)
     assert "poles were worked out: those nearest to 1, to -1" in unwrapped(hapsim("check", path).out)
     document = checked(path)

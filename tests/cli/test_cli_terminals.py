@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from functools import cache
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from hapsim.cli.output import table
 from hapsim.device.mock.terminal import serving
 from hapsim.errors import DeviceError
 from hapsim.loop.counts import Progress
+from hapsim.prediction import Prediction, predict
 from hapsim.scene import load_scene
 
 Hapsim = Callable[..., Any]
@@ -45,6 +47,8 @@ def test_no_number_is_cut_however_narrow_the_terminal(
 ) -> None:
     path = scene_file("two_hands", correction="poles")
     monkeypatch.chdir(path.parent)
+    monkeypatch.setattr("hapsim.cli.check.predict", cache(predict))  # only the width differs
+    monkeypatch.setattr(Prediction, "tolerances", cache(Prediction.tolerances))
     wide = explained(Path(path.name))
     assert len(numbers_in(wide)) > 40
     for columns in (24, 40, 80, 132):
