@@ -60,9 +60,9 @@ def load_script(path: str | os.PathLike[str]) -> Script:
 
 
 @cache
-def _model() -> type[Script]:
-    """Returns the model of a script whose faults are of any kind."""
-    one: Any = Annotated[Union[tuple(KINDS.values())], Field(discriminator="kind")]  # noqa: UP007
+def _model(kinds: tuple[type[Fault], ...]) -> type[Script]:
+    """Returns the model of a script whose faults are of any of these kinds."""
+    one: Any = Annotated[Union[kinds], Field(discriminator="kind")]  # noqa: UP007
     return create_model("Script", __base__=Script, faults=(list[one], Field(min_length=1)))
 
 
@@ -71,7 +71,7 @@ def parse_script(text: str, name: str = "<script>") -> Script:
     document = _FILE.document_of(text, name)
     script, issues = None, []
     try:
-        script = _model().model_validate(document.data, context=FROM_FILE)
+        script = _model(tuple(KINDS.values())).model_validate(document.data, context=FROM_FILE)
     except ValidationError as error:
         issues = findings_of(error, document, _LAYOUT)
     located = _FILE.located(issues, document)
