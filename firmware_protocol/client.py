@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 from firmware_protocol import schema
@@ -162,6 +163,7 @@ class Client(ABC):
         return None
 
 
+@cache
 def disarm_in_every_format() -> bytes:
     """Returns the frames that release a device armed by another host, with any number of channels and any parts."""
     return b"".join(frame_to_device(wire, schema.DISARM, 0, 0, [0] * wire.channels) for wire in every_armed_format())

@@ -119,6 +119,20 @@ class Law:
         return tuple(one for one, end in zip(pieces, edges[1:], strict=True) if one.edge < end)
 
     @cached_property
+    def _columns(self) -> Floats:
+        """m of each knot, and N there."""
+        import numpy as np
+
+        return np.array(self._whole).T
+
+    @cached_property
+    def _dampings(self) -> Floats:
+        """N·s/m of each piece; where it may slide none."""
+        import numpy as np
+
+        return np.array([0.0 if math.isfinite(self.reach) else piece.damping for piece in self.pieces])
+
+    @cached_property
     def edges(self) -> tuple[float, ...]:
         """m, where one piece ends and another begins; of one period."""
         return tuple(piece.edge for piece in self.pieces if math.isfinite(piece.edge))
@@ -168,7 +182,7 @@ class Law:
         """N, which pulls the ends together, at these distances in m; where it may slide, it has rested there: none."""
         import numpy as np
 
-        edges, tensions = zip(*self._whole, strict=True)
+        edges, tensions = self._columns
         inside = np.asarray(d, float)
         if self.period:
             inside = inside - self.period * np.floor((inside - edges[0]) / self.period)
@@ -200,8 +214,7 @@ class Law:
         if self.period:
             d = d - self.period * np.floor((d - self.edges[0]) / self.period)
         first = 1 if self.period else 0
-        dampings = np.array([0.0 if math.isfinite(self.reach) else piece.damping for piece in self.pieces])
-        return np.asarray(dampings[np.searchsorted(self.edges, d, side="right") - first])
+        return np.asarray(self._dampings[np.searchsorted(self.edges, d, side="right") - first])
 
     def state(self, d: float) -> str:
         """State of the link at d, in a word or two; "" if it is always the same."""

@@ -64,7 +64,8 @@ class ContactStates:
         moving = (name for name, (first, second) in self._ends.items() if first != second)  # not two grounds, -1
         own = (name for name in moving if not {*linear.links[name].between} & alone)
         fastest = fastest_motion(scene)
-        every = ((name, options_of(scene.links[name].law(), fastest)) for name in own)
+        links = scene.links
+        every = ((name, options_of(links[name].law(), fastest)) for name in own)
         options = {name: found for name, found in every if len(found) > 1}
         self.parts: list[list[State]] = []
         self.is_complete = True

@@ -12,6 +12,7 @@ from hapsim.units import LINEAR, Units
 from .issue import Issue
 
 T = TypeVar("T")
+K = TypeVar("K")
 
 
 class Part(BaseModel):
@@ -23,10 +24,11 @@ class Part(BaseModel):
 class Table(Mapping[str, T]):
     """A mapping that keeps its order, cannot be changed, and can be hashed when its values can."""
 
-    __slots__ = ("_entries",)
+    __slots__ = ("_entries", "_of_kind")
 
     def __init__(self, entries: Mapping[str, T]) -> None:
         self._entries = dict(entries)
+        self._of_kind: dict[type, dict[str, Any]] = {}  # found once: a scene may have thousands of modules
 
     def __getitem__(self, name: str) -> T:
         return self._entries[name]
@@ -36,6 +38,12 @@ class Table(Mapping[str, T]):
 
     def __len__(self) -> int:
         return len(self._entries)
+
+    def of_kind(self, kind: type[K]) -> dict[str, K]:
+        """Returns the entries of this class, in their order."""
+        if kind not in self._of_kind:
+            self._of_kind[kind] = {name: one for name, one in self._entries.items() if isinstance(one, kind)}
+        return dict(self._of_kind[kind])
 
     def __hash__(self) -> int:
         return hash(frozenset(self._entries.items()))

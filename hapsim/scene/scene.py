@@ -128,12 +128,12 @@ class Scene(Part):
     @property
     def channels(self) -> int:
         """Number of channels of the device: one more than the highest that a module holds; lists have this length."""
-        return 1 + max(max(one.all_channels) for one in self.modules.values() if isinstance(one, DevicePoint))
+        return 1 + max(max(one.all_channels) for one in self._of(DevicePoint).values())
 
     @property
     def channel_groups(self) -> tuple[tuple[int, ...], ...]:
         """The channels of each hand, in the order of the file."""
-        return tuple(one.all_channels for one in self.modules.values() if isinstance(one, DevicePoint))
+        return tuple(one.all_channels for one in self._of(DevicePoint).values())
 
     def hand_of(self, channel: int) -> tuple[int, ...]:
         """Returns the channels of the hand that holds a channel: those of x and y, or that one alone."""
@@ -186,7 +186,7 @@ class Scene(Part):
     @property
     def structures(self) -> dict[str, Structure]:
         """Many masses under one name each, in the order of the file."""
-        return {name: module for name, module in self.modules.items() if isinstance(module, Structure)}
+        return self._of(Structure)  # type: ignore[type-abstract]
 
     @property
     def links(self) -> dict[str, Link]:
@@ -246,4 +246,5 @@ class Scene(Part):
         return {f"{name}.{axis}": one.along(i) for name, one in found.items() for i, axis in enumerate(AXES)}
 
     def _of(self, kind: type[M]) -> dict[str, M]:
-        return {name: module for name, module in self.modules.items() if isinstance(module, kind)}
+        modules = self.modules if isinstance(self.modules, Table) else Table(self.modules)  # a copy may have others
+        return modules.of_kind(kind)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -111,6 +112,7 @@ def _kept(hand: Configuration, theta: Floats) -> Floats:
     return np.asarray(((1.0 - 1.0 / z) * position).real * unit / c.period)
 
 
+@cache
 def _demand(delay: int) -> Floats:
     """Returns the coefficients of q(u), of increasing powers."""
     late = polynomial.Polynomial(cheb2poly([0.0] * (1 + delay) + [1.0]))

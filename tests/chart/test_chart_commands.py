@@ -6,6 +6,7 @@ import resource
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from matplotlib.figure import Figure
 from hapsim.chart.figure import figure_to, save_rows
 from hapsim.errors import UsageError
 from hapsim.prediction import predict, predict_impedance
-from hapsim.scene import load_scene
+from hapsim.prediction.felt_alone import Tolerance
+from hapsim.scene import Scene, load_scene
 from hapsim.theory import Configuration
 from hapsim.whole_file import whole_file
 
@@ -110,6 +112,11 @@ def test_what_drifts_is_no_frequency(chart: Chart, tmp_path: Path, rows_of: Rows
     assert len(answer.document["gives_energy_hz"]) <= 3
 
 
+@cache
+def tolerance_of(scene: Scene) -> Tolerance:
+    return predict(scene).tolerances("hand", (0.05,))[0]
+
+
 @pytest.mark.parametrize("over", ["device.mass", "device.friction", "device.delay"])
 def test_how_well_the_device_has_to_be_known_is_drawn(
     chart: Chart, scene_file: SceneFile, rows_of: RowsOf, over: str
@@ -119,7 +126,7 @@ def test_how_well_the_device_has_to_be_known_is_drawn(
     assert Path("of.png").read_bytes().startswith(BEGINS[".png"])
     declared = 0.2 if over == "device.mass" else 1.0
     for correction in ("poles", "predictor"):
-        (one, _) = predict(load_scene(scene_file("spring", correction=correction))).tolerances("hand")
+        one = tolerance_of(load_scene(scene_file("spring", correction=correction)))
         assert found[correction][0] == list(getattr(one, over.removeprefix("device.")))
         for row in rows_of("of.csv"):
             true = float(row[over]) * (declared if over == "device.mass" else 1.0)

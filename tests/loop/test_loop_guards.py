@@ -126,8 +126,10 @@ NO_NUMBER: dict[str, tuple[dict[str, float], int, int]] = {
 """A link's parameters, its hand's counts at sample 3, and the sample at which its force is not finite."""
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
-@pytest.mark.parametrize(("channel", "kind"), [(0, "too large"), (15, "too small"), (1, "nan")])
+@pytest.mark.parametrize(
+    ("clock", "channel", "kind"),
+    [*((clock, 0, "too large") for clock in CLOCKS), ("device", 15, "too small"), ("device", 1, "nan")],
+)
 def test_one_channel_without_a_number_releases_all_of_them(clock: str, channel: int, kind: str) -> None:
     link, far, last = NO_NUMBER[kind]
     still = [-100] * 16

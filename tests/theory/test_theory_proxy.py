@@ -121,7 +121,7 @@ def test_the_poles_are_those_of_the_loop_written_out(delay: int, has_mass: bool)
 @pytest.mark.parametrize("delay", range(3))
 def test_no_hand_shakes_a_proxy_with_the_friction_of_its_coupling(delay: int) -> None:
     rng, coupling = np.random.default_rng(delay), stiffest_coupling(1.0, T, delay)
-    each = ((random_hand(rng, 1.001), random_scene(rng, False)) for _ in range(3000))
+    each = ((random_hand(rng, 1.001), random_scene(rng, False)) for _ in range(1000))
     assert max(theory_radius(hand, coupling, scene, delay) for hand, scene in each) < SURELY
 
 
@@ -182,7 +182,7 @@ def test_a_hand_with_two_resonances_needs_all_of_the_friction_of_a_scene(name: s
 
 def test_no_hand_shakes_a_scene_with_explicit_masses_and_the_friction_that_it_needs() -> None:
     rng, judged = np.random.default_rng(5), 0
-    for _ in range(300):
+    for _ in range(100):
         delay = int(rng.integers(0, 3))
         coupling, scene = stiffest_coupling(1.0, T, delay), random_scene(rng, True)
         _, passivity = of_the_scene(coupling, scene, delay)
@@ -191,7 +191,7 @@ def test_no_hand_shakes_a_scene_with_explicit_masses_and_the_friction_that_it_ne
         friction = 1.001 * max(passivity.friction, 1e-3)
         judged += 1
         assert max(theory_radius(random_hand(rng, friction), coupling, scene, delay) for _ in range(10)) < SURELY
-    assert judged == 300
+    assert judged == 100
 
 
 def test_margins_are_where_stability_ends() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -252,7 +253,10 @@ class TestARecordedButton:
         assert surely_shaken_by(scene) is None
         assert surely_shaken_by(on_a_cap(button(0.02))) is not None
 
-    def test_check_sums_its_regions_up(self, hapsim: Callable[..., Any], tmp_path: Path) -> None:
+    def test_check_sums_its_regions_up(
+        self, hapsim: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("hapsim.cli.check.predict", cache(predict))  # the same for words and JSON
         file = tmp_path / "button.yaml"
         file.write_text(text_of(button(0.02), quantum=self.COARSE), encoding="utf-8")
         out = hapsim("check", str(file)).out

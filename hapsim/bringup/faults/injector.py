@@ -14,6 +14,7 @@ import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, NamedTuple, Union
 
 from pydantic import Field, ValidationError, create_model
@@ -58,14 +59,19 @@ def load_script(path: str | os.PathLike[str]) -> Script:
     return parse_script(_FILE.text_of(path), os.fsdecode(path))
 
 
+@cache
+def _model(kinds: tuple[type[Fault], ...]) -> type[Script]:
+    """Returns the model of a script whose faults are of any of these kinds."""
+    one: Any = Annotated[Union[kinds], Field(discriminator="kind")]  # noqa: UP007
+    return create_model("Script", __base__=Script, faults=(list[one], Field(min_length=1)))
+
+
 def parse_script(text: str, name: str = "<script>") -> Script:
     """Returns the script of a text in YAML that errors call `name`. Raises UsageError with one line for each error."""
     document = _FILE.document_of(text, name)
     script, issues = None, []
-    one: Any = Annotated[Union[tuple(KINDS.values())], Field(discriminator="kind")]  # noqa: UP007
-    model = create_model("Script", __base__=Script, faults=(list[one], Field(min_length=1)))
     try:
-        script = model.model_validate(document.data, context=FROM_FILE)
+        script = _model(tuple(KINDS.values())).model_validate(document.data, context=FROM_FILE)
     except ValidationError as error:
         issues = findings_of(error, document, _LAYOUT)
     located = _FILE.located(issues, document)

@@ -176,6 +176,8 @@ def _tied(hand: LoneHand, theta: Floats) -> list[tuple[float, float]]:
 
     sign = np.sign(slope(theta))
     at = np.flatnonzero(sign[1:] != sign[:-1])
+    if not at.size:
+        return []
     low, high = theta[at], theta[at + 1]
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
@@ -214,6 +216,7 @@ def _turning_points(hand: LoneHand, which: int, theta: Floats, values: Floats) -
     sign = np.where(rises[at - 1], 1.0, -1.0)
     for _ in range(BISECTIONS):
         one, other = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-        left = sign * undamped_element(hand, one)[which] > sign * undamped_element(hand, other)[which]
+        there = sign * undamped_element(hand, np.stack([one, other]))[which]
+        left = there[0] > there[1]
         low, high = np.where(left, low, one), np.where(left, other, high)
     return 0.5 * (low + high)

@@ -10,6 +10,7 @@ The variable is w = z - 1, not z: slow poles, close to z = 1, keep all their dig
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,6 +124,7 @@ def pair_of_oscillator(sigma: Floats, kappa: Floats) -> PolePair:
     )
 
 
+@lru_cache(maxsize=64)  # of one hand, for many oscillators
 def quadratic_of_oscillator(sigma: float, kappa: float) -> tuple[float, float]:
     """Coefficients (p, q) of w² + p w + q, whose roots are the poles w = e^s - 1 of s² + sigma s + kappa = 0."""
     pair = pair_of_oscillator(np.array([sigma]), np.array([kappa]))
