@@ -149,7 +149,8 @@ def test_places_of_the_plane_are_refused_on_a_line(hapsim: Hapsim, scene_file: A
     assert (answer.status, expected in answer.err) == (2, True)
 
 
-def test_a_sweep_has_the_stiffest_direction(written: Written) -> None:
+def test_a_sweep_has_both_directions(written: Written) -> None:
     scene = load_scene(written())
     found, reason = Task(scene.model_dump(mode="json"), ("predicted",)).at(scene)
-    assert (found["predicted_k"], reason) == (pytest.approx(2080.439463958, abs=2e-9), "")
+    assert (found["predicted_k_1"], reason) == (pytest.approx(2080.439463958, abs=2e-9), "")
+    assert found["predicted_k_2"] == pytest.approx(-105.328041658, abs=2e-9)

@@ -73,7 +73,7 @@ def scene(tmp_path: Path, motion: str) -> Path:
 
 @pytest.fixture(scope="module")
 def without_option() -> dict[tuple[str, str], dict[str, Any]]:
-    """What a command answers without its option, by command and motion: each is asked once."""
+    """Answers of commands without the option, by command and motion: each is asked once."""
     return {}
 
 
