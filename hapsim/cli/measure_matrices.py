@@ -129,7 +129,8 @@ def measure_plane(
     others = {"--mass": excitation.mass, "--picture": picture.picture, "--data": picture.data}
     if refused := next((option for option, value in others.items() if value), ""):
         raise UsageError(f"{refused} is for a hand with one coordinate; leave it out in a scene with space: 2")
-    name = next(name for name, one in scene.device_points.items() if one.channel == channel).rpartition(".")[0]
+    require_device_point(scene, channel)
+    name = scene.hand_on(channel)
     kind, prediction = device.kind(), predict(scene, with_margins=False, at=None if at is None else {name: at})
     require_stable(device.scene, scene, prediction, unstable)
     warnings = print_warnings(scene, prediction)

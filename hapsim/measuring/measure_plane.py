@@ -99,7 +99,7 @@ def measure_in_plane(
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
-    hand = next(group for group in scene.channel_groups if channel in group)
+    hand = scene.hand_of(channel)
     _require_alone(scene, hand)
     place = _place_of(scene, hand, at)
     seconds = duration or (_IN_VIRTUAL_TIME if scene.device.clock == "lockstep" else _SECONDS)
@@ -210,8 +210,7 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
     """Returns the place of the hand on these channels. Raises UsageError if no link acts there, or the force is more
     than the limit."""
     plane, units = Plane(scene), scene.units_of(hand[0])
-    modules = scene.modules.items()
-    name = next(name for name, one in modules if isinstance(one, DevicePoint) and one.all_channels == tuple(hand))
+    name = scene.hand_on(hand[0])
     here = plane.start[name] if at is None else at
     words = f"at: {units.number(here[0], 'm')},{units(here[1], 'm')}"
     links = [one for one in plane.at({name: here}) if name in one.link.between and one.acts]

@@ -29,8 +29,9 @@ from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_l
 from hapsim.theory.network.network import is_centred
 
 Place = float | tuple[float, float] | None
-Places = Place | Mapping[str, tuple[float, float]]
 """Position of a hand, m: in the plane x and y; None: not given."""
+Places = Place | Mapping[str, tuple[float, float]]
+"""The same, or the places of hands of the plane by their names."""
 
 
 class Prediction:

@@ -139,6 +139,10 @@ class Scene(Part):
         """Returns the channels of the hand that holds a channel: those of x and y, or that one alone."""
         return next((hand for hand in self.channel_groups if channel in hand), (channel,))
 
+    def hand_on(self, channel: int) -> str:
+        """Returns the name of the hand that holds a channel."""
+        return next(name for name, one in self._of(DevicePoint).items() if channel in one.all_channels)
+
     @property
     def travel_margins(self) -> tuple[float, ...]:
         """Width of the band outside the travel of each channel, m; x and y of a hand have one."""

@@ -149,8 +149,8 @@ def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
 def _predicted_in_plane(task: Task, prediction: PlanePrediction) -> tuple[Values, str]:
     found = {name: _OF_SCENE[name].of(prediction) for name in ("stable", "spectral_radius")}
     shared = next(one for one in prediction.together if task.channel in one.channels)
-    hand = shared.names[shared.channels.index(task.channel)].rpartition(".")[0]
-    return found | _along("predicted", _ALONG, [one.felt for one in prediction.principal(hand)]), shared.felt.reason
+    felt = [one.felt for one in prediction.principal(prediction.scene.hand_on(task.channel))]
+    return found | _along("predicted", _ALONG, felt), shared.felt.reason
 
 
 def _along(how: str, variables: Mapping[str, Variable], directions: Iterable[object]) -> Values:
