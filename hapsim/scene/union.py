@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from .chain import Chain, Piece
 
-_SAME = 1e-9  # m: nearer places are one
-_ALIKE = 4.0 * _SAME  # m, between the middles of two edges with the same ends: less, and they are one
-_FINER, _COARSER = 0.23, 3.7  # times _SAME: tried where walls that are nearly alike leave a loop open
+_SAME = 2e-9, 1.3e-8, 1e-12, 1.1e-7
+"""m: nearer places are one. The further ones are tried where walls that are nearly alike leave a loop open."""
 _FAR, _NEAR = 1e3, 1.0
 """m: half of a whole line, and of a cut one that comes from afar the last part. A piece is known by its start, and
 numbers of single precision are finer near it."""
 _STRAIGHT, _CUSP = 1e-9, 1e-6  # rad: a smaller turn is none; nearer to half a turn its side is looked at
+_DIGIT = 1e-14  # m or rad: pieces overlap by this, so that rounding parts none
 _SHARES = 0.5, 0.31, 0.73  # of an edge: places that tell on which side of other shapes it is
 
 Values = NDArray[Any]
@@ -104,9 +104,9 @@ def union(chains: Sequence[Chain]) -> Outline:
     if len(chains) == 1:
         return Outline(chains[0], (0,) * len(chains[0].pieces))
     pieces = _pieces(chains)
-    for same in (_SAME, _FINER * _SAME, _COARSER * _SAME):
+    for same in _SAME:
         places, edges, alone = _cut(pieces, len(chains), same)
-        kept = _outer(pieces, edges, chains)
+        kept = _outer(pieces, edges, chains, same)
         ways = _ways(pieces, [edges[i] for i in kept])
         if ways is not None:
             break
@@ -189,7 +189,7 @@ def _crossings(pieces: _Pieces, i: Values, j: Values, same: float) -> Iterator[t
         a, b = pieces.take(m), pieces.take(n)
         for p in places(a, b, same):
             there = np.isfinite(p)
-            there[there] = (a.take(there).gap(p[there]) <= same) & (b.take(there).gap(p[there]) <= same)
+            there[there] = np.maximum(a.take(there).gap(p[there]), b.take(there).gap(p[there])) <= 2.0 * same
             yield p[there], m[there], n[there]
 
 
@@ -247,7 +247,7 @@ def _clusters(points: Values, same: float) -> Values:
             return np.unique(label, return_inverse=True)[1]
 
 
-def _outer(pieces: _Pieces, edges: Sequence[_Edge], chains: Sequence[Chain]) -> list[int]:
+def _outer(pieces: _Pieces, edges: Sequence[_Edge], chains: Sequence[Chain], same: float) -> list[int]:
     """Returns the numbers of the edges that have free places on their right: those that no other shape has inside, that
     do not face another's, and the first of those that are alike."""
     own = pieces.take([edge.piece for edge in edges])
@@ -262,7 +262,7 @@ def _outer(pieces: _Pieces, edges: Sequence[_Edge], chains: Sequence[Chain]) -> 
     for together in between.values():
         for n, i in enumerate(together):
             for j in together[:n]:
-                if own.shape[i] != own.shape[j] and own.take(j).gap(spots[0, i]) <= _ALIKE:
+                if own.shape[i] != own.shape[j] and abs(spots[0, i] - spots[0, j]) <= 4.0 * same:
                     alike[i].add(int(own.shape[j]))
                     alike[j].add(int(own.shape[i]))
                     faces = (heads[i] * np.conj(heads[j])).real < 0.0
@@ -283,11 +283,11 @@ def _distance(chain: Chain, p: Values) -> Values:
         w = (p - complex(piece.x, piece.y)) * complex(piece.ex, -piece.ey)
         if piece.bend == 0:
             distance = -w.imag
-            opposite = (w.real >= -_SAME) & (w.real <= piece.extent + _SAME) | math.isinf(piece.extent)
+            opposite = (w.real >= -_DIGIT) & (w.real <= piece.extent + _DIGIT) | math.isinf(piece.extent)
         else:
             distance = piece.bend * (np.abs(w) - piece.radius)
             middle = np.exp(-0.5j * piece.bend * piece.extent)
-            opposite = np.abs(np.angle(w * middle)) <= 0.5 * piece.extent + _STRAIGHT
+            opposite = np.abs(np.angle(w * middle)) <= 0.5 * piece.extent + _DIGIT
         least = np.where(opposite & (np.abs(distance) < np.abs(least)), distance, least)
     return least
 
@@ -419,9 +419,9 @@ def _corner(
             return corners, edge.high, after.low
     zero = np.zeros(1, int)
     met = [
-        p for p, _, _ in _crossings(_Pieces(*map(np.concatenate, zip(one, other, strict=True))), zero, zero + 1, _SAME)
+        p for p, _, _ in _crossings(_Pieces(*map(np.concatenate, zip(one, other, strict=True))), zero, zero + 1, _SAME[0])
     ]
-    spot = min([*np.concatenate(met), vertex], key=lambda p: abs(p - vertex) if p != vertex else _ALIKE)
+    spot = min([*np.concatenate(met), vertex], key=lambda p: abs(p - vertex) if p != vertex else 2.0 * _SAME[0])
     high, low = _near(one, spot, edge.high), _near(other, spot, after.low)
     if not (high > edge.low and low < after.high):
         spot, high, low = vertex, _near(one, vertex, edge.high), _near(other, vertex, after.low)
