@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -155,29 +156,27 @@ class Shape(Link):
             )
 
 
-class Surface(NamedTuple):
-    """The surface of all shapes with the same two ends.
-
-    Attributes:
-        between: their ends. shapes: by name, in the order of the file.
-        outline: of their union, by the first end minus the second; the first is free on its right.
-    """
+@dataclass(frozen=True)
+class Surface:
+    """The surface of all shapes with the same two ends, `between`. `shapes`: by name, in the order of the file."""
 
     between: tuple[str, str]
     shapes: Mapping[str, Shape]
-    outline: Outline
+
+    @cached_property
+    def outline(self) -> Outline:
+        """Outline of their union, by the first end minus the second; the first is free on its right. Raises
+        TooRoundError, and ValueError where there is none."""
+        return _union_of(tuple(one.chain() for one in self.shapes.values()))
 
 
-def surfaces_of(links: Mapping[str, Link]) -> list[Surface]:
+def surfaces_of(links: Mapping[str, Any]) -> list[Surface]:
     """Returns the surfaces of the shapes among these links, in the order of their first shapes."""
     together: dict[tuple[str, str], dict[str, Shape]] = {}
     for name, link in links.items():
         if isinstance(link, Shape):
             together.setdefault(link.between, {})[name] = link
-    return [
-        Surface(ends, shapes, _union_of(tuple(one.chain() for one in shapes.values())))
-        for ends, shapes in together.items()
-    ]
+    return [Surface(*one) for one in together.items()]
 
 
 @lru_cache(maxsize=64)
