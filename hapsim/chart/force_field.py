@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -114,14 +115,18 @@ def _draw_outlines(axes: Any, scene: Scene, hand: str) -> None:
 
     scaled, labels = drawn_in().scaled, set[str]()
     at = Plane(scene).start | {"": (0.0, 0.0)}
-    for one in outlines_of(scene):
-        places = scaled(np.array(one.places) + at[one.about], "mm")
+    solid = {"outside", "inside"}
+    together = groupby(outlines_of(scene), key=lambda one: (one.of, one.about, one.kind in solid or one.name))
+    for (_, about, _), every in together:
+        one, *others = every
+        places = [scaled(np.array(each.places) + at[about], "mm") for each in (one, *others)]
         kind = one.kind if not one.of or hand in (one.of, one.about) else "of other points"
         if kind in style.OUTLINES:
-            axes.plot(*places.T, label=once(kind, labels), **style.OUTLINES[kind])
+            for each in places:
+                axes.plot(*each.T, label=once(kind, labels), **style.OUTLINES[kind])
             continue
-        curve = Curve(places, closed=True)
+        curves = [Curve(each, closed=True) for each in places]
         if kind == "inside":
-            around = Curve(scaled(FAR * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]), "mm"), closed=True)
-            curve = Curve.make_compound_path(around, curve)
-        axes.add_patch(PathPatch(curve, label=once("shape", labels), **style.MATERIAL))
+            around = scaled(FAR * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]), "mm")
+            curves.insert(0, Curve(around, closed=True))
+        axes.add_patch(PathPatch(Curve.make_compound_path(*curves), label=once("shape", labels), **style.MATERIAL))

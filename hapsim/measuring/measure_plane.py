@@ -255,14 +255,16 @@ def _place_of(scene: Scene, hand: Sequence[int], at: tuple[float, float] | None)
 def _require_way(plane: Plane, hand: str, place: tuple[float, float], words: str) -> None:
     """Raises UsageError if the hand would have to go through a shape on its straight way to its place."""
     way = np.linspace(plane.start[hand], place, _LOOKS)
-    for name, (link, _, opposite) in plane.links.items():
-        if not isinstance(link, Shape) or link.between[0] != hand:
+    for surface in plane.surfaces:
+        if surface.between[0] != hand:
             continue
+        (chain, owners), names = surface.outline, [*surface.shapes]
         entered = None
-        for x, y in (way - plane.start[link.between[1]]).tolist():
-            here = opposite(x, y)
+        for x, y in (way - plane.start[surface.between[1]]).tolist():
+            here = chain.nearest(x, y)
             entered = (entered or here.normal) if here.distance < 0.0 else None
             if entered is not None and np.dot(entered, here.normal) < 0.0:
+                name = names[owners[here.piece]]
                 raise UsageError(
                     f"{words}, {name} is in the way: the hand is led there along a straight line from where it starts. "
                     "Choose a place on this side, or let the hand start on that one (mock.initial.position)"

@@ -16,15 +16,16 @@ import numpy as np
 from hapsim.prediction.characteristic import starts_at
 from hapsim.prediction.reach import start_positions
 from hapsim.scene import DevicePoint, Friction, Link, Scene, Spring, ViscoElastic
-from hapsim.scene.chain import NEAR, NEAR_SHARE, Nearest, Point
-from hapsim.scene.modules.surfaces import Guide, Shape
+from hapsim.scene.chain import NEAR, NEAR_SHARE, Nearest, Piece, Point
+from hapsim.scene.modules.surfaces import CUSP, Guide, Shape, Surface, surfaces_of
 from hapsim.theory.arrays import Floats
 
 _MOST_STEPS = 100
 _AT_REST = 1e-15  # m, by which what is left of the force stretches the stiffest link
 _HALVINGS, _BEYOND = 30, 0.9
 _LEAST_STIFFNESS = 1e-6  # N/m, for a mass that no spring holds
-_PARALLEL, _OUTSIDE = 1e-9, 1e-12  # sine of an angle that is none, and m
+_TOUCHED = 1e-300  # m, least depth in a wall of a corner
+_NOWHERE = Nearest(math.inf, (1.0, 0.0), 0.0)
 
 
 class PlaneLink(NamedTuple):
@@ -48,8 +49,15 @@ class PlaneLink(NamedTuple):
     damping: float
     """N·s/m."""
     state: str
-    along: Point | None = None
-    """Motion that changes its distance by itself, by the unit: the normal unless it shares a corner with another."""
+    on: Piece | None = None
+    """Piece of its chain."""
+    corner: Corner | None = None
+    """The hollow corner in which the hand is, if this wall shares it with that of another shape."""
+
+    @property
+    def stretch(self) -> Point:
+        """Motion that changes its distance by the unit, and that of no other wall of the corner."""
+        return self.normal if self.corner is None else self.corner.stretch
 
     @property
     def tangent(self) -> Point:
@@ -69,7 +77,7 @@ class PlaneLink(NamedTuple):
         damp along themselves by the same share as they are stiff."""
         if not isinstance(self.link, Shape | Guide) or not self.slope or not 0.0 < self.across < math.inf:
             return 0.0
-        is_corner = self.link.chain().pieces[self.piece].extent < math.pi
+        is_corner = self.on is not None and self.on.extent < math.pi
         return self.damping * self.across / self.slope if is_corner or isinstance(self.link, Guide) else 0.0
 
     @property
@@ -79,28 +87,55 @@ class PlaneLink(NamedTuple):
 
     @property
     def rubs(self) -> bool:
-        """True if it touches with dry friction along its surface."""
-        return isinstance(self.link, Shape) and self.link.break_away > 0.0 and self.acts
+        """True if it touches with dry friction along its surface; in a corner that of one wall acts."""
+        is_first = self.corner is None or self.corner.first == self.name
+        return is_first and isinstance(self.link, Shape) and self.link.break_away > 0.0 and self.acts
 
     def rows(self, sliding: int = 0) -> Iterator[Row]:
         """Yields the rows of small motions. `sliding`: 0 while its friction sticks; 1 or -1: towards or against the
         tangent. Friction holds no force where it sticks."""
-        n, t = self.normal, self.tangent
+        n, t, m, d, corner = self.normal, self.tangent, self.stretch, self.normal, self.corner
         if isinstance(self.link, Friction):
             yield from (Row(axis, axis, self.slope, self.damping) for axis in ((1.0, 0.0), (0.0, 1.0)))
             return
-        if self.along is None:
-            yield Row(n, n, self.slope, self.damping)
+        if corner is None:
+            yield from (Row(n, n, self.slope, self.damping), Row(t, t, self.across, self.damping_across))
         else:
-            yield from (Row(n, self.along, self.slope, 0.0), Row(n, n, 0.0, self.damping))
-        yield Row(t, t, self.across, self.damping_across)
-        if self.rubs and isinstance(self.link, Shape):
-            if not sliding:
-                yield Row(t, t, *self.link.bristle)
-            else:
-                share = -sliding * self.link.friction_coefficient
-                yield Row(t, n, share * self.slope, share * self.damping)
-                yield Row(n, t, -share * self.across, 0.0)
+            n, t, d = corner.normal, (-corner.normal[1], corner.normal[0]), corner.damps
+            yield from (Row(self.normal, m, self.slope, 0.0), Row(d, d, 0.0, self.damping))
+        if self.rubs and isinstance(self.link, Shape) and not sliding:
+            yield Row(t, t, *self.link.bristle)
+        if sliding and corner is None and isinstance(self.link, Shape):
+            share = -sliding * self.link.friction_coefficient
+            yield Row(t, n, share * self.slope, share * self.damping)
+            yield Row(n, t, -share * self.across, 0.0)
+        elif sliding and corner is not None:
+            share, ahead = -sliding * corner.friction, _dot(self.normal, n)
+            yield Row(t, m, share * self.slope * ahead, 0.0)
+            yield Row(t, d, 0.0, share * self.damping * _dot(d, n))
+            yield Row(t, t, -share * self.tension * _dot(self.normal, t) / corner.depth, 0.0)
+            yield Row(n, t, share * self.tension * ahead / corner.depth, 0.0)
+
+
+class Corner(NamedTuple):
+    """A hollow corner that walls of two shapes share, as one of them has it.
+
+    The hand's way out has a part along the normal of each, which that wall answers. The second damps along its normal,
+    the first across that.
+    """
+
+    first: str
+    """Name of the first wall, whose friction acts."""
+    friction: float
+    """Its coefficient."""
+    normal: Point
+    """Unit vector from the hand to the corner."""
+    depth: float
+    """m, way out."""
+    stretch: Point
+    """Motion that changes the wall's own part by the unit, and not the other's."""
+    damps: Point
+    """Unit vector along which the wall damps."""
 
 
 class Row(NamedTuple):
@@ -116,66 +151,81 @@ class Plane:
     """The links of a scene in the plane, at any places of its points.
 
     Attributes:
-        links: by name, with its law and the function from its stretch to the nearest place of it.
+        links: by name, with its law. surfaces: of its shapes.
         start: the places of its points at the start, m, by module.
         hands, masses: names of the modules.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.links = {name: (link, link.law(), _opposite(link)) for name, link in scene.plane_links.items()}
+        self.links = {name: (link, link.law()) for name, link in scene.plane_links.items()}
+        self.surfaces = surfaces_of(scene.plane_links)
+        shapes = {name for name, (link, _) in self.links.items() if isinstance(link, Shape)}
+        self._opposite = {name: _opposite(link) for name, (link, _) in self.links.items() if name not in shapes}
+        self._apart = {name: self._link(name, _NOWHERE) for name in shapes}
         self.start = _start(scene)
         self.hands = tuple(name for name, one in scene.modules.items() if isinstance(one, DevicePoint))
         self.masses = tuple(name for name in self.start if f"{name}.x" in scene.masses)
 
     def at(self, places: Mapping[str, Point]) -> list[PlaneLink]:
         """Returns every link with its ends at `places`, by default where they start, m."""
-        found, at = list[PlaneLink](), {**self.start, **places}
-        together: dict[tuple[str, str], list[int]] = {}
-        for name, (link, law, opposite) in self.links.items():
+        at = {**self.start, **places}
+
+        def apart(link: Link | Surface) -> Point:
             (ax, ay), (bx, by) = (at[end] for end in link.between)
-            d, normal, curvature, piece = opposite(ax - bx, ay - by)
-            if curvature > 0.0 and _remembers(link, d, piece):
-                curvature = math.inf
-            is_apart = law.pushes and d >= law.knots[-1][0]
-            tension = 0.0 if is_apart else float(law.tension(d))
-            if isinstance(link, Shape):
-                together.setdefault(link.between, []).append(len(found))
-            found.append(
-                PlaneLink(name, link, d, normal, curvature, piece, tension, law.slope(d), law.damping(d), law.state(d))
-            )
-        for own in together.values():
-            (ax, ay), (bx, by) = (at[end] for end in found[own[0]].link.between)
-            for i, shared in zip(own, self._shared([found[i] for i in own], ax - bx, ay - by), strict=True):
-                found[i] = shared
+            return ax - bx, ay - by
+
+        faced = {one.name: one for surface in self.surfaces for one in self._faced(surface, *apart(surface))}
+        found = list[PlaneLink]()
+        for name, (link, _) in self.links.items():
+            if name in faced:
+                found.append(faced[name])
+            elif name in self._opposite:
+                found.append(self._link(name, self._opposite[name](*apart(link))))
+            else:
+                found.append(self._apart[name])
         return found
 
-    def _shared(self, shapes: list[PlaneLink], x: float, y: float) -> list[PlaneLink]:
-        """Returns shapes that one point at (x, y) may touch as they share its way out: the shortest that leaves them
-        all. One of them leads out alone, or two to the corner where they meet; the others have no force."""
-        touched = [i for i, one in enumerate(shapes) if one.distance < 0.0]
-        if not touched or len(shapes) == 1:
-            return shapes
-        for i in sorted(touched, key=lambda i: shapes[i].distance):
-            (nx, ny), d = shapes[i].normal, shapes[i].distance
-            out = x - d * nx, y - d * ny
-            there = [self.links[one.name][2](*out) for one in shapes]
-            inside = [j for j, one in enumerate(there) if one.distance < -_OUTSIDE and j != i]
-            if not inside:
-                return _led_out(shapes, {i: -d}, {})
-            for j in inside:
-                N = np.array([(nx, ny), there[j].normal])
-                if abs(np.linalg.det(N)) < _PARALLEL:
-                    continue
-                deep = np.linalg.solve(N @ N.T, [-d, -there[j].distance - d * float(N[0] @ N[1])])
-                if (deep >= 0.0).all():
-                    along = dict(zip((i, j), np.linalg.solve(N @ N.T, N).tolist(), strict=True))
-                    both = [
-                        one._replace(normal=there[j].normal, piece=there[j].piece) if k == j else one
-                        for k, one in enumerate(shapes)
-                    ]
-                    return _led_out(both, dict(zip((i, j), deep.tolist(), strict=True)), along)
-        return shapes
+    def _link(self, name: str, nearest: Nearest, on: Piece | None = None, corner: Corner | None = None) -> PlaneLink:
+        """Returns a link as the nearest place of its chain has it."""
+        (d, normal, curvature, piece), (link, law) = nearest, self.links[name]
+        if curvature > 0.0 and _remembers(link, d, on):
+            curvature = math.inf
+        is_apart = law.pushes and d >= law.knots[-1][0]
+        tension = 0.0 if is_apart else float(law.tension(d))
+        law_there = law.slope(d), law.damping(d), law.state(d)
+        return PlaneLink(name, link, d, normal, curvature, piece, tension, *law_there, on, corner)
+
+    def _faced(self, surface: Surface, x: float, y: float) -> Iterator[PlaneLink]:
+        """Yields the shapes of a surface that a point at (x, y) faces: the one on whose surface its place is, or in a
+        hollow corner the two that meet there."""
+        (chain, owners), names = surface.outline, [*surface.shapes]
+        nearest = chain.nearest(x, y)
+        on = chain.pieces[nearest.piece]
+        both = owners[nearest.piece], owners[on.after]
+        is_shared = nearest.distance < 0.0 and on.bend < 0 and on.radius == 0.0 and both[0] != both[1]
+        if not (is_shared and math.cos(0.5 * on.extent) > CUSP):
+            yield self._link(names[both[0]], nearest, on)
+            return
+        c, s = math.cos(on.extent), math.sin(on.extent)
+        normals = np.array([(-on.ex, -on.ey), (-c * on.ex - s * on.ey, s * on.ex - c * on.ey)])
+        stretches, way = np.linalg.inv(normals.T), -nearest.distance * np.array(nearest.normal)
+        damps = np.array([(-normals[1, 1], normals[1, 0]), normals[1]])
+        first, friction = names[both[0]], surface.shapes[names[both[0]]].friction_coefficient
+        for i, part in enumerate((stretches @ way).tolist()):
+            n, m, d = (_point(one[i]) for one in (normals, stretches, damps))
+            corner = Corner(first, friction, nearest.normal, -nearest.distance, m, d)
+            yield self._link(names[both[i]], Nearest(-max(part, _TOUCHED), n, 0.0, nearest.piece), on, corner)
+
+    def pieces(self, name: str) -> tuple[Piece, ...] | None:
+        """Returns the pieces of what a shape or a guide is touched on; None for another link."""
+        link, _ = self.links[name]
+        for surface in self.surfaces:
+            if name in surface.shapes:
+                own = [*surface.shapes].index(name)
+                (pieces,), owners = surface.outline
+                return tuple(piece for piece, owner in zip(pieces, owners, strict=True) if owner == own)
+        return link.chain().pieces if isinstance(link, Guide) else None
 
     def forces(self, x: Floats, y: Floats, hand: str = "") -> tuple[Floats, Floats]:
         """Returns the static force, N, on a hand [default: the first] at each of these places, m: arrays of one shape.
@@ -199,9 +249,9 @@ class Plane:
             """Returns the forces (2 M,) on the masses, and their stiffness matrix."""
             force, K = np.zeros(x.size), np.zeros((x.size, x.size))
             for one in self.at(at | _places(self.masses, x)):
-                n, t = (as_row(one.link, each, column, x.size) for each in (one.normal, one.tangent))
+                n, t, m = (as_row(one.link, each, column, x.size) for each in (one.normal, one.tangent, one.stretch))
                 force -= one.tension * n
-                K += one.slope * np.outer(n, n) + one.across * np.outer(t, t)
+                K += 0.5 * one.slope * (np.outer(n, m) + np.outer(m, n)) + one.across * np.outer(t, t)
             return force, K
 
         for _ in range(_MOST_STEPS if x.size else 0):
@@ -219,25 +269,6 @@ class Plane:
         else:
             return None if x.size else at
         return at | _places(self.masses, x)
-
-
-def _led_out(
-    shapes: list[PlaneLink], deep: Mapping[int, float], along: Mapping[int, Sequence[float]]
-) -> list[PlaneLink]:
-    """Returns shapes of which these, by number, share the way out: m each, and the motion that changes it."""
-    found = []
-    for i, one in enumerate(shapes):
-        if i in deep:
-            law = one.link.law()
-            tension, slope = float(law.tension(-deep[i])), law.slope(-deep[i])
-            damping, state = law.damping(-deep[i]), law.state(-deep[i])
-            motion = (along[i][0], along[i][1]) if along else None
-            found.append(one._replace(tension=tension, slope=slope, damping=damping, state=state, along=motion))
-        elif one.distance < 0.0:
-            found.append(one._replace(tension=0.0, slope=0.0, damping=0.0, state="behind another"))
-        else:
-            found.append(one)
-    return found
 
 
 def as_row(link: Link, direction: Point, column: Mapping[str, int], size: int) -> Floats:
@@ -262,15 +293,23 @@ def _start(scene: Scene) -> dict[str, Point]:
 
 def _opposite(link: Link) -> Callable[[float, float], Nearest]:
     """Returns the function from the first end minus the second, m, to the nearest place of the link."""
-    return link.chain().nearest if isinstance(link, Shape | Guide) else _away
+    return link.chain().nearest if isinstance(link, Guide) else _away
 
 
-def _remembers(link: Link, distance: float, piece: int) -> bool:
+def _remembers(link: Link, distance: float, on: Piece | None) -> bool:
     """Returns whether a place is so near the centre of a round that its normal is remembered."""
     if isinstance(link, Guide):
         return False
-    radius = link.chain().pieces[piece].radius if isinstance(link, Shape) else abs(link.law().knots[-1][0])
-    return (radius if isinstance(link, Shape) else 0.0) + distance < NEAR + NEAR_SHARE * radius
+    radius = abs(link.law().knots[-1][0]) if on is None else on.radius
+    return (0.0 if on is None else radius) + distance < NEAR + NEAR_SHARE * radius
+
+
+def _dot(a: Point, b: Point) -> float:
+    return a[0] * b[0] + a[1] * b[1]
+
+
+def _point(values: Floats) -> Point:
+    return float(values[0]), float(values[1])
 
 
 def _away(x: float, y: float) -> Nearest:

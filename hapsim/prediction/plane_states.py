@@ -8,10 +8,10 @@ path, and around each point, as deep as the force limit presses; the other point
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import product
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -21,9 +21,8 @@ from hapsim.prediction.plane_geometry import Plane, PlaneLink, as_row
 from hapsim.prediction.stability import Judge
 from hapsim.prediction.states import Grown
 from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
-from hapsim.scene import Friction, Link
-from hapsim.scene.chain import Nearest, Point
-from hapsim.scene.modules.surfaces import Guide, Shape
+from hapsim.scene import Friction
+from hapsim.scene.chain import Piece, Point
 from hapsim.theory import Network, Solution
 from hapsim.theory.network import loop
 from hapsim.theory.network.felt import matrices
@@ -32,7 +31,6 @@ from hapsim.theory.network.modes import AT_THE_LIMIT
 _DEEP = 1e-4  # m, into a surface
 _TURN = 0.5  # rad, from place to place on an arc
 _ANGLES = 8  # around a point
-_CORNER = 1e-9  # m, from a sharp corner
 _ALIKE = 0.05  # rad, of two directions
 _NONE = 1e-12  # of the largest stiffness: rounding
 _MOST_PLACES = 256  # that are judged
@@ -57,7 +55,11 @@ def with_links(
 ) -> Network:
     """Returns the network with these links. `sliding`: the direction, 1 or -1, of friction that slides, by name."""
     column = {name.removesuffix(".x"): i for i, name in enumerate(points) if name.endswith(".x")}
-    rows = [(i, one.link, row) for i, one in enumerate(links) for row in one.rows((sliding or {}).get(one.name, 0))]
+    rows = [
+        (i, one.link, row)
+        for i, one in enumerate(links)
+        for row in one.rows((sliding or {}).get(one.name if one.corner is None else one.corner.first, 0))
+    ]
     size = len(points)
     return replace(
         bare,
@@ -187,13 +189,15 @@ class PlaneStates:
     def _key(self, links: Sequence[PlaneLink], sliding: Mapping[str, int]) -> object:
         """Returns equal keys for links that differ by a turn of all, if every hand is the same in all directions."""
         bare, turned = self.bare, [one for one in links if not isinstance(one.link, Friction)]
-        angles = {one.name: math.atan2(one.normal[1], one.normal[0]) for one in turned}
+        normals = {one.name: [one.normal] if one.corner is None else [one.normal, one.corner.normal] for one in turned}
+        angles = {name: [math.atan2(y, x) for x, y in each] for name, each in normals.items()}
         of_hands = bare.channel_mass, bare.channel_friction, bare.channel_stiffness
         is_round = bare.mass_coupling is None and all((one[::2] == one[1::2]).all() for one in of_hands)
-        first = next(iter(angles.values()), 0.0) if is_round else 0.0
+        first = next(iter(angles.values()), [0.0])[0] if is_round else 0.0
         return tuple(
             (*one.link.between, sliding.get(one.name), one.rubs and one.link, one.slope, one.damping,
-             f"{one.across:.2g}", round(math.remainder(angles.get(one.name, first) - first, 2.0 * math.pi) / _ALIKE))
+             f"{one.across:.2g}", *(round(math.remainder(angle - first, 2.0 * math.pi) / _ALIKE)
+                                    for angle in angles.get(one.name, ())))
             for one in links
         )  # fmt: skip
 
@@ -201,29 +205,39 @@ class PlaneStates:
         """Yields places of the points at which a link touches, within the travel of the hands."""
         scene, at = self.plane.scene, self.places
         travels, moving = scene.device.travels(scene.channels), {*self.plane.hands, *self.plane.masses}
-        for link, law, opposite in self.plane.links.values():
+        for name, (link, law) in self.plane.links.items():
             moved, other, side = (*link.between, 1.0) if link.between[0] in moving else (*link.between[::-1], -1.0)
-            for x, y in _stretches(link, law, opposite, scene.device.force_limit):
-                place = at[other][0] + side * x, at[other][1] + side * y
+            spots = _spots(self.plane.pieces(name))
+            for d, ((px, py), (nx, ny)) in product(_distances(law, scene.device.force_limit), spots):
+                place = at[other][0] + side * (px + d * nx), at[other][1] + side * (py + d * ny)
                 hand = (scene.device_points.get(f"{moved}.{axis}") for axis in "xy")
                 ends = [travels[one.channel] for one in hand if one is not None]
                 if all(low <= value <= high for (low, high), value in zip(ends, place, strict=False)):
                     yield {**at, moved: place}
 
 
-def _stretches(link: Link, law: Law, opposite: Callable[..., Nearest], force_limit: float) -> Iterator[Point]:
-    """Yields places of the link's first end, m, by its second, in each piece of its law that acts."""
-    turns = [2.0 * math.pi * i / _ANGLES for i in range(_ANGLES)]
-    around = [(_DEEP * math.cos(turn), _DEEP * math.sin(turn)) for turn in turns]
-    if isinstance(link, Shape | Guide):
-        line, pieces = link.chain().outline(_TURN), link.chain().pieces
-        around = [*((0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])) for a, b in pairwise(line)), *line]
-        around += [one._replace(radius=_CORNER).at(0.5) for one in pieces if one.bend and not one.radius]
+def _spots(pieces: Sequence[Piece] | None) -> list[tuple[Point, Point]]:
+    """Returns places of a link's first end by its second, m, and its normal there; None: where the ends meet."""
+    if pieces is None:
+        turns = [2.0 * math.pi * i / _ANGLES for i in range(_ANGLES)]
+        return [((0.0, 0.0), (math.cos(turn), math.sin(turn))) for turn in turns]
+    found = []
+    for piece in pieces:
+        if math.isinf(piece.extent):
+            found.append(((piece.x, piece.y), piece.normal(0.0)))
+            continue
+        steps = 2 * math.ceil(piece.extent / _TURN) if piece.bend else 2
+        shares = [i / steps for i in (*range(1, steps, 2), *range(0, steps + 1, 2))]
+        shares = [0.5] if piece.bend and not piece.radius else shares
+        found += [(piece.at(share), piece.normal(share)) for share in shares]
+    return found
+
+
+def _distances(law: Law, force_limit: float) -> Iterator[float]:
+    """Yields distances, m, in each piece of a law that acts."""
     for piece, high in zip(law.pieces, [*(one.edge for one in law.pieces[1:]), math.inf], strict=True):
         most = force_limit / piece.slope if piece.slope > 0.0 else _DEEP
         edge, way = (high, -1.0) if math.isfinite(high) else (piece.edge, 1.0)
         edge = edge if math.isfinite(edge) else law.knots[0][0]
-        deep = [min(one, 0.5 * (high - piece.edge)) for one in (_DEEP, most) if piece.slope or piece.damping]
-        for d, (x, y) in product((edge + way * one for one in deep), around):
-            beside, (nx, ny), *_ = opposite(x, y)
-            yield x + (d - beside) * nx, y + (d - beside) * ny
+        if piece.slope or piece.damping:
+            yield from (edge + way * min(one, 0.5 * (high - piece.edge)) for one in (_DEEP, most))

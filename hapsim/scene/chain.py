@@ -54,6 +54,11 @@ class Piece(NamedTuple):
         c, s = math.cos(along), math.sin(along) * self.bend
         return self.x + self.radius * (c * self.ex - s * self.ey), self.y + self.radius * (s * self.ex + c * self.ey)
 
+    def normal(self, share: float) -> Point:
+        """Returns the unit vector into the free side there."""
+        tx, ty = _tangent(self, share)
+        return ty, -tx
+
     def opposite(self, x: float, y: float) -> Nearest | None:
         """Returns the place on this piece nearest to (x, y), if it is opposite the piece, else None."""
         dx, dy = x - self.x, y - self.y

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 from .chain import Chain, Point, disc, polygon
-from .modules.surfaces import Guide, Shape
+from .modules.surfaces import Guide, Surface, surfaces_of
 from .quantity import Area
 from .scene import Scene
 
 FAR = 10.0
 """m, at least from its place to what stands for the end of a half plane."""
 
+_TURNS, _SAME = 8, 1e-9  # places from end to begin of a line from afar to afar; and m: nearer places are one
+
 
 class Outline(NamedTuple):
     """A line in the plane.
 
     Attributes:
-        name: of the shape or guide; "" of the travel.
-        kind: `outside` and `inside` are shapes with their material within and without the line.
+        name: of the guide, or of the shapes whose surfaces it follows; "" of the travel.
+        kind: `outside` and `inside` are surfaces with their material within and without the line.
         of: name of the point that touches it or is led by it; "" of the travel.
         about: name of the point that the places are relative to; "" for position 0.
-        places: m, along the line; that of a shape ends where it begins.
+        places: m, along the line; that of a surface ends where it begins, with its material on the left.
     """
 
     name: str
@@ -34,10 +37,13 @@ class Outline(NamedTuple):
 
 
 def outlines_of(scene: Scene) -> Iterator[Outline]:
-    """Yields the outline of each shape and guide, in the order of the file, and that of the travel."""
-    for name, link in scene.plane_links.items():
-        if isinstance(link, Shape):
-            yield Outline(name, link.side, *link.between, _around(link.chain()))
+    """Yields the outlines of each surface and guide, in the order of the file, and that of the travel. Of a surface
+    with several the first is around all others; together they bound its material."""
+    links = scene.plane_links
+    surfaces = {next(iter(one.shapes)): one for one in surfaces_of(links)}
+    for name, link in links.items():
+        if name in surfaces:
+            yield from _of_surface(surfaces[name])
         elif isinstance(link, Guide):
             yield Outline(name, "guide", *link.between, tuple(link.chain().outline()))
     if (travel := travel_boundary(scene, scene.channel_groups[0])) is not None:
@@ -68,10 +74,29 @@ def travel_in_words(scene: Scene, channel: int) -> str:
     return " and ".join(f"from {least} to {units(most, 'm')}" for least, most in ranges)
 
 
+def _of_surface(surface: Surface) -> Iterator[Outline]:
+    names, (chain, owners), found, begin = [*surface.shapes], surface.outline, list[tuple[float, Outline]](), 0
+    for k, piece in enumerate(chain.pieces):
+        if piece.after == k + 1:
+            continue
+        own = ", ".join(dict.fromkeys(names[owner] for owner in owners[begin : k + 1]))
+        places = _around(Chain(chain.pieces[begin : k + 1]))
+        area = sum(x * v - y * u for (x, y), (u, v) in pairwise(places))
+        found.append((abs(area), Outline(own, "outside" if area > 0.0 else "inside", *surface.between, places)))
+        begin = k + 1
+    yield from (one for _, one in sorted(found, key=lambda one: -one[0]))
+
+
 def _around(boundary: Chain) -> tuple[Point, ...]:
-    """Returns the outline of a shape; that of a half plane is closed far within its material."""
+    """Returns the outline of a surface; one from afar to afar is closed far within its material."""
     points, (first, *_) = boundary.outline(), boundary.pieces
     if math.isinf(first.extent):
         deep = -2.0 * FAR * first.ey, 2.0 * FAR * first.ex
         points += [(x + deep[0], y + deep[1]) for x, y in reversed(points)]
+    elif math.dist(points[0], points[-1]) > FAR:
+        last = boundary.pieces[-1]
+        begin, end = math.atan2(-first.ey, -first.ex), math.atan2(last.ey, last.ex)
+        turns = [end + i / _TURNS * ((begin - end) % (2.0 * math.pi)) for i in range(_TURNS + 1)]
+        near = [one for one in points[1:-1] if math.dist(one, first.at(1.0)) > _SAME]  # there it only comes nearer
+        points = [*near, *((2.0 * FAR * math.cos(turn), 2.0 * FAR * math.sin(turn)) for turn in turns)]
     return (*points, points[0])

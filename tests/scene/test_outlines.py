@@ -89,3 +89,30 @@ def test_a_scene_of_one_coordinate_has_none() -> None:
         "version: 1\nrate: 1000\ndevice: {mass: 0.2, travel: [-0.1, 0.1]}\nmodules: {hand: {type: device, channel: 0}}"
     )
     assert [*outlines_of(parse_scene(text))] == []
+
+
+WALL = "type: shape, between: [hand, post], stiffness: 100"
+PLACES = {"left": "[0, 0], [0, 0.03]", "right": "[0.03, 0], [0.03, 0.03]", "low": "[0, 0], [0.03, 0]"} | {
+    "high": "[0, 0.03], [0.03, 0.03]"
+}
+WALLS = "".join(f"  {name}: {{{WALL}, form: {{capsule: [{at}], radius: 0.001}}}}\n" for name, at in PLACES.items())
+
+
+def test_walls_with_the_same_ends_are_drawn_as_one_with_the_outer_line_first() -> None:
+    scene = HEAD.replace("  it: {between: [hand, post], stiffness: 100, %s}\n", WALLS) % "friction: 1"
+    around, hole = outlines_of(parse_scene(scene))
+    assert (around.kind, hole.kind) == ("outside", "inside")
+    assert {*around.name.split(", ")} == {*hole.name.split(", ")} == {"left", "right", "low", "high"}
+    assert area(around.places) == pytest.approx(0.03**2 + 4 * 0.03 * 0.001 + math.pi * 1e-6, rel=1e-3)
+    assert area(hole.places) == pytest.approx(-(0.028**2))
+
+
+@pytest.mark.parametrize(("slope", "angle"), [("[1, 1]", 225.0), ("[1, 0]", 270.0), ("[1, -0.1]", 275.7106)])
+def test_two_half_planes_are_one_line_that_is_closed_far_within_their_material(slope: str, angle: float) -> None:
+    more = f"  floor: {{{WALL}, form: {{half_plane: [0, 1]}}}}\n"
+    scene = (HEAD + more) % ("friction: 1", f"type: shape, form: {{half_plane: {slope}}}")
+    (one,) = outlines_of(parse_scene(scene))
+    assert one.kind == "outside"
+    near = [place for place in one.places if math.hypot(*place) < 10.0]
+    assert np.hypot(*np.array(near).T).max() < 1e-9  # the corner alone
+    assert area(one.places) == pytest.approx(4.0 * 20.0**2 * math.sin(math.radians(angle) / 8.0))

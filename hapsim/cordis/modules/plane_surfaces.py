@@ -1,14 +1,15 @@
 """The links of the plane whose distance is that from a chain of pieces: the shape, with friction, and the guide.
 
-A point that is free, or guided, has the distance from the nearest of all pieces. A point in contact with a shape stays
-on its piece, and goes to the one before or after where its foot passes an end. So no thin wall is crossed, and no
-corner jumps. MODULES.md has the rules.
+Shapes with the same two ends are one surface: its chain is the outline of their union. A point that is free, or guided,
+has the distance from the nearest of all pieces. A point in contact with a surface has a place on it that moves along,
+and goes to the piece before or after where its foot passes an end. So no thin wall is crossed, and no corner or joint
+jumps. MODULES.md has the rules.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,14 +23,13 @@ from hapsim.cordis.dispatch import Column, Memory, Part, action
 from hapsim.cordis.modules.link import Ends, count, ends_of
 from hapsim.cordis.modules.plane_links import EXACT, between, near_of, pull, turned
 from hapsim.scene import Guide, Shape
-from hapsim.scene.chain import Chain, Piece, Point
+from hapsim.scene.chain import Chain, Piece
+from hapsim.scene.modules.surfaces import CUSP, surfaces_of
 
-_INSIDE = 1e-9  # m, of another shape: a place that is less deep is on its surface
-_SWEEPS, _SMALL = 40, 1e-12  # steps to the way out, and m: a smaller change ends them
-_CUTS = 64  # places of a piece that are looked at
 _FAR = 1e30  # m: extent of a whole line, and reach of a guide that never lets go
 _MOST_WALKED = 64  # pieces in a sample
 _DIGITS = 64  # last ones of a number, by which pieces overlap
+_BESIDE = 1e-6  # m, from a surface: where a remembered place is sought on an outline that changed
 
 
 class Chains(NamedTuple):
@@ -72,18 +72,29 @@ class Places(NamedTuple):
 
 
 class Shapes(NamedTuple):
-    """L shapes, shape (L,): K and B/T in N/m, friction coefficients. The bristle has K and B/T of its own, N/m, or
-    shares of those of the surface. `group`: number of the first shape between the same ends; `out_x`, `out_y`: m, way
-    out of those that are touched; `deep`: the part of each in it. Remembered: `touches`, 1 (-1 in the first sample) or
-    0; `bent`, m; `sliding`, 1, -1 or 0; `press`, N."""
+    """S surfaces of L shapes. A surface keeps its place, and all that it remembers, in the row of one of its shapes:
+    that on whose surface the place is, so that memory and energy are known by the shape's name.
+
+    Attributes:
+        ends, chains: of the surfaces: the outlines of their shapes' unions.
+        owner: (P,) number of the shape on whose surface a piece is.
+        surface: (L,) number of each shape's surface.
+        current, beside: (S,) the shape with the place; in a corner of two, also the other, else the same.
+        stiffness, damping_per_sample, coefficient, static: (L,) K and B/T in N/m, friction coefficients.
+        bristle, stiffness_share, bristle_damping, damping_share: (L,) the bristle's own K and B/T, N/m, and its shares
+            of those of the surface.
+        memory: (10, L) the columns of `place`, and the last four here.
+        touches, bent, sliding, press: (L,) 1 or 0; m; 1, -1 or 0; N.
+    """
 
     ends: Ends
     chains: Chains
     place: Places
-    group: NDArray[np.uint64]
-    out_x: Column
-    out_y: Column
-    deep: Column
+    owner: NDArray[np.uint64]
+    surface: NDArray[np.uint64]
+    current: NDArray[np.uint64]
+    beside: NDArray[np.uint64]
+    memory: NDArray[np.floating[Any]]
     stiffness: Column
     damping_per_sample: Column
     coefficient: Column
@@ -111,11 +122,12 @@ class Guides(NamedTuple):
 
 
 @helper
-def find_nearest(chains, place, i, x, y):
-    """Puts place i on the piece nearest to (x, y), and returns its distance, m; infinite where none is opposite."""
+def find_nearest(chains, i, place, j, x, y):
+    """Puts place j on the piece of chain i nearest to (x, y), and returns its distance, m; infinite where none is
+    opposite."""
     real, first, digit = chains.x.dtype.type, chains.begin[i], chains.digit[0]
-    nearest, found = real(np.inf) + (x - x) + (y - y), first + np.uint64(place.piece[i])
-    nx, ny = place.x[i], place.y[i]
+    nearest, found = real(np.inf) + (x - x) + (y - y), first + np.uint64(place.piece[j])
+    nx, ny = place.x[j], place.y[j]
     for k in range(first, chains.begin[i + ONE]):
         dx, dy = x - chains.x[k], y - chains.y[k]
         along, bend = dx * chains.ex[k] + dy * chains.ey[k], chains.bend[k]
@@ -133,17 +145,17 @@ def find_nearest(chains, place, i, x, y):
                     nx, ny = bend * dx / away, bend * dy / away
                 else:
                     nx, ny = bend * chains.ex[k], bend * chains.ey[k]
-    place.piece[i], place.x[i], place.y[i] = real(found - first), nx, ny
-    place.level[i], place.slack[i] = nx * x + ny * y - nearest, real(EXACT)
+    place.piece[j], place.x[j], place.y[j] = real(found - first), nx, ny
+    place.level[j], place.slack[j] = nx * x + ny * y - nearest, real(EXACT)
     return nearest
 
 
 @helper
-def follow(chains, place, i, x, y, gx, gy):
-    """Moves place i along its chain to (x, y), which moved by (gx, gy), and returns its distance, m."""
+def follow(chains, i, place, j, x, y, gx, gy):
+    """Moves place j along chain i to (x, y), which moved by (gx, gy), and returns its distance, m."""
     real, first, digit = chains.x.dtype.type, chains.begin[i], chains.digit[0]
-    k = first + np.uint64(place.piece[i])
-    nx, ny, distance = place.x[i], place.y[i], real(0)
+    k = first + np.uint64(place.piece[j])
+    nx, ny, distance = place.x[j], place.y[j], real(0)
     for _ in range(_MOST_WALKED):
         dx, dy, ex, ey = x - chains.x[k], y - chains.y[k], chains.ex[k], chains.ey[k]
         bend, to = chains.bend[k], k
@@ -155,10 +167,10 @@ def follow(chains, place, i, x, y, gx, gy):
                 to = chains.after[k]
             distance = nx * dx + ny * dy
         else:
-            place.near[i] = chains.near[k]
+            place.near[j] = chains.near[k]
             wx, wy = bend * nx, bend * ny
             if bend > 0 or chains.radius[k] > 0:
-                wx, wy = turned(place, i, wx, wy, dx, dy, gx, gy)
+                wx, wy = turned(place, j, wx, wy, dx, dy, gx, gy)
             elif dx != 0 or dy != 0:
                 away = math.sqrt(dx * dx + dy * dy)
                 wx, wy = dx / away, dy / away
@@ -173,114 +185,164 @@ def follow(chains, place, i, x, y, gx, gy):
         if to == k:
             break
         k = to
-    place.piece[i], place.x[i], place.y[i] = real(k - first), nx, ny
-    place.level[i] = nx * x + ny * y - distance
+    place.piece[j], place.x[j], place.y[j] = real(k - first), nx, ny
+    place.level[j] = nx * x + ny * y - distance
     return distance
 
 
 @action
-def initialize(group, state):
+def initialize_guides(guides, state):
     """Puts every place on the nearest piece."""
-    group, state = value_of(group), value_of(state)
-    for i in range(count(group.ends)):
-        x, y, _, _ = between(group.ends, i, state)
-        find_nearest(group.chains, group.place, i, x, y)
+    guides, state = value_of(guides), value_of(state)
+    for i in range(count(guides.ends)):
+        x, y, _, _ = between(guides.ends, i, state)
+        find_nearest(guides.chains, i, guides.place, i, x, y)
+
+
+@action
+def initialize_shapes(shapes, state):
+    """Puts every place on the nearest piece, without a contact."""
+    shapes, state = value_of(shapes), value_of(state)
+    for j in range(np.uint64(shapes.surface.size)):
+        _forget(shapes, j)
+    for i in range(count(shapes.ends)):
+        x, y, _, _ = between(shapes.ends, i, state)
+        shapes.beside[i] = shapes.current[i] = shapes.owner[shapes.chains.begin[i]]
+        find_nearest(shapes.chains, i, shapes.place, shapes.current[i], x, y)
+
+
+@action
+def resume_shapes(shapes, state):
+    """Seeks every place that another program left on the outline, which may be another: a little outside of it. A place
+    that is no longer there begins anew, as one without a contact does."""
+    shapes, state = value_of(shapes), value_of(state)
+    place, real = shapes.place, shapes.bent.dtype.type
+    for i in range(count(shapes.ends)):
+        x, y, _, _ = between(shapes.ends, i, state)
+        touched, square = shapes.current[i], real(0)
+        for j in range(np.uint64(shapes.surface.size)):
+            if shapes.surface[j] == i:
+                deep = place.x[j] * x + place.y[j] * y - place.level[j]
+                square += deep * deep  # two shapes that share a corner have a part each
+                if shapes.touches[j] > 0:
+                    touched = j
+        nx, ny, slack, place.piece[touched] = place.x[touched], place.y[touched], place.slack[touched], real(0)
+        out = math.sqrt(square) + real(_BESIDE)
+        away = find_nearest(shapes.chains, i, place, touched, x + out * nx, y + out * ny)
+        if shapes.touches[touched] > 0 and 0 < away < real(_BESIDE + _BESIDE):
+            place.x[touched], place.y[touched], place.slack[touched] = nx, ny, slack
+        else:
+            _forget(shapes, touched)
+            find_nearest(shapes.chains, i, place, touched, x, y)
+        for j in range(np.uint64(shapes.surface.size)):
+            if shapes.surface[j] == i and j != touched:
+                _forget(shapes, j)
+        shapes.current[i] = shapes.beside[i] = touched
+        k = shapes.chains.begin[i] + np.uint64(place.piece[touched])
+        if shapes.owner[k] != touched:
+            _hand_over(shapes, i, touched, shapes.owner[k])
+
+
+@inlined
+def _forget(shapes, j):
+    """Empties the row of shape j."""
+    for row in range(np.uint64(shapes.memory.shape[0])):
+        shapes.memory[row, j] = 0
+
+
+@helper
+def _hand_over(shapes, i, j, to):
+    """Moves what surface i remembers from the row of shape j to that of another."""
+    for row in range(np.uint64(shapes.memory.shape[0])):
+        shapes.memory[row, to] = shapes.memory[row, j]
+    _forget(shapes, j)
+    shapes.current[i] = shapes.beside[i] = to
 
 
 @action
 def add_shape_forces(shapes, state):
-    """Adds the force of every shape that is touched."""
+    """Adds the force of every surface that is touched."""
     shapes, state = value_of(shapes), value_of(state)
-    real, place = shapes.bent.dtype.type, shapes.place
-    _find_ways_out(shapes, state)
+    chains, place, real = shapes.chains, shapes.place, shapes.bent.dtype.type
     for i in range(count(shapes.ends)):
         x, y, gx, gy = between(shapes.ends, i, state)
-        began, piece, nx, ny = shapes.touches[i] == 0, place.piece[i], place.x[i], place.y[i]
-        out_x, out_y = x + shapes.out_x[shapes.group[i]], y + shapes.out_y[shapes.group[i]]
-        nearest = real(0)
-        if began:
-            nearest = find_nearest(shapes.chains, place, i, out_x, out_y)
-        if not nearest > 0:
-            place.piece[i], place.x[i], place.y[i] = piece, nx, ny
-            if not began:
-                nearest = follow(shapes.chains, place, i, x, y, gx, gy)
-            if began or nearest > 0:  # without the others it may be free, but not where they lead
-                place.piece[i], place.x[i], place.y[i] = piece, nx, ny
-                nearest = follow(shapes.chains, place, i, out_x, out_y, gx, gy)
-            if nearest > 0 and not shapes.deep[i] > 0:
-                nearest = find_nearest(shapes.chains, place, i, out_x, out_y)
-                began = True
-        if nearest > 0 and not shapes.deep[i] > 0:
-            shapes.touches[i] = shapes.bent[i] = shapes.sliding[i] = shapes.press[i] = real(0)
-        elif began:
-            shapes.touches[i], shapes.bent[i], shapes.sliding[i] = real(-1), real(0), real(0)
-    _find_ways_out(shapes, state)
-    for i in range(count(shapes.ends)):
-        deep, began = shapes.deep[i], shapes.touches[i] < 0
-        if shapes.touches[i] == 0 or deep == 0:
-            shapes.press[i] = real(0)
+        j, beside = shapes.current[i], shapes.beside[i]
+        if beside != j:
+            place.level[beside], shapes.beside[i] = real(0), j
+        holds, distance = shapes.touches[j] > 0, real(0)
+        if holds:
+            distance = follow(chains, i, place, j, x, y, gx, gy)
+            holds = not distance > 0
+        if not holds:
+            piece, nx, ny, was_free = place.piece[j], place.x[j], place.y[j], shapes.touches[j] == 0
+            distance = find_nearest(chains, i, place, j, x, y)
+            if was_free and not distance > 0:  # it goes in from where it was free
+                place.piece[j], place.x[j], place.y[j] = piece, nx, ny
+                distance = follow(chains, i, place, j, x, y, gx, gy)
+                if distance > 0:
+                    distance = find_nearest(chains, i, place, j, x, y)
+        k = chains.begin[i] + np.uint64(place.piece[j])
+        if shapes.owner[k] != j:
+            _hand_over(shapes, i, j, shapes.owner[k])
+            j = shapes.owner[k]
+        if not holds:
+            shapes.touches[j] = real(0) if distance > 0 else real(1)
+            shapes.bent[j] = shapes.sliding[j] = shapes.press[j] = real(0)
+        if distance >= 0:
+            shapes.press[j] = real(0)
             continue
-        shapes.touches[i] = real(1)
-        _, _, gx, gy = between(shapes.ends, i, state)
-        nx, ny = place.x[i], place.y[i]
-        tension = shapes.damping_per_sample[i] * (nx * gx + ny * gy) - shapes.stiffness[i] * deep
+        nx, ny, deep = place.x[j], place.y[j], -distance
+        K, B = shapes.stiffness[j], shapes.damping_per_sample[j]
+        tension, way = B * (nx * gx + ny * gy) - K * deep, nx * gy - ny * gx
+        along = real(0)
+        if chains.bend[k] < 0 and chains.extent[k] > 0:  # a hollow corner, where two walls hold and damp
+            along = B * way * deep / (chains.radius[k] + deep)
+            if shapes.owner[chains.after[k]] != j and chains.radius[k] == 0 and chains.extent[k] > real(CUSP):
+                push, px, py = _push_beside(shapes, i, j, k, x, y, gx, gy, deep)
+                tension -= push * (px * nx + py * ny)
+                along -= push * (py * nx - px * ny)
         if tension > 0:
             tension = real(0)
-        shapes.press[i] = -tension
-        way = nx * gy - ny * gx
-        rub = _rub(shapes, i, way, began)
-        k = shapes.chains.begin[i] + np.uint64(place.piece[i])
-        if shapes.chains.bend[k] < 0 and shapes.chains.extent[k] > 0:  # a hollow corner, where two walls damp
-            rub += shapes.damping_per_sample[i] * way * deep / (shapes.chains.radius[k] + deep)
-        pull(shapes.ends, i, tension * nx - rub * ny, tension * ny + rub * nx, state.force)
+        shapes.press[j] = -tension
+        along += _rub(shapes, j, way, not holds)
+        pull(shapes.ends, i, tension * nx - along * ny, tension * ny + along * nx, state.force)
+
+
+@helper
+def _push_beside(shapes, i, j, k, x, y, gx, gy, deep):
+    """Returns how much more than shape j the other wall of the hollow corner k pushes, N, and its normal: in a corner
+    of two shapes the way out has a part along the normal of each, and each holds its own part. Their shares of the
+    energy are kept as the squares of two depths."""
+    chains, place, other = shapes.chains, shapes.place, shapes.owner[shapes.chains.after[k]]
+    c, s, ex, ey = chains.extent[k], chains.sine[k], chains.ex[k], chains.ey[k]
+    px, py, nx, ny = -(c * ex + s * ey), s * ex - c * ey, place.x[j], place.y[j]
+    part = deep * ((c * ex - s * ey) * ny - (s * ex + c * ey) * nx) / ((s + s) * c)
+    square = min(max(part * deep * (px * nx + py * ny), shapes.bent.dtype.type(0)), deep * deep)
+    place.level[j] = nx * x + ny * y + math.sqrt(deep * deep - square)
+    place.level[other], shapes.beside[i] = math.sqrt(square), other
+    damping = shapes.damping_per_sample[other] - shapes.damping_per_sample[j]
+    return (shapes.stiffness[other] - shapes.stiffness[j]) * part - damping * (px * gx + py * gy), px, py
 
 
 @inlined
-def _find_ways_out(shapes, state):
-    """Finds the shortest way from each point out of all shapes between the same ends that it touches, and the part of
-    each in it, by Gauss and Seidel's steps. At its end a hand would be that had not entered them. A single shape has
-    the distance from its surface; of two that coincide one has all, and in a corner both lead to where they meet."""
-    place, real, touched = shapes.place, shapes.bent.dtype.type, 0
-    for i in range(count(shapes.ends)):
-        shapes.out_x[i] = shapes.out_y[i] = shapes.deep[i] = real(0)
-        touched += shapes.touches[i] != 0
-    for _ in range(_SWEEPS if touched > 1 else touched):
-        most = real(0)
-        for i in range(count(shapes.ends)):
-            if shapes.touches[i] != 0:
-                x, y, _, _ = between(shapes.ends, i, state)
-                g, nx, ny = shapes.group[i], place.x[i], place.y[i]
-                before = shapes.deep[i]
-                deep = before + place.level[i] - nx * (x + shapes.out_x[g]) - ny * (y + shapes.out_y[g])
-                if deep < 0:
-                    deep = real(0)
-                shapes.deep[i] = deep
-                shapes.out_x[g] += (deep - before) * nx
-                shapes.out_y[g] += (deep - before) * ny
-                most = max(most, abs(deep - before))
-        if not most > real(_SMALL):
-            break
-
-
-@inlined
-def _rub(shapes, i, way, began):
-    """Returns shape i's friction, N, which pulls along the tangent that is its normal turned left. `way`: m along it in
+def _rub(shapes, j, way, began):
+    """Returns shape j's friction, N, which pulls along the tangent that is its normal turned left. `way`: m along it in
     this sample."""
-    real, press, most = shapes.bent.dtype.type, shapes.press[i], shapes.static[i] * shapes.press[i]
-    K = shapes.bristle[i] + shapes.stiffness_share[i] * shapes.stiffness[i]
+    real, press, most = shapes.bent.dtype.type, shapes.press[j], shapes.static[j] * shapes.press[j]
+    K = shapes.bristle[j] + shapes.stiffness_share[j] * shapes.stiffness[j]
     if not began:
-        shapes.bent[i] += way
-    if not shapes.sliding[i] * way >= 0:
-        shapes.sliding[i] = real(0)
-    rub = K * shapes.bent[i]
-    if shapes.sliding[i] == 0:
+        shapes.bent[j] += way
+    if not shapes.sliding[j] * way >= 0:
+        shapes.sliding[j] = real(0)
+    rub = K * shapes.bent[j]
+    if shapes.sliding[j] == 0:
         if abs(rub) > most:
-            shapes.sliding[i] = math.copysign(real(1), rub)
+            shapes.sliding[j] = math.copysign(real(1), rub)
         else:
-            B = shapes.bristle_damping[i] + shapes.damping_share[i] * shapes.damping_per_sample[i]
+            B = shapes.bristle_damping[j] + shapes.damping_share[j] * shapes.damping_per_sample[j]
             return min(max(rub + B * way, -most), most)
-    rub = shapes.sliding[i] * shapes.coefficient[i] * press
-    shapes.bent[i] = rub / K if K > 0 else real(0)
+    rub = shapes.sliding[j] * shapes.coefficient[j] * press
+    shapes.bent[j] = rub / K if K > 0 else real(0)
     return rub
 
 
@@ -291,7 +353,7 @@ def add_guide_forces(guides, state):
     place = guides.place
     for i in range(count(guides.ends)):
         x, y, gx, gy = between(guides.ends, i, state)
-        distance = find_nearest(guides.chains, place, i, x, y)
+        distance = find_nearest(guides.chains, i, place, i, x, y)
         off = abs(distance) - guides.half[i]
         if not (off <= 0 or abs(distance) > guides.reach[i]):
             nx, ny = place.x[i], place.y[i]
@@ -318,38 +380,6 @@ def _chains_of(chains: Sequence[Chain], context: BuildContext) -> Chains:
     return Chains(begin, before, after, digit, near_of(radii, context), *columns)
 
 
-def _joined(chains: Sequence[Chain], group: Sequence[int]) -> list[Chain]:
-    """Returns the boundaries without the ends of pieces that are inside other shapes of their group: an arc is shorter,
-    and a straight piece has no way on. A contact stays there, so that a hand is not pressed through a joint of walls.
-    """
-
-    def around(at: Point, shapes: Iterable[int]) -> set[int]:
-        return {i for i in shapes if chains[i].nearest(*at).distance < -_INSIDE}
-
-    def cut(number: int, k: int, piece: Piece) -> Piece:
-        others = [i for i, its in enumerate(group) if its == group[number] and i != number]
-        first, last = around(piece.at(0.0), others), around(piece.at(1.0), others)
-        if piece.bend == 0:
-            return piece._replace(before=k if first else piece.before, after=k if last else piece.after)
-        shares = [step / _CUTS for step in range(_CUTS + 1)] if first or last else []
-        free = [share for share in shares if not around(piece.at(share), first | last)]
-        if not free:
-            return piece
-        angle = piece.bend * free[0] * piece.extent
-        c, s = math.cos(angle), math.sin(angle)
-        ex, ey = c * piece.ex - s * piece.ey, s * piece.ex + c * piece.ey
-        return piece._replace(ex=ex, ey=ey, extent=(free[-1] - free[0]) * piece.extent)
-
-    return [
-        Chain(
-            tuple(cut(number, k, piece) for k, piece in enumerate(chain.pieces))
-            if len(chain.pieces) > 1
-            else chain.pieces
-        )
-        for number, chain in enumerate(chains)
-    ]
-
-
 def _numbers_of(piece: Piece) -> tuple[float, ...]:
     """Returns bend, x, y, ex, ey, extent, sine and radius, as of Chains."""
     if piece.bend == 0:
@@ -360,38 +390,59 @@ def _numbers_of(piece: Piece) -> tuple[float, ...]:
     return piece.bend, piece.x, piece.y, ex, ey, c, s, piece.radius
 
 
-def _places(count: int, context: BuildContext, more: int = 0) -> tuple[Places, tuple[Column, ...]]:
-    """Returns places, and `more` columns; all are remembered."""
-    columns = tuple(np.zeros((6 + more, count), context.real))
+def _remembered(count: int, context: BuildContext, more: int = 0) -> tuple[Places, NDArray[np.floating[Any]]]:
+    """Returns places, and with them all columns that are remembered, of which `more` are others."""
+    columns = np.zeros((6 + more, count), context.real)
     return Places(*columns[:6]), columns
 
 
 def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
-    place, remembered = _places(len(links), context, 4)
-    rows = []
+    place, remembered = _remembered(len(links), context, 4)
+    rows, surfaces, number = [], surfaces_of(links), {name: i for i, name in enumerate(links)}
     for link in links.values():
         K, B = link.bristle_stiffness, link.bristle_damping
         rows.append((K or 0.0, 0.5 * (K is None), (B or 0.0) * context.rate, float(B is None)))
     bristles = [context.column(column) for column in zip(*rows, strict=True)]
-    ends = [link.between for link in links.values()]
-    group = np.array([ends.index(one) for one in ends], np.uint64)
-    ways_out = np.zeros((3, len(links)), context.real)
-    chains = _chains_of(_joined([link.chain() for link in links.values()], group.tolist()), context)
-    numbers = Shapes(ends_of(links, context), chains, place, group, *ways_out, *columns, *bristles, *remembered[6:])
-    memory = Memory(tuple(links), remembered)
-    return Part(numbers, initialize=initialize, add_forces=add_shape_forces, memory=memory)
+    own = [[number[name] for name in one.shapes] for one in surfaces]
+    of_surface, (current, beside) = np.zeros(len(links), np.uint64), np.zeros((2, len(surfaces)), np.uint64)
+    for i, shapes in enumerate(own):
+        of_surface[shapes] = i
+    numbers = Shapes(
+        ends_of({name: links[name] for one in surfaces for name in [*one.shapes][:1]}, context),
+        _chains_of([one.outline.chain for one in surfaces], context),
+        place,
+        np.array([own[i][j] for i, one in enumerate(surfaces) for j in one.outline.owners], np.uint64),
+        of_surface,
+        current,
+        beside,
+        remembered,
+        *columns,
+        *bristles,
+        *remembered[6:],
+    )
+    return Part(
+        numbers,
+        initialize=initialize_shapes,
+        add_forces=add_shape_forces,
+        resume=resume_shapes,
+        memory=Memory(tuple(links), tuple(remembered)),
+    )
 
 
 def _guides(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
     half = context.column([0.5 * link.width for link in links.values()])
     reach = context.column([_FAR if link.reach is None else link.reach for link in links.values()])
-    place, remembered = _places(len(links), context)
+    place, remembered = _remembered(len(links), context)
     chains = _chains_of([link.chain() for link in links.values()], context)
     numbers = Guides(ends_of(links, context), chains, place, half, reach, *columns)
-    return Part(numbers, initialize=initialize, add_forces=add_guide_forces, memory=Memory(tuple(links), remembered))
+    memory = Memory(tuple(links), tuple(remembered))
+    return Part(numbers, initialize=initialize_guides, add_forces=add_guide_forces, memory=memory)
 
 
 SHAPE = PartType(
-    all_of(Shape, space=2), _shapes, name="shapes", compiled_as="a piece of its chain, a normal and a bristle each"
+    all_of(Shape, space=2),
+    _shapes,
+    name="shapes",
+    compiled_as="one outline for those with the same ends; a piece of it, a normal and a bristle",
 )
 GUIDE = PartType(all_of(Guide, space=2), _guides, name="guides", compiled_as="the nearest of all pieces of its path")

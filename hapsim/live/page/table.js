@@ -57,12 +57,17 @@ export function drawTable({ context, width, height, look }, model, places, view,
   const scale = Math.min(width, height) / 2 / view.half;
   const x = (/** @type {number} */ at) => width / 2 + (at - view.x) * scale, y = (/** @type {number} */ at) => height / 2 - (at - view.y) * scale;
   const hands = model.channels.map((/** @type {any} */ one) => one.name.slice(0, -2));
-  for (const one of model.outlines) {
-    const about = one.about ? places.get(one.about) : [0, 0];
-    if (!about) continue;
+  const isShape = (/** @type {any} */ one) => one?.kind === "outside" || one?.kind === "inside";
+  for (let i = 0; i < model.outlines.length; ) {
+    const one = model.outlines[i], isSolid = isShape(one), about = one.about ? places.get(one.about) : [0, 0];
     context.beginPath();
-    for (const [dx, dy] of one.places) context.lineTo(x(about[0] + dx), y(about[1] + dy));
-    const isSolid = one.kind === "outside" || one.kind === "inside";
+    do { // all outlines of a surface together
+      const [first, ...others] = about ? model.outlines[i].places : [[0, 0]];
+      if (about) context.moveTo(x(about[0] + first[0]), y(about[1] + first[1]));
+      for (const [dx, dy] of others) context.lineTo(x(about[0] + dx), y(about[1] + dy));
+      i++;
+    } while (isSolid && isShape(model.outlines[i]) && model.outlines[i].of === one.of && model.outlines[i].about === one.about);
+    if (!about) continue;
     context.setLineDash(isSolid ? [] : one.kind === "guide" ? [6, 4] : [2, 4]);
     context.strokeStyle = one.kind === "travel" ? look.line : look.quiet;
     context.lineWidth = 1.5;

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -16,6 +18,12 @@ from ..issue import Issue
 from ..part import ModuleContext, Part, check_of
 from ..quantity import place, places, quantity
 from .links import Link
+
+if TYPE_CHECKING:
+    from ..union import Outline
+
+CUSP = 0.1
+"""Cosine of half the turn of a hollow corner that is a cusp: there a way out has no useful part along each normal."""
 
 _RADIUS = quantity("Radius of a capsule: half its thickness", "m", above=0, left_out="it is no capsule")
 
@@ -146,6 +154,36 @@ class Shape(Link):
             yield Issue(
                 ("static_coefficient",), f"found {self.static_coefficient:g}, less than while it slides; {expected}"
             )
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The surface of all shapes with the same two ends, `between`. `shapes`: by name, in the order of the file."""
+
+    between: tuple[str, str]
+    shapes: Mapping[str, Shape]
+
+    @cached_property
+    def outline(self) -> Outline:
+        """Outline of their union, by the first end minus the second; the first is free on its right. Raises
+        TooRoundError, and ValueError where there is none."""
+        return _union_of(tuple(one.chain() for one in self.shapes.values()))
+
+
+def surfaces_of(links: Mapping[str, Any]) -> list[Surface]:
+    """Returns the surfaces of the shapes among these links, in the order of their first shapes."""
+    together: dict[tuple[str, str], dict[str, Shape]] = {}
+    for name, link in links.items():
+        if isinstance(link, Shape):
+            together.setdefault(link.between, {})[name] = link
+    return [Surface(*one) for one in together.items()]
+
+
+@lru_cache(maxsize=64)
+def _union_of(chains: tuple[Chain, ...]) -> Outline:
+    from ..union import union  # with numpy, which a scene without shapes does not need
+
+    return union(chains)
 
 
 def _too_round(build: Callable[[], Chain], radius: float, around: ModuleContext) -> Iterator[Issue]:
