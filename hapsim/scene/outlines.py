@@ -75,16 +75,26 @@ def travel_in_words(scene: Scene, channel: int) -> str:
 
 
 def _of_surface(surface: Surface) -> Iterator[Outline]:
-    names, (chain, owners), found, begin = [*surface.shapes], surface.outline, list[tuple[float, Outline]](), 0
-    for k, piece in enumerate(chain.pieces):
-        if piece.after == k + 1:
-            continue
-        own = ", ".join(dict.fromkeys(names[owner] for owner in owners[begin : k + 1]))
-        places = _around(Chain(chain.pieces[begin : k + 1]))
+    """Yields the outlines of a surface, that around the largest area first."""
+    names, (chain, owners), found = [*surface.shapes], surface.outline, list[tuple[float, Outline]]()
+    for way in _ways(chain):
+        own = ", ".join(dict.fromkeys(names[owners[k]] for k in way))
+        places = _around(Chain(tuple(chain.pieces[k] for k in way)))
         area = sum(x * v - y * u for (x, y), (u, v) in pairwise(places))
         found.append((abs(area), Outline(own, "outside" if area > 0.0 else "inside", *surface.between, places)))
-        begin = k + 1
     yield from (one for _, one in sorted(found, key=lambda one: -one[0]))
+
+
+def _ways(chain: Chain) -> Iterator[list[int]]:
+    """Yields the numbers of the pieces of each loop, and of each line from afar to afar, in the order of the way."""
+    left = dict.fromkeys(sorted(range(len(chain.pieces)), key=lambda k: chain.pieces[k].before != k))
+    while left:
+        way = [next(iter(left))]
+        del left[way[0]]
+        while (after := chain.pieces[way[-1]].after) in left:
+            way.append(after)
+            del left[after]
+        yield way
 
 
 def _around(boundary: Chain) -> tuple[Point, ...]:
