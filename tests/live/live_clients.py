@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
@@ -134,6 +135,25 @@ class Served:
         url = f"ws://127.0.0.1:{self.view.address.port}/live"
         with connect(url, **{"origin": self.origin, "compression": None, **options}) as socket:
             yield Client(socket)
+
+    @contextlib.contextmanager
+    def raw(self, receive_buffer: int = 0) -> Iterator[socket.socket]:
+        """A WebSocket that no library reads, answers or closes: the socket is the test's alone."""
+        with socket.socket() as raw:
+            if receive_buffer:
+                raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
+            raw.settimeout(60)
+            raw.connect(("127.0.0.1", self.view.address.port))
+            words = f"GET /live HTTP/1.1|Host: 127.0.0.1:{self.view.address.port}|Origin: {self.origin}|"
+            words += "Upgrade: websocket|Connection: Upgrade|Sec-WebSocket-Version: 13|"
+            words += "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==||"
+            raw.sendall(words.replace("|", "\r\n").encode())
+            head = b""
+            while not head.endswith(b"\r\n\r\n"):
+                head += (byte := raw.recv(1))
+                assert byte, head
+            assert head.startswith(b"HTTP/1.1 101"), head
+            yield raw
 
     def pause(self) -> None:
         """Pauses like a run that waits for its device."""
