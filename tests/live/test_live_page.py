@@ -319,9 +319,18 @@ def test_each_hand_has_its_plane(browser: Any, serve: Callable[..., Any]) -> Non
     page.until(lambda: page.text("felt").startswith("800 "))
 
 
-def test_the_space_bar_ends_the_run_wherever_the_focus_is(page: Page) -> None:
-    page.browser.find_element("css selector", "#parameters input[type=number]").send_keys(" ")
-    page.until(lambda: page.served.session.progress().phase == "ended")
+@pytest.mark.parametrize("is_away", [False, True])
+def test_the_stop_button_ends_the_run(page: Page, is_away: bool) -> None:
+    if is_away:
+        page.served.pause()
+    with page.served.ending():
+        page.part("stop").click()
+
+
+@pytest.mark.parametrize("focus", ["#parameters input[type=number]", "#span", "#marker", "body"])
+def test_the_space_bar_ends_the_run_wherever_the_focus_is(page: Page, focus: str) -> None:
+    with page.served.ending():
+        page.browser.find_element("css selector", focus).send_keys(" ")
 
 
 def test_a_page_from_elsewhere_gets_nothing(page: Page) -> None:
@@ -391,7 +400,7 @@ def test_a_refusal_stays_when_the_controls_are_made_anew_and_goes_when_it_is_clo
 
 def test_a_button_without_an_answer_shows_a_message(page: Page) -> None:
     page.served.pause()  # as a device that is away
-    page.part("stop").click()
+    page.part("marker").click()
     page.until(lambda: "not armed" in refusal(page, "//header"))
     later(page, 1.0)
     assert "not armed" in refusal(page, "//header")
