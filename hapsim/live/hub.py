@@ -65,6 +65,8 @@ class Hub:
         self._news = threading.Condition()
         self._is_over = False
         self._known: dict[str, Parameter] = {}
+        self._stop_run: Callable[[], None] = lambda: None
+        self._record: Path | None = None  # the latest that a view began
         self._thread = threading.Thread(target=self._make_changes, name="live changes", daemon=True)
         self._thread.start()
 
@@ -140,18 +142,27 @@ class Hub:
         self._running().mark(text)
 
     def stop(self) -> None:
-        """Ends the run: the force goes to zero."""
-        self._running().stop()
+        """Ends the run: the force goes to zero, or a device that is away is not awaited any longer. Returns at once."""
+        self._stop_run()
+        if (session := self.session) is not None:
+            session.stop()
 
     def record(self, is_on: bool) -> Path | None:
-        """Begins a record in the hub's directory, named by the time, or ends the present one. Returns its file."""
+        """Begins a record in the hub's directory, named by the time, or ends the present one. Returns its file. Raises
+        UsageError where the present one is not a view's."""
         session = self._running()
+        if (present := session.recording) not in (None, self._record):
+            raise UsageError(
+                f"found the record {present}, which hapsim was started with: it lasts as long as the run. Expected no "
+                "record, or one that a client began"
+            )
         if not is_on:
             return session.stop_recording()
         if self.record_dir is None:
             raise UsageError("no record can be begun from here: hapsim was started without --record-dir DIR")
         path = self.record_dir / f"{Path(self.name).stem}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.trace"
         session.record(path)
+        self._record = path
         return path
 
     # What the run does
@@ -159,7 +170,7 @@ class Hub:
     @property
     def observer(self) -> RunObserver:
         """Observer that keeps the hub up to date."""
-        return RunObserver(started=self._started, over=self._over, report=self.publish)
+        return RunObserver(self._begun, started=self._started, over=self._over, report=self.publish)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -174,6 +185,9 @@ class Hub:
         if isinstance(failure, GuardError):
             self.publish("guard", str(failure))
         self.publish("ended", str(failure or ""))
+
+    def _begun(self, stop: Callable[[], None]) -> None:
+        self._stop_run = stop
 
     def _started(self, session: Session) -> None:
         self.session, self._known = session, session.parameters

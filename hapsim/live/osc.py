@@ -22,6 +22,8 @@ from hapsim.running.live_parameters import Parameter
 from hapsim.running.session_view import Event
 
 ROOT = "/hapsim/"
+STOP = f"{ROOT}stop"
+"""Address that ends the run, whatever the message's arguments and time."""
 _OVER_S = 0.02  # of a change that names no ramp
 _FURTHEST_S, _MOST_WAITING = 60.0, 1000  # what is meant for later
 _RATE, _HIGHEST_RATE = 50.0, 1000.0  # Hz
@@ -87,7 +89,10 @@ class OscView(asyncio.DatagramProtocol):
         except UsageError as error:
             self._refuse(str(error), addr)
             return
-        for due, group in itertools.groupby(messages, lambda message: message.due):
+        if any(message.address == STOP for message in messages):  # at once, whatever a button adds
+            self.hub.stop()
+        others = (message for message in messages if message.address != STOP)
+        for due, group in itertools.groupby(others, lambda message: message.due):
             self._make_at(due, [*group], addr)
 
     def takes_from(self, address: str) -> bool:
@@ -153,7 +158,8 @@ class OscView(asyncio.DatagramProtocol):
         """Returns why an address is not known, in words that follow it."""
         if self.hub.session is None:
             return "the device is not armed yet; once it is, this address may be known"
-        return f"no such address, expected {ROOT}PART/FIELD of a live parameter, or {', '.join(sorted(_COMMANDS))}"
+        commands = ", ".join(sorted((*_COMMANDS, STOP)))
+        return f"no such address, expected {ROOT}PART/FIELD of a live parameter, or {commands}"
 
     def parameters(self) -> dict[str, Parameter]:
         """Returns the parameters that have an address, by that."""
@@ -188,7 +194,7 @@ class OscView(asyncio.DatagramProtocol):
         """Raises HapsimError."""
         kinds, expected = _COMMANDS[message.address]
         arguments = message.arguments
-        if len(arguments) > len(kinds) or not all(map(isinstance, arguments, kinds)) or bool(kinds) > bool(arguments):
+        if len(arguments) > len(kinds) or not all(map(isinstance, arguments, kinds)) or not arguments:
             raise UsageError(f"{message.address}: found {_listed(arguments)}, expected {expected}")
         match arguments:
             case [str(text)]:
@@ -197,8 +203,6 @@ class OscView(asyncio.DatagramProtocol):
                 self.hub.mark(text)
             case [int() | float() as port, *rate]:  # Pd and Max have no other numbers than floats
                 self._subscribe(sender, port, float(rate[0]) if rate else _RATE)
-            case _:
-                self.hub.stop()
 
     def _subscribe(self, sender: tuple[Any, ...], number: float, rate: float) -> None:
         port = int(number)
@@ -284,7 +288,6 @@ def read_only_values(hub: Hub) -> Iterator[tuple[str, list[Argument], str, str]]
 _COMMANDS: dict[str, tuple[tuple[Any, ...], str]] = {
     f"{ROOT}subscribe": ((int | float, int | float), "PORT and RATE in Hz"),
     f"{ROOT}marker": ((str,), f"one text of at most {_LONGEST_MARKER} characters"),
-    f"{ROOT}stop": ((), "no arguments"),
 }
 """Addresses that are no parameters: the types of their arguments, of which the first is needed, and that in words."""
 

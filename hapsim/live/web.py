@@ -43,6 +43,7 @@ GOING_AWAY, TRY_LATER = 1001, 1013
 
 _MOST_EVENTS = 1000  # that wait
 _MOST_ANSWERS = 32
+_MOST_REQUESTS = 1000  # that wait for those: a hand dragged for 10 s while a scene is adopted
 _BLOCK_VALUES = 1 << 17  # of one block
 _GLANCE_S = 2e-3  # between two at what is watched
 _LEAVING_S = 1.0  # for one client
@@ -220,6 +221,7 @@ class Viewer:
 
     def __init__(self, view: WebView, socket: ServerConnection) -> None:
         self._view, self._socket = view, socket
+        self._requests: asyncio.Queue[str | bytes] = asyncio.Queue(_MOST_REQUESTS)
         self._answers: asyncio.Queue[asyncio.Task[BaseModel]] = asyncio.Queue(_MOST_ANSWERS)
         self._events: asyncio.Queue[str | None] = asyncio.Queue(_MOST_EVENTS)
         self._ending = asyncio.Event()
@@ -231,12 +233,14 @@ class Viewer:
 
     async def serve(self) -> None:
         """Serves it until it goes, or is dropped."""
-        tasks: list[asyncio.Task[Any]] = [asyncio.create_task(self._write_answers())]
-        tasks.append(asyncio.create_task(self._write_events()))
+        working = self._take_requests(), self._write_answers(), self._write_events()
+        tasks: list[asyncio.Task[Any]] = [asyncio.create_task(one) for one in working]
         try:
             async for text in self._socket:
                 await self._wait_for_allowance()
-                await self._answers.put(asyncio.create_task(self._answer(text)))
+                if _is_stop(text):  # does not wait for what was asked before
+                    self._view.hub.stop()
+                await self._requests.put(text)
         except ConnectionClosed:
             pass
         finally:
@@ -252,6 +256,10 @@ class Viewer:
             self._drop()
 
     # Requests
+
+    async def _take_requests(self) -> None:
+        while True:
+            await self._answers.put(asyncio.create_task(self._answer(await self._requests.get())))
 
     async def _answer(self, text: str | bytes) -> BaseModel:
         id = None
@@ -410,3 +418,11 @@ class Viewer:
             async with asyncio.timeout(_LEAVING_S):
                 await self._socket.close(TRY_LATER, "too slow: read what you subscribe to, or subscribe to less")
         self._socket.transport.abort()
+
+
+def _is_stop(text: str | bytes) -> bool:
+    if not (isinstance(text, str) and "stop" in text[: messages.SHORT]):
+        return False
+    with contextlib.suppress(UsageError):
+        return isinstance(messages.request_of(text), messages.Stop)
+    return False

@@ -195,7 +195,7 @@ def _begin_tick(loop, gap, is_held, now):
     state.since_sent = gap + (state.since_sent if state.unanswered else 0)
     is_over = state.since_sent > control.time_to_live + 1 or now - since > control.stale_ns
     tick.number, tick.sample, tick.gap, tick.age = state.ticks, state.sample, gap, state.age
-    tick.now_ns, tick.before_ns, tick.sent_ns = now, state.newest_ns, state.sent_ns
+    tick.now_ns, tick.before_ns, tick.begun_ns = now, state.newest_ns, state.tick_ns
     tick.late = is_held and control.wire_samples == 1  # else the loop is made for that delay
     tick.missed, tick.unsent = state.deadline_misses, state.unanswered
     tick.expired = state.ticks > 0 and is_over

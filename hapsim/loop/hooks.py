@@ -37,7 +37,7 @@ TICK = np.dtype(
         ("gap", np.int64),  # and samples from the one before to it
         ("now_ns", np.int64),  # when it arrived,
         ("before_ns", np.int64),  # when the one before arrived,
-        ("sent_ns", np.int64),  # and when the last force was sent
+        ("begun_ns", np.int64),  # and when the host began the tick whose force requested it
         ("age", np.int64),  # samples from the position that the acting force answers
         ("late", np.int64),  # 1: the device reports that no force came in time, and the loop does not expect that
         ("missed", np.int64),  # deadline misses up to now

@@ -19,6 +19,7 @@ from hapsim.theory.hand.configuration import Configuration
 from hapsim.theory.network.felt import felt_mass, felt_pair
 
 _PROXY_SHARE = 0.1  # of the hand's mass
+_MASSES = 9  # of a span: between its ends a device's own spring may ask for more than at both
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,8 @@ def virtual_couplings(scene: Scene, proxy_mass: float | None = None) -> list[Han
 
 def _couplings_of(scene: Scene, name: str, channel: int, proxy_mass: float | None) -> HandCouplings:
     least, most = scene.device.mass_spans(scene.channels)[channel]
-    hands = [replace(configuration_of(scene, channel), mass=mass) for mass in dict.fromkeys((least, most))]
+    masses = np.geomspace(least, most, _MASSES if least < most else 1).tolist()
+    hands = [replace(configuration_of(scene, channel), mass=mass) for mass in masses]
     hand = hands[0]
     _require_derived(scene, hand, name)
     any_hand = stiffest_coupling(hand.friction, hand.period, int(hand.delay))

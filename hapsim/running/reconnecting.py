@@ -39,6 +39,8 @@ _LONG_S = 10.0  # a session of this length restarts the pauses
 class RunObserver:
     """Functions that are called in the thread of the run."""
 
+    begun: Callable[[Callable[[], None]], None] = lambda _: None
+    """Called first, with a function that ends the run from any thread."""
     arming: Callable[[], None] = lambda: None
     """Called when the device has described itself, before arming."""
     started: Callable[[Session], None] = lambda _: None
@@ -124,6 +126,7 @@ def keep_running(
     if reconnect and place_of_device(scene, options.get("transport", "auto"), portable=True) != "port":
         raise UsageError("--reconnect waits for a device's port: found the mock, which does not go away; leave it out")
     reconnector = _Reconnector(scene, observer, reconnect, _Files(record), _Files(sound_file), duration, options)
+    observer.begun(reconnector.stop_soon)
     with stopping_on_signals(reconnector.stop):
         return reconnector.run()
 
@@ -179,11 +182,15 @@ class _Reconnector:
 
     def stop(self) -> None:
         """Stops the run. Called from a signal handler, so it takes no lock."""
-        self.stopped = True
+        self.stop_soon()
         if self.starting:
             raise KeyboardInterrupt  # nothing is armed yet
-        if self.session is not None:
-            self.session.stop()
+
+    def stop_soon(self) -> None:
+        """Stops the run, from any thread; what is opened at the moment is not armed."""
+        self.stopped = True
+        if (session := self.session) is not None:
+            session.stop()
 
     def run(self) -> Lifetime:
         """Runs session after session until one ends for good, or the device does not come back."""

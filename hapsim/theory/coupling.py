@@ -6,31 +6,37 @@ coupling, b0 the device's friction, d the whole delay behind a zero-order hold. 
 
     b0 >= (1 - cos((1 + d) theta)) / (2 Re(1/Zc)),  0 < theta <= pi
 
-With kappa = Kc T/2, B = Bc + kappa and u = sin²(theta/2), the right side is the polynomial q(u) (B² u + kappa² (1 -
-u))/(2 B), where u q(u) = 1 - cos((1 + d) theta). For a hand of known mass, P being the device's sampled position per
-force, it is enough that
+With kappa = Kc T/2, B = Bc + kappa and u = sin²(theta/2), 1/Re(1/Zc) is (B² u + kappa² (1 - u))/(B u). That falls with
+u, and every lobe of the cosine is the same: the most is needed in the first, before theta = pi/(1 + d).
 
-    Re(1/Zc) + Re((1 - 1/z) z^-d P)/T > 0
+For a hand of known mass let P be the device's sampled position per force, (1 - 1/z) z^-d P/T = N/D with polynomials in
+1/z, and r its real part. It is enough that Re(1/Zc) + r > 0. So where r < 0, kappa must be below the larger root of
+
+    r kappa² + u (1 + 2 r Bc) kappa + u Bc (1 + r Bc) = 0,  1 + r Bc > 0
+
+Times |D|² the left side is a polynomial in u: positive for 0 < u <= 1 where it is at its stationary points and ends.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import polynomial
-from numpy.polynomial.chebyshev import cheb2poly
+from numpy.polynomial import chebyshev
 from scipy.optimize import brentq, minimize_scalar
 
 from hapsim.theory.arrays import Floats
-from hapsim.theory.device_step import device_step
+from hapsim.theory.device_step import DeviceStep, device_step
 from hapsim.theory.hand.configuration import Configuration
 
-_THETA, _ZOOMS = math.pi * np.geomspace(1e-3, 1.0, 400), 5
+_NARROWER = 1000.0  # each interval of u from 0 on, in which stationary points are sought, than the one before
+_AT_REST = 1e-30  # of u: there all is as at 0
+_LONGEST = 100  # samples of delay: the search takes ten seconds
+_FLAT = 1e-4  # of Bc: Kc is off by its square
 _DAMPINGS = np.geomspace(1e-3, 1.0, 30)  # of m/T, where a search begins
+_NEAR = 1e-3  # of the first lobe: a demand that peaks below is as large at 0, to 1e-12
 _CLOSE = 1e-13  # of a value that is sought
 
 
@@ -65,7 +71,9 @@ def stiffest_coupling(friction: float, period: float, delay: int) -> Coupling:
 
 def stiffest_for(hands: Sequence[Configuration]) -> Coupling | None:
     """Returns the coupling with the largest Kc that is stable for each of these hands and any passive scene; None if
-    none is found. The hands differ in nothing but their mass."""
+    none is found, or the delay is too long for the search. The hands differ in nothing but their mass."""
+    if hands[0].delay > _LONGEST:
+        return None
     unit, period = hands[0].damping_unit, hands[0].period
 
     def stiffness(damping: float) -> float:
@@ -76,62 +84,90 @@ def stiffest_for(hands: Sequence[Configuration]) -> Coupling | None:
     if not tried[best] > 0.0:
         return None
     ends = unit * _DAMPINGS[max(best - 1, 0)], unit * _DAMPINGS[min(best + 1, _DAMPINGS.size - 1)]
-    found = minimize_scalar(lambda damping: -stiffness(damping), bounds=ends, method="bounded", options={"xatol": 1e-9})
-    return Coupling(2.0 * stiffness(found.x) / period, float(found.x))
+    close = {"xatol": _FLAT * ends[1]}
+    found = minimize_scalar(lambda damping: -stiffness(damping), bounds=ends, method="bounded", options=close)
+    kappa, damping = max((-float(found.fun), float(found.x)), (tried[best], float(unit * _DAMPINGS[best])))
+    return Coupling(2.0 * kappa / period, damping)
 
 
 def _stiffest_at(hand: Configuration, damping: float) -> float:
-    """Returns the largest kappa at this Bc; 0 if there is none."""
+    """Returns the largest kappa at this Bc; 0 if there is none.
 
-    def room(kappa: float) -> float:
-        total, theta = damping + kappa, _THETA
-        for _ in range(_ZOOMS):
-            given = total / (total**2 + (kappa / np.tan(0.5 * theta)) ** 2) + _kept(hand, theta)
-            least = int(np.argmin(given))
-            theta = np.linspace(theta[max(least - 1, 0)], theta[min(least + 1, theta.size - 1)], 65)
-        return float(given[least])
+    It begins above and takes the least kappa that is allowed at any stationary point of the polynomial with the kappa
+    before, until the polynomial is nowhere negative. The points are roots in the Chebyshev basis, in ever narrower
+    intervals of u from 0 on, since a hand with little friction has some at very low frequencies.
+    """
+    least = min(hand.friction / hand.damping_unit, math.sqrt(hand.stiffness / hand.stiffness_unit) or 1.0, 1.0)
+    narrowing = math.ceil(math.log(1e3 / least**2, _NARROWER))
+    degree = _step_of(hand).forces.shape[1] + 4
+    nodes = chebyshev.chebpts1(1 + degree)
+    tops = _NARROWER ** -np.arange(narrowing + 1.0)
+    u = tops[:, None] * (0.5 + 0.5 * nodes)
+    late, weight = _given(hand, u)
+    kappa, most = math.inf, _allowed(hand, damping, np.append(u, [_AT_REST, 1.0]))
+    while 0.0 < most < kappa * (1.0 - _CLOSE):
+        kappa = most
+        room = late * kappa**2 + u * (weight + 2.0 * late * damping) * kappa + u * damping * (weight + late * damping)
+        scaled = room / np.abs(room).max(axis=1, keepdims=True)
+        roots = [chebyshev.chebroots(chebyshev.chebder(one)) for one in chebyshev.chebfit(nodes, scaled.T, degree).T]
+        inner = [top * (0.5 + 0.5 * np.clip(one.real, -1.0, 1.0)) for top, one in zip(tops, roots, strict=True)]
+        most = min(kappa, _allowed(hand, damping, np.concatenate(inner)))
+    return most
 
-    most = hand.stiffness_unit * hand.period
-    if not room(1e-9 * most) > 0.0:
+
+def _allowed(hand: Configuration, damping: float, u: Floats) -> float:
+    """Returns the largest kappa at this Bc that is allowed at every u (n,), at most ten times m/T."""
+    late, weight = _given(hand, np.maximum(u, _AT_REST))
+    r, most = late / weight, 10.0 * hand.stiffness_unit * hand.period
+    bad = r < 0.0
+    r, u = r[bad], np.maximum(u, _AT_REST)[bad]
+    if not (1.0 + r * damping > 0.0).all():
         return 0.0
-    if room(10.0 * most) > 0.0:
-        return 10.0 * most
-    return float(brentq(room, 1e-9 * most, 10.0 * most, xtol=_CLOSE * most))
+    half = u * (0.5 + r * damping)
+    return float(np.min((half + np.sqrt(half**2 - r * u * damping * (1.0 + r * damping))) / -r, initial=most))
 
 
-def _kept(hand: Configuration, theta: Floats) -> Floats:
-    """Returns Re((1 - 1/z) z^-d P)/T, m/(N s), at theta (n,): below 0 the late device gives energy."""
-    c = hand
-    step = device_step(c.friction / c.damping_unit, c.delay, c.hold, c.stiffness / c.stiffness_unit, c.sampling)
-    motion, forces = step.moves
-    z = np.exp(1j * theta)
-    pushed = forces @ z[None, :] ** -np.arange(forces.shape[1])[:, None]
-    (a, b), (p, q) = motion[:2]
-    position = ((z - q) * pushed[0] + b * pushed[1]) / ((z - a) * (z - q) - b * p)
-    unit = c.period**2 / c.mass
-    return np.asarray(((1.0 - 1.0 / z) * position).real * unit / c.period)
+def _step_of(hand: Configuration) -> DeviceStep:
+    friction, stiffness = hand.friction / hand.damping_unit, hand.stiffness / hand.stiffness_unit
+    return device_step(friction, hand.delay, hand.hold, stiffness, hand.sampling)
 
 
-@cache
-def _demand(delay: int) -> Floats:
-    """Returns the coefficients of q(u), of increasing powers."""
-    late = polynomial.Polynomial(cheb2poly([0.0] * (1 + delay) + [1.0]))
-    whole = 1.0 - late(polynomial.Polynomial([1.0, -2.0]))
-    return np.asarray(whole.coef[1:])
+def _given(hand: Configuration, u: Floats) -> tuple[Floats, Floats]:
+    """Returns Re(N D*), whose sign is that of r, and |D|², at u: below 0 the late device gives energy. In terms of
+    1 - 1/z, so that slow motions keep their digits."""
+    motion, forces = _step_of(hand)
+    change = 2.0 * u + 2j * np.sqrt(u * (1.0 - u))
+    later = 1.0 - change
+    pushed = [np.polyval(row[::-1], later) for row in forces[:3]]
+    (a, b), (p, q), (of_position, of_velocity) = motion[:3]
+    own, swift = change - a * later, change - q * later
+    whole = own * swift - b * p * later**2
+    position = later * (swift * pushed[0] + b * later * pushed[1])
+    velocity = later * (own * pushed[1] + p * later * pushed[0])
+    lead = later * (of_position * position + of_velocity * velocity + pushed[2] * whole)
+    read = change * (position - lead)
+    return (read.real * whole.real + read.imag * whole.imag) * hand.period / hand.mass, np.abs(whole) ** 2
 
 
-def _most(ratio: float, delay: int) -> tuple[float, float]:
+def _most(ratio: float, delay: float) -> tuple[float, float]:
     """Returns the needed friction over kappa for B/kappa = `ratio`, and the u that needs it."""
-    needed = polynomial.polymul(_demand(delay), [1.0, ratio**2 - 1.0]) / (2.0 * ratio)
-    roots = polynomial.polyroots(polynomial.polyder(needed))
-    inner = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0) & (roots.real < 1.0)]
-    u = np.concatenate([[0.0, 1.0], inner])
-    values = polynomial.polyval(u, needed)
-    at = int(np.argmax(values))
-    return float(values[at]), float(u[at])
+    late = 1.0 + delay
+
+    def rises(theta: float) -> float:
+        half = 0.5 * theta
+        weight = 1.0 + (ratio**2 - 1.0) * math.sin(half) ** 2
+        return late * math.cos(late * half) * math.sin(half) * weight - math.sin(late * half) * math.cos(half)
+
+    theta = math.pi / late
+    if delay:
+        if not rises(_NEAR * theta) > 0.0:
+            return late**2 / ratio, 0.0
+        theta = brentq(rises, _NEAR * theta, theta, xtol=1e-15)
+    u = math.sin(0.5 * theta) ** 2
+    return (1.0 - math.cos(late * theta)) * (ratio**2 * u + 1.0 - u) / (2.0 * ratio * u), u
 
 
-def _slope(ratio: float, delay: int) -> float:
-    """Returns the derivative of `_most` by the ratio: that at the u that needs the friction."""
+def _slope(ratio: float, delay: float) -> float:
+    """Returns the sign of the derivative of `_most` by the ratio: that at the u that needs the friction."""
     _, u = _most(ratio, delay)
-    return float(polynomial.polyval(u, _demand(delay))) * (u - (1.0 - u) / ratio**2)
+    return u - (1.0 - u) / ratio**2

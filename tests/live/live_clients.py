@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
@@ -23,6 +24,8 @@ from hapsim.live.access import address_of
 from hapsim.live.hub import Hub
 from hapsim.live.server import Server
 from hapsim.live.web import WebView
+from hapsim.loop import guards
+from hapsim.loop.guards import leap
 from hapsim.prediction import timing
 from hapsim.running import Session, start
 from hapsim.scene import Scene, parse_scene
@@ -135,6 +138,35 @@ class Served:
         with connect(url, **{"origin": self.origin, "compression": None, **options}) as socket:
             yield Client(socket)
 
+    @contextlib.contextmanager
+    def raw(self, receive_buffer: int = 0) -> Iterator[socket.socket]:
+        """A WebSocket that no library reads, answers or closes: the socket is the test's alone."""
+        with socket.socket() as raw:
+            if receive_buffer:
+                raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
+            raw.settimeout(60)
+            raw.connect(("127.0.0.1", self.view.address.port))
+            words = f"GET /live HTTP/1.1|Host: 127.0.0.1:{self.view.address.port}|Origin: {self.origin}|"
+            words += "Upgrade: websocket|Connection: Upgrade|Sec-WebSocket-Version: 13|"
+            words += "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==||"
+            raw.sendall(words.replace("|", "\r\n").encode())
+            head = b""
+            while not head.endswith(b"\r\n\r\n"):
+                head += (byte := raw.recv(1))
+                assert byte, head
+            assert head.startswith(b"HTTP/1.1 101"), head
+            yield raw
+
+    @contextlib.contextmanager
+    def ending(self) -> Iterator[None]:
+        """Waits for the end of the run, which the with-block demands."""
+        ended = threading.Event()
+        self.hub.listen(lambda event: ended.set() if event.kind == "ended" else None)
+        yield
+        assert ended.wait(60)
+        assert self.session.wait(60)
+        assert self.hub.phase == "ended"
+
     def pause(self) -> None:
         """Pauses like a run that waits for its device."""
         self.is_paused = True
@@ -162,14 +194,17 @@ def serving(
 
     def starting(scene: Scene) -> Session:
         """Host and mock wait two seconds for each other: a machine that is busy with other tests holds one of their
-        threads up for longer than a tenth, or a quarter."""
+        threads up for longer than a tenth, or a quarter. A force that lasts so long moves the mock's hand as far as a
+        leap."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(timing, "_WATCHDOG_S", 2.0)
+            patch.setattr(guards, "GUARDS", tuple(one for one in guards.GUARDS if one is not leap.GUARD))
             session = start(scene, keep=False, unstable=False, judges_energy=True, **hub.options, **options)
         session._loop.control.silence_ns = 2_000_000_000
         return session
 
     served = Served(hub, starting(scene), view, warnings, starting)
+    hub.observer.begun(served.is_over.set)
     hub.observer.started(served.session)
     ended = threading.Thread(target=lambda: _end(served, server))
     ended.start()

@@ -167,8 +167,9 @@ def test_half_open_and_broken_connections_leave_the_others_alone(serve: Callable
             one.sendall(text)
         assert client.ask(type="get")["type"] == "model"
         stack.close()
-        client.socket.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        client.socket.socket.shutdown(socket.SHUT_RDWR)
+        with served.raw() as reset:
+            reset.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        assert client.ask(type="get")["type"] == "model"
     with served.client() as client:
         assert client.ask(type="get")["type"] == "model"
     assert not served.warnings
@@ -264,14 +265,8 @@ def test_strangers_lock_nobody_out_of_oscquery() -> None:
 
 def ping_forever(served: Served) -> int:
     """Sends pings and reads none of the answers, until the connection ends; returns the bytes sent."""
-    port, sent = served.view.address.port, 0
-    with socket.socket() as raw:
-        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        raw.connect(("127.0.0.1", port))
-        words = f"GET /live HTTP/1.1|Host: 127.0.0.1:{port}|Origin: {served.origin}|Upgrade: websocket|"
-        words += "Connection: Upgrade|Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==|Sec-WebSocket-Version: 13||"
-        raw.sendall(words.replace("|", "\r\n").encode())
-        raw.settimeout(30)
+    sent = 0
+    with served.raw(receive_buffer=4096) as raw:
         pings = 1000 * Frame(Opcode.PING, b"x" * 100).serialize(mask=True)
         with contextlib.suppress(ConnectionError):
             while sent < 20 * server._MOST_UNSENT:

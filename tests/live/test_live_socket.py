@@ -9,6 +9,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from hapsim.recording.trace import load_trace
 
 Serve = Callable[..., Served]
 
+SLOW = SCENE.replace("rate: 1000", "rate: 50").replace("stiffness: 2000, damping: 5", "stiffness: 2, damping: 0.5")
 STRUCTURES = (
     SCENE
     + """
@@ -102,10 +104,12 @@ def test_blocks_have_every_sample_of_the_run(serve: Serve, tmp_path: Any) -> Non
 
 
 def test_blocks_have_what_the_device_senses(serve: Serve) -> None:
-    with serve(SCENE.replace("device: {", "device: {sensors: [velocity, acceleration], ")).client() as client:
+    slow = SLOW.replace("device: {", "device: {sensors: [velocity, acceleration], ")
+    with serve(slow).client() as client:
         assert client.ask(type="get")["sensed"] == ["velocity", "acceleration"]
-        client.ask(type="subscribe", rate=100)
-        rows = np.concatenate([client.block().rows for _ in range(10)]).astype(float)
+        client.ask(type="subscribe", rate=100, history=60)
+        blocks = [client.block().rows for _ in range(30)]
+        rows = np.concatenate(blocks).astype(float)
     _, _, _, velocity, force, sensed, acceleration = rows[5:].T
     acted = (np.roll(force, 1) - sensed) / 0.2  # by the force that answers the sample before
     # A busy machine lets some samples last longer.
@@ -230,6 +234,42 @@ def test_a_stop_does_not_wait_for_a_scene_that_is_adopted_and_all_else_does(
         may_end.set()
 
 
+def test_a_stop_does_not_wait_for_requests_that_wait_for_a_scene(serve: Serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a hand that is dragged meanwhile: more of them than the answers that may wait."""
+    served, may_end = serve(), threading.Event()
+    monkeypatch.setattr(served.session, "adopt", lambda *_: may_end.wait(60))
+    with served.client() as client, served.ending():
+        client.send(type="adopt", scene=SCENE)
+        for _ in range(500):
+            client.send(type="set", values={"touch.stiffness": 1500.0})
+        client.send(type="stop")
+        assert served.session.wait(60), "though the scene is not adopted yet"
+        may_end.set()
+
+
+@pytest.mark.parametrize("is_away", [False, True])
+def test_a_stop_ends_the_run_even_where_the_device_is_away(serve: Serve, is_away: bool) -> None:
+    served = serve()
+    if is_away:
+        served.pause()
+    with served.client() as client, served.ending():
+        assert client.ask(type="stop")["type"] == "done"
+        client.event("ended")
+
+
+def test_a_client_ends_no_record_that_the_run_was_started_with(serve: Serve, tmp_path: Path) -> None:
+    served = serve(record=tmp_path / "whole.trace")
+    with served.client() as client:
+        for on in (False, True):
+            answer = client.ask(type="record", on=on)
+            assert answer["type"] == "rejected"
+            assert f"found the record {tmp_path / 'whole.trace'}, which hapsim was started with" in answer["reason"]
+        assert client.ask(type="get")["recording"] == str(tmp_path / "whole.trace")
+        with served.ending():
+            client.ask(type="stop")
+    assert load_trace(tmp_path / "whole.trace").sample.tolist() == list(range(served.session.trace.report.ticks))
+
+
 def test_a_client_stays_while_the_device_is_away(serve: Serve) -> None:
     served = serve()
     with served.client() as client:
@@ -239,7 +279,7 @@ def test_a_client_stays_while_the_device_is_away(serve: Serve) -> None:
         served.pause()
         assert client.ask(type="get")["phase"] == "waiting"
         assert "nothing runs" in client.ask(type="set", values={"touch.stiffness": 1500})["reason"]
-        assert "nothing runs" in client.ask(type="stop")["reason"]
+        assert "nothing runs" in client.ask(type="marker")["reason"]
         served.resume()
         client.event("armed")
         model = client.ask(type="get")

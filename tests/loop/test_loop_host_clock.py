@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numba
 import numpy as np
 import pytest
-from loop_rig import arrive, assembled, frame, scene_of
+from loop_rig import POSITION_SCALE, arrive, assembled, frame, scene_of
 
 from firmware_protocol import schema
 from firmware_protocol.compiled import new_record
@@ -20,6 +20,7 @@ from hapsim.loop.endings import DONE, RECEIVED, TIMED_OUT
 from hapsim.loop.histogram import histogram_of
 from hapsim.loop.portable import PortableLoop, _compose
 from hapsim.loop.ring import OFF_GRID, UNSENT
+from hapsim.loop.system import SCRATCH, now_ns, sleep_until
 from hapsim.loop.transport import Transport, receiver, sender
 from hapsim.running.assemble_loop import LoopMemory
 
@@ -38,6 +39,8 @@ SCRIPT = np.dtype(
         ("given_up", np.int64),  # 1: since the last of them somebody has waited in vain
         ("heard", np.int64),  # bytes of them
         ("frames", np.uint8, 4096),
+        ("held_up", np.int64),  # the host is held up so long (ns) behind its second frame, before it notes that it left
+        SCRATCH,
     ],
     align=True,
 )
@@ -66,6 +69,8 @@ def note_frame(context, buffer, stop):
     script.heard += stop
     script.sent += 1
     script.given_up = 0
+    if script.sent == 2 and script.held_up > 0:
+        sleep_until(now_ns(script.scratch) + script.held_up, script.scratch)
     return 0
 
 
@@ -78,7 +83,7 @@ Item = tuple[int, bool, bytes]
 def play(request: pytest.FixtureRequest) -> Play:
     """Runs a loop by the host's clock until it has taken so many positions; it, and the frames that it sent."""
 
-    def run(script: Sequence[Item], ticks: int) -> tuple[LoopMemory, list[Frame]]:
+    def run(script: Sequence[Item], ticks: int, held_up_s: float = 0.0) -> tuple[LoopMemory, list[Frame]]:
         loop = assembled(scene_of(rate=RATE, device={"clock": "host"}))
         record = new_record(SCRIPT)
         record.items = len(script)
@@ -87,6 +92,7 @@ def play(request: pytest.FixtureRequest) -> Play:
         record.stop[: len(script)] = np.cumsum([len(data) for _, _, data in script])
         whole = b"".join(data for _, _, data in script)
         record.bytes[: len(whole)] = np.frombuffer(whole, np.uint8)
+        record.held_up = round(1e9 * held_up_s)
         transport = Transport(follow_script, note_frame, record)
         loop.inbox.transport = transport.record
         loop.control.samples = ticks
@@ -126,6 +132,15 @@ def test_a_position_that_a_newer_one_replaces_between_two_ticks_was_never_answer
     assert [force.number for force in forces] == [2]
     assert (loop.ring.drain()["flags"] & UNSENT).tolist() == [UNSENT, UNSENT, 0]
     assert loop.state.stale_positions == 2
+
+
+def test_a_host_that_is_held_up_behind_a_request_takes_the_way_meanwhile_for_no_leap(play: Play) -> None:
+    """The device answers a repeated request at once; the host reads that answer and asks again 0.1 s later."""
+    way = round(0.1 / POSITION_SCALE)
+    script = [(0, False, frame(0, 0)), (2, False, frame(1, 0) + frame(2, 0)), (3, False, frame(3, way))]
+    loop, forces = play(script, 4, held_up_s=0.1)
+    assert [force.number for force in forces] == [0, 0, 2]
+    assert loop.state.ticks == 4
 
 
 def test_a_sample_that_took_clearly_more_or_less_than_a_period_is_marked() -> None:

@@ -83,7 +83,10 @@ class Bench:
             self.told.append(event)
             self.sentences.append(sentence)
 
-        observer = RunObserver(started=started, waiting=waiting, report=report)
+        def begun(stop: Callable[[], None]) -> None:
+            self.stop_run = stop
+
+        observer = RunObserver(begun, started=started, waiting=waiting, report=report)
         return keep_running(scene, observer, **{"reconnect": True} | how)
 
 
@@ -211,6 +214,30 @@ def test_a_signal_ends_the_waiting(scene: Scene, bench: Bench, number: signal.Si
     bench.plug(scene)
     lifetime = bench.keep(scene, bench.unplug, on_waiting=lambda: os.kill(os.getpid(), number))
     assert (lifetime.failure, lifetime.report.ending, lifetime.reconnections) == (None, "stopped", 0)
+
+
+def test_the_observers_stop_ends_the_waiting(scene: Scene, bench: Bench) -> None:
+    """A client's Stop, in another thread: the device that comes back is not armed."""
+    bench.plug(scene)
+    lifetime = bench.keep(scene, bench.unplug, on_waiting=lambda: (bench.plug(scene), bench.stop_run()))
+    assert (lifetime.failure, lifetime.report.ending, len(bench.sessions)) == (None, "stopped", 1)
+
+
+def test_the_observers_stop_ends_the_next_handshake(
+    scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.plug(scene)
+
+    def unplug() -> None:
+        bench.unplug()
+        monkeypatch.setattr(session_module, "describe", stops_and_describes)
+
+    def stops_and_describes(connection: Any) -> Any:
+        bench.stop_run()
+        return describe(connection)
+
+    lifetime = bench.keep(scene, unplug, on_waiting=lambda: bench.plug(scene))
+    assert (lifetime.failure, lifetime.report.ending, len(bench.sessions)) == (None, "stopped", 1)
 
 
 def test_a_signal_ends_the_next_handshake(scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,7 +29,7 @@ def first_leap(function, leap, tick, io, samples, arrived, positions, period_ns)
         if call_hook(function, (leap, tick.address)) != 0:
             return row
         tick.before_ns = arrived[row] * period_ns
-        tick.sent_ns = arrived[row] * period_ns + 1000
+        tick.begun_ns = arrived[row] * period_ns + 1000
         tick.number += 1
     return -1
 

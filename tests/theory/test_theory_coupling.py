@@ -1,13 +1,15 @@
-"""Virtual couplings beside a loop written out here: hand, delayed force, coupling, and a scene with implicit steps."""
+"""Virtual couplings beside a loop written out: hand, delayed force, coupling, and a scene with implicit steps."""
 
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from hapsim.errors import UsageError
 from hapsim.prediction.predict import predict
@@ -15,39 +17,15 @@ from hapsim.prediction.virtual_coupling import virtual_couplings
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration
 from hapsim.theory.coupling import Coupling, needed_friction, stiffest_coupling, stiffest_for
+from tests.coupled_devices import Behind, radius, random_behind, random_device, worst_radius
 
 T = 1e-3
+DEVICES = int(os.environ.get("HAPSIM_POINTS", "50"))
 
 
-def radius(
-    hand: tuple[float, float, float], coupling: Coupling, scene: tuple[float, float, float, float], delay: int
-) -> float:
-    """Spectral radius of a hand's mass, spring and damper with a scene behind the coupling: mass, spring and damper in
-    the backward difference, and a mass without losses by the trapezoidal rule."""
-    (m, k, b), (Kc, Bc), (M, K, B, lossless) = hand, coupling, scene
-    moved = expm(np.array([[0.0, 1.0, 0.0], [-k / m, -b / m, 1.0 / m], [0.0, 0.0, 0.0]]) * T)
-    unit = np.eye(delay + 6)
-    x, v, (x1, y1, y2, last) = unit[0], unit[1], unit[2 + delay :]
-    L = 2.0 * lossless / T**2
-    total = Kc + Bc / T + K + B / T + M / T**2 + L
-    pushed = (Kc + Bc / T) * x - Bc / T * x1 + (Bc + B) / T * y1 + (M / T**2 + L) * (2.0 * y1) - (M / T**2 + L) * y2
-    y = (pushed + last) / total
-    force = -(Kc * (x - y) + Bc / T * (x - x1 - y + y1))
-    acting = unit[1 + delay] if delay else force
-    rows = [moved[i, 0] * x + moved[i, 1] * v + moved[i, 2] * acting for i in (0, 1)]
-    rows += [force, *unit[2 : 1 + delay]] if delay else []
-    rows += [x, y, y1, L * (y - 2.0 * y1 + y2) - last]
-    return float(np.max(np.abs(np.linalg.eigvals(np.array(rows)))))
-
-
-def random_hand(rng: np.random.Generator, friction: float) -> tuple[float, float, float]:
-    return 10 ** rng.uniform(-5.5, 1.0), (0.0 if rng.random() < 0.3 else 10 ** rng.uniform(0.0, 6.5)), friction
-
-
-def random_scene(rng: np.random.Generator) -> tuple[float, float, float, float]:
-    of = ((-5.0, 1.0), (0.0, 6.0), (-2.0, 3.0), (-4.5, -1.0))
-    M, K, B, lossless = (0.0 if rng.random() < 0.4 else 10 ** rng.uniform(*ends) for ends in of)
-    return M, K, B, lossless
+def random_hand(rng: np.random.Generator, delay: int) -> Configuration:
+    mass, spring = 10 ** rng.uniform(-5.5, 1.0), (0.0 if rng.random() < 0.3 else 10 ** rng.uniform(0.0, 6.5))
+    return Configuration(mass, 1.0 / T, 1.001, delay, stiffness=spring)
 
 
 @pytest.mark.parametrize(
@@ -84,11 +62,12 @@ def test_the_needed_friction_has_a_closed_form(delay: int) -> None:
 @pytest.mark.parametrize("delay", range(5))
 def test_no_hand_shakes_a_coupling_and_with_less_friction_one_does(delay: int, figures: Any) -> None:
     rng, coupling = np.random.default_rng(delay), stiffest_coupling(1.0, T, delay)
-    each = [(random_hand(rng, 1.001), random_scene(rng)) for _ in range(3000)]
-    assert max(radius(hand, coupling, scene, delay) for hand, scene in each) < 1.0 + 1e-9
+    each = [(random_hand(rng, delay), random_behind(rng)) for _ in range(3000)]
+    assert max(radius(hand, coupling, scene) for hand, scene in each) < 1.0 + 1e-9
     # At one sample a mass alone does not show the whole demand: that takes a hand that moves at every image.
     less = 0.88 if delay == 1 else 0.95
-    shaken = max(radius((*hand[:2], less), coupling, (0.0, 0.0, 0.0, scene[3]), delay) for hand, scene in each)
+    lossless = ((replace(hand, friction=less), Behind(lossless=scene.lossless)) for hand, scene in each)
+    shaken = max(radius(hand, coupling, scene) for hand, scene in lossless)
     assert shaken > 1.0 + 1e-6
     grows = f"shaken with {less} of the friction, {shaken:.4f}-fold a sample"
     figures.note(f"coupling at a delay of {delay} samples: {grows}")
@@ -113,7 +92,44 @@ def test_a_hand_of_known_mass_allows_more(masses: tuple[float, ...], delay: int,
     rng = np.random.default_rng(7)
     for _ in range(1000):
         mass = rng.uniform(min(masses), max(masses))
-        assert radius((mass, 0.0, 1.0), found, random_scene(rng), delay) < 1.0 + 1e-9
+        assert radius(replace(hands[0], mass=mass), found, random_behind(rng)) < 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("number", range(DEVICES))
+def test_nothing_passive_shakes_a_hand_of_known_mass_on_any_device(number: int) -> None:
+    """As `tools/bench/couplings` does, with more of them."""
+    rng = np.random.default_rng(number)
+    hand = random_device(rng)
+    found = stiffest_for([hand])
+    assert found is None or worst_radius(hand, found, rng, 20) <= 1.0 + 1e-11
+
+
+def test_a_device_with_little_friction_needs_a_soft_coupling_for_what_is_slow() -> None:
+    """A simulated spring behind a coupling of twice the stiffness makes the hand swing at 16 Hz."""
+    hand = Configuration(mass=1.44056, rate=50_000.0, friction=0.110550, delay=3)
+    assert radius(hand, Coupling(1.4715e6, 13_000.0), Behind(stiffness=13_895.0)) > 1.000001
+    found = stiffest_for([hand])
+    assert found is not None
+    assert 7e5 < found.stiffness < 7.5e5
+    shaken = max(radius(hand, Coupling(1.3 * found.stiffness, found.damping), one) for one in fine_springs(found))
+    assert shaken > 1.0 + 1e-12
+
+
+def fine_springs(coupling: Coupling) -> Iterator[Behind]:
+    return (Behind(stiffness=share * coupling.stiffness) for share in np.geomspace(1e-6, 1.0, 1001).tolist())
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2, 5, 20, 60, 1000])
+def test_the_friction_for_any_hand_covers_every_frequency(delay: int) -> None:
+    rng = np.random.default_rng(delay)
+    theta = np.append(np.geomspace(1e-8, math.pi, 4000), np.linspace(1e-4, math.pi, 40 * (1 + delay)))
+    for ratio in (1.0, *(1.0 + 10 ** rng.uniform(-6.0, 3.0, 20)).tolist()):
+        kappa = 10 ** rng.uniform(-3.0, 3.0)
+        B, u = ratio * kappa, np.sin(0.5 * theta) ** 2
+        least = 2.0 * np.sin(0.5 * (1 + delay) * theta) ** 2 * (B**2 * u + kappa**2 * (1.0 - u)) / (2.0 * B * u)
+        found = needed_friction(Coupling(2.0 * kappa / T, B - kappa), T, delay)
+        assert found == pytest.approx(least.max(), rel=1e-2)
+        assert found >= least.max() * (1.0 - 1e-9)
 
 
 def scene_of(device: str, modules: str = "") -> Scene:

@@ -288,7 +288,7 @@ part("stop").onclick = () => demand("header", { type: "stop" });
 part("record").onclick = () => demand("header", { type: "record", on: !isRecording });
 addEventListener("keydown", (event) => {
   const isTyping = event.target instanceof HTMLInputElement && event.target.type !== "range";
-  if (event.code === "Space") {
+  if (event.code === "Space" || event.key === " ") { // a phone's keyboard has no codes
     event.preventDefault(); // it stops the force, whatever has the focus
     part("stop").click();
   } else if (!isTyping && event.key === "f") part("freeze").click();

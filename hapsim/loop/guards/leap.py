@@ -34,7 +34,7 @@ LEAP = np.dtype(
         ("span", np.float64),  # sample periods from the position before the last to the last
         ("pace", np.float64, _EACH),  # m per sample period, of the last step,
         ("pace_before", np.float64, _EACH),  # and of the one before
-        ("sent_ns", np.int64),  # sending of the force that requested the last position
+        ("begun_ns", np.int64),  # beginning of the tick whose force requested the last position
         ("acceleration", np.float64, _EACH),  # m per sample period squared, by all forces together,
         ("spring", np.float64, _EACH),  # and by the device's own spring, per m of stretch
         ("friction_share", np.float64, _EACH),  # share of the pace that the device's friction may remove in a period
@@ -58,10 +58,11 @@ def find_leap(leap, tick):
     io = io_at(tick.io)
     periods = np.float64(tick.gap)
     if leap.by_host:
-        # The device samples on request. The longer of two times counts: either may be delayed.
-        requested, received = tick.sent_ns - leap.sent_ns, tick.now_ns - tick.before_ns
+        # The device samples on request. The longer of two times counts: either may be delayed. A request is timed
+        # before it is sent: the device may answer while the host is held up behind the sending.
+        requested, received = tick.begun_ns - leap.begun_ns, tick.now_ns - tick.before_ns
         elapsed = np.float64(requested if requested > received else received) / leap.period_ns
-        leap.sent_ns = tick.sent_ns
+        leap.begun_ns = tick.begun_ns
         periods = elapsed if elapsed > periods else periods
     mean = 0.5 * (periods + leap.span)
     leap.span = periods
