@@ -42,11 +42,10 @@ class Option(NamedTuple):
     period: float = 0.0
     """Period of the piece, m; 0: none."""
 
-    def near(self, d: float) -> tuple[float, float]:
-        """Returns the ends of the copy of the piece that is nearest to this distance, m."""
-        middle = 0.5 * (self.low + self.high)
-        away = self.period * round((d - middle) / self.period) if self.period else 0.0
-        return self.low + away, self.high + away
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """What tells it from other pieces of its law; copies and alike pieces of a law that repeats are of one kind."""
+        return self.state, self.linear, None if self.period else self.low
 
     @property
     def acts(self) -> bool:
@@ -71,7 +70,7 @@ def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
     for (piece, linear), (low, high) in zip(pieces, ends, strict=True):
         if found and (found[-1].linear, found[-1].state) == (linear, piece.state):
             found[-1] = found[-1]._replace(high=high)
-        elif not law.period or linear not in [one.linear for one in found]:
+        else:
             found.append(Option(piece.state, linear, low, high, period=law.period))
     dampings = law.dampings_at(fastest)
     if not dampings:
@@ -88,6 +87,8 @@ State = dict[str, Option]
 """Piece of each link of a part of the scene, by name."""
 
 
+_MOST_COPIES = 32  # of a piece that repeats, to either side of the start
+_MOST_TRIES = 20_000  # a third of a second
 _OVERLAP = 1e-12  # m: smaller overlaps do not count
 
 
@@ -100,7 +101,7 @@ class Reach:
     """
 
     def __init__(self, scene: Scene, linear: LinearScene, contacts: Collection[str]) -> None:
-        self._begins = start_positions(scene)
+        self._begins, self.tries = start_positions(scene), _MOST_TRIES
         touched = {end for name in contacts for end in linear.links[name].between if end not in scene.grounds}
         self._index = {name: i for i, name in enumerate((*sorted(touched), STAYS))}
         near: dict[str, list[tuple[str, float]]] = {}
@@ -139,6 +140,27 @@ class Reach:
         touching = Option("", Linear(0.0, 0.0), -2.0 * _OVERLAP, 2.0 * _OVERLAP)
         meet = self.limited(self.apart, between, touching) is not None
         return tuple(one for one in options if not one.through or meet or one.low <= begins <= one.high)
+
+    def possible(self, apart: Floats, between: tuple[str, str], option: Option) -> Iterator[tuple[Option, Floats]]:
+        """Yields the copies of a piece that this link can be in, the nearest to its start first, each with `apart`
+        then. A piece that does not repeat is its only copy."""
+        i, j = (self._index.get(end, len(self._index) - 1) for end in between)
+        begins, away = self._begins[between[0]] - self._begins[between[1]], [0.0]
+        if period := option.period:
+            least, most = (min(apart[way], _MOST_COPIES * period) for way in ((j, i), (i, j)))
+            numbers = (
+                math.floor((begins - least - option.high) / period),
+                math.ceil((begins + most - option.low) / period),
+            )
+            middle = begins - 0.5 * (option.low + option.high)
+            away = sorted((n * period for n in range(numbers[0], numbers[1] + 1)), key=lambda x: abs(x - middle))
+        for x in away:
+            self.tries -= bool(period)
+            if self.tries < 0:
+                return
+            copy = option._replace(low=option.low + x, high=option.high + x)
+            if (nearer := self.limited(apart, between, copy)) is not None:
+                yield copy, nearer
 
     def limited(self, apart: Floats, between: tuple[str, str], option: Option) -> Floats | None:
         """Returns `apart` with this link in such a piece; None if it cannot be in it."""
@@ -239,7 +261,7 @@ def part_swing(
         for i, name in links.items():
             if name in state:
                 springs[0][i], springs[1][i] = state[name].linear.stiffness, state[name].linear.damping
-                pieces[i] = state[name].near(stretch[i])
+                pieces[i] = state[name].low, state[name].high
         there = replace(part, stiffness=springs[0], damping=springs[1])
         is_moving = any(law.speeds and springs[1][i] != law.linear().damping for i, law in laws.items())
         rests.append(

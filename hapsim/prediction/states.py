@@ -12,7 +12,7 @@ import math
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import cached_property
-from itertools import islice
+from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +81,7 @@ class ContactStates:
             if len(names) <= _MOST_CONTACTS:
                 found += islice(self._possible(names, self._reach.apart), MOST_STATES + 1)
             self.is_complete &= len(names) <= _MOST_CONTACTS
-            self.is_complete &= len(found) <= MOST_STATES
+            self.is_complete &= len(found) <= MOST_STATES and self._reach.tries >= 0
             self.parts.append(found[:MOST_STATES])
 
     @property
@@ -116,10 +116,9 @@ class ContactStates:
             for name in names:
                 options, between = self._options[name], self._linear.links[name].between
                 taken = [one for one in options if self._is_assumed(name, one)]
-                limits = [(one, self._reach.limited(apart, between, one)) for one in (*taken, *options) if taken]
-                one, nearer = next(((one, limit) for one, limit in limits if limit is not None), (None, None))
-                apart = apart if nearer is None else nearer
-                if one is not None and one not in taken:
+                every = (self._reach.possible(apart, between, one) for one in (*taken, *options) if taken)
+                one, apart = next(chain.from_iterable(every), (None, apart))
+                if one is not None and not self._is_assumed(name, one):
                     words = (
                         f"is taken as {one.state}: it cannot be {taken[0].state} with the links before it as assumed"
                     )
@@ -131,15 +130,24 @@ class ContactStates:
         return (option.linear.stiffness, option.linear.damping) == (link.stiffness, link.damping)
 
     def _possible(self, names: list[str], apart: Floats) -> Iterator[State]:
+        """Yields the states that these links can be in together, each once: a piece that repeats in one of its copies
+        that permit it."""
         if not names:
             yield {}
             return
         first, *rest = names
+        most = math.prod(len({one.kind for one in self._options[name]}) for name in rest)
+        found = dict[object, set[object]]()
         for option in self._options[first]:
-            nearer = self._reach.limited(apart, self._linear.links[first].between, option)
-            if nearer is not None:
+            beside = found.setdefault(option.kind, set())
+            for copy, nearer in self._reach.possible(apart, self._linear.links[first].between, option):
+                if len(beside) == most:
+                    break
                 for others in self._possible(rest, nearer):
-                    yield {first: option} | others
+                    kinds = tuple(one.kind for one in others.values())
+                    if kinds not in beside:
+                        beside.add(kinds)
+                        yield {first: copy} | others
 
     @cached_property
     def _verdicts(self) -> tuple[list[tuple[Shaking, State]], int]:

@@ -19,6 +19,7 @@ from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Network
 from hapsim.theory.network import poles_of, proves_stability
 from tests.contact_scenes import begun, contact_scene, growths_within, judged_unstable, unsnapped_states
+from tests.piecewise_scenes import as_scene, random_scene, springs_in_regions, springs_in_states
 
 SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))
 HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
@@ -26,6 +27,8 @@ GRIP = {"type": "plectrum", "stiffness": 1200.0, "damping": 1.5, "release": 0.00
 BALL = {"ball": {"type": "cell", "mass": 0.1, "stiffness": 400.0}}
 FINGER = {"type": "buffer", "between": ["hand", "ball"], "stiffness": 500.0, "damping": 8.0, "distance": 0.01}
 DRIVE = {"type": "nonlinear", "between": ["ball", "wall"], "force_over_velocity": [[-1.0, 1.0], [1.0, -1.0]]}
+
+NOTCHES = ("in a notch", "at the edge of a notch", "between notches")
 
 
 def scene_of(modules: dict[str, Any], mock: dict[str, Any] | None = None, **device: Any) -> Scene:
@@ -175,7 +178,7 @@ def test_a_law_s_pieces_are_the_states_of_its_link() -> None:
     links = scene_of(modules).links
     states = {name: [(one.state, one.linear.stiffness) for one in options_of(links[name].law())] for name in links}
     assert states["bow"] == [("stuck", 100.0), ("sliding", 0.0)]
-    assert [stiffness for _, stiffness in states["ridge"]] == pytest.approx([-800.0, 800.0, 0.0])
+    assert [stiffness for _, stiffness in states["ridge"]] == pytest.approx([-800.0, 800.0, -800.0, 0.0])
     assert [stiffness for _, stiffness in states["curve"]] == pytest.approx([0.0, 100.0, 100.0, -200.0, 0.0])
 
 
@@ -195,6 +198,39 @@ def test_masses_that_are_reported_not_to_grow_have_no_pole_outside_of_the_circle
     stiff = Network(1.0 / step, none, none, 1.0, "zoh", "ideal", mass, [[0, -1]], [4.1 * mass[0] / step**2], [0.0])
     assert not proves_stability(stiff)
     assert np.abs(poles_of(stiff)).max() > 1.0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_states_of_a_hand_that_moves_nothing_else_are_its_regions(seed: int) -> None:
+    """400 of them: `tools/bench/verdicts`."""
+    scene = as_scene(random_scene(seed))
+    assert springs_in_states(scene) == springs_in_regions(scene)
+
+
+def test_a_detent_of_many_periods_is_in_each_piece_beside_a_stop() -> None:
+    """The stop is six pitches away. Two detents whose rests are half a pitch apart are never both in a notch's middle
+    piece, but where one of them has another pitch, they are, some periods away."""
+    ball = {"ball": {"type": "mass", "mass": 0.05}}
+    hold = {"type": "viscoelastic", "between": ["hand", "ball"], "stiffness": 500.0, "damping": 0.5}
+    notches = {"type": "detent", "between": ["ball", "wall"], "pitch": 0.004, "depth": 0.5, "shape": "notch"}
+    stop = {"type": "buffer", "between": ["ball", "wall"], "stiffness": 1000.0, "distance": -0.025}
+    modules = ball | {"hold": hold, "notches": notches | {"sharpness": 4}}
+    beside = {f"{where}, {stop}" for where in NOTCHES for stop in ("apart", "touched")}
+    assert found(predicted(modules | {"stop": stop})) == beside
+    other = {"half": {"type": "ground", "position": 0.002}}
+    for pitch, inside in ((0.004, False), (0.0045, True)):
+        second = modules["notches"] | {"between": ["ball", "half"], "pitch": pitch}
+        assert ("in a notch, in a notch" in found(predicted(modules | other | {"second": second}))) == inside
+
+
+def test_a_search_for_states_that_takes_too_long_is_given_up_and_nothing_called_stable() -> None:
+    pitches = {f"d{i}": 0.01 + 1e-3 * i for i in range(7)}
+    ball = {"ball": {"type": "cell", "mass": 0.05, "stiffness": 20.0, "damping": 2.0}}
+    deep = {"type": "detent", "between": ["ball", "wall"], "depth": 0.01, "shape": "notch", "sharpness": 100.0}
+    prediction = predicted(ball | {name: deep | {"pitch": pitch} for name, pitch in pitches.items()})
+    assert prediction.states.count < MOST_STATES
+    assert prediction.states.unjudged
+    assert not prediction.stable
 
 
 def test_what_moves_where_the_scene_begins_reaches_further() -> None:

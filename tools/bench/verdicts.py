@@ -1,0 +1,45 @@
+"""Verdicts on random scenes of the kinds that are hard to judge, beside the mock that is pushed in virtual time.
+
+    tools/bench/verdicts [--scenes 300] [--first 0] [--pushes 12] [--kind KIND]
+
+Kinds: see tests/verdict_scenes.py. A scene is shaken if, after one of the pushes, a guard ends the run or the swing of
+the last second is as large as that of the second before. The bench prints each scene that is called stable and is
+shaken, and each one that is refused and rests after every push.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+
+import hapsim
+from tests.verdict_scenes import KINDS, as_scene, is_shaken, pushes, verdict_scene
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=300)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--pushes", type=int, default=12)
+    parser.add_argument("--kind", choices=KINDS)
+    options = parser.parse_args()
+    for kind in (options.kind,) if options.kind else KINDS:
+        found: Counter[tuple[str, str]] = Counter()
+        for seed in range(options.first, options.first + options.scenes):
+            document = verdict_scene(kind, seed)
+            prediction = hapsim.predict(as_scene(document), with_margins=False)
+            shaking = prediction.judge.shaking
+            verdict = "stable" if prediction.stable else "at the limit" if shaking is None else "refused"
+            shaken = [push for push in pushes(seed, options.pushes) if is_shaken(document, push)]
+            found[verdict, "shaken" if shaken else "rests"] += 1
+            if shaken and verdict != "refused":
+                where = f"{len(shaken)} of {options.pushes} pushes, such as {shaken[0]}"
+                print(f"{kind} {seed}: {verdict}, but shaken by {where}", flush=True)
+            if not shaken and shaking is not None:
+                what = f"{shaking.growth:.6g} of {shaking.module} while {shaking.state}"
+                print(f"{kind} {seed}: refused ({what}), but rests", flush=True)
+        print(f"{kind}: {options.scenes} scenes; {dict(found)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
