@@ -11,15 +11,12 @@ import numpy as np
 import yaml
 
 from hapsim.errors import GuardError
-from hapsim.recording.trace import Trace
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 
 Modules = dict[str, Any]
 LIMIT = 10.0  # N, of the force
-_SECONDS = 6.0
 _LEAST = 2e-6  # m: a smaller swing is none
-_KEPT = 0.98  # of the swing of the second before: a swing that dies away any slower is not told from one that stays
 
 
 def _stop(chance: random.Random, most: float = 0.03) -> Modules:
@@ -182,11 +179,13 @@ class Push(NamedTuple):
 
 
 def pushes(seed: int, count: int) -> Iterator[Push]:
-    """Random knocks of 0.1 to 1 m/s, every other one with a steady press of 0.1 to 1 of the force limit."""
+    """Knocks of 0.1 to 1 m/s, every other one with a steady press of 0.1 to 1 of the force limit: the hardest first,
+    then random ones."""
     chance = random.Random(seed)
     for n in range(count):
-        force = chance.choice((-1.0, 1.0)) * chance.uniform(0.1, 1.0) * LIMIT if n % 2 else 0.0
-        yield Push(chance.choice((-1.0, 1.0)) * chance.uniform(0.1, 1.0), force)
+        speed, force = (1.0, 1.0) if n < 4 else (chance.uniform(0.1, 1.0), chance.uniform(0.1, 1.0))
+        sides = chance.choice((-1.0, 1.0)), chance.choice((-1.0, 1.0))
+        yield Push(sides[0] * speed, sides[1] * force * LIMIT * (n % 2))
 
 
 def as_scene(document: dict[str, Any], push: Push | None = None) -> Scene:
@@ -199,18 +198,20 @@ def as_scene(document: dict[str, Any], push: Push | None = None) -> Scene:
 
 
 def is_shaken(document: dict[str, Any], push: Push) -> bool:
-    """Returns whether a guard ends the run of six seconds, or a hand swings in the last second as far as before."""
+    """Returns whether a guard ends the run, or a hand swings on. What swings on after some seconds is run again for
+    longer, to tell it from what dies away slowly."""
+    return all(_swings_on(document, push, seconds, kept) for seconds, kept in ((6, 0.9), (40, 0.98)))
+
+
+def _swings_on(document: dict[str, Any], push: Push, seconds: int, kept: float) -> bool:
+    """Returns whether a hand swings in the last second by as much, `kept`, as in that at half the time."""
     try:
-        trace = run_in_memory(as_scene(document, push), duration=_SECONDS)
+        trace = run_in_memory(as_scene(document, push), duration=seconds)
     except GuardError:
         return True
-    return trace.report.ending != "done" or _swings_on(trace)
-
-
-def _swings_on(trace: Trace) -> bool:
-    second = round(trace.rate)
-    x = trace.position.reshape(len(trace.position), -1)
-    last, before = x[-second:], x[-2 * second : -second]
-    drift = np.abs(last[-1] - before[0]) / 2.0  # a hand that travels on does not swing
+    second, x = round(trace.rate), trace.position
+    last, before = x[-second:], x[(half := len(x) // 2) - second : half]
+    drift = np.abs(last[-1] - last[0])  # a hand that travels on does not swing
     swing, earlier = np.ptp(last, axis=0), np.ptp(before, axis=0)
-    return bool(((swing > _LEAST) & (swing > _KEPT * earlier) & (drift < 0.5 * swing)).any())
+    is_early_end = trace.report.ending != "done"
+    return is_early_end or bool(((swing > _LEAST) & (swing > kept * earlier) & (drift < 0.9 * swing)).any())

@@ -41,11 +41,19 @@ class Option(NamedTuple):
     """Movement of its ends that it needs before, m."""
     period: float = 0.0
     """Period of the piece, m; 0: none."""
+    sweep: float = 0.0
+    """Swing of its ends from end to end, m, for which the piece stands: a period; 0: a small one."""
 
     @property
     def kind(self) -> tuple[object, ...]:
         """What tells it from other pieces of its law; copies and alike pieces of a law that repeats are of one kind."""
         return self.state, self.linear, None if self.period else self.low
+
+    @property
+    def swept(self) -> Option:
+        """The mean of a piece that repeats, for a swing across its period: no spring."""
+        linear = self.linear._replace(stiffness=0.0)
+        return Option("swept across its period", linear, sweep=self.period)
 
     @property
     def acts(self) -> bool:
@@ -76,7 +84,8 @@ def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
     if not dampings:
         return tuple(found)
     paced = []
-    for pace, damping in [("slow", None), *(("fast" if one else "faster than its table", one) for one in dampings)]:
+    weak = "faster than its table" if min(-law.speeds[0][0], law.speeds[-1][0]) < fastest else "at its weakest"
+    for pace, damping in [("slow", None), *(("fast" if one > here.damping else weak, one) for one in dampings)]:
         for one in found:
             linear = one.linear if damping is None else one.linear._replace(damping=damping)
             paced.append(one._replace(state=f"{one.state} and {pace}" if one.state else pace, linear=linear))
@@ -88,7 +97,7 @@ State = dict[str, Option]
 
 
 _MOST_COPIES = 32  # of a piece that repeats, to either side of the start
-_MOST_TRIES = 20_000  # a third of a second
+_MOST_TRIES = 100_000  # half a second
 _OVERLAP = 1e-12  # m: smaller overlaps do not count
 
 
@@ -135,11 +144,15 @@ class Reach:
     def met(self, between: tuple[str, str], options: tuple[Option, ...]) -> tuple[Option, ...]:
         """Returns these options without those that need ends to meet, or to move by more, which they cannot."""
         begins = self._begins[between[0]] - self._begins[between[1]]
-        i, j = (self._index.get(end, len(self._index) - 1) for end in between)
-        options = tuple(one for one in options if one.moved <= self.apart[i, j] + self.apart[j, i])
+        options = tuple(one for one in options if one.moved <= self.way(between))
         touching = Option("", Linear(0.0, 0.0), -2.0 * _OVERLAP, 2.0 * _OVERLAP)
         meet = self.limited(self.apart, between, touching) is not None
         return tuple(one for one in options if not one.through or meet or one.low <= begins <= one.high)
+
+    def way(self, between: tuple[str, str]) -> float:
+        """Returns how far the ends of this link can move, m, from the least distance to the largest."""
+        i, j = (self._index.get(end, len(self._index) - 1) for end in between)
+        return float(self.apart[i, j] + self.apart[j, i])
 
     def possible(self, apart: Floats, between: tuple[str, str], option: Option) -> Iterator[tuple[Option, Floats]]:
         """Yields the copies of a piece that this link can be in, the nearest to its start first, each with `apart`

@@ -11,9 +11,12 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from itertools import islice
 
 import hapsim
 from tests.verdict_scenes import KINDS, as_scene, is_shaken, pushes, verdict_scene
+
+MORE = 8  # times the pushes, to find one that shakes a scene that is refused
 
 
 def main() -> None:
@@ -30,7 +33,9 @@ def main() -> None:
             prediction = hapsim.predict(as_scene(document), with_margins=False)
             shaking = prediction.judge.shaking
             verdict = "stable" if prediction.stable else "at the limit" if shaking is None else "refused"
-            shaken = [push for push in pushes(seed, options.pushes) if is_shaken(document, push)]
+            tried = pushes(seed, options.pushes if shaking is None else MORE * options.pushes)
+            shaken = (push for push in tried if is_shaken(document, push))
+            shaken = list(islice(shaken, 1)) if shaking else list(shaken)
             found[verdict, "shaken" if shaken else "rests"] += 1
             if shaken and verdict != "refused":
                 where = f"{len(shaken)} of {options.pushes} pushes, such as {shaken[0]}"
