@@ -17,6 +17,7 @@ from hapsim.scene import Scene, parse_scene
 Modules = dict[str, Any]
 LIMIT = 10.0  # N, of the force
 _LEAST = 2e-6  # m: a smaller swing is none
+_KEPT = 0.98  # of a swing after a quarter of the run: one that dies away any slower is not told from one that stays
 
 
 def _stop(chance: random.Random, most: float = 0.03) -> Modules:
@@ -200,18 +201,20 @@ def as_scene(document: dict[str, Any], push: Push | None = None) -> Scene:
 def is_shaken(document: dict[str, Any], push: Push) -> bool:
     """Returns whether a guard ends the run, or a hand swings on. What swings on after some seconds is run again for
     longer, to tell it from what dies away slowly."""
-    return all(_swings_on(document, push, seconds, kept) for seconds, kept in ((6, 0.9), (40, 0.98)))
+    return all(_swings_on(document, push, seconds) for seconds in (8, 40))
 
 
-def _swings_on(document: dict[str, Any], push: Push, seconds: int, kept: float) -> bool:
-    """Returns whether a hand swings in the last second by as much, `kept`, as in that at half the time."""
+def _swings_on(document: dict[str, Any], push: Push, seconds: int) -> bool:
+    """Returns whether a hand swings as far in a second of the last quarter as in each second of the second one."""
     try:
         trace = run_in_memory(as_scene(document, push), duration=seconds)
     except GuardError:
         return True
-    second, x = round(trace.rate), trace.position
-    last, before = x[-second:], x[(half := len(x) // 2) - second : half]
-    drift = np.abs(last[-1] - last[0])  # a hand that travels on does not swing
-    swing, earlier = np.ptp(last, axis=0), np.ptp(before, axis=0)
-    is_early_end = trace.report.ending != "done"
-    return is_early_end or bool(((swing > _LEAST) & (swing > kept * earlier) & (drift < 0.9 * swing)).any())
+    if trace.report.ending != "done":
+        return True
+    x = trace.position.reshape(4 * (seconds // 4), -1, trace.position.shape[1])
+    swing = np.ptp(x, axis=1)
+    swing[np.abs(x[:, -1] - x[:, 0]) > 0.9 * swing] = 0.0  # a hand that travels on does not swing
+    quarter = len(x) // 4
+    late, early = swing[-quarter:].max(axis=0), swing[quarter : 2 * quarter].min(axis=0)
+    return bool(((late > _LEAST) & (late > _KEPT * early)).any())

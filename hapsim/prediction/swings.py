@@ -197,6 +197,7 @@ class Swinging(NamedTuple):
 
 _MANY_STATES = 40  # fewer eigenvalues take one thread anyway
 _SQUARED = 24  # most squarings: a motion that takes more than 2^24 samples to decay is close to the limit
+_AT_ONCE = 2.0  # growth of a snap in a sample, above which its piece is left within some samples: no motion lasts there
 _GONE = 0.1  # norm of a power, below which all moduli are below 1
 _MOST_NORM = 1e5  # of the norms before: above, rounding of the squares, 1e-16 of their own, would matter
 
@@ -326,7 +327,8 @@ class NetworkVerdict:
 
     def shaken_by_network(self, most_angle: float = math.inf) -> Shaking | None:
         """Returns the motion that surely grows, apart from snaps; None also if the poles cannot be computed for the
-        scheme. `most_angle`: turn of a motion in a sample, rad, above which it does not count."""
+        scheme. A pair beside a snap counts, unless the snap leaves its piece at once. `most_angle`: turn of a motion in
+        a sample, rad, above which it does not count."""
         if not self.snaps and (self.decays or self._stays):
             return None
         solution = self.solved.solution
@@ -335,8 +337,9 @@ class NetworkVerdict:
         if math.isnan(solution.spectral_radius):
             return Shaking(math.inf, "")
         poles = drop_real_poles(solution.poles.tolist(), self.snaps)
+        driven = max(map(abs, {*solution.poles.tolist()} - {*poles}), default=0.0)
         radius = max([solution.growth, *(abs(pole) for pole in poles if abs(cmath.phase(pole)) <= most_angle)])
-        if not radius > SURELY:
+        if not radius > (driven if driven > _AT_ONCE else SURELY):
             return None
         near = min(solution.modes, key=lambda mode: abs(abs(mode.pole) - radius), default=None)
         if near is None or abs(near.pole) < radius * (1.0 - 1e-9):
