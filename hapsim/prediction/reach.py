@@ -50,6 +50,11 @@ class Option(NamedTuple):
         return self.state, self.linear, None if self.period else self.low
 
     @property
+    def away(self) -> float:
+        """Least distance of its ends from 0, m."""
+        return max(self.low, -self.high, 0.0)
+
+    @property
     def swept(self) -> Option:
         """The mean of a piece that repeats, for a swing across its period: no spring."""
         linear = self.linear._replace(stiffness=0.0)

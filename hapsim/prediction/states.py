@@ -106,21 +106,23 @@ class ContactStates:
             return "with its contacts as assumed; not every state of them was judged"
         return f"in all {self.count} states of its contacts; bounces are not judged" if self.count > 1 else ""
 
-    def instead(self) -> dict[str, Linear]:
-        """Links whose assumed state is impossible after those of the links before them, with their possible states."""
+    def instead(self, is_free: bool) -> dict[str, Linear]:
+        """Links whose assumed state is impossible after those of the links before them, with their possible states. If
+        the hands are `is_free`, nothing rests in a snap either: then the nearest other piece is taken."""
         found: dict[str, Linear] = {}
         for names in (part[0] for part in self.parts if part):
             apart = self._reach.apart
             for name in names:
                 options, between = self._options[name], self._linear.links[name].between
                 taken = [one for one in options if self._is_assumed(name, one)]
-                every = (self._reach.possible(apart, between, one) for one in (*taken, *options) if taken)
+                why = f"it cannot be {taken[0].state} with the links before it as assumed" if taken else ""
+                if is_free and self._linear.links[name].stiffness < 0.0:
+                    taken, why = [], "nothing rests where its force falls"
+                    options = tuple(sorted(options, key=lambda one: (one.linear.stiffness < 0.0, one.away)))
+                every = (self._reach.possible(apart, between, one) for one in (*taken, *options) if why)
                 one, apart = next(chain.from_iterable(every), (None, apart))
                 if one is not None and not self._is_assumed(name, one):
-                    words = (
-                        f"is taken as {one.state}: it cannot be {taken[0].state} with the links before it as assumed"
-                    )
-                    found[name] = one.linear._replace(assumption=words)
+                    found[name] = one.linear._replace(assumption=f"is taken as {one.state}: {why}")
         return found
 
     def _is_assumed(self, name: str, option: Option) -> bool:

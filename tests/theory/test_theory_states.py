@@ -293,6 +293,9 @@ class TestALeverWithASnapInTheMiddle:
             assert prediction.stable
             assert prediction.stable_as_taken
             assert prediction.judge.shaking is None
+        taken = predict(self.lever(between), with_margins=False)
+        assert taken.spectral_radius < 1.0
+        assert "snap is taken as piece 1: nothing rests where its force falls" in taken.assumptions
         for speed in (0.1, 0.4, 1.0):
             x = run_in_memory(self.lever(between, speed=speed), duration=4.0).position
             assert np.ptp(x[-1000:]) < 0.1 * np.ptp(x[-2000:-1000]) + 1e-6
