@@ -149,13 +149,15 @@ class Law:
         return max(tension for _, tension in self.knots) if self.pushes else math.inf
 
     def dampings_at(self, speed: float) -> tuple[float, ...]:
-        """N·s/m, other dampings than those at rest that a motion up to this speed, m/s, may meet: the steepest, and
-        none where it is level beyond its points."""
+        """N·s/m, other dampings than those at rest that a motion up to this speed, m/s, may meet: the steepest, and the
+        least of force over speed, with the mean force of both ways, as an oscillation moves both ways."""
         if not self.speeds:
             return ()
         at_rest, steepest = max(self.dampings), self._over_speed.sector[1]
-        is_level = at_rest > 0.0 and min(-self.speeds[0][0], self.speeds[-1][0]) < speed
-        return (steepest,) * (steepest > max(at_rest, 0.0)) + (0.0,) * is_level
+        speeds = [*(abs(v) for v, _ in self.speeds if 0.0 < abs(v) < speed), speed]
+        brakes = self._over_speed.tension
+        least = min(float(brakes(v) - brakes(-v)) / (2.0 * v) for v in speeds)
+        return (steepest,) * (steepest > max(at_rest, 0.0)) + (least,) * (least < at_rest - 1e-9 * abs(at_rest))
 
     def strongest(self, rate: float) -> float:
         """N, which the tension never exceeds at this rate of samples (Hz); infinite where nothing bounds it."""

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.prediction import predict, states
+from hapsim.prediction.linear import links_of
 from hapsim.scene import Scene, parse_scene
 
 Floats = NDArray[np.float64]
@@ -140,3 +143,20 @@ _FORMULAS: dict[str, Callable[[dict[str, Any], Floats], tuple[Floats, Floats]]] 
     "detent": _notches,
     "friction": lambda module, d: (module["stiffness"] * d, np.ones(d.size)),
 }
+
+
+def springs_in_regions(scene: Scene) -> set[tuple[float, float]]:
+    """N/m and N·s/m of all links together in each region of the hand."""
+    (regions,) = predict(scene, with_margins=False).judge.regions.values()
+    return {(round(one.felt.stiffness, 6), round(one.felt.damping, 6)) for one in regions}
+
+
+def springs_in_states(scene: Scene) -> set[tuple[float, float]]:
+    """The same in each state of its contacts, as of a hand that moves more than itself."""
+    with mock.patch.object(states, "needs_network", return_value=True):
+        prediction = predict(scene, with_margins=False)
+    links = links_of(prediction._linear, "hand")
+    (every,) = prediction.states.parts
+    found = [[state[name].linear if name in state else one for name, one in links.items()] for state in every]
+    sums = ((sum(one.stiffness for one in here), sum(one.damping for one in here)) for here in found)
+    return {(round(stiffness, 6), round(damping, 6)) for stiffness, damping in sums}

@@ -109,8 +109,9 @@ def held(network: Network) -> Network:
 class PlaneVerdict(NetworkVerdict):
     """Growing motions of a scene in the plane."""
 
-    def shaken_by_network(self, snaps: int = 0, *, held: bool = True) -> Shaking | None:
-        return super().shaken_by_network(snaps or directions(self.network)[0], held=held)
+    @cached_property
+    def snaps(self) -> int:
+        return directions(self.network)[0]
 
 
 class PlaneJudge(PlaneVerdict, Judge):

@@ -50,7 +50,7 @@ class Prediction:
         self._tolerances: dict[object, Tolerance | None] = {}
         self._seen = self._rendering.seen
         self._take()
-        if scene.space == 1 and (instead := self.states.instead()):
+        if scene.space == 1 and (instead := self.states.instead(self._at is None)):
             self._take(instead)
         whys = {name: self._coupling_reason(name) for name in scene.device_points}
         self.coupled: dict[str, str] = {name: why for name, why in whys.items() if why}

@@ -41,12 +41,24 @@ class Option(NamedTuple):
     """Movement of its ends that it needs before, m."""
     period: float = 0.0
     """Period of the piece, m; 0: none."""
+    sweep: float = 0.0
+    """Swing of its ends from end to end, m, for which the piece stands: a period; 0: a small one."""
 
-    def near(self, d: float) -> tuple[float, float]:
-        """Returns the ends of the copy of the piece that is nearest to this distance, m."""
-        middle = 0.5 * (self.low + self.high)
-        away = self.period * round((d - middle) / self.period) if self.period else 0.0
-        return self.low + away, self.high + away
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """What tells it from other pieces of its law; copies and alike pieces of a law that repeats are of one kind."""
+        return self.state, self.linear, None if self.period else self.low
+
+    @property
+    def away(self) -> float:
+        """Least distance of its ends from 0, m."""
+        return max(self.low, -self.high, 0.0)
+
+    @property
+    def swept(self) -> Option:
+        """The mean of a piece that repeats, for a swing across its period: no spring."""
+        linear = self.linear._replace(stiffness=0.0)
+        return Option("swept across its period", linear, sweep=self.period)
 
     @property
     def acts(self) -> bool:
@@ -71,13 +83,14 @@ def options_of(law: Law, fastest: float = 1.0) -> tuple[Option, ...]:
     for (piece, linear), (low, high) in zip(pieces, ends, strict=True):
         if found and (found[-1].linear, found[-1].state) == (linear, piece.state):
             found[-1] = found[-1]._replace(high=high)
-        elif not law.period or linear not in [one.linear for one in found]:
+        else:
             found.append(Option(piece.state, linear, low, high, period=law.period))
     dampings = law.dampings_at(fastest)
     if not dampings:
         return tuple(found)
     paced = []
-    for pace, damping in [("slow", None), *(("fast" if one else "faster than its table", one) for one in dampings)]:
+    weak = "faster than its table" if min(-law.speeds[0][0], law.speeds[-1][0]) < fastest else "at its weakest"
+    for pace, damping in [("slow", None), *(("fast" if one > here.damping else weak, one) for one in dampings)]:
         for one in found:
             linear = one.linear if damping is None else one.linear._replace(damping=damping)
             paced.append(one._replace(state=f"{one.state} and {pace}" if one.state else pace, linear=linear))
@@ -88,6 +101,8 @@ State = dict[str, Option]
 """Piece of each link of a part of the scene, by name."""
 
 
+_MOST_COPIES = 32  # of a piece that repeats, to either side of the start
+_MOST_TRIES = 100_000  # half a second
 _OVERLAP = 1e-12  # m: smaller overlaps do not count
 
 
@@ -100,7 +115,7 @@ class Reach:
     """
 
     def __init__(self, scene: Scene, linear: LinearScene, contacts: Collection[str]) -> None:
-        self._begins = start_positions(scene)
+        self._begins, self.tries = start_positions(scene), _MOST_TRIES
         touched = {end for name in contacts for end in linear.links[name].between if end not in scene.grounds}
         self._index = {name: i for i, name in enumerate((*sorted(touched), STAYS))}
         near: dict[str, list[tuple[str, float]]] = {}
@@ -134,11 +149,36 @@ class Reach:
     def met(self, between: tuple[str, str], options: tuple[Option, ...]) -> tuple[Option, ...]:
         """Returns these options without those that need ends to meet, or to move by more, which they cannot."""
         begins = self._begins[between[0]] - self._begins[between[1]]
-        i, j = (self._index.get(end, len(self._index) - 1) for end in between)
-        options = tuple(one for one in options if one.moved <= self.apart[i, j] + self.apart[j, i])
+        options = tuple(one for one in options if one.moved <= self.way(between))
         touching = Option("", Linear(0.0, 0.0), -2.0 * _OVERLAP, 2.0 * _OVERLAP)
         meet = self.limited(self.apart, between, touching) is not None
         return tuple(one for one in options if not one.through or meet or one.low <= begins <= one.high)
+
+    def way(self, between: tuple[str, str]) -> float:
+        """Returns how far the ends of this link can move, m, from the least distance to the largest."""
+        i, j = (self._index.get(end, len(self._index) - 1) for end in between)
+        return float(self.apart[i, j] + self.apart[j, i])
+
+    def possible(self, apart: Floats, between: tuple[str, str], option: Option) -> Iterator[tuple[Option, Floats]]:
+        """Yields the copies of a piece that this link can be in, the nearest to its start first, each with `apart`
+        then. A piece that does not repeat is its only copy."""
+        i, j = (self._index.get(end, len(self._index) - 1) for end in between)
+        begins, away = self._begins[between[0]] - self._begins[between[1]], [0.0]
+        if period := option.period:
+            least, most = (min(apart[way], _MOST_COPIES * period) for way in ((j, i), (i, j)))
+            numbers = (
+                math.floor((begins - least - option.high) / period),
+                math.ceil((begins + most - option.low) / period),
+            )
+            middle = begins - 0.5 * (option.low + option.high)
+            away = sorted((n * period for n in range(numbers[0], numbers[1] + 1)), key=lambda x: abs(x - middle))
+        for x in away:
+            self.tries -= bool(period)
+            if self.tries < 0:
+                return
+            copy = option._replace(low=option.low + x, high=option.high + x)
+            if (nearer := self.limited(apart, between, copy)) is not None:
+                yield copy, nearer
 
     def limited(self, apart: Floats, between: tuple[str, str], option: Option) -> Floats | None:
         """Returns `apart` with this link in such a piece; None if it cannot be in it."""
@@ -239,7 +279,7 @@ def part_swing(
         for i, name in links.items():
             if name in state:
                 springs[0][i], springs[1][i] = state[name].linear.stiffness, state[name].linear.damping
-                pieces[i] = state[name].near(stretch[i])
+                pieces[i] = state[name].low, state[name].high
         there = replace(part, stiffness=springs[0], damping=springs[1])
         is_moving = any(law.speeds and springs[1][i] != law.linear().damping for i, law in laws.items())
         rests.append(

@@ -135,7 +135,7 @@ class Judge(NetworkVerdict):
     def is_stable_as_taken(self) -> bool:
         """True if all computed motions decay in the assumed states of the contacts, in every region of the hands."""
         shaken = any(region.growth for regions in self.regions.values() for region in regions)
-        return not shaken and not self.loose and (self.is_lone or self.solved.solution.is_stable)
+        return not shaken and not self.loose and (self.is_lone or self.is_calm)
 
     @cached_property
     def is_stable(self) -> bool:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import cached_property
-from itertools import islice
+from itertools import chain, combinations, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,6 @@ from hapsim.scene import Scene
 from hapsim.theory import Network
 from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network import LARGE, part_of, part_of_each, parts_of, proves_stability, state_size
-from hapsim.theory.rows import stretches_of
 
 MOST_STATES = 1024
 """Limit of the states in one part of the scene."""
@@ -58,14 +57,13 @@ class ContactStates:
     def __init__(self, scene: Scene, linear: LinearScene, network: Network, points: tuple[str, ...]) -> None:
         """`linear`, `network`, `points`: the linear form of the scene."""
         self._scene, self._linear, self._network, self._points = scene, linear, network, points
-        hands = (name for name in scene.device_points if not coupling_reason(scene, linear, name))
-        alone = {name for name in hands if not needs_network(scene, name)}
+        self._single = {name for name in scene.device_points if not coupling_reason(scene, linear, name)}
+        alone = {name for name in self._single if not needs_network(scene, name)}
         self._ends = dict(zip(linear.links, network.ends.tolist(), strict=False))
         moving = (name for name, (first, second) in self._ends.items() if first != second)  # not two grounds, -1
         own = (name for name in moving if not {*linear.links[name].between} & alone)
-        fastest = fastest_motion(scene)
-        links = scene.links
-        every = ((name, options_of(links[name].law(), fastest)) for name in own)
+        self._fastest, links = fastest_motion(scene), scene.links
+        every = ((name, options_of(links[name].law(), self._fastest)) for name in own)
         options = {name: found for name, found in every if len(found) > 1}
         self.parts: list[list[State]] = []
         self.is_complete = True
@@ -81,7 +79,7 @@ class ContactStates:
             if len(names) <= _MOST_CONTACTS:
                 found += islice(self._possible(names, self._reach.apart), MOST_STATES + 1)
             self.is_complete &= len(names) <= _MOST_CONTACTS
-            self.is_complete &= len(found) <= MOST_STATES
+            self.is_complete &= len(found) <= MOST_STATES and self._reach.tries >= 0
             self.parts.append(found[:MOST_STATES])
 
     @property
@@ -103,27 +101,28 @@ class ContactStates:
     def words(self) -> str:
         """Phrase that follows "stable" or "unstable" and limits the verdict; "" if there is one state."""
         if self.growing:
-            return f"while {max(self.growing, key=lambda one: one.growth).state}"
+            return f"while {max(self.growing, key=lambda one: one.rank).state}"
         if self.unjudged:
             return "with its contacts as assumed; not every state of them was judged"
         return f"in all {self.count} states of its contacts; bounces are not judged" if self.count > 1 else ""
 
-    def instead(self) -> dict[str, Linear]:
-        """Links whose assumed state is impossible after those of the links before them, with their possible states."""
+    def instead(self, is_free: bool) -> dict[str, Linear]:
+        """Links whose assumed state is impossible after those of the links before them, with their possible states. If
+        the hands are `is_free`, nothing rests in a snap either: then the nearest other piece is taken."""
         found: dict[str, Linear] = {}
         for names in (part[0] for part in self.parts if part):
             apart = self._reach.apart
             for name in names:
                 options, between = self._options[name], self._linear.links[name].between
                 taken = [one for one in options if self._is_assumed(name, one)]
-                limits = [(one, self._reach.limited(apart, between, one)) for one in (*taken, *options) if taken]
-                one, nearer = next(((one, limit) for one, limit in limits if limit is not None), (None, None))
-                apart = apart if nearer is None else nearer
-                if one is not None and one not in taken:
-                    words = (
-                        f"is taken as {one.state}: it cannot be {taken[0].state} with the links before it as assumed"
-                    )
-                    found[name] = one.linear._replace(assumption=words)
+                why = f"it cannot be {taken[0].state} with the links before it as assumed" if taken else ""
+                if is_free and self._linear.links[name].stiffness < 0.0:
+                    taken, why = [], "nothing rests where its force falls"
+                    options = tuple(sorted(options, key=lambda one: (one.linear.stiffness < 0.0, one.away)))
+                every = (self._reach.possible(apart, between, one) for one in (*taken, *options) if why)
+                one, apart = next(chain.from_iterable(every), (None, apart))
+                if one is not None and not self._is_assumed(name, one):
+                    found[name] = one.linear._replace(assumption=f"is taken as {one.state}: {why}")
         return found
 
     def _is_assumed(self, name: str, option: Option) -> bool:
@@ -131,15 +130,24 @@ class ContactStates:
         return (option.linear.stiffness, option.linear.damping) == (link.stiffness, link.damping)
 
     def _possible(self, names: list[str], apart: Floats) -> Iterator[State]:
+        """Yields the states that these links can be in together, each once: a piece that repeats in one of its copies
+        that permit it."""
         if not names:
             yield {}
             return
         first, *rest = names
+        most = math.prod(len({one.kind for one in self._options[name]}) for name in rest)
+        found = dict[object, set[object]]()
         for option in self._options[first]:
-            nearer = self._reach.limited(apart, self._linear.links[first].between, option)
-            if nearer is not None:
+            beside = found.setdefault(option.kind, set())
+            for copy, nearer in self._reach.possible(apart, self._linear.links[first].between, option):
+                if len(beside) == most:
+                    break
                 for others in self._possible(rest, nearer):
-                    yield {first: option} | others
+                    kinds = tuple(one.kind for one in others.values())
+                    if kinds not in beside:
+                        beside.add(kinds)
+                        yield {first: copy} | others
 
     @cached_property
     def _verdicts(self) -> tuple[list[tuple[Shaking, State]], int]:
@@ -147,27 +155,47 @@ class ContactStates:
         with the whole scene; points that several states join in the same way are judged once."""
         verdicts, left, unjudged = dict[object, Shaking | None](), _WORK, 0
         found: list[tuple[Shaking, State]] = []
-        for state in (one for part in self.parts for one in part):
+        for state in (swept for part in self.parts for swept in self._with_swept(part)):
             if all(self._is_assumed(name, option) for name, option in state.items()):
                 continue
             left -= _OF_STATE
             is_judged = left > 0.0 and all(math.isfinite(option.linear.stiffness) for option in state.values())
             for blocks, names in self._joined(state) if is_judged else ():
-                key = blocks, tuple((name, state[name].linear) for name in names if state[name].acts)
+                sweep = max((state[name].sweep for name in names), default=0.0)
+                key = blocks, sweep, tuple((name, state[name].linear) for name in names if state[name].acts)
                 if key not in verdicts:
+                    most_angle = 2.0 * self._fastest / (sweep * self._network.rate) if sweep else math.inf
                     network, points = self._part(blocks, state)
                     grows, size = not proves_stability(network), state_size(network)
                     left -= grows * (_OF_LARGE * size if size > LARGE else (size + _OF_EACH) ** 3)
                     if left < 0.0:
                         is_judged = False
                         continue
-                    shaking = NetworkVerdict(network, points).shaken_by_network(_snaps(network)) if grows else None
+                    shaking = NetworkVerdict(network, points).shaken_by_network(most_angle) if grows else None
                     how = ", ".join(f"{name} is {state[name].state}" for name in names)
                     verdicts[key] = shaking and shaking._replace(state=how)
                 if (grown := verdicts[key]) is not None:
                     found.append((grown, state))
             unjudged += not is_judged
         return found, unjudged
+
+    def _with_swept(self, states: list[State]) -> Iterator[State]:
+        """Yields these states, then others in which links that repeat are swept across, each once."""
+        yield from states
+        seen = set[object]()
+        for state in states:
+            swept = {name: one.swept for name, one in state.items() if one.period and self._is_swept(name, one.period)}
+            for names in chain.from_iterable(combinations(swept, count + 1) for count in range(len(swept))):
+                other = state | {name: swept[name] for name in names}
+                if (kinds := tuple(one.kind for one in other.values())) not in seen:
+                    seen.add(kinds)
+                    yield other
+
+    def _is_swept(self, name: str, period: float) -> bool:
+        """Returns whether a swing takes this link across its period: not that of a hand that moves nothing else, which
+        is softer there than in its notches."""
+        between = self._linear.links[name].between
+        return not {*between} & self._single and self._reach.way(between) >= period
 
     def grown(self, is_unstable: bool, regional: Collection[str]) -> list[Grown]:
         """Returns the fastest growing motion of each part of the scene that has one, the fastest first. `is_unstable`:
@@ -185,9 +213,12 @@ class ContactStates:
                 options = {name: [one for one in self._options[name] if self._is_assumed(name, one)] for name in part}
                 state = {name: found[0] for name, found in options.items() if part[name] == its and found}
                 grown.setdefault(its, []).append((taken, state))
-        most = {its: max(every, key=lambda one: one[0].growth)[0] for its, every in grown.items()}
+        most = {its: max((one for one, _ in every), key=lambda one: one.rank) for its, every in grown.items()}
         states = {its: [(one.growth, state) for one, state in every] for its, every in grown.items()}
-        return [Grown(most[its], points[its], states[its]) for its in sorted(most, key=lambda its: -most[its].growth)]
+        return [
+            Grown(most[its], points[its], states[its])
+            for its in sorted(most, key=lambda its: most[its].rank, reverse=True)
+        ]
 
     def swing_of(self, grown: Grown) -> Swing | None:
         """Returns the size of the oscillation in this part of the scene; None if it was not found."""
@@ -221,13 +252,3 @@ class ContactStates:
         points = np.flatnonzero(np.isin(self._block, list(blocks)))
         names = tuple(self._points[point] for point in points.tolist())
         return part_of(replace(self._network, stiffness=stiffness, damping=damping), points), names
-
-
-def _snaps(network: Network) -> int:
-    """Number of unstable directions at rest: as many poles belong to a snap."""
-    if not (network.stiffness < 0.0).any():
-        return 0
-    stretches = stretches_of(network, sparse=False)
-    held = np.append(network.channel_stiffness, np.zeros(network.point_mass.size))
-    stiffness = np.linalg.eigvalsh(stretches.T @ (network.stiffness[:, None] * stretches) + np.diag(held))
-    return int((stiffness < -1e-9 * np.abs(stiffness).max(initial=0.0)).sum())

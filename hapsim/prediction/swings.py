@@ -6,6 +6,7 @@ neighbouring pieces limit it. A hand that presses steadily holds the rest at any
 
 from __future__ import annotations
 
+import cmath
 import contextlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,6 +22,7 @@ from hapsim.prediction.linear import stand_in_for
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network import LARGE, SURELY, loop, state_size
+from hapsim.theory.network.modes import AT_THE_LIMIT
 from hapsim.theory.rows import stretches_of
 from hapsim.units import Units
 
@@ -195,6 +197,7 @@ class Swinging(NamedTuple):
 
 _MANY_STATES = 40  # fewer eigenvalues take one thread anyway
 _SQUARED = 24  # most squarings: a motion that takes more than 2^24 samples to decay is close to the limit
+_AT_ONCE = 2.0  # growth of a snap in a sample, above which its piece is left within some samples: no motion lasts there
 _GONE = 0.1  # norm of a power, below which all moduli are below 1
 _MOST_NORM = 1e5  # of the norms before: above, rounding of the squares, 1e-16 of their own, would matter
 
@@ -210,6 +213,13 @@ class Shaking(NamedTuple):
     """State of the contacts in its part of the scene, such as "finger is apart"; "" in the assumed state."""
     swing: Swing | None = None
     """Oscillation that it grows to, if found."""
+    snaps: int = 0
+    """Number of snaps beside it."""
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Order by growth, behind those that a snap cuts short."""
+        return not self.snaps, self.growth
 
     def sentence(self, units: Units) -> str:
         """Returns the sentence, without a full stop."""
@@ -289,6 +299,14 @@ class NetworkVerdict:
         return False
 
     @property
+    def is_calm(self) -> bool:
+        """True if every motion decays, for the computed poles, apart from snaps; False at the limit."""
+        if not self.snaps:
+            return self.solved.solution.is_stable
+        poles = drop_real_poles(self.solved.solution.poles.tolist(), self.snaps)
+        return max(map(abs, poles), default=0.0) < 1.0 - AT_THE_LIMIT
+
+    @property
     def _stays(self) -> bool:
         """True if no pole's modulus says that a motion surely grows. False proves nothing."""
         change = self._change
@@ -296,24 +314,34 @@ class NetworkVerdict:
             return False
         return bool(np.abs(1.0 + np.linalg.eigvals(change)).max(initial=0.0) <= SURELY)
 
-    def shaken_by_network(self, snaps: int = 0, *, held: bool = False) -> Shaking | None:
-        """Returns the motion that surely grows; None also if the poles cannot be computed for the scheme. `snaps`:
-        number of real poles that belong to snaps; a snap moves the points on before a slower growth is felt, unless
-        they are `held`."""
-        if not snaps and (self.decays or self._stays):
+    @cached_property
+    def snaps(self) -> int:
+        """Number of unstable directions at rest: as many real poles belong to a snap, which moves the points on."""
+        network = self.network
+        if not (network.stiffness < 0.0).any():
+            return 0
+        stretches = stretches_of(network, sparse=False)
+        held = np.append(network.channel_stiffness, np.zeros(network.point_mass.size))
+        stiffness = np.linalg.eigvalsh(stretches.T @ (network.stiffness[:, None] * stretches) + np.diag(held))
+        return int((stiffness < -1e-9 * np.abs(stiffness).max(initial=0.0)).sum())
+
+    def shaken_by_network(self, most_angle: float = math.inf) -> Shaking | None:
+        """Returns the motion that surely grows, apart from snaps; None also if the poles cannot be computed for the
+        scheme. A pair beside a snap counts, unless the snap leaves its piece at once. `most_angle`: turn of a motion in
+        a sample, rad, above which it does not count."""
+        if not self.snaps and (self.decays or self._stays):
             return None
         solution = self.solved.solution
         if self.solved.instead:
             return None
         if math.isnan(solution.spectral_radius):
             return Shaking(math.inf, "")
-        radius = solution.spectral_radius
-        if snaps:
-            every, rest = solution.poles.tolist(), drop_real_poles(solution.poles.tolist(), snaps)
-            radius, driven = (max(map(abs, poles), default=0.0) for poles in (rest, {*every} - {*rest}))
-        if not radius > (max(SURELY, driven) if snaps and not held else SURELY):
+        poles = drop_real_poles(solution.poles.tolist(), self.snaps)
+        driven = max(map(abs, {*solution.poles.tolist()} - {*poles}), default=0.0)
+        radius = max([solution.growth, *(abs(pole) for pole in poles if abs(cmath.phase(pole)) <= most_angle)])
+        if not radius > (driven if driven > _AT_ONCE else SURELY):
             return None
         near = min(solution.modes, key=lambda mode: abs(abs(mode.pole) - radius), default=None)
         if near is None or abs(near.pole) < radius * (1.0 - 1e-9):
-            return Shaking(radius, "")
-        return Shaking(radius, self.points[int(np.argmax(near.participation))].partition(".")[0])
+            return Shaking(radius, "", snaps=self.snaps)
+        return Shaking(radius, self.points[int(np.argmax(near.participation))].partition(".")[0], snaps=self.snaps)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Network
 from hapsim.theory.network import poles_of, proves_stability
 from tests.contact_scenes import begun, contact_scene, growths_within, judged_unstable, unsnapped_states
+from tests.piecewise_scenes import as_scene, random_scene, springs_in_regions, springs_in_states
 
 SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))
 HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
@@ -26,6 +27,8 @@ GRIP = {"type": "plectrum", "stiffness": 1200.0, "damping": 1.5, "release": 0.00
 BALL = {"ball": {"type": "cell", "mass": 0.1, "stiffness": 400.0}}
 FINGER = {"type": "buffer", "between": ["hand", "ball"], "stiffness": 500.0, "damping": 8.0, "distance": 0.01}
 DRIVE = {"type": "nonlinear", "between": ["ball", "wall"], "force_over_velocity": [[-1.0, 1.0], [1.0, -1.0]]}
+
+NOTCHES = ("in a notch", "at the edge of a notch", "between notches")
 
 
 def scene_of(modules: dict[str, Any], mock: dict[str, Any] | None = None, **device: Any) -> Scene:
@@ -175,7 +178,7 @@ def test_a_law_s_pieces_are_the_states_of_its_link() -> None:
     links = scene_of(modules).links
     states = {name: [(one.state, one.linear.stiffness) for one in options_of(links[name].law())] for name in links}
     assert states["bow"] == [("stuck", 100.0), ("sliding", 0.0)]
-    assert [stiffness for _, stiffness in states["ridge"]] == pytest.approx([-800.0, 800.0, 0.0])
+    assert [stiffness for _, stiffness in states["ridge"]] == pytest.approx([-800.0, 800.0, -800.0, 0.0])
     assert [stiffness for _, stiffness in states["curve"]] == pytest.approx([0.0, 100.0, 100.0, -200.0, 0.0])
 
 
@@ -195,6 +198,110 @@ def test_masses_that_are_reported_not_to_grow_have_no_pole_outside_of_the_circle
     stiff = Network(1.0 / step, none, none, 1.0, "zoh", "ideal", mass, [[0, -1]], [4.1 * mass[0] / step**2], [0.0])
     assert not proves_stability(stiff)
     assert np.abs(poles_of(stiff)).max() > 1.0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_states_of_a_hand_that_moves_nothing_else_are_its_regions(seed: int) -> None:
+    """400 of them: `tools/bench/verdicts`."""
+    scene = as_scene(random_scene(seed))
+    assert springs_in_states(scene) == springs_in_regions(scene)
+
+
+def test_a_detent_of_many_periods_is_in_each_piece_beside_a_stop() -> None:
+    """The stop is six pitches away. Two detents whose rests are half a pitch apart are never both in a notch's middle
+    piece, but where one of them has another pitch, they are, some periods away."""
+    ball = {"ball": {"type": "mass", "mass": 0.05}}
+    hold = {"type": "viscoelastic", "between": ["hand", "ball"], "stiffness": 500.0, "damping": 0.5}
+    notches = {"type": "detent", "between": ["ball", "wall"], "pitch": 0.004, "depth": 0.5, "shape": "notch"}
+    stop = {"type": "buffer", "between": ["ball", "wall"], "stiffness": 1000.0, "distance": -0.025}
+    modules = ball | {"hold": hold, "notches": notches | {"sharpness": 4}}
+    beside = {f"{where}, {stop}" for where in NOTCHES for stop in ("apart", "touched")}
+    assert found(predicted(modules | {"stop": stop})) == beside
+    other = {"half": {"type": "ground", "position": 0.002}}
+    for pitch, inside in ((0.004, False), (0.0045, True)):
+        second = modules["notches"] | {"between": ["ball", "half"], "pitch": pitch}
+        assert ("in a notch, in a notch" in found(predicted(modules | other | {"second": second}))) == inside
+
+
+def test_a_search_for_states_that_takes_too_long_is_given_up_and_nothing_called_stable() -> None:
+    pitches = {f"d{i}": 0.01 + 1e-3 * i for i in range(9)}
+    ball = {"ball": {"type": "cell", "mass": 0.05, "stiffness": 20.0, "damping": 2.0}}
+    deep = {"type": "detent", "between": ["ball", "wall"], "depth": 0.01, "shape": "notch", "sharpness": 100.0}
+    prediction = predicted(ball | {name: deep | {"pitch": pitch} for name, pitch in pitches.items()})
+    assert prediction.states.count < MOST_STATES
+    assert prediction.states.unjudged
+    assert not prediction.stable
+
+
+def on_a_rod(snap: dict[str, Any], speed: float = 0.0) -> Scene:
+    """A ball that moves on a snap, on a rod of 1500 N/m in the hand, which begins with this speed (m/s)."""
+    rod = {"type": "viscoelastic", "between": ["hand", "ball"], "stiffness": 1500.0, "damping": 0.5}
+    ball = {"ball": {"type": "mass", "mass": 0.05}, "rod": rod, "snap": snap | {"between": ["ball", "wall"]}}
+    return scene_of(ball, mock={"initial": {"velocity": speed}}, mass=0.1)
+
+
+class TestAnOscillationBesideASnap:
+    CLICKS: ClassVar = {
+        "type": "detent",
+        "pitch": 0.004,
+        "depth": 1.5,
+        "shape": "snap",
+        "sharpness": 2.0,
+        "damping": 0.1,
+    }
+
+    def test_across_the_periods_of_a_detent_is_found_and_the_loop_shows_it(self) -> None:
+        shaking = surely_shaken_by(on_a_rod(self.CLICKS))
+        assert shaking is not None
+        assert shaking.growth == pytest.approx(1.001476, abs=1e-6)
+        assert shaking.state == "snap is swept across its period"
+        for speed, swings in ((0.3, False), (0.6, True)):
+            force = run_in_memory(on_a_rod(self.CLICKS, speed), duration=4.0).force[-100:]
+            assert (np.abs(force).max() > 9.9) == swings
+
+    def test_across_longer_periods_than_a_hand_s_speed_takes_it_is_none(self) -> None:
+        """33.8 Hz with 1 m/s are 9.4 mm from end to end."""
+        for pitch, is_judged in ((0.0093, True), (0.0095, False)):
+            notches = self.CLICKS | {"pitch": pitch, "depth": 1.5 * pitch / 0.004}
+            growing = {one.state for one in predict(on_a_rod(notches), with_margins=False).states.growing}
+            assert ("snap is swept across its period" in growing) == is_judged
+
+    def test_within_the_snap_is_not_excused_by_its_faster_real_pole(self) -> None:
+        """Of a table that falls once, without periods to sweep across."""
+        points = [[-0.02, -20.0], [0.009, 2.25], [0.011, -2.25], [0.04, 20.0]]
+        toggle = {"type": "nonlinear", "force_over_distance": points}
+        growths = {one.state: one.growth for one in predict(on_a_rod(toggle), with_margins=False).states.growing}
+        assert growths["snap is piece 2"] == pytest.approx(1.00556, abs=1e-5)
+
+
+class TestALeverWithASnapInTheMiddle:
+    TABLE: ClassVar = {"type": "nonlinear", "force_over_distance": [[-0.006, -2], [-0.002, 1], [0.002, -1], [0.006, 2]]}
+
+    def lever(self, between: list[str], stiffness: float = 1000.0, speed: float = 0.0) -> Scene:
+        """A lever on a spring; its snap, or the spring, is on the wall."""
+        other = ["lever", "wall"] if between[0] == "hand" else ["hand", "lever"]
+        rod = {"type": "viscoelastic", "between": other, "stiffness": stiffness, "damping": 2.0}
+        air = {"type": "damper", "between": ["lever", "wall"], "damping": 1.0}
+        lever = {"type": "mass", "mass": 0.05}
+        modules = {"lever": lever, "rod": rod, "air": air, "snap": self.TABLE | {"between": between}}
+        return scene_of(modules, mock={"initial": {"velocity": speed}})
+
+    @pytest.mark.parametrize("between", [["lever", "wall"], ["hand", "lever"]])
+    def test_is_stable_wherever_it_is_taken(self, between: list[str]) -> None:
+        for at in (None, 0.0, 0.004):
+            prediction = predict(self.lever(between), with_margins=False, at=at)
+            assert prediction.stable
+            assert prediction.stable_as_taken
+            assert prediction.judge.shaking is None
+        taken = predict(self.lever(between), with_margins=False)
+        assert taken.spectral_radius < 1.0
+        assert "snap is taken as piece 1: nothing rests where its force falls" in taken.assumptions
+        for speed in (0.1, 0.4, 1.0):
+            x = run_in_memory(self.lever(between, speed=speed), duration=4.0).position
+            assert np.ptp(x[-1000:]) < 0.1 * np.ptp(x[-2000:-1000]) + 1e-6
+
+    def test_on_a_spring_too_stiff_for_the_loop_is_not(self) -> None:
+        assert surely_shaken_by(self.lever(["lever", "wall"], stiffness=1e5)) is not None
 
 
 def test_what_moves_where_the_scene_begins_reaches_further() -> None:
@@ -307,13 +414,31 @@ class TestADamperThatIsSteeperWhileItMoves:
             states = [one.state for one in prediction.states.growing]
             assert states == ([] if stable else ["damper is faster than its table"])
 
-    def test_one_that_is_less_steep_is_one_state(self) -> None:
-        """A bow's friction, whose force falls with speed, is one state."""
+    def test_a_bow_s_friction_is_also_judged_where_it_is_weakest(self) -> None:
+        """Its force falls with speed."""
         bow = {
             "type": "nonlinear",
             "between": ["hand", "wall"],
-            "force_over_velocity": [[-1, 0.1], [-0.1, -1], [0.1, 1], [1, 0.1]],
+            "force_over_velocity": [[-1, -0.1], [-0.1, -1], [0.1, 1], [1, 0.1]],
         }
         prediction = predicted(self.damper(0.0, 0.0) | {"damper": bow})
         assert prediction.stable
-        assert prediction.states.count == 0
+        assert found(prediction) == {"slow", "at its weakest"}
+
+    @pytest.mark.parametrize(
+        ("points", "dampings"),
+        [
+            ([[-1.2, -0.3], [-0.1, -0.3], [0.1, 0.3], [1.2, 0.3]], [0.3]),  # flattens
+            ([[-2.0, -6.0], [2.0, 6.0]], []),  # straight
+            ([[-2.0, -3.0], [-0.5, -0.5], [0.5, 0.5], [2.0, 3.0]], [5.0 / 3.0]),  # only steeper
+            ([[-0.5, -1.0], [-0.2, -1.0], [0.2, 1.0], [0.5, 1.0]], [1.0]),  # ends before 1 m/s
+            ([[-2.0, -2.0], [-0.5, -0.1], [-0.1, -0.5], [0.1, 0.5], [0.5, 0.1], [2.0, 2.0]], [0.2]),  # falls, and rises
+            ([[-2.0, -8.0], [0.0, 0.0], [0.1, 0.2], [2.0, 0.2]], [4.0, 2.1]),  # brakes more one way: the mean of both
+            ([[-1.0, -5.0], [0.0, -3.0], [1.0, -1.0]], []),  # a force beside it does not brake
+        ],
+    )  # fmt: skip
+    def test_its_other_dampings_are_the_steepest_and_the_least_of_force_over_speed(
+        self, points: list[list[float]], dampings: list[float]
+    ) -> None:
+        law = scene_of({"it": self.damper(0.0, 0.0)["damper"] | {"force_over_velocity": points}}).links["it"].law()
+        assert [*law.dampings_at(1.0)] == pytest.approx(dampings)

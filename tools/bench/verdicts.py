@@ -1,0 +1,57 @@
+"""Verdicts on random scenes of the kinds that are hard to judge, beside the mock that is pushed in virtual time.
+
+    tools/bench/verdicts [--scenes 300] [--first 0] [--pushes 12] [--kind KIND]
+
+Kinds: see tests/verdict_scenes.py. A scene is shaken if, after one of the pushes, a guard ends the run or the swing
+does not die away. The bench prints each scene that is called stable and is shaken, and each one that is refused and
+rests after every push. Without --kind it also compares states and regions of random hands that move nothing else, four
+for each three scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from itertools import islice
+
+import hapsim
+from tests.piecewise_scenes import as_scene as piecewise_scene
+from tests.piecewise_scenes import random_scene, springs_in_regions, springs_in_states
+from tests.verdict_scenes import KINDS, as_scene, is_shaken, pushes, verdict_scene
+
+MORE = 8  # times the pushes, to find one that shakes a scene that is refused
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=300)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--pushes", type=int, default=12)
+    parser.add_argument("--kind", choices=KINDS)
+    options = parser.parse_args()
+    if not options.kind:
+        hands = [piecewise_scene(random_scene(seed)) for seed in range(options.scenes * 4 // 3)]
+        alike = sum(springs_in_states(hand) == springs_in_regions(hand) for hand in hands)
+        print(f"{alike} of {len(hands)} hands have the springs and dampers of their regions as states", flush=True)
+    for kind in (options.kind,) if options.kind else KINDS:
+        found: Counter[tuple[str, str]] = Counter()
+        for seed in range(options.first, options.first + options.scenes):
+            document = verdict_scene(kind, seed)
+            prediction = hapsim.predict(as_scene(document), with_margins=False)
+            shaking = prediction.judge.shaking
+            verdict = "stable" if prediction.stable else "at the limit" if shaking is None else "refused"
+            tried = pushes(seed, options.pushes if shaking is None else MORE * options.pushes)
+            shaken = (push for push in tried if is_shaken(document, push))
+            shaken = list(islice(shaken, 1)) if shaking else list(shaken)
+            found[verdict, "shaken" if shaken else "rests"] += 1
+            if shaken and verdict != "refused":
+                where = f"{len(shaken)} of {options.pushes} pushes, such as {shaken[0]}"
+                print(f"{kind} {seed}: {verdict}, but shaken by {where}", flush=True)
+            if not shaken and shaking is not None:
+                what = f"{shaking.growth:.6g} of {shaking.module} while {shaking.state}"
+                print(f"{kind} {seed}: refused ({what}), but rests", flush=True)
+        print(f"{kind}: {options.scenes} scenes; {dict(found)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
