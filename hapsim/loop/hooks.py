@@ -127,6 +127,8 @@ class Setting(NamedTuple):
     behind_port: bool = False
     judges_energy: bool = False
     judges_sign: bool = False
+    known_motors: tuple[int, ...] = ()
+    """Channels whose motor is known to push the right way: the sign guard plans no tests of them."""
     first_late: str = ""
     """Delay of the wire, in words, if most first forces may be late and the scene is unstable then; else ""."""
 
