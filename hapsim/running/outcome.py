@@ -90,7 +90,7 @@ def counters_of(loop: LoopMemory) -> dict[str, Any]:
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
     sound = {} if loop.sound_output is None else loop.sound_output.counts()
     sensor = "" if loop.sensor_check is None else loop.sensor_check.sentence(loop.rendered_scene)
-    return counts | masses | sound | {"wrong_sensor": sensor}
+    return counts | masses | sound | {"wrong_sensor": sensor, "unknown_motor": loop.unknown_motor}
 
 
 def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
