@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hapsim.device.known_motors import note_motors
 from hapsim.errors import GuardError, UsageError
-from hapsim.loop.endings import IN_WORDS, STOPPED
+from hapsim.loop.endings import DONE, IN_WORDS, STOPPED
 from hapsim.loop.guards import travel
 from hapsim.measuring import measurement_options
 from hapsim.measuring.converters import Converters
@@ -379,7 +379,8 @@ class _Pusher:
         try:
             trace = self._run_scene(scene, duration=duration, excitation=excitation)
         except GuardError as error:
-            if error.trace is None or error.trace.report.ending != travel.GUARD.words:
+            # where the force did not move the device, the next one is larger
+            if error.trace is None or error.trace.report.ending not in (travel.GUARD.words, IN_WORDS[DONE]):
                 raise
             trace = error.trace
         self._stopped = trace.report.ending == IN_WORDS[STOPPED]

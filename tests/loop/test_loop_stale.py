@@ -11,9 +11,10 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import armed_format
 from hapsim.loop.endings import RECEIVED
-from hapsim.loop.portable import _compose
+from hapsim.loop.portable import _compose, _on_force_sent
 from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
 from hapsim.running.assemble_loop import LoopMemory
+from hapsim.running.outcome import _withheld_at_end
 
 MS = 1_000_000
 START = 10**9
@@ -146,6 +147,23 @@ def test_by_the_device_s_clock_neither(late_ms: int, row: tuple[int, int], limit
     receive(loop, 1, at=START + (1 + late_ms) * MS)
     assert last_row(loop) == row
     assert loop.state.limited_ticks == limited
+
+
+@pytest.mark.parametrize("held_up", ["on its way", "in the host"])
+@pytest.mark.parametrize(("positions", "recovers", "is_told"), [(60, 0, True), (30, 0, False), (60, 1, False)])
+def test_a_run_whose_last_second_had_no_force_tells_so(
+    held_up: str, positions: int, recovers: int, is_told: bool
+) -> None:
+    """Positions 25 ms apart, each too old when it arrives or when its force would leave."""
+    loop, period = on("host"), 25 * MS
+    for n in range(positions):
+        in_time = n == 0 or (recovers and n == positions - 1)
+        loop.state.tick_ns = START + n * period - (0 if in_time or held_up == "in the host" else 24 * MS)
+        receive(loop, n, at=START + n * period)
+        leaves(loop, at := START + n * period + (24 * MS if held_up == "in the host" and not in_time else MS))
+        _on_force_sent(loop.record, at)
+    assert loop.state.withheld_forces >= positions - 1 - recovers
+    assert bool(_withheld_at_end(loop)) is is_told
 
 
 def test_a_hand_at_rest_and_late_forces_withhold_nothing() -> None:
