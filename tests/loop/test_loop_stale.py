@@ -150,19 +150,20 @@ def test_by_the_device_s_clock_neither(late_ms: int, row: tuple[int, int], limit
 
 
 @pytest.mark.parametrize("held_up", ["on its way", "in the host"])
-@pytest.mark.parametrize(("positions", "recovers", "is_told"), [(60, 0, True), (30, 0, False), (60, 1, False)])
+@pytest.mark.parametrize(("positions", "in_time", "is_told"), [(60, 0, True), (30, 0, False), (60, 3, False)])
 def test_a_run_whose_last_second_had_no_force_tells_so(
-    held_up: str, positions: int, recovers: int, is_told: bool
+    held_up: str, positions: int, in_time: int, is_told: bool
 ) -> None:
-    """Positions 25 ms apart, each too old when it arrives or when its force would leave."""
-    loop, period = on("host"), 25 * MS
-    for n in range(positions):
-        in_time = n == 0 or (recovers and n == positions - 1)
-        loop.state.tick_ns = START + n * period - (0 if in_time or held_up == "in the host" else 24 * MS)
-        receive(loop, n, at=START + n * period)
-        leaves(loop, at := START + n * period + (24 * MS if held_up == "in the host" and not in_time else MS))
-        _on_force_sent(loop.record, at)
-    assert loop.state.withheld_forces >= positions - 1 - recovers
+    """Positions 25 ms apart, each too old when it arrives or when its force would leave; the last ones are not."""
+    loop, at = on("host"), START
+    for n in range(positions + in_time):
+        late = 24 * MS if 0 < n < positions else 0
+        loop.state.tick_ns = at - (late if held_up == "on its way" else 0)
+        receive(loop, n, at=at)
+        leaves(loop, at + (late if held_up == "in the host" else 0))
+        _on_force_sent(loop.record, at + (late if held_up == "in the host" else 0))
+        at += 25 * MS if n < positions - 1 else MS
+    assert loop.state.withheld_forces >= positions - 1
     assert bool(_withheld_at_end(loop)) is is_told
 
 
