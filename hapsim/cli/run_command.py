@@ -29,7 +29,6 @@ from hapsim.cli.command_options import (
 )
 from hapsim.cli.live import LiveOptions, live_line
 from hapsim.cli.output import output_units
-from hapsim.device.ports import is_first_use
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.loop.background import BackgroundWork
@@ -256,15 +255,10 @@ class _Reporter:
             ),
         )
 
-    def _meet(self) -> None:
-        """Reports that the sign of a new device's motor is not tested yet."""
-        if self._port and is_first_use(self._port):
-            output.print_message(
-                f"First run at {self._port}: `hapsim probe {self._port} --push 0.5`, or `hapsim identify`, judges "
-                "whether its motor pushes the right way. Hold it loosely until then.",
-                "new device",
-                "info",
-            )
+    def _meet(self, session: Session) -> None:
+        """Reports motors that nothing has shown to be right; `on_warning` has it where that lowers a force limit."""
+        if session.motors.advice and not session.motors.warning:
+            output.print_message(f"{session.motors.advice}.", "unknown motor", "info")
 
     def _started(self, session: Session) -> None:
         """The device is armed. From now on the file is followed, in a thread of its own."""

@@ -83,6 +83,8 @@ STATE = np.dtype(
         ("first_ns", np.int64),  # arrival of the first and of the newest position
         ("newest_ns", np.int64),
         ("since_sent", np.int64),  # samples from the position that the last force to leave answers
+        ("withheld_before", np.int64),  # `withheld_forces` when a force was sent,
+        ("withheld_ns", np.int64),  # and since when every one is withheld; 0: the last was not
         ("unanswered", np.int64),  # 1: the newest position's force has not left yet
         ("tick_ns", np.int64),  # where the host paces: when the loop woke up to ask for the next position,
         ("asked_ns", np.int64),  # and for what it sent last, which may ask again
@@ -302,8 +304,14 @@ def on_force_sent(loop, now):
     """Records that the force was sent at `now` (ns), and publishes the tick."""
     if loop.control.clock != HOST_CLOCK:
         note(loop.histograms.exchange, now - loop.state.newest_ns)
-    loop.state.sent_ns = now
-    loop.state.unanswered = 0
+    state = loop.state
+    if state.withheld_forces == state.withheld_before:
+        state.withheld_ns = 0
+    elif state.withheld_ns == 0:
+        state.withheld_ns = now
+    state.withheld_before = state.withheld_forces
+    state.sent_ns = now
+    state.unanswered = 0
     publish(loop.ring)
 
 

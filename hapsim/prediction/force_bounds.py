@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from firmware_protocol.description import Description
 from hapsim.number_format import duration, rounded_up
 from hapsim.prediction.linear import configuration_of
 from hapsim.prediction.plausibility import unlikely
@@ -18,6 +19,7 @@ from hapsim.scene.quantity import Area
 RISE_S = 1e-3  # from zero to the force limit, or a sample period if that is longer
 SOFT_START_S = 0.05
 SIGN_RATE_HZ = 500.0  # below, the guard of the sign has too few samples
+COARSEST = 2e-6  # s², of count times mass over force limit: with more, a hand moves as fast as the guard's filter
 _SIGN_HZ = 5.0  # below, the guard finds only every second motor with a wrong sign
 ONE_PERIOD = 1.0 + 1e-12  # so that rounding keeps a whole number of counts
 _IN_HAND = 0.1  # of a mode's kinetic energy: with less in the hand, its force does not drive the mode
@@ -98,6 +100,30 @@ def slew_warning(scene: Scene, prediction: Prediction) -> str:
     )
 
 
+def unjudged_motors(scene: Scene, description: Description | None = None) -> tuple[str, ...]:
+    """Returns for each channel why the sign guard cannot judge its motor, or not each of its faults, in words that
+    follow "because"; "" if it can. `description`: of the device, if it is known; a count of `mock.quantum` counts if it
+    is coarser."""
+    if scene.rate < SIGN_RATE_HZ:
+        return (f"it samples at less than {SIGN_RATE_HZ:g} Hz",) * scene.channels
+    masses, counts = scene.device.mass_spans(scene.channels), scene.mock_device.quantum
+    limits = (math.inf,) * scene.channels
+    if description is not None:
+        limits = description.force_limit[: scene.channels]
+        counts = tuple(map(max, description.position_scale, counts))
+    reasons = []
+    for c, ((_, mass), count, limit) in enumerate(zip(masses, counts, limits, strict=True)):
+        units, coarsest = scene.units_of(c), COARSEST * min(limit, scene.device.force_limit) / mass
+        if count > coarsest * ONE_PERIOD:
+            found, most = units(count, "mm", ".3g"), units(coarsest, "mm", ".2g")
+            reasons.append(f"its positions have counts of {found}, more than {most} for this mass and force limit")
+        elif len(scene.hand_of(c)) > 1:
+            reasons.append("in the plane, motors that are turned by 30° to 45° seem right")
+        else:
+            reasons.append("")
+    return tuple(reasons)
+
+
 def sign_warning(scene: Scene, prediction: Prediction) -> str:
     """Returns a warning if the guard may miss a wrongly wired motor while `scene` runs; "" if it mostly finds it."""
     spans, scales = scene.device.mass_spans(scene.channels), scene.device.scales(scene.channels)
@@ -105,8 +131,8 @@ def sign_warning(scene: Scene, prediction: Prediction) -> str:
     channel = min(range(len(pulls)), key=lambda c: pulls[c][0] / pulls[c][1])
     (pull, enough), units = pulls[channel], scene.units_of(channel)
     fastest = fastest_swing_hz(scene, prediction)
-    if scene.rate < SIGN_RATE_HZ:
-        why = f"it samples at less than {SIGN_RATE_HZ:g} Hz"
+    if unjudged := next(filter(None, unjudged_motors(scene)), ""):
+        why = unjudged
     elif pull < enough:
         least = units(enough, "m/s²", "g")
         why = f"its force limit accelerates the mass by {units(pull, 'm/s²', '.2g')}, less than {least}"

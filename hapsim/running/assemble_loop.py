@@ -76,6 +76,8 @@ class LoopMemory:
         """The rest of the correction: predictors and the estimate of the mass."""
         self.sensor_check: SensorCheck | None = None
         """The check of the sensed acceleration in a session."""
+        self.unknown_motor = ""
+        """Sentence about motors that are not known to be right, and therefore have a lower force limit."""
         self.sound: SoundRing | None = None
         """Frames of the scene's pick-ups; None for a scene without pick-ups."""
         self.sound_output: SoundOutput | None = None
@@ -201,6 +203,7 @@ def _setting_of(
         behind_port=connection.behind_port,
         judges_energy=options.judges_energy,
         judges_sign=options.judges_sign,
+        known_motors=connection.known_motors,
         first_late=timing.lateness_sentences(scene, samples, connection.round_trip_s) if late else "",
     )
 

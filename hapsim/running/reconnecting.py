@@ -41,7 +41,7 @@ class RunObserver:
 
     begun: Callable[[Callable[[], None]], None] = lambda _: None
     """Called first, with a function that ends the run from any thread."""
-    arming: Callable[[], None] = lambda: None
+    arming: Callable[[Session], None] = lambda _: None
     """Called when the device has described itself, before arming."""
     started: Callable[[Session], None] = lambda _: None
     """Called when the device is armed."""
@@ -314,7 +314,7 @@ class _Reconnector:
     def _arming(self, session: Session) -> None:
         if self.stopped:  # a callback swallowed the interrupt
             raise KeyboardInterrupt
-        self.observer.arming()
+        self.observer.arming(session)
         self.session, self.starting = session, False
 
 

@@ -236,4 +236,5 @@ GUARD = Guard(
     "sign wrong",
     _sentence,
     reads_history=True,
+    stopped_motor=lambda loop: int(loop.sign.channel),
 )
