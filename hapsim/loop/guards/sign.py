@@ -53,7 +53,7 @@ FILTER_S, SUMS_S, LEAST_SUMS_S = 0.002, 0.005, 0.007  # shorter sums than the la
 SUSPECT_S, RELEASE_S, VERDICT_S = 0.003, 0.012, 0.028
 FINE_S2 = 3.2e-7  # s² = count m/F: with coarser counts all of these times are longer
 SUSPICION, SURE = 1.0, 12.0
-NOISE = 0.15  # of a filtered position, in squares of its count
+NOISE = 0.05  # of a filtered position, in squares of its count
 RELEASED_FROM = 0.1  # of the force limit: to release less shows nothing
 MOST_GAP = 3  # samples; after more lost positions the paths are not comparable
 RIGHT, WRONG = (0.4, 50.0), (0.4, 4.0)  # 1/m times the declared mass: a device alone is much lighter than in a hand
