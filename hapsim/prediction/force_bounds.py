@@ -108,8 +108,9 @@ def unjudged_motors(scene: Scene, description: Description | None = None) -> tup
         return (f"it samples at less than {SIGN_RATE_HZ:g} Hz",) * scene.channels
     masses, counts = scene.device.mass_spans(scene.channels), scene.mock_device.quantum
     limits = (math.inf,) * scene.channels
-    if description is not None:
-        limits, counts = description.force_limit, tuple(map(max, description.position_scale, counts))
+    if description is not None:  # of which the scene may use fewer channels
+        limits = description.force_limit[: scene.channels]
+        counts = tuple(map(max, description.position_scale, counts))
     reasons = []
     for c, ((_, mass), count, limit) in enumerate(zip(masses, counts, limits, strict=True)):
         units, coarsest = scene.units_of(c), COARSEST * min(limit, scene.device.force_limit) / mass

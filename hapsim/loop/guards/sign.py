@@ -53,7 +53,7 @@ FILTER_S, SUMS_S, LEAST_SUMS_S = 0.002, 0.005, 0.007  # shorter sums than the la
 SUSPECT_S, RELEASE_S, VERDICT_S = 0.003, 0.012, 0.028
 FINE_S2 = 3.2e-7  # s² = count m/F: with coarser counts all of these times are longer
 SUSPICION, SURE = 1.0, 12.0
-NOISE = 0.05  # of a filtered position, in squares of its count
+NOISE, PAIR_NOISE = 0.15, 0.05  # of a position, in squares of its count; of a pair less, as 45° explain half of 90°
 RELEASED_FROM = 0.1  # of the force limit: to release less shows nothing
 MOST_GAP = 3  # samples; after more lost positions the paths are not comparable
 RIGHT, WRONG = (0.4, 50.0), (0.4, 4.0)  # 1/m times the declared mass: a device alone is much lighter than in a hand
@@ -326,7 +326,7 @@ def _ratios(sign, c, in_plane):
     """Returns J of a hand, and the other ratio; 0 with too few samples."""
     if sign.kept[c] < sign.least[c]:
         return 0.0, 0.0
-    noise = NOISE * sign.count[c] ** 2 / (1.0 - sign.forget[c])
+    noise = (PAIR_NOISE if in_plane else NOISE) * sign.count[c] ** 2 / (1.0 - sign.forget[c])
     along = sign.turned[c]
     if not in_plane:
         right, wrong = _residual(sign, c, along, RIGHT), _residual(sign, c, -along, WRONG)
@@ -364,7 +364,7 @@ def watch_signs(sign: Any, *, rate_hz: float, masses: Sequence[tuple[float, floa
 def _set_up(loop: Any, setting: Setting) -> Any:
     from hapsim.prediction.force_bounds import SIGN_RATE_HZ
 
-    scene, channels = setting.scene, setting.description.channels
+    scene, channels = setting.scene, setting.scene.channels
     if scene.rate < SIGN_RATE_HZ or not (setting.in_hand or setting.judges_sign):
         return None
     spans = scene.device.mass_spans(channels)
@@ -380,7 +380,10 @@ def _sentence(run: EndedRun) -> str:
     named = f"channel {first}" if len(hand) == 1 else f"channels {hand[0]} and {hand[1]}"
     swapped = ""
     if len(hand) > 1:
-        swapped = f". Or the axes are exchanged or turned: `hapsim probe PORT --push N --pair {hand[0]},{hand[1]}`"
+        swapped = (
+            ". Or the motors of x and y are exchanged, or the axes turned: "
+            f"`hapsim probe PORT --push N --pair {hand[0]},{hand[1]}`"
+        )
     return (
         f"motor and position of {named} disagree in sign: the device accelerated against its "
         f"force, and a release of the force confirmed it (tick {run.report.ticks}). Swap the motor's two wires; or "
