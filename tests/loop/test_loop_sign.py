@@ -278,9 +278,11 @@ def test_a_bridge_that_sends_finer_counts_than_its_encoder_has_hides_no_wrong_mo
 # Hands in the plane.
 
 
-def in_plane(name: str, number: int = 40, *, kinds: tuple[str, ...] = bench.USUAL, count: float = 1e-5) -> Any:
+def in_plane(
+    name: str, *, kinds: tuple[str, ...] = bench.USUAL, count: float = 1e-5, known: bool = False
+) -> list[bench.Outcome]:
     scene = {**FIRM, "counts": (count,)}
-    return list(bench.runs(number, 7, each=10, scene=scene, kinds=kinds, motors=bench.PAIRS[name]))
+    return list(bench.runs(40, 7, each=10, scene=scene, kinds=kinds, motors=bench.PAIRS[name], known=known))
 
 
 @pytest.mark.parametrize(
@@ -311,3 +313,34 @@ def test_no_hand_makes_a_right_pair_look_wrong_and_tests_acquit_it(kinds: tuple[
     ended = in_plane("right", kinds=kinds)
     assert not any(one.is_found for one in ended)
     assert sum(one.tests for one in ended) > len(ended)
+
+
+def test_a_pair_that_is_known_is_tested_on_suspicion_alone() -> None:
+    usual, known = (sum(one.tests for one in in_plane("right", known=one)) for one in (False, True))
+    assert known < 0.5 * usual
+    assert bench.found_of_forced(in_plane("both inverted", known=True))["stopped of forced"] > 0.8
+    record = new_record(SIGN)
+    watch_signs(record, rate_hz=1000.0, masses=[(MASS, MASS)] * 4, known=(2, 3))
+    assert record.plans[:4].tolist() == [1, 1, 0, 0]
+
+
+def test_tests_in_every_sector_acquit_both_motors_of_a_pair() -> None:
+    """A hand circles with force in every direction: after two tests in each of four sectors the guard has done."""
+    rig = bench.Bench(bench.plane_scene(bench.FORMS[0], **FIRM, count=1e-6), bench.PLANE_S)
+    acquitted = []
+    for seed in range(8):
+        outcome = rig.run(random.Random(seed), "circling")
+        sign = rig.record.sign
+        assert outcome.ending == "done"
+        passed = sign.passed[:4]
+        assert sign.is_over == (passed >= 2).all()
+        assert sign.is_right[:2].tolist() == [sign.is_over] * 2
+        acquitted.append(bool(sign.is_over))
+    assert any(acquitted)
+
+
+def test_a_thrown_handle_with_a_fine_encoder_is_not_taken_for_a_coarse_one() -> None:
+    rig = bench.Bench(bench.drawn_scene(random.Random(3), **FIRM, count=1e-6))
+    for seed in range(6):
+        rig.run(random.Random(seed), "thrown")
+        assert rig.record.sign.count[0] <= 8e-6

@@ -1,11 +1,15 @@
 """The guard of the sign (hapsim/loop/guards/sign.py) in simulated hands: the compiled loop and the mock in lockstep.
 
-    tools/bench/sign [--runs 400] [--right 10000] [--at-stop 4000] [--rate 1000] [--seed 1] [--save FILE]
+    tools/bench/sign [--runs 400] [--right 10000] [--at-stop 4000] [--rate 1000] [--seed 1] [--only lines | counts]
+        [--save FILE]
 
 A hand is a second mass on the handle, an arm that holds it and moves it, tremor, knocks, and leaning; or
 the handle flies freely. A hand can also lean on a mechanical stop, just behind the wall. The hand's mass and stiffness,
 the wall, the encoder, noise and a stall are drawn. Every run lasts a second, with the guards of a port. How far and how
 fast the handle moves is counted from the first force to 0.1 m.
+
+In the plane a hand wanders, circles or flicks the handle, for three seconds, on a spring, about a disc, in a box with a
+wall and on a ring; a violent one also knocks, pushes with up to 30 N, or is a second mass on a handle of 0.1 to 0.4 kg.
 
 A run is the loop that `hapsim run` runs: the mock moves its body by a function of this file, in which the hand is.
 What a run left behind in memory is put back by copying what was there after arming.
@@ -70,6 +74,7 @@ PAIRS: dict[str, Any] = {
 USUAL, VIOLENT = ("wandering", "circling", "wandering", "flicked"), ("knocked", "pushing", "heavy", "wandering")
 FAR_M, NEAR_M = 0.05, 0.03  # a run that goes so far is a runaway; and one is stopped soon
 END_M = 0.1  # the end of travel: what comes behind it does not count,
+COUNTS = ((1e-6,), (1e-5, 2e-5), (1e-4,))  # m, of hands in the plane
 PLANE_S, PLANE_END_M, LOST_M = 3.0, 0.5, 0.3  # and in the plane, where a hand that goes so far is lost
 _FIELDS = ("mass", "stiffness", "damping", "arm_stiffness", "arm_damping", "reach", "hz", "phase")
 _PUSHES = ("tremor", "tremor_hz", "lean", "lean_rate", "lean_from", "lean_until")
@@ -257,8 +262,10 @@ class Bench:
         ]
         self._after_arming = [ctypes.string_at(*one) for one in self._memory]
 
-    def run(self, chance: random.Random, kind: str, *, motors: Any = 1.0, judged: bool = True) -> Outcome:
-        """A run in a hand of this kind. `motors`: of FAULTS or PAIRS."""
+    def run(
+        self, chance: random.Random, kind: str, *, motors: Any = 1.0, judged: bool = True, known: bool = False
+    ) -> Outcome:
+        """A run in a hand of this kind. `motors`: of FAULTS or PAIRS; `known`: they were acquitted before."""
         for (address, size), before in zip(self._memory, self._after_arming, strict=True):
             ctypes.memmove(address, before, size)
         record, mock, channels = self._loop.record, self._mock, self.scene.channels
@@ -275,6 +282,7 @@ class Bench:
             stall.number = int(self.scene.rate * chance.random())
             stall.argument = stall.number + max(2, int(self.scene.rate * chance.uniform(0.002, 0.047)))
         record.control.go = 1
+        record.sign.plans[:] = not known
         if not judged:
             record.sign.is_over = 1
         ending = in_words(run_loop(record))
@@ -282,6 +290,11 @@ class Bench:
         sign, forced = record.sign, bool(self._hands["touched"].any())
         ticks = int(record.state.ticks)
         return Outcome(kind, ending, int(sign.channel), float(far), float(fast), ticks, int(sign.tests), forced)
+
+    @property
+    def record(self) -> Any:
+        """LOOP after the last run."""
+        return self._loop.record
 
     def _hold(self, c: int, other: int, end: float) -> Any:
         """Returns the hand on a channel, whose body it moves. `other`: that of the other channel."""
@@ -350,6 +363,7 @@ def _drawn_hand(chance: random.Random, kind: str) -> dict[str, Any]:
 
 def _drawn_hand_in_plane(chance: random.Random, kind: str) -> tuple[dict[str, Any], tuple[dict[str, Any], ...]]:
     """Draws the non-zero parameters of a hand in the plane, and those of each of its axes."""
+    axes: list[dict[str, Any]]
     is_free = kind == "flicked" or (kind in VIOLENT and chance.random() < 0.15)
     stiffness = 0.0 if is_free else 10.0 * 80.0 ** chance.random()
     drawn = {"arm_stiffness": stiffness, "arm_damping": 2.0 * math.sqrt(0.2 * stiffness) * chance.uniform(0.1, 1.0)}
@@ -427,9 +441,11 @@ def found_of_forced(ended: list[Outcome]) -> dict[str, Any]:
     }
 
 
-def right(number: int, seed: int, *, scene: dict[str, Any], kinds: tuple[str, ...] = KINDS) -> dict[str, Any]:
+def right(
+    number: int, seed: int, *, scene: dict[str, Any], kinds: tuple[str, ...] = KINDS, each: int = 5
+) -> dict[str, Any]:
     """Returns the number of stops and of test releases on a correct device."""
-    ended = list(runs(number, seed, scene=scene, kinds=kinds))
+    ended = list(runs(number, seed, each=each, scene=scene, kinds=kinds))
     return {
         "runs": number,
         "forced": sum(one.forced for one in ended),
@@ -450,6 +466,58 @@ def _spread(values: list[float], shares: tuple[float, ...] = (0.5, 0.9, 1.0)) ->
     return [round(float(one), 4) for one in np.quantile(values, shares)] if values else []
 
 
+def lines(asked: argparse.Namespace) -> dict[str, Any]:
+    """Prints and returns what becomes of faulty devices on a line."""
+    found: dict[str, Any] = {}
+    print("| device | N | kg | m: median, 90 %, most | m/s | without this guard: m | m/s |", end=" ")
+    print("stopped: sign, other | runaways | of these: sign | within 3 cm |\n|" + "---|" * 11)
+    for what, motors in FAULTS.items():
+        for force, mass in [(force, mass) for force in (2.5, 10.0, 40.0) for mass in (0.05, 0.2, 1.0)]:
+            channels = 2 if what.startswith("swapped") else 1
+            scene = {"rate": asked.rate, "force_limit": force, "mass": mass, "channels": channels}
+            one = found[f"{what}, {force:g} N, {mass:g} kg"] = wrong(asked.runs, asked.seed, scene=scene, motors=motors)
+            cells = (", ".join(f"{x:.2g}" for x in one[name]) for name in ("m", "m/s", "before, m", "before, m/s"))
+            shares = (f"{one[name]:.0%}" for name in ("of these by the sign", "of these within 3 cm"))
+            stopped = f"{one['stopped by the sign']}, {one['stopped by other guards']}"
+            row = (what, f"{force:g}", f"{mass:g}", *cells, stopped, str(one["runaways"]), *shares)
+            print(f"| {' | '.join(row)} |", flush=True)
+    return found
+
+
+def by_count(asked: argparse.Namespace) -> dict[str, Any]:
+    """Prints and returns what becomes of faulty and of right devices whose positions have these counts, at 10 N and
+    0.2 kg, on a line and in the plane."""
+    found: dict[str, Any] = {}
+    firm = {"rate": asked.rate, "force_limit": 10.0, "mass": 0.2}
+    print(
+        "\n| device | count | forced runs | stopped | m until then: median, 95 %, most | beyond 0.3 m |\n|" + "---|" * 6
+    )
+    faulty: list[tuple[str, Any, str, Any]]
+    faulty = [("a line, inverted", -1.0, "count", count) for count in (1e-6, 2e-5, 5e-5, 1e-4, 2e-4)]
+    faulty += [
+        (what, motors, "counts", counts) for counts in COUNTS for what, motors in PAIRS.items() if what != "right"
+    ]
+    for what, motors, key, count in faulty:
+        of_hand = KINDS if key == "count" else USUAL
+        ended = runs(asked.runs, asked.seed, each=20, scene={**firm, key: count}, kinds=of_hand, motors=motors)
+        one = found[f"{what}, {_in_um(count)}"] = found_of_forced(list(ended))
+        ways = ", ".join(f"{x:.2g}" for x in one["m until stopped: median, 95 %, most"])
+        row = (what, _in_um(count), str(one["forced"]), f"{one['stopped of forced']:.0%}", ways, str(one["lost"]))
+        print(f"| {' | '.join(row)} |", flush=True)
+    kinds: tuple[str, ...]
+    tried: list[tuple[str, str, Any, tuple[str, ...]]] = [("a line", "count", 1e-4, KINDS)]
+    tried += [("a pair", "counts", counts, kinds) for counts in COUNTS for kinds in (USUAL, VIOLENT)]
+    for where, key, count, kinds in tried:
+        name = f"right, {where}, {_in_um(count)}, {'usual' if kinds is USUAL else 'violent'}"
+        one = found[name] = right(asked.right // 5, asked.seed + 3, scene={**firm, key: count}, kinds=kinds, each=20)
+        print(f"\n{name}: {one}", flush=True)
+    return found
+
+
+def _in_um(count: Any) -> str:
+    return " and ".join(f"{1e6 * one:g}" for one in np.atleast_1d(count)) + " µm"
+
+
 def main() -> int:
     parser = argparse.ArgumentParser("tools/bench/sign", description=__doc__)
     parser.add_argument("--runs", type=int, default=400)
@@ -457,35 +525,23 @@ def main() -> int:
     parser.add_argument("--at-stop", type=int, default=4000)
     parser.add_argument("--rate", type=float, default=1000.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", choices=("lines", "counts"))
     parser.add_argument("--save", type=Path)
     asked = parser.parse_args()
     found: dict[str, Any] = {}
-    print("| device | N | kg | m: median, 90 %, most | m/s | without this guard: m | m/s |", end=" ")
-    print("stopped: sign, other | runaways | of these: sign | within 3 cm |\n|" + "---|" * 11)
-    for what, motors in FAULTS.items():
-        for force, mass in [(force, mass) for force in (2.5, 10.0, 40.0) for mass in (0.05, 0.2, 1.0)]:
-            scene = {
-                "rate": asked.rate,
-                "force_limit": force,
-                "mass": mass,
-                "channels": 2 if what.startswith("swapped") else 1,
-            }
-            one = found[f"{what}, {force:g} N, {mass:g} kg"] = wrong(asked.runs, asked.seed, scene=scene, motors=motors)
-            cells = (", ".join(f"{x:.2g}" for x in one[name]) for name in ("m", "m/s", "before, m", "before, m/s"))
-            shares = (f"{one[name]:.0%}" for name in ("of these by the sign", "of these within 3 cm"))
-            stopped = f"{one['stopped by the sign']}, {one['stopped by other guards']}"
-            row = (what, f"{force:g}", f"{mass:g}", *cells, stopped, str(one["runaways"]), *shares)
-            print(f"| {' | '.join(row)} |", flush=True)
-    if asked.right:
-        scene = {"rate": asked.rate, "force_limit": 10.0, "mass": 0.2}
-        one = found["false stops, 10 N, 0.2 kg"] = right(asked.right, asked.seed + 1, scene=scene)
-        print(f"\nright: {one}")
-    if asked.at_stop:
-        for rate, mass in ((1000.0, 0.2), (1000.0, 0.05), (5000.0, 0.2)):
+    if asked.only != "counts":
+        found |= lines(asked)
+        if asked.right:
+            scene = {"rate": asked.rate, "force_limit": 10.0, "mass": 0.2}
+            one = found["false stops, 10 N, 0.2 kg"] = right(asked.right, asked.seed + 1, scene=scene)
+            print(f"\nright: {one}")
+        for rate, mass in ((1000.0, 0.2), (1000.0, 0.05), (5000.0, 0.2)) if asked.at_stop else ():
             scene = {"rate": rate, "force_limit": 10.0, "mass": mass}
             name = f"false stops at a mechanical stop, 10 N, {mass:g} kg, {rate:g} Hz"
             one = found[name] = right(asked.at_stop, asked.seed + 2, scene=scene, kinds=AT_STOP)
             print(f"\n{name}: {one}", flush=True)
+    if asked.only != "lines":
+        found |= by_count(asked)
     if asked.save:
         asked.save.write_text(json.dumps(found, indent=1) + "\n")
     return 0
