@@ -194,11 +194,16 @@ class ModuleMessage(_Answer):
 
 
 class OutlineMessage(_Answer):
-    """A line of a scene with space: 2: the edge of a shape, a guide, or the travel."""
+    """A line of a scene with space: 2: the edge of shapes, a guide, or the travel.
+
+    Shapes with the same two ends are one surface. Its lines follow each other, that around all others first, and bound
+    its material together.
+    """
 
     name: str
+    """Name of the guide, or of the shapes along it, with commas."""
     kind: Literal["outside", "inside", "guide", "travel"]
-    """`outside` and `inside` are shapes: their material is within, or without."""
+    """`outside` and `inside` are lines of a surface: its material is within, or without."""
     of: str
     """Name of the point that touches it or is led along it: its coordinates are "hand.x" and "hand.y"."""
     about: str

@@ -5,10 +5,11 @@ from typing import Any
 
 from hapsim.dampers import DAMPERS
 
+from .chain import TooRoundError
 from .issue import Issue, one_of
 from .modules.links import Click, Nonlinear, Spring, ViscoElastic
 from .modules.point_modules import DevicePoint
-from .modules.surfaces import crossed
+from .modules.surfaces import Shape, crossed, surfaces_of
 from .part import Module, ModuleContext
 from .quantity import MOST_CHANNELS, Area
 from .written_units import in_si
@@ -44,8 +45,30 @@ def space_issues(around: ModuleContext, scene: Mapping[str, object], device: Map
             if (isinstance(found, str) and found != right) or isinstance(found, list | tuple):
                 shown = found if isinstance(found, str) else "a list"
                 yield Issue(path, f"found {shown} in a scene with space: 2, expected {right}: {why}")
+        yield from _surface_issues(around)
         if scene.get("sound"):
             yield Issue(("sound",), "found pick-ups in a scene with space: 2, expected none", at_key=True)
+
+
+def _surface_issues(around: ModuleContext) -> Iterator[Issue]:
+    """Yields surfaces that leave no place free, or that have no outline."""
+    shapes = {
+        name: one
+        for name, one in around.modules.items()
+        if isinstance(one, Shape)
+        and around.knows(name, "form", "round", "side", "between")
+        and one.form.fault() is None
+    }
+    for surface in surfaces_of(shapes):
+        try:
+            _ = surface.outline
+        except TooRoundError:
+            continue  # its own check has found it
+        except ValueError as error:
+            *others, last = surface.shapes
+            sentence, hand = f"found one that, with {', '.join(others)}, leaves no place free", surface.between[0]
+            is_full = type(error) is not ValueError  # else the error is a sentence
+            yield Issue(("modules", last, "form"), f"{sentence}; expected room for {hand}" if is_full else str(error))
 
 
 def _travel_issues(travel: dict[str, Any], space: object, around: ModuleContext) -> Iterator[Issue]:

@@ -221,11 +221,11 @@ def resume_shapes(shapes, state):
         x, y, _, _ = between(shapes.ends, i, state)
         touched, square = shapes.current[i], real(0)
         for j in range(np.uint64(shapes.surface.size)):
-            if shapes.surface[j] == i:
+            is_beside = place.x[j] == 0 and place.y[j] == 0  # it has a part of the depth in a corner, or none
+            if shapes.surface[j] == i and (is_beside or shapes.touches[j] > 0):
                 deep = place.x[j] * x + place.y[j] * y - place.level[j]
-                square += deep * deep  # two shapes that share a corner have a part each
-                if shapes.touches[j] > 0:
-                    touched = j
+                square += deep * deep
+                touched = touched if is_beside else j
         nx, ny, slack, place.piece[touched] = place.x[touched], place.y[touched], place.slack[touched], real(0)
         out = math.sqrt(square) + real(_BESIDE)
         away = find_nearest(shapes.chains, i, place, touched, x + out * nx, y + out * ny)
