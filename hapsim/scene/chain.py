@@ -20,7 +20,7 @@ NEAR, NEAR_SHARE = 1e-4, 0.1
 a hand moves 0.1 mm in a sample, so that a direction turns by no more than about a radian."""
 
 _CENTRE = 1e-150  # m: nearer a square is no number
-_DIGIT = 1e-15  # m, rad: pieces overlap by this, so that rounding parts none
+_DIGIT = 1e-14  # m, rad: pieces overlap by this, so that rounding parts none
 _STRAIGHT = 1e-9  # rad: a smaller turn is none
 _FAR = 10.0  # m: half of a whole line in a picture
 
@@ -72,7 +72,7 @@ class Piece(NamedTuple):
             return Nearest(dx * normal[0] + dy * normal[1], normal, 0.0)
         turned = math.atan2(self.bend * (self.ex * dy - self.ey * dx), self.ex * dx + self.ey * dy)
         off = abs(math.remainder(turned - 0.5 * self.extent, math.tau)) - 0.5 * self.extent
-        if off * min(away, 1.0) > _DIGIT:
+        if off * (1.0 if self.radius else min(away, 1.0)) > _DIGIT:
             return None
         if away < _CENTRE:
             return Nearest(-self.bend * self.radius, (self.bend * self.ex, self.bend * self.ey), math.inf)
