@@ -27,6 +27,8 @@ Floats = NDArray[np.float64]
 Point = tuple[float, float]
 
 GRID = 0.01  # m
+OFF_M, SWING_M, LOOP_J = 1e-7, 1e-6, 1e-9
+"""Bounds: of a force over K, of a hand at rest from peak to peak, and of the work on a closed way."""
 SEAM = 2e-13  # m: bodies are thicker by this, so that no rounding parts those that meet
 _FAR = 10.0  # m: half of the edge of a half plane
 _OUTSIDE = 0.1  # m: a hand so far from the middle has left the maze
@@ -272,7 +274,7 @@ def thrown(seed: int) -> float:
     trace = hapsim.run(scene, duration=2.0)
     place = complex(*(trace.position[-1] + trace.force[-1] / 1000.0))
     out = [(place * (side.conjugate() / abs(side))).real - abs(side) for side in 0.5 * (ring + np.roll(ring, 1))]
-    return max(out) + half
+    return float(max(out) + half)
 
 
 def worked(seed: int) -> list[float]:
