@@ -20,6 +20,7 @@ NEAR, NEAR_SHARE = 1e-4, 0.1
 a hand moves 0.1 mm in a sample, so that a direction turns by no more than about a radian."""
 
 _CENTRE = 1e-150  # m: nearer a square is no number
+_DIGIT = 1e-14  # m, rad: pieces overlap by this, so that rounding parts none
 _STRAIGHT = 1e-9  # rad: a smaller turn is none
 _FAR = 10.0  # m: half of a whole line in a picture
 
@@ -62,15 +63,17 @@ class Piece(NamedTuple):
     def opposite(self, x: float, y: float) -> Nearest | None:
         """Returns the place on this piece nearest to (x, y), if it is opposite the piece, else None."""
         dx, dy = x - self.x, y - self.y
+        away = math.hypot(dx, dy)
         if self.bend == 0:
-            if math.isfinite(self.extent) and not 0.0 <= dx * self.ex + dy * self.ey <= self.extent:
+            digit = _DIGIT * max(away, 1.0)
+            if math.isfinite(self.extent) and not -digit <= dx * self.ex + dy * self.ey <= self.extent + digit:
                 return None
             normal = self.ey, -self.ex
             return Nearest(dx * normal[0] + dy * normal[1], normal, 0.0)
         turned = math.atan2(self.bend * (self.ex * dy - self.ey * dx), self.ex * dx + self.ey * dy)
-        if not (turned if turned >= 0.0 else turned + 2.0 * math.pi) <= self.extent:
+        off = abs(math.remainder(turned - 0.5 * self.extent, math.tau)) - 0.5 * self.extent
+        if off * (1.0 if self.radius else min(away, 1.0)) > _DIGIT:
             return None
-        away = math.hypot(dx, dy)
         if away < _CENTRE:
             return Nearest(-self.bend * self.radius, (self.bend * self.ex, self.bend * self.ey), math.inf)
         normal = self.bend * dx / away, self.bend * dy / away

@@ -186,3 +186,32 @@ def test_a_contact_in_a_corner_goes_on_and_one_with_a_wall_that_goes_is_over() -
         force = moved(program, path[-2:], begin=False)[-1]
         expected = [0.0, 1500.0 * -place[1]] if later is left else moved(older, path[-2:], begin=False)[-1]
         assert force == pytest.approx(np.array(expected), abs=1e-9)
+
+
+def slab(left: float, low: float, right: float, high: float) -> dict[str, Any]:
+    return shape({"polygon": [[left, low], [right, low], [right, high], [left, high]]}, 1000.0)
+
+
+def test_a_hand_that_leaves_a_wall_within_the_next_has_gone_into_that_from_where_it_was() -> None:
+    """Pressed through one slab, 1.5 mm deep into another of 2 mm behind it, and along past the first one's end: from
+    there on the second pushes, to the side from which the hand came."""
+    modules = {"near": slab(-0.02, -0.001, 0.0, 0.001), "far": slab(-0.02, -0.006, 0.02, -0.004)}
+    path = np.vstack([line([-0.001, 0.002], [-0.001, -0.0055], 2000), line([-0.001, -0.0055], [0.002, -0.0055], 2000)])
+    found = moved(compile_scene(scene_of(modules)), path)
+    assert found[2000] == pytest.approx([0.0, 6.5], abs=1e-9)
+    assert found[-1] == pytest.approx([0.0, 1.5], abs=1e-9)
+
+
+@pytest.mark.parametrize("gap", [0.0001, 0.0005, 0.004])
+def test_no_wall_is_crossed_by_a_hand_that_moves_less_than_its_thickness_in_a_sample(gap: float) -> None:
+    """From between two slabs of 2 mm, however narrow the gap is and whichever is nearer, by 1.9 mm at once."""
+    modules = {"low": slab(-0.02, -0.002, 0.02, 0.0), "high": slab(-0.02, gap, 0.02, gap + 0.002)}
+    program = compile_scene(scene_of(modules))
+    for share in (0.01, 0.4, 0.6, 0.99):
+        for way in (1.0, -1.0):
+            begin = share * gap
+            edge = gap if way > 0.0 else 0.0
+            places = [[0.0, begin], [0.0, begin], [0.001, edge + way * 0.0015], [0.002, edge + way * 0.0017]]
+            found = moved(program, np.array(places))
+            assert not found[:2].any()
+            np.testing.assert_allclose(found[2:], [[0.0, -way * 1.5], [0.0, -way * 1.7]], atol=1e-9)

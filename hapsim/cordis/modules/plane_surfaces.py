@@ -29,7 +29,7 @@ from hapsim.scene.modules.surfaces import CUSP, surfaces_of
 _FAR = 1e30  # m: extent of a whole line, and reach of a guide that never lets go
 _MOST_WALKED = 64  # pieces in a sample
 _DIGITS = 64  # last ones of a number, by which pieces overlap
-_BESIDE = 1e-6  # m, from a surface: where a remembered place is sought on an outline that changed
+_BESIDE = 1e-6  # m, from a surface: where a place is sought on an outline that changed, or a way begins
 
 
 class Chains(NamedTuple):
@@ -190,6 +190,48 @@ def follow(chains, i, place, j, x, y, gx, gy):
     return distance
 
 
+@inlined
+def _left(chains, i, place, j, x, y, distance):
+    """Returns a place just off place j, m, as (x, y) leaves it."""
+    k, nx, ny = chains.begin[i] + np.uint64(place.piece[j]), place.x[j], place.y[j]
+    off = chains.x.dtype.type(_BESIDE)
+    if chains.bend[k] != 0:
+        off += chains.bend[k] * chains.radius[k]
+        return chains.x[k] + off * nx, chains.y[k] + off * ny
+    return x + (off - distance) * nx, y + (off - distance) * ny
+
+
+@helper
+def _enter(chains, i, place, j, was_x, was_y, x, y):
+    """Moves place j, which is on the nearest piece, to (x, y), inside, from where the straight way from a free
+    place goes in. Returns its distance, m."""
+    real, first, digit, least = chains.x.dtype.type, chains.begin[i], chains.digit[0], chains.x.dtype.type(1)
+    gx, gy = x - was_x, y - was_y
+    for k in range(first, chains.begin[i + ONE]):
+        dx, dy, ex, ey = was_x - chains.x[k], was_y - chains.y[k], chains.ex[k], chains.ey[k]
+        bend, end, radius, share = chains.bend[k], chains.extent[k], chains.radius[k], real(-1)
+        gap = digit * (abs(was_x) + abs(was_y) + abs(chains.x[k]) + abs(chains.y[k]))
+        if bend == 0:
+            out, inwards = dx * ey - dy * ex, gy * ex - gx * ey
+            if inwards > 0:
+                share = out / inwards
+            along = (dx + share * gx) * ex + (dy + share * gy) * ey
+            meets = -gap <= along <= end + gap or end >= real(_FAR)
+        else:
+            ahead, square = dx * gx + dy * gy, gx * gx + gy * gy
+            root = ahead * ahead - square * (dx * dx + dy * dy - radius * radius)
+            if root >= 0 and radius > 0 and square > 0:
+                share = -(ahead + bend * math.sqrt(root)) / square
+            meets = (dx + share * gx) * ex + (dy + share * gy) * ey >= (end - digit) * radius
+        if meets and 0 <= share <= least:
+            least = share
+            place.piece[j] = real(k - first)
+            if bend != 0:  # a straight piece has its own normal
+                place.x[j], place.y[j] = bend * (dx + share * gx) / radius, bend * (dy + share * gy) / radius
+    distance = follow(chains, i, place, j, x, y, gx, gy)
+    return find_nearest(chains, i, place, j, x, y) if distance > 0 else distance
+
+
 @action
 def initialize_guides(guides, state):
     """Puts every place on the nearest piece."""
@@ -274,13 +316,10 @@ def add_shape_forces(shapes, state):
             distance = follow(chains, i, place, j, x, y, gx, gy)
             holds = not distance > 0
         if not holds:
-            piece, nx, ny, was_free = place.piece[j], place.x[j], place.y[j], shapes.touches[j] == 0
+            was_x, was_y = _left(chains, i, place, j, x, y, distance) if shapes.touches[j] > 0 else (x - gx, y - gy)
             distance = find_nearest(chains, i, place, j, x, y)
-            if was_free and not distance > 0:  # it goes in from where it was free
-                place.piece[j], place.x[j], place.y[j] = piece, nx, ny
-                distance = follow(chains, i, place, j, x, y, gx, gy)
-                if distance > 0:
-                    distance = find_nearest(chains, i, place, j, x, y)
+            if not distance > 0:
+                distance = _enter(chains, i, place, j, was_x, was_y, x, y)
         k = chains.begin[i] + np.uint64(place.piece[j])
         if shapes.owner[k] != j:
             _hand_over(shapes, i, j, shapes.owner[k])
