@@ -35,7 +35,7 @@ _NARROWER = 1000.0  # each interval of u from 0 on, in which stationary points a
 _AT_REST = 1e-30  # of u: there all is as at 0
 _LONGEST = 100  # samples of delay: the search takes ten seconds
 _FLAT = 1e-4  # of Bc: Kc is off by its square
-_DAMPINGS = np.geomspace(1e-3, 1.0, 30)  # of m/T, where a search begins
+_SOFTEST, _DAMPINGS = 1e-3, 30  # of m/T: dampings from there to 1, or from a tenth of the friction on, begin a search
 _NEAR = 1e-3  # of the first lobe: a demand that peaks below is as large at 0, to 1e-12
 _CLOSE = 1e-13  # of a value that is sought
 
@@ -79,14 +79,15 @@ def stiffest_for(hands: Sequence[Configuration]) -> Coupling | None:
     def stiffness(damping: float) -> float:
         return min(_stiffest_at(hand, damping) for hand in hands)
 
-    tried = [stiffness(unit * share) for share in _DAMPINGS]
+    dampings = unit * np.geomspace(min(_SOFTEST, 0.1 * hands[0].friction / unit), 1.0, _DAMPINGS)
+    tried = [stiffness(damping) for damping in dampings]
     best = int(np.argmax(tried))
     if not tried[best] > 0.0:
         return None
-    ends = unit * _DAMPINGS[max(best - 1, 0)], unit * _DAMPINGS[min(best + 1, _DAMPINGS.size - 1)]
+    ends = dampings[max(best - 1, 0)], dampings[min(best + 1, _DAMPINGS - 1)]
     close = {"xatol": _FLAT * ends[1]}
     found = minimize_scalar(lambda damping: -stiffness(damping), bounds=ends, method="bounded", options=close)
-    kappa, damping = max((-float(found.fun), float(found.x)), (tried[best], float(unit * _DAMPINGS[best])))
+    kappa, damping = max((-float(found.fun), float(found.x)), (tried[best], float(dampings[best])))
     return Coupling(2.0 * kappa / period, damping)
 
 

@@ -40,6 +40,7 @@ modules:
   wall: {type: ground, position: 0.0}
   touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}
 """
+PATIENCE_S = 20.0
 SCHEMA = json.loads((Path(__file__).parents[2] / "hapsim/live/messages.json").read_text("utf-8"))
 REQUESTS, ANSWERS = (
     jsonschema.Draft202012Validator({"$ref": f"#/$defs/{name}", "$defs": SCHEMA["$defs"]})
@@ -193,14 +194,14 @@ def serving(
     server.start()
 
     def starting(scene: Scene) -> Session:
-        """Host and mock wait two seconds for each other: a machine that is busy with other tests holds one of their
-        threads up for longer than a tenth, or a quarter. A force that lasts so long moves the mock's hand as far as a
+        """Host and mock wait for each other: a machine that is busy with other tests holds one of their threads up for
+        longer than a tenth of a second, or two seconds. A force that lasts so long moves the mock's hand as far as a
         leap."""
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(timing, "_WATCHDOG_S", 2.0)
+            patch.setattr(timing, "_WATCHDOG_S", PATIENCE_S)
             patch.setattr(guards, "GUARDS", tuple(one for one in guards.GUARDS if one is not leap.GUARD))
             session = start(scene, keep=False, unstable=False, judges_energy=True, **hub.options, **options)
-        session._loop.control.silence_ns = 2_000_000_000
+        session._loop.control.silence_ns = round(1e9 * PATIENCE_S)
         return session
 
     served = Served(hub, starting(scene), view, warnings, starting)
