@@ -180,13 +180,13 @@ class Push(NamedTuple):
 
 
 def pushes(seed: int, count: int) -> Iterator[Push]:
-    """Knocks of 0.1 to 1 m/s, every other one with a steady press of 0.1 to 1 of the force limit: the hardest first,
-    then random ones."""
+    """Knocks of 0.1 to 1 m/s, knocks with a steady press of 0.1 to 1 of the force limit, and presses, in turn: the
+    hardest first, then random ones."""
     chance = random.Random(seed)
     for n in range(count):
-        speed, force = (1.0, 1.0) if n < 4 else (chance.uniform(0.1, 1.0), chance.uniform(0.1, 1.0))
+        speed, force = (1.0, 1.0) if n < 3 else (chance.uniform(0.1, 1.0), chance.uniform(0.1, 1.0))
         sides = chance.choice((-1.0, 1.0)), chance.choice((-1.0, 1.0))
-        yield Push(sides[0] * speed, sides[1] * force * LIMIT * (n % 2))
+        yield Push(sides[0] * speed * (n % 3 < 2), sides[1] * force * LIMIT * (n % 3 > 0))
 
 
 def as_scene(document: dict[str, Any], push: Push | None = None) -> Scene:
