@@ -314,7 +314,7 @@ class NetworkVerdict:
     def snaps(self) -> int:
         """Number of unstable directions at rest: as many real poles belong to a snap, which moves the points on."""
         network = self.network
-        if not (network.stiffness < 0.0).any():
+        if not (network.stiffness[: network.margin_links] < 0.0).any():  # those of a bending bar push nothing away
             return 0
         stretches = stretches_of(network, sparse=False)
         held = np.append(network.channel_stiffness, np.zeros(network.point_mass.size))
