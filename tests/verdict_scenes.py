@@ -180,13 +180,13 @@ class Push(NamedTuple):
 
 
 def pushes(seed: int, count: int) -> Iterator[Push]:
-    """Knocks of 0.1 to 1 m/s, every other one with a steady press of 0.1 to 1 of the force limit: the hardest first,
-    then random ones."""
+    """Knocks of 0.1 to 1 m/s, knocks with a steady press of 0.1 to 1 of the force limit, and presses, in turn: the
+    hardest first, then random ones."""
     chance = random.Random(seed)
     for n in range(count):
-        speed, force = (1.0, 1.0) if n < 4 else (chance.uniform(0.1, 1.0), chance.uniform(0.1, 1.0))
+        speed, force = (1.0, 1.0) if n < 3 else (chance.uniform(0.1, 1.0), chance.uniform(0.1, 1.0))
         sides = chance.choice((-1.0, 1.0)), chance.choice((-1.0, 1.0))
-        yield Push(sides[0] * speed, sides[1] * force * LIMIT * (n % 2))
+        yield Push(sides[0] * speed * (n % 3 < 2), sides[1] * force * LIMIT * (n % 3 > 0))
 
 
 def as_scene(document: dict[str, Any], push: Push | None = None) -> Scene:
@@ -213,8 +213,8 @@ def _swings_on(document: dict[str, Any], push: Push, seconds: int) -> bool:
     if trace.report.ending != "done":
         return True
     x = trace.position.reshape(4 * (seconds // 4), -1, trace.position.shape[1])
-    swing = np.ptp(x, axis=1)
-    swing[np.abs(x[:, -1] - x[:, 0]) > 0.9 * swing] = 0.0  # a hand that travels on does not swing
-    quarter = len(x) // 4
-    late, early = swing[-quarter:].max(axis=0), swing[quarter : 2 * quarter].min(axis=0)
-    return bool(((late > _LEAST) & (late > _KEPT * early)).any())
+    swing, quarter = np.ptp(x, axis=1), len(x) // 4
+    late, early = swing[-quarter:], swing[quarter : 2 * quarter]
+    travels = np.abs(x[-1, -1] - x[-quarter, 0]) > 0.5 * late.sum(axis=0)
+    goes_on = (late.max(axis=0) > _LEAST) & (late.max(axis=0) > _KEPT * early.min(axis=0))
+    return bool((goes_on & ~travels).any())

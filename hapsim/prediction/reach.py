@@ -255,7 +255,7 @@ def part_swing(
 
     Returns:
         None also if the part has several hands, masses that pull themselves, or links with a memory. It is never
-        unnoticed if a motion grows in a state that has no rest, or while a damper is fast.
+        unnoticed if a motion grows in a state that has no rest, or while a damper is fast, or beside a detent.
     """
     names, begins = [points[point] for point in inside], start_positions(scene)
     hands = [name for name in names if name in scene.device_points]
@@ -286,7 +286,9 @@ def part_swing(
             None if is_moving else rest_in(there, fixed, laws, pieces, travel, scene.device.force_limit, growth)
         )
     found = [one for one in rests if one is not None]
-    return swinging.swing_at(found, is_all=len(found) == len(rests))
+    # A law that repeats has other rests, in other periods.
+    is_all = len(found) == len(rests) and not any(law.period for law in laws.values())
+    return swinging.swing_at(found, is_all)
 
 
 def rest_in(

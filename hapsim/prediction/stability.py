@@ -135,7 +135,10 @@ class Judge(NetworkVerdict):
     def is_stable_as_taken(self) -> bool:
         """True if all computed motions decay in the assumed states of the contacts, in every region of the hands."""
         shaken = any(region.growth for regions in self.regions.values() for region in regions)
-        return not shaken and not self.loose and (self.is_lone or self.is_calm)
+        if shaken or self.loose:
+            return False
+        # At a snap, the states of the contacts decide.
+        return self.is_lone or self.solved.solution.is_stable or (self.snaps > 0 and not self._grown)
 
     @cached_property
     def is_stable(self) -> bool:
@@ -159,7 +162,7 @@ class Judge(NetworkVerdict):
         """Growing motions in parts of the scene that are judged by the poles of the network, the fastest first."""
         taken = None if self.is_lone else self.shaken_by_network()
         found = self.states.grown(taken is not None, self.regions)
-        if found or taken is None or taken.module in self._unstable:
+        if found or taken is None or taken.snaps or taken.module in self._unstable:
             return found
         return [Grown(taken, [], [])]
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import cached_property
-from itertools import chain, combinations, islice
+from itertools import chain, combinations, islice, product
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from hapsim.prediction.swings import NetworkVerdict, Shaking, Swing
 from hapsim.scene import Scene
 from hapsim.theory import Network
 from hapsim.theory.arrays import Floats, Indices
-from hapsim.theory.network import LARGE, part_of, part_of_each, parts_of, proves_stability, state_size
+from hapsim.theory.network import LARGE, SURELY, part_of, part_of_each, parts_of, proves_stability, state_size
 
 MOST_STATES = 1024
 """Limit of the states in one part of the scene."""
@@ -33,6 +33,7 @@ _OF_STATE = 4e5  # cost of a state that needs no computation
 _OF_EACH = 90.0  # added to the size: the part of the time that does not grow with it
 _OF_LARGE = 1.6e5  # times the size of a large one
 _MOST_CONTACTS = 64  # in one part
+_LEAST_GROWTH = 1e-6  # in a sample, of a swing that is gone at once
 
 
 class Grown(NamedTuple):
@@ -156,7 +157,8 @@ class ContactStates:
         verdicts, left, unjudged = dict[object, Shaking | None](), _WORK, 0
         found: list[tuple[Shaking, State]] = []
         for state in (swept for part in self.parts for swept in self._with_swept(part)):
-            if all(self._is_assumed(name, option) for name, option in state.items()):
+            held = all(option.linear.stiffness >= 0.0 for option in state.values())
+            if held and all(self._is_assumed(name, option) for name, option in state.items()):
                 continue
             left -= _OF_STATE
             is_judged = left > 0.0 and all(math.isfinite(option.linear.stiffness) for option in state.values())
@@ -172,12 +174,25 @@ class ContactStates:
                         is_judged = False
                         continue
                     shaking = NetworkVerdict(network, points).shaken_by_network(most_angle) if grows else None
+                    if shaking and shaking.snaps and not self._swing_growth(blocks, state, names) > SURELY:
+                        shaking = None
                     how = ", ".join(f"{name} is {state[name].state}" for name in names)
                     verdicts[key] = shaking and shaking._replace(state=how)
                 if (grown := verdicts[key]) is not None:
                     found.append((grown, state))
             unjudged += not is_judged
         return found, unjudged
+
+    def _swing_growth(self, blocks: frozenset[int], state: State, names: list[str]) -> float:
+        """Factor by which a swing across the periods of the links that fall in this state grows in a sample: the mean
+        over their pieces, by widths. Infinity if none repeats."""
+        falls = [name for name in names if state[name].period and state[name].linear.stiffness < 0.0]
+        mean = 0.0 if falls else math.inf
+        for pieces in product(*(self._options[name] for name in falls)) if falls else ():
+            share = math.prod((one.high - one.low) / one.period for one in pieces)
+            network, points = self._part(blocks, state | dict(zip(falls, pieces, strict=True)))
+            mean += share * math.log(max(NetworkVerdict(network, points).swing_growth, _LEAST_GROWTH))
+        return math.exp(mean)
 
     def _with_swept(self, states: list[State]) -> Iterator[State]:
         """Yields these states, then others in which links that repeat are swept across, each once."""
@@ -209,7 +224,8 @@ class ContactStates:
         for its, inside in points.items() if is_unstable else ():
             names = tuple(self._points[point] for point in inside)
             taken = NetworkVerdict(part_of(self._network, np.array(inside)), names).shaken_by_network()
-            if taken is not None and not {*names} & {*regional}:
+            is_judged = taken is not None and taken.snaps and its in part.values()  # as one of its states
+            if taken is not None and not is_judged and not {*names} & {*regional}:
                 options = {name: [one for one in self._options[name] if self._is_assumed(name, one)] for name in part}
                 state = {name: found[0] for name, found in options.items() if part[name] == its and found}
                 grown.setdefault(its, []).append((taken, state))

@@ -22,7 +22,6 @@ from hapsim.prediction.linear import stand_in_for
 from hapsim.theory import Network, NotWorkedOutError, Solution, solve
 from hapsim.theory.arrays import Floats
 from hapsim.theory.network import LARGE, SURELY, loop, state_size
-from hapsim.theory.network.modes import AT_THE_LIMIT
 from hapsim.theory.rows import stretches_of
 from hapsim.units import Units
 
@@ -197,7 +196,7 @@ class Swinging(NamedTuple):
 
 _MANY_STATES = 40  # fewer eigenvalues take one thread anyway
 _SQUARED = 24  # most squarings: a motion that takes more than 2^24 samples to decay is close to the limit
-_AT_ONCE = 2.0  # growth of a snap in a sample, above which its piece is left within some samples: no motion lasts there
+_REAL = 1e-6  # of a pole's modulus: a smaller imaginary part is rounding
 _GONE = 0.1  # norm of a power, below which all moduli are below 1
 _MOST_NORM = 1e5  # of the norms before: above, rounding of the squares, 1e-16 of their own, would matter
 
@@ -234,12 +233,17 @@ class Shaking(NamedTuple):
         return f"{whose} grows {by} per sample{when}; {remedy}"
 
 
+def _is_positive(pole: complex) -> bool:
+    """Returns whether a pole is real and positive: its motion does not oscillate."""
+    return abs(pole.imag) <= _REAL * abs(pole) and pole.real > 0.0
+
+
 def drop_real_poles(poles: Iterable[complex], count: int) -> list[complex]:
     """Returns the poles without the ``count`` largest real positive ones: these are the snaps, which drive a point
     on."""
     rest = list(poles)
     for _ in range(count):
-        real = [pole for pole in rest if abs(pole.imag) <= 1e-6 * abs(pole) and pole.real > 0.0]
+        real = [pole for pole in rest if _is_positive(pole)]
         if real:
             rest.remove(max(real, key=abs))
     return rest
@@ -299,14 +303,6 @@ class NetworkVerdict:
         return False
 
     @property
-    def is_calm(self) -> bool:
-        """True if every motion decays, for the computed poles, apart from snaps; False at the limit."""
-        if not self.snaps:
-            return self.solved.solution.is_stable
-        poles = drop_real_poles(self.solved.solution.poles.tolist(), self.snaps)
-        return max(map(abs, poles), default=0.0) < 1.0 - AT_THE_LIMIT
-
-    @property
     def _stays(self) -> bool:
         """True if no pole's modulus says that a motion surely grows. False proves nothing."""
         change = self._change
@@ -318,17 +314,22 @@ class NetworkVerdict:
     def snaps(self) -> int:
         """Number of unstable directions at rest: as many real poles belong to a snap, which moves the points on."""
         network = self.network
-        if not (network.stiffness < 0.0).any():
+        if not (network.stiffness[: network.margin_links] < 0.0).any():  # those of a bending bar push nothing away
             return 0
         stretches = stretches_of(network, sparse=False)
         held = np.append(network.channel_stiffness, np.zeros(network.point_mass.size))
         stiffness = np.linalg.eigvalsh(stretches.T @ (network.stiffness[:, None] * stretches) + np.diag(held))
         return int((stiffness < -1e-9 * np.abs(stiffness).max(initial=0.0)).sum())
 
+    @property
+    def swing_growth(self) -> float:
+        """Factor by which the slowest oscillation to decay grows in a sample; 0 if there is none."""
+        poles = self.solved.solution.poles.tolist()
+        return max((abs(pole) for pole in poles if not _is_positive(pole)), default=0.0)
+
     def shaken_by_network(self, most_angle: float = math.inf) -> Shaking | None:
         """Returns the motion that surely grows, apart from snaps; None also if the poles cannot be computed for the
-        scheme. A pair beside a snap counts, unless the snap leaves its piece at once. `most_angle`: turn of a motion in
-        a sample, rad, above which it does not count."""
+        scheme. `most_angle`: turn of a motion in a sample, rad, above which it does not count."""
         if not self.snaps and (self.decays or self._stays):
             return None
         solution = self.solved.solution
@@ -337,9 +338,8 @@ class NetworkVerdict:
         if math.isnan(solution.spectral_radius):
             return Shaking(math.inf, "")
         poles = drop_real_poles(solution.poles.tolist(), self.snaps)
-        driven = max(map(abs, {*solution.poles.tolist()} - {*poles}), default=0.0)
         radius = max([solution.growth, *(abs(pole) for pole in poles if abs(cmath.phase(pole)) <= most_angle)])
-        if not radius > (driven if driven > _AT_ONCE else SURELY):
+        if not radius > SURELY:
             return None
         near = min(solution.modes, key=lambda mode: abs(abs(mode.pole) - radius), default=None)
         if near is None or abs(near.pole) < radius * (1.0 - 1e-9):

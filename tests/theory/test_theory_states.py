@@ -16,6 +16,7 @@ from hapsim.prediction.reach import options_of
 from hapsim.prediction.states import MOST_STATES
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
+from hapsim.scene.shipped import shipped_scene
 from hapsim.theory import Network
 from hapsim.theory.network import poles_of, proves_stability
 from tests.contact_scenes import begun, contact_scene, growths_within, judged_unstable, unsnapped_states
@@ -272,6 +273,16 @@ class TestAnOscillationBesideASnap:
         toggle = {"type": "nonlinear", "force_over_distance": points}
         growths = {one.state: one.growth for one in predict(on_a_rod(toggle), with_margins=False).states.growing}
         assert growths["snap is piece 2"] == pytest.approx(1.00556, abs=1e-5)
+
+    @pytest.mark.parametrize("at", [None, 0.0019])
+    def test_beside_a_detent_counts_if_it_grows_in_the_mean_over_its_pieces(self, at: float | None) -> None:
+        """Between the ridges of the güiro the hand's pair grows, less than it decays in a groove; at any place."""
+        guiro = predict(parse_scene(shipped_scene("guiro")), with_margins=False, at=at)
+        assert guiro.stable
+        assert guiro.judge.shaking is None
+        wide = self.CLICKS | {"pitch": 0.012, "depth": 4.5}
+        growing = {one.state for one in predict(on_a_rod(wide), with_margins=False).states.growing}
+        assert growing == {"snap is between notches"}  # no hand swings across 12 mm at its 33.8 Hz
 
 
 class TestALeverWithASnapInTheMiddle:
