@@ -36,6 +36,9 @@ def probe(
         "KG", "With --push: moving mass with the hand, such as 200g. Tests force and position scales.", unit="kg"
     ),
     channel: int = option(None, "With --push: channel to push.", default=0),
+    pair: str | None = option(
+        "X,Y", "With --push: both channels of a hand in the plane, such as 0,1. Pushes each, and finds turned axes"
+    ),
     only: list[str] | None = option("STEP", "Run this step only. May be repeated."),
     until: str | None = option("STEP", "Run the steps up to this one [default: all steps]"),
     json: Json = False,
@@ -46,7 +49,7 @@ def probe(
     (the host paces the loop), push. Without --push, only zero force is sent. The exit status is 3 if a check fails. A
     check that could not run does not count as a failure.
     """
-    leave = _leave(push, travel, mass, channel)
+    leave = _leave(push, travel, mass, channel, pair)
     steps = steps_of(tuple(only or ()), until)
     require_positive("--baud", baud)
     with live_words(stderr()) as show, open_wire(port, baud) as wire:
@@ -63,7 +66,7 @@ def probe(
                 announce=print_message,
             )
     if leave is not None:
-        note_motor(port, [channel], judgement)
+        note_motor(port, leave.pair or (leave.channel,), judgement)
     if judgement.device is not None:
         set_output_units(Units.of(judgement.device.motions))
     if json:
@@ -82,7 +85,9 @@ def note_motor(port: str, channels: Sequence[int], judgement: Judgement) -> None
         note_motors(port, channels, are_right=is_right)
 
 
-def _leave(push: float | None, travel: float | None, mass: float | None, channel: int) -> Leave | None:
+def _leave(
+    push: float | None, travel: float | None, mass: float | None, channel: int, pair: str | None
+) -> Leave | None:
     """Returns the permitted pushes; None for zero force only. Raises UsageError."""
     for name, value in (("--push", push), ("--travel", travel), ("--mass", mass)):
         require_positive(name, value)
@@ -90,9 +95,22 @@ def _leave(push: float | None, travel: float | None, mass: float | None, channel
         raise UsageError(f"--channel: found {channel}, expected 0 or more")
     if push is None and mass is not None:
         raise UsageError("--mass needs --push: only a push shows the mass")
+    if push is None and pair is not None:
+        raise UsageError("--pair needs --push: only pushes show how the axes are turned")
     if push is None:
         return None
-    return Leave(push, travel or 0.0, channel, mass, lambda units: require_units(units, push, travel, mass))
+    both = _pair(pair) if pair is not None else ()
+    first = both[0] if both else channel
+    return Leave(push, travel or 0.0, first, mass, both, lambda units: require_units(units, push, travel, mass))
+
+
+def _pair(text: str) -> tuple[int, ...]:
+    """Returns both channels of a pair. Raises UsageError."""
+    parts = [part.strip() for part in text.split(",")]
+    channels = tuple(int(one) for one in parts if one.isdecimal())
+    if len(parts) != 2 or len(set(channels)) != 2:
+        raise UsageError(f"--pair: found {text}, expected two channels, such as 0,1")
+    return channels
 
 
 _STYLE = {"pass": "green", "FAIL": "bold red", "not seen": "yellow"}

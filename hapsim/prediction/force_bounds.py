@@ -109,7 +109,7 @@ def unjudged_motors(scene: Scene, description: Description | None = None) -> tup
         return (f"it samples at less than {SIGN_RATE_HZ:g} Hz",) * scene.channels
     masses, counts = scene.device.mass_spans(scene.channels), scene.mock_device.quantum
     limits = (math.inf,) * scene.channels
-    if description is not None:
+    if description is not None:  # of which the scene may use fewer channels
         limits = description.force_limit[: scene.channels]
         counts = tuple(map(max, description.position_scale, counts))
     reasons = []

@@ -223,10 +223,10 @@ def test_motors_of_the_wrong_sign_are_found_on_a_disc(seed: int) -> None:
         bouncing(seed, between=in_memory(Injector(parse_script(inverted)), 1e-3))
 
 
-def test_a_hand_that_circles_a_disc_accelerates_against_its_force_and_passes_the_test_that_releases_it_whole() -> None:
+def test_a_hand_that_circles_a_disc_accelerates_against_its_force_and_passes_the_tests_that_release_it_whole() -> None:
     trace = circling([0.0177, 0.0], [0.0, 0.4], 300.0)
     assert trace.report.ending == "done"
-    assert 1 <= trace.report.sign_tests <= 2
+    assert 1 <= trace.report.sign_tests <= 8  # two in each sector
     released = (trace.force_counts == 0) & (np.abs(trace.asked_force) > 0.1)
     assert np.count_nonzero(released[:, 0]) >= 6
     np.testing.assert_array_equal(released[:, 0] & (np.abs(trace.force[:, 1]) > 0.0), False)

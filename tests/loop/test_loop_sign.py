@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import sys
 from collections.abc import Callable, Container
@@ -115,7 +116,7 @@ def test_a_motor_that_is_right_is_judged_no_more_and_its_forces_are_as_without()
 
 
 def test_most_runaways_are_stopped_within_three_centimetres() -> None:
-    found = bench.wrong(80, 5, scene=FIRM, factor=-1.0)
+    found = bench.wrong(80, 5, scene=FIRM, motors=-1.0)
     assert found["runaways"] > 50
     assert found["of these within 3 cm"] > 0.75
 
@@ -135,8 +136,8 @@ def test_no_mechanical_stop_makes_a_motor_that_is_right_look_wrong() -> None:
 @pytest.mark.parametrize("wrong", [0, 1])
 def test_the_channel_is_named(wrong: int) -> None:
     scene = bench.drawn_scene(random.Random(1), **FIRM, channels=2)
-    factors = (-1.0, 1.0) if wrong == 0 else (1.0, -1.0)
-    outcome = bench.Bench(scene).run(random.Random(1), "thrown", factor=factors)
+    motors = np.diag([-1.0, 1.0] if wrong == 0 else [1.0, -1.0])
+    outcome = bench.Bench(scene).run(random.Random(1), "thrown", motors=motors)
     assert (outcome.ending, outcome.channel) == ("sign wrong", wrong)
 
 
@@ -152,23 +153,25 @@ def judged(
     push: Callable[[int, float], float] = lambda *_: 0.0,
     samples: int = 300,
     velocity: float = 0.1,
+    wire: float = 1e-6,
+    encoder: float = 0.0,
 ) -> tuple[int, int]:
     """(at which sample the motor is found wrong, or -1; how often it was tested) of a mass on a spring, whose motor
     makes `side` of a force. `lost`: positions that never arrive; `late`: forces that come too late to act; `push`: the
-    hand's, N, by sample and position (m)."""
+    hand's, N, by sample and position (m); `wire`, `encoder`: m per count there, 0: as fine as the wire's."""
     record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
     tick, io.channels = new_record(TICK), 1
     tick.io, tick.history = address_of(io), address_of(past)
-    io.position_scale[0] = io.force_scale[0] = 1e-6
-    io.force_limit[0] = 10.0
+    io.position_scale[0], io.force_scale[0], io.force_limit[0] = wire, 1e-6, 10.0
     history = history_hook(past, delay=1.0, keeps_last_force=True)
     watch_signs(record, rate_hz=1.0 / T, masses=[(MASS, MASS)])
     x, v, acts, gap, in_time = 0.0, velocity, 0.0, 1, True
     for n in range(samples):
         answer = acts
         if n not in lost:
-            force = 0.0 if 0 <= record.since[0] < record.release else min(max(-stiffness * x, -10.0), 10.0)
-            io.position_counts[0], io.force_counts[0] = round(x * 1e6), round(force * 1e6)
+            force = 0.0 if 0 <= record.since[0] < record.release[0] else min(max(-stiffness * x, -10.0), 10.0)
+            read = round(x / encoder) * encoder if encoder else x
+            io.position_counts[0], io.force_counts[0] = round(read / wire), round(force * 1e6)
             tick.gap, tick.late = gap, not in_time
             keep(address_of(past), address_of(tick))
             if judge_signs(address_of(record), address_of(tick)):
@@ -209,7 +212,8 @@ def test_after_a_long_gap_the_sums_begin_anew_and_lost_positions_count_as_time()
     record, past, io = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER)
     tick, io.channels = new_record(TICK), 1
     tick.io, tick.history = address_of(io), address_of(past)
-    io.position_scale[0] = io.force_scale[0] = 1.0
+    io.position_scale[0] = io.force_scale[0] = 1e-6
+    io.force_limit[0] = 10.0
     history = history_hook(past, delay=1.0, keeps_last_force=True)
     watch_signs(record, rate_hz=1000.0, masses=[(MASS, MASS)])
     kept, since = [], []
@@ -229,7 +233,114 @@ def test_below_a_tenth_of_the_force_limit_nothing_is_tested() -> None:
     assert judged(-1.0, velocity=1e-4, samples=60) == (-1, 0)
 
 
+def times_at(rate_hz: float, *, count: float = 1e-6, mass: float = MASS) -> Any:
+    """Returns the SIGN of a device of 10 N after its first position."""
+    record, past, io, tick = new_record(SIGN), new_record(FORCE_HISTORY), new_record(IO_BUFFER), new_record(TICK)
+    tick.io, tick.history, tick.gap = address_of(io), address_of(past), 1
+    io.channels, io.position_scale[0], io.force_limit[0] = 1, count, 10.0
+    history = history_hook(past, delay=1.0, keeps_last_force=True)
+    watch_signs(record, rate_hz=rate_hz, masses=[(mass, mass)])
+    judge_signs(address_of(record), address_of(tick))
+    del history
+    return record
+
+
 def test_a_release_lasts_for_its_time_where_nothing_comes_of_it() -> None:
+    assert times_at(2000.0).release[0] == round(RELEASE_S * 2000.0) == 24
+
+
+@pytest.mark.parametrize(
+    ("count", "mass", "times"),
+    [(1e-6, 0.2, 1.0), (16e-6, 0.2, 1.0), (1e-4, 0.2, 2.5), (1e-4, 0.8, 5.0), (4e-4, 0.2, 5.0)],
+)
+def test_all_times_are_longer_for_coarse_counts_and_heavy_hands(count: float, mass: float, times: float) -> None:
+    record = times_at(1000.0, count=count, mass=mass)
+    assert record.pole[0] == pytest.approx(math.exp(-1.0 / (2.0 * times)))
+    assert record.forget[0] == pytest.approx(math.exp(-1.0 / (5.0 * times)))
+    found = [int(record[name][0]) for name in ("least", "row", "release", "verdict")]
+    np.testing.assert_allclose(found, np.array([7.0, 3.0, 12.0, 28.0]) * times, atol=0.5)
+
+
+@pytest.mark.parametrize("count", [5e-5, 1e-4, 2e-4])
+def test_a_wrong_motor_is_found_at_coarse_counts(count: float) -> None:
+    found, tests = judged(-1.0, wire=count, velocity=0.3)
+    assert (found > 0, tests) == (True, 1)
+    assert judged(1.0, wire=count, velocity=0.3)[0] == -1
+
+
+@pytest.mark.parametrize("encoder", [9e-5, 87.89e-6])
+def test_a_bridge_that_sends_finer_counts_than_its_encoder_has_hides_no_wrong_motor(encoder: float) -> None:
+    behind = judged(-1.0, wire=1e-7, encoder=encoder, velocity=0.3)
+    assert behind[0] > 0
+    assert behind == judged(-1.0, wire=encoder, velocity=0.3)
+
+
+# Hands in the plane.
+
+
+def in_plane(
+    name: str, *, kinds: tuple[str, ...] = bench.USUAL, count: float = 1e-5, known: bool = False
+) -> list[bench.Outcome]:
+    scene = {**FIRM, "counts": (count,)}
+    return list(bench.runs(40, 7, each=10, scene=scene, kinds=kinds, motors=bench.PAIRS[name], known=known))
+
+
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [
+        ("x inverted", 0.8),
+        ("both inverted", 0.95),
+        ("exchanged", 0.75),
+        ("turned by 90", 0.85),
+        ("turned by -90", 0.85),
+    ],
+)
+def test_most_faults_of_a_pair_are_stopped_within_centimetres(name: str, share: float) -> None:
+    found = bench.found_of_forced(in_plane(name))
+    assert found["forced"] > 25
+    assert found["stopped of forced"] >= share
+    assert found["m until stopped: median, 95 %, most"][0] < 0.02
+    assert found["lost"] == 0
+
+
+def test_a_pair_with_coarse_counts_is_judged_more_slowly() -> None:
+    found = bench.found_of_forced(in_plane("both inverted", count=1e-4))
+    assert found["stopped of forced"] > 0.8
+
+
+@pytest.mark.parametrize("kinds", [bench.USUAL, bench.VIOLENT])
+def test_no_hand_makes_a_right_pair_look_wrong_and_tests_acquit_it(kinds: tuple[str, ...]) -> None:
+    ended = in_plane("right", kinds=kinds)
+    assert not any(one.is_found for one in ended)
+    assert sum(one.tests for one in ended) > len(ended)
+
+
+def test_a_pair_that_is_known_is_tested_on_suspicion_alone() -> None:
+    usual, known = (sum(one.tests for one in in_plane("right", known=one)) for one in (False, True))
+    assert known < 0.5 * usual
+    assert bench.found_of_forced(in_plane("both inverted", known=True))["stopped of forced"] > 0.8
     record = new_record(SIGN)
-    watch_signs(record, rate_hz=2000.0, masses=[(MASS, MASS)])
-    assert record.release == round(RELEASE_S * 2000.0) == 24
+    watch_signs(record, rate_hz=1000.0, masses=[(MASS, MASS)] * 4, known=(2, 3))
+    assert record.plans[:4].tolist() == [1, 1, 0, 0]
+
+
+def test_tests_in_every_sector_acquit_both_motors_of_a_pair() -> None:
+    """A hand circles with force in every direction: after two tests in each of four sectors the guard has done."""
+    rig = bench.Bench(bench.plane_scene(bench.FORMS[0], **FIRM, count=1e-6), bench.PLANE_S)
+    acquitted = []
+    for seed in range(8):
+        outcome = rig.run(random.Random(seed), "circling")
+        sign = rig.record.sign
+        assert outcome.ending == "done"
+        passed = sign.passed[:4]
+        assert sign.is_over == (passed >= 2).all()
+        assert sign.is_right[:2].tolist() == [sign.is_over] * 2
+        acquitted.append(bool(sign.is_over))
+    assert any(acquitted)
+
+
+def test_a_thrown_handle_with_a_fine_encoder_is_not_taken_for_a_coarse_one() -> None:
+    rig = bench.Bench(bench.drawn_scene(random.Random(3), **FIRM, count=1e-6))
+    for seed in range(6):
+        rig.run(random.Random(seed), "thrown")
+        assert rig.record.sign.count[0] <= 8e-6

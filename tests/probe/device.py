@@ -277,7 +277,10 @@ class Device:
         seconds = now - self.moved_at
         if self.pacing == 0 and self.state == ARMED:
             seconds = min(seconds, max(self.due - self.moved_at, 0.0))
-        for body, force in zip(self.bodies, self.output, strict=True):
+        made = self.output
+        if motors := self.options.get("motors"):  # rows: what each body gets of the forces
+            made = [sum(share * force for share, force in zip(row, self.output, strict=True)) for row in motors]
+        for body, force in zip(self.bodies, made, strict=True):
             body.move(-force if "inverted_sign" in self.faults else force, max(seconds, 0.0))
         self.moved_at = (
             max(now, self.moved_at) if self.pacing or self.state != ARMED else self.moved_at + max(seconds, 0.0)

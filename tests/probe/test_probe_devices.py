@@ -5,6 +5,7 @@ Host, device and what is between them are played in virtual time: nothing waits,
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -345,3 +346,50 @@ def test_a_channel_that_moves_in_place_of_the_pushed_one_is_named(new_bench: New
     assert "but that of channel 1 has: are their wires exchanged?" in checks["sign"].found, summary(checks)
     dead = judged(new_bench("frozen", channels=2), "push", leave=GENTLE)
     assert "exchanged" not in dead["sign"].found
+
+
+def turned(degrees: float) -> list[list[float]]:
+    """What two motors make of their forces that are turned by so much."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return [[c, -s], [s, c]]
+
+
+@pytest.mark.parametrize(
+    ("motors", "found"),
+    [
+        (turned(10.0), ""),
+        (turned(-10.0), ""),
+        ([[2.0, 0.6], [0.6, 0.7]], ""),  # a linkage, whose mass is a matrix
+        (turned(20.0), 20.0),
+        (turned(-30.0), -30.0),
+        (turned(45.0), 45.0),
+        (turned(90.0), 90.0),
+        (turned(180.0), 180.0),
+        ([[-1.0, 0.0], [0.0, 1.0]], "the first channel is inverted"),
+        ([[1.0, 0.0], [0.0, -1.0]], "the second channel is inverted"),
+        ([[0.0, 1.0], [1.0, 0.0]], "the channels are exchanged"),
+    ],
+)
+def test_a_pair_is_pushed_along_both_axes_and_its_turn_is_named(
+    new_bench: NewBench, motors: list[list[float]], found: str | float
+) -> None:
+    checks = judged(new_bench(channels=2, motors=motors), "push", leave=replace(GENTLE, mass=None, pair=(0, 1)))
+    assert failed(checks) == ({"sign"} if found else set()), summary(checks)
+    if isinstance(found, str):
+        assert checks["sign"].found.startswith(found or "turned by"), summary(checks)
+    else:
+        away = float(checks["sign"].found.removeprefix("turned by ").partition("°")[0]) - found
+        assert abs((away + 180.0) % 360.0 - 180.0) <= 2.0, summary(checks)
+    if found:
+        assert checks["delay"].found == "the axes of the pair are not right: see sign"
+
+
+def test_a_pair_stays_within_its_travel_whichever_axis_moves(new_bench: NewBench) -> None:
+    bench = new_bench(channels=2, motors=turned(90.0))
+    checks = judged(bench, "push", leave=Leave(force=10.0, travel=1e-6, pair=(0, 1)))
+    assert checks["sign"].found.startswith("it moved more than 0.001 mm: stopped")
+
+
+def test_one_axis_alone_does_not_show_a_turn_of_45_degrees(new_bench: NewBench) -> None:
+    checks = judged(new_bench(channels=2, motors=turned(45.0)), "push", leave=replace(GENTLE, mass=None))
+    assert checks["sign"].result == "pass"

@@ -121,10 +121,13 @@ def _run(probing: Probing, steps: tuple[str, ...], on_step: OnStep, announce: Ca
             continue
         on_step(step, steps.index(step) + 1, len(steps))
         if run is probe_pushing and probing.leave is not None:
-            channel, channels = probing.leave.channel, probing.device.channels
-            if not 0 <= channel < channels:
+            channel, channels = max(probing.leave.channels), probing.device.channels
+            if channel >= channels:
                 expected = f"0 to {channels - 1}: the device has {channels}"
-                raise UsageError(f"--channel: found {channel}, expected {expected}")
+                raise UsageError(
+                    f"--{'pair' if probing.leave.pair else 'channel'}: found {channel}, expected {expected}"
+                )
+            channel = probing.leave.channel
             probing.leave.require(probing.units_of(channel))
             usual = SCALES[probing.device.motions[channel]].travel
             probing.leave = replace(probing.leave, travel=probing.leave.travel or usual)

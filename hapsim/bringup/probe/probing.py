@@ -227,7 +227,7 @@ _DECLARED = {check.name: check for check in CHECKS}
 
 @dataclass(frozen=True)
 class Leave:
-    """The user's permission to push, on one channel."""
+    """The user's permission to push, on one channel, or on a pair."""
 
     force: float
     """N at most, to either side."""
@@ -236,8 +236,20 @@ class Leave:
     channel: int = 0
     mass: float | None = None
     """kg, with the hand; None if it is unknown."""
+    pair: tuple[int, ...] = ()
+    """Both channels of a hand in the plane, `channel` first: the other is pushed too, and they are judged as one."""
     require: Callable[[Units], None] = lambda _units: None
     """Called with the channel's units before it is pushed; raises UsageError where the permission is in others."""
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """The channels that may be pushed."""
+        return self.pair or (self.channel,)
+
+    @property
+    def named(self) -> str:
+        """Those channels in words."""
+        return f"channels {self.pair[0]} and {self.pair[1]}" if self.pair else f"channel {self.channel}"
 
 
 class Probing:

@@ -18,13 +18,15 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
 from hapsim.bringup.probe.probing import Leave, Probing, Sample, Session, in_words
+from hapsim.units import Units
 
 STEP = "push"
 _LAGS = 5
@@ -38,6 +40,7 @@ _SEEN = 6.0  # standard deviations of a response that is one at all
 _CLEAR = 0.03  # of the response: then its lags can be distinguished
 _MASS_WITHIN = 0.25  # of the mass that was given: a hand is never the same
 _ACCELERATION_WITHIN = 0.3  # of that of the positions: some sensors are coarse
+TURNED = 15.0  # degrees: axes that are turned by less are right
 _LARGEST_COUNT = 2**31 - 1  # of the wire's; rounded, the limit of some devices is one more
 
 
@@ -46,7 +49,7 @@ class TravelledError(Exception):
 
 
 class Pusher:
-    """An armed device that is pushed on one channel, within the user's permission."""
+    """An armed device that is pushed on one channel, within the user's permission, and watched on it, or on a pair."""
 
     def __init__(self, probing: Probing, session: Session, leave: Leave) -> None:
         self.device = device = probing.device
@@ -58,13 +61,14 @@ class Pusher:
         """N, by the sample that they answer."""
         self._rate_hz = device.rate_hz
         self._position_scale = device.position_scale[leave.channel]
+        self._watched = leave.channels
         self.units = probing.units_of(leave.channel)
         travel, counts = leave.travel, _UNSEEN_COUNTS * self._position_scale
         way = max(_UNSEEN * travel / (6 * _PATTERNS), min(counts, _UNSEEN * travel))
         self.unseen = (leave.mass or _UNSEEN_MASS) * way
         """N·s²: force times the square of a push's length, at most, while no count changes."""
         self._settling = probing.samples_in(3.0, 100, 20000)
-        self._home: float | None = None
+        self._home: NDArray[np.float64] | None = None
         self.sensed: Estimate | None = None
         """Gain of acceleration per force in the newest pushes, in m/s² per N."""
 
@@ -77,14 +81,18 @@ class Pusher:
         """Returns m."""
         return sample.counts[self.leave.channel] * self._position_scale
 
+    def positions(self, sample: Sample) -> NDArray[np.float64]:
+        """Returns m, of the channels of `Leave.channels`."""
+        return np.array([sample.counts[c] * self.device.position_scale[c] for c in self._watched])
+
     def begin_here(self) -> None:
         """Counts the travel from the newest position on."""
-        self._home = self.position(self.session.samples[-1])
+        self._home = self.positions(self.session.samples[-1])
 
     def push(self, sample: Sample, force: float, time_to_live: int = 0) -> None:
         """Answers a sample with a force in N. Raises TravelledError, and sends no force, if the device has moved too
         far. By default a force that comes too late is not acted on, and one that is not renewed ends."""
-        if self._home is not None and abs(self.position(sample) - self._home) > self.leave.travel:
+        if self._home is not None and np.linalg.norm(self.positions(sample) - self._home) > self.leave.travel:
             self.session.zero(sample)
             raise TravelledError(f"it moved more than {self.units(self.leave.travel, 'mm', 'g')}: stopped")
         force = min(max(force, -self.leave.force), self.leave.force)
@@ -98,15 +106,15 @@ class Pusher:
         for _ in range(0, self._settling, 50):
             if not self.session.run(50, self.session.zero):
                 return False
-            recent = [self.position(sample) for sample in self.session.samples[-50:]]
-            if max(recent) - min(recent) < max(0.01 * self.leave.travel, 2 * self._position_scale):
+            recent = np.array([self.positions(sample) for sample in self.session.samples[-50:]])
+            if np.ptp(recent, axis=0).max() < max(0.01 * self.leave.travel, 2 * self._position_scale):
                 return True
         return False
 
     @property
     def is_silent(self) -> bool:
         """True if the position has not changed by a count since arming although a force acted."""
-        counts = {sample.counts[self.leave.channel] for sample in self.session.samples}
+        counts = {tuple(sample.counts[c] for c in self._watched) for sample in self.session.samples}
         return len(counts) == 1 and any(self.forces.values())
 
     def silence(self) -> str:
@@ -139,7 +147,7 @@ def what_will_be_done(probing: Probing, leave: Leave) -> str:
     """Returns a sentence for the user, before anything is pushed."""
     force, units = min(leave.force, probing.device.force_limit[leave.channel]), probing.units_of(leave.channel)
     return (
-        f"Pushing channel {leave.channel} now: at most {units(force, 'N', 'g')} to either side in short pulses, some "
+        f"Pushing {leave.named} now: at most {units(force, 'N', 'g')} to either side in short pulses, some "
         "seconds long, "
         f"stopped if it moves more than {units(leave.travel, 'mm', 'g')}. Let it move freely. Ctrl-C releases it."
     )
@@ -158,10 +166,10 @@ def probe_pushing(probing: Probing) -> None:
     session = probing.arm_by_device(STEP, min(probing.device.max_watchdog_samples, 500), parts=parts)
     if session is None:
         return
-    pusher = Pusher(probing, session, leave)
+    pushers = [Pusher(probing, session, replace(leave, channel=one)) for one in leave.channels]
     try:
-        if pusher.settle():
-            _respond(probing, pusher)
+        if pushers[0].settle():
+            _respond(probing, pushers)
         else:
             why = "stopped" if session.ended else "it moves by itself"
             probing.leave_out(STEP, f"the device does not come to rest ({why}): hold it, or lay it down, and try again")
@@ -194,50 +202,104 @@ def _stages(probing: Probing, pusher: Pusher) -> Iterator[tuple[float, int]]:
         length *= 2
 
 
-def _respond(probing: Probing, pusher: Pusher) -> None:
-    """Pushes more and more until the response is clear, and judges the clearest one."""
-    best: Estimate | None = None
-    sensed: Estimate | None = None  # of the accelerations, from the same pushes
-    pushes, went_too_far = "", ""
+def _respond(probing: Probing, pushers: Sequence[Pusher]) -> None:
+    """Pushes each channel more and more until the response is clear, and judges the clearest ones."""
+    each = []
+    for pusher in pushers:
+        answers, why = _answers(probing, pusher)
+        if answers is None:
+            probing.leave_out(STEP, why)
+            return
+        each.append(answers)
+    (best, *_), units = (found := each[0]).estimates, pushers[0].units
+    response = best.total * probing.device.rate_hz**2
+    if len(pushers) > 1:
+        matrix = np.array([[one.total for one in answers.estimates] for answers in each]).T * probing.device.rate_hz**2
+        kept, words = turned_in_words(matrix, max(1.0 / answers.significance for answers in each), units)
+    else:
+        kept, words = best.total > 0, "" if best.total > 0 else "inverted: "
+        words += f"{units(1.0, 'N')} makes {units(response, 'm/s²', '.4g')} (± {100 / best.significance:.2g} %)"
+    probing.judge("sign", kept, f"{words}, from {best.rows} samples, {found.pushes}")
+    if len(pushers) > 1 and not kept:
+        probing.leave_out(STEP, "the axes of the pair are not right: see sign")
+        return
+    probing.response = response
+    _judge_delay(probing, best)
+    _judge_mass(probing, best, 1.0 / abs(probing.response))
+    _judge_acceleration(probing, best, found.sensed)
+
+
+def turned_in_words(response: NDArray[np.float64], unsure: float, units: Units) -> tuple[bool, str]:
+    """Returns whether a pair pushes the right way, and how it is turned, in words.
+
+    A motor that is right makes 1/M of a force, a symmetric matrix that turns it little. Motors that are turned by phi
+    make R(phi)/M of it; the phi whose turn back leaves a symmetric matrix is that of the polar decomposition.
+
+    Args:
+        response: (m/s²)/N, of channel i to a push of channel j, shape (2, 2).
+        unsure: its relative uncertainty.
+    """
+    (xx, xy), (yx, yy) = response.tolist()
+    first, second = (" and ".join(units(one, "m/s²", ".3g") for one in column) for column in ((xx, yx), (xy, yy)))
+    words = f"{units(1.0, 'N')} on the first channel makes {first}, on the second {second}"
+    if xx * yy < xy * yx:
+        axes = "the channels are exchanged"
+        if abs(xx - yy) > abs(xy + yx):
+            axes = f"the {'first' if xx < yy else 'second'} channel is inverted"
+        return False, f"{axes}: {words}"
+    degrees = math.degrees(math.atan2(yx - xy, xx + yy))
+    tolerance = math.degrees(math.asin(min(unsure, 1.0)))
+    return abs(degrees) <= TURNED + tolerance, f"turned by {degrees:z.0f}° (± {tolerance:.2g}°): {words}"
+
+
+class Answers(NamedTuple):
+    """The clearest response to pushes of a channel."""
+
+    estimates: list[Estimate]
+    """Of the channel, or of each of the pair."""
+    sensed: Estimate | None
+    """Of the accelerations, from the same pushes."""
+    pushes: str
+    """In words."""
+
+    @property
+    def significance(self) -> float:
+        """That of the clearest channel."""
+        return max(one.significance for one in self.estimates)
+
+
+def _answers(probing: Probing, pusher: Pusher) -> tuple[Answers | None, str]:
+    """Pushes more and more until the response is clear; returns the clearest, or why there is none, in words."""
+    best: Answers | None = None
+    went_too_far = ""
     for force, length in _stages(probing, pusher):
         if best is not None and best.significance > _SEEN:
-            reach = abs(best.total) * force * length**2
+            reach = max(abs(one.total) for one in best.estimates) * force * length**2
             if reach > 0.3 * pusher.leave.travel:
                 break
         if not pusher.settle():
             break
         found, went_too_far = _pushed(pusher, force, length)
-        if found is not None and (best is None or found.significance > best.significance):
-            best, sensed, pushes = found, pusher.sensed, f"pushes of {pusher.units(force, 'N', '.3g')}, {length} long"
-        if went_too_far or (best is not None and best.is_clear):
+        if found and (best is None or max(one.significance for one in found) > best.significance):
+            words = f"pushes of {pusher.units(force, 'N', '.3g')}, {length} long"
+            best = Answers(found, pusher.sensed, words)
+        if went_too_far or (best is not None and max(best.estimates, key=lambda one: one.significance).is_clear):
             break
-    if best is None or best.significance < _SEEN:
-        if went_too_far:
-            why = f"{went_too_far} (--travel allows more, --push asks less)"
-        elif pusher.session.ended is not None:
-            why = pusher.why_stopped()
-        elif pusher.is_silent:
-            why = pusher.silence()
-        elif best is None:
-            why = "too few of this host's forces were in time"
-        else:
-            why = "the positions show no response: try a greater --push, or let the device move freely"
-        probing.leave_out(STEP, why)
-        return
-    units = pusher.units
-    probing.response = best.total * probing.device.rate_hz**2
-    found_response = (
-        f"{units(1.0, 'N')} makes {units(probing.response, 'm/s²', '.4g')} (± {100 / best.significance:.2g} %)"
-    )
-    inverted = "inverted: " if best.total < 0 else ""
-    probing.judge("sign", best.total > 0, f"{inverted}{found_response}, from {best.rows} samples, {pushes}")
-    _judge_delay(probing, best)
-    _judge_mass(probing, best, 1.0 / abs(probing.response))
-    _judge_acceleration(probing, best, sensed)
+    if best is not None and best.significance >= _SEEN:
+        return best, ""
+    if went_too_far:
+        return None, f"{went_too_far} (--travel allows more, --push asks less)"
+    if pusher.session.ended is not None:
+        return None, pusher.why_stopped()
+    if pusher.is_silent:
+        return None, pusher.silence()
+    if best is None:
+        return None, "too few of this host's forces were in time"
+    return None, "the positions show no response: try a greater --push, or let the device move freely"
 
 
-def _pushed(pusher: Pusher, force: float, length: int) -> tuple[Estimate | None, str]:
-    """Returns what such pushes show, and that they went too far, in words."""
+def _pushed(pusher: Pusher, force: float, length: int) -> tuple[list[Estimate], str]:
+    """Returns what such pushes show on the channel, or on each of the pair, and that they went too far, in words."""
     session = pusher.session
     pusher.begin_here()
     begun, too_far = session.samples[-1].n + 1, ""
@@ -259,11 +321,12 @@ def _pushed(pusher: Pusher, force: float, length: int) -> tuple[Estimate | None,
             return None
         return [pusher.forces.get(n, 0.0) if samples[n + 1].fresh else 0.0 for n in range(k, k - _LAGS, -1)]
 
-    positions = {n: pusher.position(sample) for n, sample in samples.items()}
     if session.wire.armed.parts:
         sensed = {n: pusher.acceleration(sample) for n, sample in samples.items()}
-        pusher.sensed = estimate(positions, by_lag, sensed)
-    return estimate(positions, by_lag), too_far
+        pusher.sensed = estimate({n: pusher.position(sample) for n, sample in samples.items()}, by_lag, sensed)
+    places = {n: pusher.positions(sample) for n, sample in samples.items()}
+    found = [estimate({n: one[i] for n, one in places.items()}, by_lag) for i in range(len(pusher.leave.channels))]
+    return [one for one in found if one is not None], too_far
 
 
 def _judge_delay(probing: Probing, found: Estimate) -> None:

@@ -3,21 +3,30 @@
 The acceleration itself does not show which way a motor pushes, because a hand pushes harder than most motors. Its
 change with the force that acted does. So both x'' and F go through the same filter,
 
-    D / (1 - a/q)³,     D = 1 - 1/q, a = exp(-T / FILTER_S),
+    D / (1 - a/q)³,     D = 1 - 1/q, a = exp(-T / (s FILTER_S)),
 
-as the second differences of two paths: that of the positions, and that of 1 kg under the force alone. The filter
+as the second differences of two paths: q, that of the positions, and p, that of 1 kg under the force alone. The filter
 passes changes within some milliseconds, but neither a hand's slow push nor single counts of an encoder. Over lost
-positions both paths are straight lines, so that they stay comparable. Sums of their squares and products, which decay
-within SUMS_S, give the residuals of x'' = F/m: R(right) for the best 1/m within RIGHT, R(wrong) within WRONG with the
-other sign, both times the declared mass; and
+positions both paths are straight lines, so that they stay comparable. Coarser counts hide more of the motion that the
+force limit F gives to the mass m, so all times are s times as long, s = sqrt(count m / F / FINE_S2) and at least 1.
+A bridge may send finer counts than its encoder has: the least difference between two steps of the position shows them.
 
-    J = (R(right) - R(wrong)) / (R(wrong) + counts²).
+Sums of their squares and products, which decay within s SUMS_S, give the residuals of q = g p: R(right) for the best
+g within RIGHT, R(wrong) within WRONG with the other sign, both divided by the declared mass; and
+
+    J = (R(right) - R(wrong)) / (R(wrong) + noise of the counts).
+
+The channels of a hand in the plane are judged as one, p and q being complex numbers. z = sum of conj(p) q and
+z' = sum of p q fit q to a turned p, and to a turned mirror image of it. Right is a turn of at most 45°. Wrong is one of
+60° or more; or a mirror image, if Re z is small beside |z| or |z'|, since a force along one line shows only part of it.
 
 A hand that leans into a wall harder and harder can make J large for a while. So if J exceeds SUSPICION for SUSPECT_S,
-and there is enough force, the guard releases the force for RELEASE_S: a test that the hand does not expect. Only the
-sums from then until VERDICT_S decide: with J above SURE the motor is wrong. If the other ratio,
-(R(wrong) - R(right)) / (R(right) + counts²), exceeds SURE for SUSPECT_S, with or without a test, the motor is right,
-and its channel is judged no more.
+and there is enough force, the guard releases the hand's force for RELEASE_S: a test that the hand does not expect. Only
+the sums from then until VERDICT_S decide: with J above SURE the motor is wrong. The other ratio,
+(R(wrong) - R(right)) / (R(right) + noise), acquits. If it exceeds SURE for SUSPECT_S, with or without a test, the motor
+of a line is right, and judged no more. In the plane a hand that circles agrees with its force whatever the motors do:
+there only tests acquit, and only the sector of the force's axis. A force that lasts in a sector which is not acquitted
+plans a test.
 
 The guard misses a motor whose force changes little, or moves the device less than the hand does: soft springs, heavy
 hands, small limits. tools/bench/README.md has the figures.
@@ -26,13 +35,13 @@ hands, small limits. tools/bench/README.md has the figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from firmware_protocol import schema
-from hapsim.compiling import helper
+from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import record_at
 from hapsim.loop.force_history import IN_ALL, acting_force, history_at
 from hapsim.loop.hooks import EndedRun, Guard, Setting, Stage, hook, io_at, tick_at
@@ -42,43 +51,68 @@ WRONG_SIGN = -21
 
 FILTER_S, SUMS_S, LEAST_SUMS_S = 0.002, 0.005, 0.007  # shorter sums than the last hold too few samples
 SUSPECT_S, RELEASE_S, VERDICT_S = 0.003, 0.012, 0.028
+FINE_S2 = 3.2e-7  # s² = count m/F: with coarser counts all of these times are longer
 SUSPICION, SURE = 1.0, 12.0
+NOISE, PAIR_NOISE = 0.15, 0.05  # of a position, in squares of its count; of a pair less, as 45° explain half of 90°
 RELEASED_FROM = 0.1  # of the force limit: to release less shows nothing
 MOST_GAP = 3  # samples; after more lost positions the paths are not comparable
 RIGHT, WRONG = (0.4, 50.0), (0.4, 4.0)  # 1/m times the declared mass: a device alone is much lighter than in a hand
+ROUNDED, COARSER = 2, 8  # counts of the wire: rounding changes a step by less; an encoder's larger counts are more
+SECTORS, PASSES = 4, 2  # of 45°, both ways alike; tests that acquit each of them
+PLANNED_FROM, PLANNED_AFTER_S, APART_S = 0.2, 0.01, 0.06  # of the force limit; for so long; so long after another test
+MOST_PLANNED = 8  # tests in a sector
 
+_COS_45, _SIN_60 = math.sqrt(0.5), math.sqrt(0.75)
 _EACH = (schema.MAX_CHANNELS,)
 _STAGES = (4 * schema.MAX_CHANNELS,)
+_BY_SECTOR = (SECTORS * schema.MAX_CHANNELS,)
 
 SIGN = np.dtype(
     [
         ("is_over", np.int64),  # 1: every motor is right
-        ("releases", np.int64),  # channels whose force is released now
+        ("releases", np.int64),  # hands whose force is released now
         ("tests", np.int64),  # releases so far
-        ("channel", np.int64),  # of the wrong motor
-        ("pole", np.float64),  # a
-        ("forget", np.float64),  # decay of the sums per sample
+        ("channel", np.int64),  # of the wrong motor, or the first of a hand's
+        ("rate", np.float64),  # Hz
         ("period_squared", np.float64),  # s²
-        ("least", np.int64),  # samples in a sum,
-        ("row", np.int64),  # suspicions in a row,
-        ("release", np.int64),  # samples without force,
-        ("verdict", np.int64),  # samples from the release to the last verdict
-        ("right", np.float64, (2 * schema.MAX_CHANNELS,)),  # 1/kg: least and most of each channel
-        ("wrong", np.float64, (2 * schema.MAX_CHANNELS,)),
         ("seen", np.int64),  # positions
-        ("position", np.float64, _EACH),  # m, the last one,
+        # Of each channel:
+        ("counts", np.int64, _EACH),  # the last position,
+        ("position", np.float64, _EACH),  # in m,
         ("step", np.float64, _EACH),  # and m in a sample, up to there
         ("lead", np.float64, _EACH),  # kg·m in a sample: speed of 1 kg at a sample less its mean speed up to there
         ("motion", np.float64, _STAGES),  # of the filter: three sums, and the last of them a sample before
         ("push", np.float64, _STAGES),
+        ("compared", np.int64, _EACH),  # counts: a step,
+        ("apart", np.int64, _EACH),  # and the least difference between two; 0: none was seen
+        ("is_right", np.int64, _EACH),
+        # Of each hand, at its first channel:
+        ("most_mass", np.float64, _EACH),  # kg
+        ("heaviest", np.float64, _EACH),  # 1/kg
+        ("lightest", np.float64, _EACH),
+        ("count", np.float64, _EACH),  # m, for which the times below are set; 0: for none
+        ("pole", np.float64, _EACH),  # a
+        ("forget", np.float64, _EACH),  # decay of the sums per sample
+        ("least", np.int64, _EACH),  # samples in a sum,
+        ("row", np.int64, _EACH),  # suspicions in a row,
+        ("release", np.int64, _EACH),  # samples without force,
+        ("verdict", np.int64, _EACH),  # samples from the release to the last verdict
         ("kept", np.int64, _EACH),  # samples in these sums
         ("push_push", np.float64, _EACH),
-        ("push_motion", np.float64, _EACH),
         ("motion_motion", np.float64, _EACH),
+        ("turned", np.float64, _EACH),  # Re z,
+        ("turned_aside", np.float64, _EACH),  # Im z,
+        ("mirrored", np.float64, _EACH),  # Re z',
+        ("mirrored_aside", np.float64, _EACH),  # and Im z'; of a line Re z alone is used
         ("against", np.int64, _EACH),  # samples in a row in which J is suspicious,
         ("along", np.int64, _EACH),  # or the other ratio sure
         ("since", np.int64, _EACH),  # samples since the release; -1: there is no test
-        ("is_right", np.int64, _EACH),
+        ("plans", np.int64, _EACH),  # 1: tests of a hand in the plane are planned
+        ("loaded", np.int64, _EACH),  # samples in which force acted in a sector that is not acquitted
+        ("pause", np.int64, _EACH),  # samples until the next test
+        ("sector", np.int64, _EACH),  # of the last test
+        ("passed", np.int64, _BY_SECTOR),  # tests that acquitted it,
+        ("planned", np.int64, _BY_SECTOR),  # and all of its tests
     ],
     align=True,
 )
@@ -88,14 +122,14 @@ _sign_at = record_at(SIGN)
 
 @hook
 def release(sign, tick):
-    """Makes the force of the tested channels zero, and of the others of the same hand: else the force would turn."""
+    """Makes the force of the tested hands zero, in all of their channels: else the force would turn."""
     sign, tick = _sign_at(sign), tick_at(tick)
     if sign.releases == 0:
         return 0
     io = io_at(tick.io)
     for c in range(np.uint64(io.channels)):
         other = c
-        while 0 <= sign.since[c] < sign.release:
+        while 0 <= sign.since[c] < sign.release[c]:
             io.force_counts[other] = 0
             other += io.to_next[other]
             if other == c:
@@ -107,51 +141,161 @@ def release(sign, tick):
 @hook
 def judge_signs(sign, tick):
     """Judges the motion of the last `gap` samples: WRONG_SIGN for the motor of `sign.channel`, else 0."""
-    sign, tick = _sign_at(sign), tick_at(tick)
+    return _judge(_sign_at(sign), tick_at(tick), False)
+
+
+@hook
+def judge_pairs(sign, tick):
+    """Does the same where hands have two channels."""
+    return _judge(_sign_at(sign), tick_at(tick), True)
+
+
+@inlined
+def _judge(sign, tick, in_plane):
     if sign.is_over:
         return 0
     history, io, gap = history_at(tick.history), io_at(tick.io), tick.gap
     code, judged = 0, 0
     sign.releases = 0
     for c in range(io.channels):
-        if sign.is_right[c]:
+        other = np.int64(np.uint64(c) + io.to_next[c]) if in_plane else c
+        if sign.is_right[c] or other < c:
             continue
         judged += 1
-        _sum_up(sign, history, io, c, gap)
-        count = io.position_scale[c]
-        noise = count * count / (1.0 - sign.forget)
-        right, other = _residual(sign, c, sign.right), _residual(sign, c, sign.wrong)
-        has_enough = sign.kept[c] >= sign.least
-        against = (right - other) / (other + noise) if has_enough else 0.0
-        along = (other - right) / (right + noise) if has_enough else 0.0
-        sign.along[c] = sign.along[c] + 1 if along > SURE else 0
-        if sign.along[c] >= sign.row:
-            sign.is_right[c], sign.since[c] = 1, -1
-        elif sign.since[c] >= 0:
-            if against > SURE:
-                sign.channel, code = c, WRONG_SIGN
-            sign.since[c] = sign.since[c] + gap if sign.since[c] + gap <= sign.verdict else -1
+        _sum_up(sign, history, io, c, other, gap)
+        against, along = _ratios(sign, c, in_plane)
+        if sign.since[c] >= 0 and against > SURE:
+            sign.channel, code = c, WRONG_SIGN
+        if in_plane:
+            _judge_pair(sign, history, io, c, other, gap, against, along)
         else:
-            sign.against[c] = sign.against[c] + 1 if against > SUSPICION else 0
-            _begin_test(sign, history, io, c)
-        sign.releases += 0 <= sign.since[c] < sign.release
+            _judge_line(sign, history, io, c, gap, against, along)
+        sign.releases += 0 <= sign.since[c] < sign.release[c]
     sign.seen += 1
     sign.is_over = judged == 0
     return code
 
 
 @helper
-def _begin_test(sign, history, io, c):
-    """Begins a test if there is suspicion and enough force."""
-    acts = abs(acting_force(history, IN_ALL + c, 0))
-    if sign.against[c] >= sign.row and acts >= RELEASED_FROM * io.force_limit[c]:
-        sign.tests += 1
-        sign.since[c] = sign.against[c] = sign.kept[c] = 0
+def _judge_line(sign, history, io, c, gap, against, along):
+    """Acquits the motor, goes on with its test, or begins one."""
+    sign.along[c] = sign.along[c] + 1 if along > SURE else 0
+    if sign.along[c] >= sign.row[c]:
+        sign.is_right[c], sign.since[c] = 1, -1
+    elif sign.since[c] >= 0:
+        _continue_test(sign, c, gap)
+    else:
+        sign.against[c] = sign.against[c] + 1 if against > SUSPICION else 0
+        acts = abs(acting_force(history, IN_ALL + c, 0))
+        if sign.against[c] >= sign.row[c] and acts >= RELEASED_FROM * io.force_limit[c]:
+            _begin_test(sign, c)
 
 
 @helper
-def _sum_up(sign, history, io, c, gap):
-    """Adds the filtered motion, and the filtered path of 1 kg under the force that acted, to the sums."""
+def _judge_pair(sign, history, io, c, other, gap, against, along):
+    """Acquits a sector, goes on with a test, or begins one: for suspicion, or by plan."""
+    sign.pause[c] = max(sign.pause[c] - gap, 0)
+    if sign.since[c] >= 0:
+        _continue_test(sign, c, gap)
+        if along > SURE:
+            sign.since[c] = -1
+            sign.passed[SECTORS * c + sign.sector[c]] += 1
+            is_right = True
+            for i in range(SECTORS):
+                is_right &= sign.passed[SECTORS * c + i] >= PASSES
+            sign.is_right[c] = sign.is_right[other] = is_right
+        return
+    x, y = acting_force(history, IN_ALL + c, 0), acting_force(history, IN_ALL + other, 0)
+    share = math.hypot(x / io.force_limit[c], y / io.force_limit[other])
+    sector = _sector(x, y)
+    at = SECTORS * c + sector
+    is_open = sign.passed[at] < PASSES
+    sign.against[c] = sign.against[c] + 1 if against > SUSPICION else 0
+    sign.loaded[c] = sign.loaded[c] + gap if is_open and share >= PLANNED_FROM else 0
+    suspected = sign.against[c] >= sign.row[c] and share >= RELEASED_FROM and is_open
+    due = sign.plans[c] and sign.loaded[c] >= PLANNED_AFTER_S * sign.rate and sign.planned[at] < MOST_PLANNED
+    if sign.pause[c] == 0 and (suspected or due):
+        _begin_test(sign, c)
+        sign.sector[c], sign.loaded[c], sign.pause[c] = sector, 0, np.int64(APART_S * sign.rate)
+        sign.planned[at] += 1
+
+
+@helper
+def _begin_test(sign, c):
+    sign.tests += 1
+    sign.since[c] = sign.against[c] = sign.kept[c] = 0
+
+
+@helper
+def _continue_test(sign, c, gap):
+    sign.since[c] = sign.since[c] + gap if sign.since[c] + gap <= sign.verdict[c] else -1
+
+
+@helper
+def _sector(x, y):
+    """Returns the sector of a force's axis: 0 from x to the diagonal, and so on to 3."""
+    if y < 0.0 or (y == 0.0 and x < 0.0):
+        x, y = -x, -y
+    if x >= 0.0:
+        return 0 if x > y else 1
+    return 2 if -x <= y else 3
+
+
+@helper
+def _sum_up(sign, history, io, c, other, gap):
+    """Adds the filtered motion, and the filtered path of 1 kg under the force that acted, to the sums of a hand."""
+    count = _count(sign, io, c, gap)
+    if other != c:
+        count = max(count, _count(sign, io, other, gap))
+    if count != sign.count[c]:
+        _set_times(sign, c, count, io.force_limit[c])
+    pole = sign.pole[c]
+    x, pushed_x = _filtered_channel(sign, history, io, c, gap, pole)
+    y, pushed_y = _filtered_channel(sign, history, io, other, gap, pole) if other != c else (0.0, 0.0)
+    if sign.seen < 2:
+        return
+    if sign.kept[c] == 0 or gap > MOST_GAP:
+        sign.kept[c] = 0
+        sign.push_push[c] = sign.motion_motion[c] = sign.turned[c] = 0.0
+        sign.turned_aside[c] = sign.mirrored[c] = sign.mirrored_aside[c] = 0.0
+    sign.kept[c] += 1
+    forget = sign.forget[c]
+    sign.push_push[c] = forget * sign.push_push[c] + pushed_x * pushed_x + pushed_y * pushed_y
+    sign.motion_motion[c] = forget * sign.motion_motion[c] + x * x + y * y
+    sign.turned[c] = forget * sign.turned[c] + pushed_x * x + pushed_y * y
+    if other != c:
+        sign.turned_aside[c] = forget * sign.turned_aside[c] + pushed_x * y - pushed_y * x
+        sign.mirrored[c] = forget * sign.mirrored[c] + pushed_x * x - pushed_y * y
+        sign.mirrored_aside[c] = forget * sign.mirrored_aside[c] + pushed_x * y + pushed_y * x
+
+
+@helper
+def _count(sign, io, c, gap):
+    """Returns the count (m) of a channel's positions: that of the wire, or the least difference between two steps, if
+    that is larger. Takes the newest step."""
+    step = io.position_counts[c] - sign.counts[c]
+    sign.counts[c] += step
+    apart = abs(step - sign.compared[c])
+    if sign.seen > 0 and gap == 1 and (apart > ROUNDED or sign.seen == 1):
+        sign.compared[c] = step
+        if sign.seen > 1 and (sign.apart[c] == 0 or apart < sign.apart[c]):
+            sign.apart[c] = apart
+    return io.position_scale[c] * (sign.apart[c] if sign.apart[c] > COARSER else 1)
+
+
+@helper
+def _set_times(sign, c, count, force_limit):
+    """Sets the times of a hand, and its filter, for positions with this count (m)."""
+    stretched = sign.rate * max(1.0, math.sqrt(count * sign.most_mass[c] / force_limit / FINE_S2))
+    sign.count[c] = count
+    sign.pole[c], sign.forget[c] = math.exp(-1.0 / (FILTER_S * stretched)), math.exp(-1.0 / (SUMS_S * stretched))
+    sign.least[c], sign.row[c] = np.rint(LEAST_SUMS_S * stretched), np.rint(SUSPECT_S * stretched)
+    sign.release[c], sign.verdict[c] = np.rint(RELEASE_S * stretched), np.rint(VERDICT_S * stretched)
+
+
+@helper
+def _filtered_channel(sign, history, io, c, gap, pole):
+    """Returns the filtered motion of a channel, and the filtered path of 1 kg under its force."""
     position = io.position_counts[c] * io.position_scale[c]
     step = (position - sign.position[c]) / gap
     bend = step - sign.step[c]
@@ -162,16 +306,8 @@ def _sum_up(sign, history, io, c, gap):
         lead += gained
     sign.position[c], sign.step[c], sign.lead[c] = position, step, lead - way / gap
     if sign.seen < 2:
-        return
-    motion = _filtered(sign.motion, 4 * c, bend, sign.pole, gap)
-    push = _filtered(sign.push, 4 * c, way / gap, sign.pole, gap)
-    if sign.kept[c] == 0 or gap > MOST_GAP:
-        sign.kept[c] = 0
-        sign.push_push[c] = sign.push_motion[c] = sign.motion_motion[c] = 0.0
-    sign.kept[c] += 1
-    sign.push_push[c] = sign.forget * sign.push_push[c] + push * push
-    sign.push_motion[c] = sign.forget * sign.push_motion[c] + push * motion
-    sign.motion_motion[c] = sign.forget * sign.motion_motion[c] + motion * motion
+        return 0.0, 0.0
+    return _filtered(sign.motion, 4 * c, bend, pole, gap), _filtered(sign.push, 4 * c, way / gap, pole, gap)
 
 
 @helper
@@ -186,41 +322,70 @@ def _filtered(sums, at, bend, pole, gap):
 
 
 @helper
-def _residual(sign, c, bounds):
-    """Returns the residual (m²) for the best 1/m within the bounds."""
-    pushed, both = sign.push_push[c], sign.push_motion[c]
-    best = both / pushed if pushed > 0.0 else 0.0
-    best = min(max(best, bounds[2 * c]), bounds[2 * c + 1])
-    return sign.motion_motion[c] - 2.0 * best * both + best * best * pushed
+def _ratios(sign, c, in_plane):
+    """Returns J of a hand, and the other ratio; 0 with too few samples."""
+    if sign.kept[c] < sign.least[c]:
+        return 0.0, 0.0
+    noise = (PAIR_NOISE if in_plane else NOISE) * sign.count[c] ** 2 / (1.0 - sign.forget[c])
+    along = sign.turned[c]
+    if not in_plane:
+        right, wrong = _residual(sign, c, along, RIGHT), _residual(sign, c, -along, WRONG)
+        return (right - wrong) / (wrong + noise), (wrong - right) / (right + noise)
+    aside = abs(sign.turned_aside[c])
+    turned = math.hypot(along, aside)
+    mirrored = math.hypot(sign.mirrored[c], sign.mirrored_aside[c])
+    right = _residual(sign, c, turned if along >= aside else _COS_45 * (along + aside), RIGHT)
+    wrong = _residual(sign, c, turned if along <= 0.5 * turned else 0.5 * along + _SIN_60 * aside, WRONG)
+    worst = wrong
+    if along < 0.5 * max(turned, mirrored):
+        worst = min(wrong, _residual(sign, c, mirrored, WRONG))
+    return (right - worst) / (worst + noise), (wrong - right) / (right + noise)
 
 
-def watch_signs(sign: Any, *, rate_hz: float, masses: Sequence[tuple[float, float]]) -> None:
-    """Fills a SIGN. `masses`: kg, the least and the largest of each channel."""
+@helper
+def _residual(sign, c, gain, bounds):
+    """Returns the residual (m²) of the best 1/m within the bounds, for pushes that agree with the motion by `gain`."""
+    pushed = sign.push_push[c]
+    best = gain / pushed if pushed > 0.0 else 0.0
+    best = min(max(best, bounds[0] * sign.heaviest[c]), bounds[1] * sign.lightest[c])
+    return sign.motion_motion[c] - 2.0 * best * gain + best * best * pushed
+
+
+def watch_signs(sign: Any, *, rate_hz: float, masses: Sequence[tuple[float, float]], known: Iterable[int] = ()) -> None:
+    """Fills a SIGN. `masses`: kg, the least and the largest of each channel's hand; `known`: channels whose motor is
+    known to be right."""
     for c, (least, most) in enumerate(masses):
-        sign.right[2 * c : 2 * c + 2] = RIGHT[0] / most, RIGHT[1] / least
-        sign.wrong[2 * c : 2 * c + 2] = -WRONG[1] / least, -WRONG[0] / most
-    sign.period_squared = rate_hz**-2
-    sign.pole, sign.forget = (math.exp(-1.0 / (one * rate_hz)) for one in (FILTER_S, SUMS_S))
-    sign.least, sign.row = round(LEAST_SUMS_S * rate_hz), round(SUSPECT_S * rate_hz)
-    sign.release, sign.verdict = round(RELEASE_S * rate_hz), round(VERDICT_S * rate_hz)
-    sign.since[:] = -1
+        sign.most_mass[c], sign.lightest[c], sign.heaviest[c] = most, 1.0 / least, 1.0 / most
+    sign.rate, sign.period_squared = rate_hz, rate_hz**-2
+    sign.since[:], sign.plans[:] = -1, 1
+    sign.plans[list(known)] = 0
 
 
 def _set_up(loop: Any, setting: Setting) -> Any:
     from hapsim.prediction.force_bounds import SIGN_RATE_HZ
 
-    rate_hz, device = setting.scene.rate, setting.scene.device
-    if rate_hz < SIGN_RATE_HZ or not (setting.in_hand or setting.judges_sign):
+    scene, channels = setting.scene, setting.scene.channels
+    if scene.rate < SIGN_RATE_HZ or not (setting.in_hand or setting.judges_sign):
         return None
-    watch_signs(loop.sign, rate_hz=rate_hz, masses=device.mass_spans(setting.description.channels))
+    spans = scene.device.mass_spans(channels)
+    hands = [list(zip(*(spans[one] for one in scene.hand_of(c)), strict=True)) for c in range(channels)]
+    masses = [(min(least), max(most)) for least, most in hands]
+    watch_signs(loop.sign, rate_hz=scene.rate, masses=masses, known=setting.known_motors)
     return loop.sign
 
 
 def _sentence(run: EndedRun) -> str:
-    channel = run.loop.sign.channel
-    swapped = ". Or the motors of x and y are exchanged: `hapsim probe --push`" if run.loop.io.to_next[channel] else ""
+    first = int(run.loop.sign.channel)
+    hand = run.scene.hand_of(first)
+    named = f"channel {first}" if len(hand) == 1 else f"channels {hand[0]} and {hand[1]}"
+    swapped = ""
+    if len(hand) > 1:
+        swapped = (
+            ". Or the motors of x and y are exchanged, or the axes turned: "
+            f"`hapsim probe PORT --push N --pair {hand[0]},{hand[1]}`"
+        )
     return (
-        f"motor and position of channel {channel} disagree in sign: the device accelerated against its "
+        f"motor and position of {named} disagree in sign: the device accelerated against its "
         f"force, and a release of the force confirmed it (tick {run.report.ticks}). Swap the motor's two wires; or "
         f"reverse the encoder, if the position falls when the hand moves the positive way{swapped} "
         "(hapsim/STABILITY.md)"
@@ -235,6 +400,7 @@ GUARD = Guard(
     WRONG_SIGN,
     "sign wrong",
     _sentence,
+    plane_hooks={Stage.LOWER: release, Stage.JUDGE: judge_pairs},
     reads_history=True,
     stopped_motor=lambda loop: int(loop.sign.channel),
 )
