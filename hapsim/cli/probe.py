@@ -66,7 +66,7 @@ def probe(
                 announce=print_message,
             )
     if leave is not None:
-        note_motor(port, leave.pair or [leave.channel], judgement)
+        note_motor(port, leave.pair or (leave.channel,), judgement)
     if judgement.device is not None:
         set_output_units(Units.of(judgement.device.motions))
     if json:

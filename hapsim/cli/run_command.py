@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 
+_SENTENCES = ("armed_inside", "frozen", "wrong_sensor")  # of a Progress, printed when they come
 _LOOK_S = 0.05  # how often the scene's file is looked at
 
 
@@ -287,7 +288,7 @@ class _Reporter:
                     "outside",
                     "warning",
                 )
-        wrong = {kind: getattr(progress, kind) for kind in ("frozen", "wrong_sensor") if getattr(progress, kind)}
+        wrong = {kind: text for kind in _SENTENCES if (text := getattr(progress, kind))}
         for kind in wrong.keys() - self._said:
             output.print_message(wrong[kind], kind, "warning")
         self._said = set(wrong)

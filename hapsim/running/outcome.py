@@ -92,7 +92,8 @@ def counters_of(loop: LoopMemory) -> dict[str, Any]:
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
     sound = {} if loop.sound_output is None else loop.sound_output.counts()
     sensor = "" if loop.sensor_check is None else loop.sensor_check.sentence(loop.rendered_scene)
-    return counts | masses | sound | {"wrong_sensor": sensor, "unknown_motor": loop.unknown_motor}
+    sentences = {"wrong_sensor": sensor, "unknown_motor": loop.unknown_motor, "armed_inside": loop.armed_inside()}
+    return counts | masses | sound | sentences
 
 
 def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:

@@ -161,6 +161,7 @@ def test_a_run_whose_last_second_had_no_force_tells_so(
         loop.state.tick_ns = at - (late if held_up == "on its way" else 0)
         receive(loop, n, at=at)
         leaves(loop, at + (late if held_up == "in the host" else 0))
+        loop.state.unanswered = 1
         _on_force_sent(loop.record, at + (late if held_up == "in the host" else 0))
         at += 25 * MS if n < positions - 1 else MS
     assert loop.state.withheld_forces >= positions - 1

@@ -263,7 +263,7 @@ class Device:
         if "on_arrival" in self.faults:
             self.put_out(self.command)
         if self.pacing != 0 and self.answers_after:
-            self.answer_at = self.now() + self.answers_after
+            self.answer_at = self.answer_at or self.now() + self.answers_after
         elif self.pacing != 0:
             self.tick(self.now())
 

@@ -62,9 +62,9 @@ def serve(options: dict[str, Any]) -> None:
         return 0
 
     device = Device(put, time.monotonic, options)
-    print(os.ttyname(far), flush=True)
     ends: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: ends.append(number))
+    print(os.ttyname(far), flush=True)
     while not ends:
         if select.select([near], [], [], device.wait())[0]:
             with contextlib.suppress(BlockingIOError):
