@@ -141,9 +141,11 @@ def sign_warning(scene: Scene, prediction: Prediction) -> str:
         why = f"it oscillates at {fastest:.2g} Hz, below {_SIGN_HZ:g} Hz, like a hand"
     else:
         return ""
+    hand = scene.hand_of(channel)
+    pair = f" --pair {hand[0]},{hand[1]}" if len(hand) > 1 else ""
     return (
         f"A run of this scene may not reveal a motor that is wired the wrong way: {why}. "
-        "`hapsim probe PORT --push N` finds it before a run."
+        f"`hapsim probe PORT --push N{pair}` finds it before a run."
     )
 
 

@@ -276,10 +276,9 @@ def _count(sign, io, c, gap):
     step = io.position_counts[c] - sign.counts[c]
     sign.counts[c] += step
     apart = abs(step - sign.compared[c])
-    if sign.seen > 0 and gap == 1 and (apart > ROUNDED or sign.seen == 1):
+    if sign.seen > 0 and gap == 1 and apart > ROUNDED:
         sign.compared[c] = step
-        if sign.seen > 1 and (sign.apart[c] == 0 or apart < sign.apart[c]):
-            sign.apart[c] = apart
+        sign.apart[c] = apart if sign.apart[c] == 0 else min(sign.apart[c], apart)
     return io.position_scale[c] * (sign.apart[c] if sign.apart[c] > COARSER else 1)
 
 
