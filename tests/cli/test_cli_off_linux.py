@@ -38,8 +38,6 @@ SceneFile = Callable[..., Path]
 Elsewhere = Callable[..., list[tuple[int, str, str]]]
 Done = Callable[..., list[str]]
 
-pytestmark = pytest.mark.xdist_group("another system")
-
 IMPORT_EVERYTHING = """
 import importlib, pkgutil, sys
 sys.path.insert(0, sys.argv[1])
