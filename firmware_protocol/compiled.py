@@ -25,11 +25,14 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from numba import extending
+from numba.np import linalg
 
 from firmware_protocol.code_cache import directory_for, numba_cache_in, read_only_directories_for
 from firmware_protocol.lean_compiler import BulkPiece, Piece, PieceType, Whole
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+linalg.ensure_blas = lambda: None  # it imports scipy.linalg, a tenth of a start, lest a user be without scipy
 
 OPTIONS: dict[str, Any] = {
     "nogil": True,

@@ -95,18 +95,19 @@ def next_frame(decoder, data, start, stop):
     body = np.uint64(1 + 2 + decoder.framing.from_host + 4 * decoder.framing.words)
     length = body + (np.uint64(5) if decoder.framing.long_check else np.uint64(3))
     at, end, seen = np.uint64(start), np.uint64(stop), np.uint64(decoder.seen)
+    recent, frame = decoder.recent, decoder.frame
     while at < end:
         byte = data[at]
         at += ONE
         if byte != 0:
-            decoder.recent[seen & _RING] = byte
+            recent[seen & _RING] = byte
             seen += ONE
             continue
         had, seen = seen, np.uint64(0)
         if had >= length:
             first = had - length
             for i in range(length):
-                decoder.frame[i] = decoder.recent[(first + i) & _RING]
+                frame[i] = recent[(first + i) & _RING]
             decoder.garbage_bytes += np.int64(first)
             if _accept(decoder, body):
                 decoder.seen = 0

@@ -23,6 +23,7 @@ import firmware_protocol
 from hapsim import cli
 from hapsim.cli.output import set_output_units
 from hapsim.units import LINEAR
+from tests import thorough
 
 FIRMWARE = Path(firmware_protocol.__file__).parent / "firmware"
 
@@ -41,6 +42,23 @@ RUNNERS = {
     "arduino_uno": ("run_arduino_uno", f"{ON_SIMAVR} arduino-core-avr"),
     "simplefoc_cortex_m": ("on_terminal", "g++ libc6-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"),
 }
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--all", action="store_true", help="also run what is marked thorough, and more random points")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    thorough.ALL = config.getoption("--all")
+    config.addinivalue_line("markers", "thorough(keep=0): runs with --all alone, or `keep` of its cases without")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leaves out what is thorough, unless `--all`, HAPSIM_POINTS or a test by its name asks for it."""
+    if not thorough.ALL and "HAPSIM_POINTS" not in os.environ and not any("::" in one for one in config.args):
+        left_out = thorough.left_out(items)
+        config.hook.pytest_deselected(items=list(left_out))
+        items[:] = [item for item in items if item not in left_out]
 
 
 @pytest.fixture(scope="session", autouse=True)

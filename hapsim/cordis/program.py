@@ -8,6 +8,7 @@ its stencil needs. Live values (stiffness, damping, rest positions) share one ar
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -63,7 +64,7 @@ class Program:
         self.parameters = LiveValues(values, self.record.parameters)
         self.numbers = numbers_of(scene)
         """Number of each point, by name."""
-        self.places = places_of_values(scene)
+        self._scene = scene
         self.stored: Any = None
         """StoredEnergy, where the energy is accounted for."""
         self._kept: list[Any] = []
@@ -80,6 +81,11 @@ class Program:
         self.record.states = [one.address for one in self._states]
         for name in ("initialize", "retarget", "add_forces", "integrate"):
             self.call_all_of(name)
+
+    @cached_property
+    def places(self) -> dict[tuple[str, str], int]:
+        """Index of each live value in `parameters`, by module name and field."""
+        return places_of_values(self._scene)
 
     @property
     def address(self) -> int:

@@ -51,15 +51,18 @@ _GRACE_NS = 50_000_000  # beyond the duration, until the host's clock ends the r
 class LoopMemory:
     """A loop that is ready to run, with everything that must stay in memory meanwhile."""
 
-    def __init__(self, connection: Connection, description: Description, parts: int, clock: str) -> None:
-        """`parts`: those of schema.PARTS on the wire. `clock`: the device's, as in a scene."""
+    def __init__(
+        self, connection: Connection, description: Description, parts: int, clock: str, ring_rows: int | None = None
+    ) -> None:
+        """`parts`: those of schema.PARTS on the wire. `clock`: the device's, as in a scene. `ring_rows`: a power of
+        two."""
         self.record = new_record(LOOP)
         """LOOP of hapsim.loop.exchange."""
         self.inbox = connection.inbox
         self.wire = armed_format(description.channels, parts)
         """Format of an armed device's frames."""
         rows = row_type(description.channels, [part.name for part in schema.in_parts(parts)], clock == "host")
-        self.ring = Ring(self.record.ring, rows, _RING_ROWS, waits=clock == "lockstep")
+        self.ring = Ring(self.record.ring, rows, ring_rows or _RING_ROWS, waits=clock == "lockstep")
         self.record.inbox = address_of(self.inbox)
         self.record.slot.address = address_of(self.record.slot)
         tick = self.record.tick
@@ -171,7 +174,8 @@ def assemble_loop(
     `judges_energy`, `judges_sign`, `sound_file` and `unstable`."""
     options = options or RunOptions()
     rendering = rendered(scene)
-    loop = LoopMemory(connection, description, schema.parts_of(scene.sensed), scene.device.clock)
+    ring_rows = _ring_rows(scene, options.duration)
+    loop = LoopMemory(connection, description, schema.parts_of(scene.sensed), scene.device.clock, ring_rows)
     if isinstance(connection.transport, Transport):
         loop.inbox.transport = connection.transport.record
     loop.rendered_scene = rendering.scene
@@ -193,6 +197,13 @@ def assemble_loop(
         loop.hand = LiveHand(connection.mock, scene)
     loop.account_for(loop.program, rendering.scene)
     return loop
+
+
+def _ring_rows(scene: Scene, duration: float | None) -> int:
+    """Returns the ring's rows. In virtual time a short run takes twice its own: the loop returns at half of them."""
+    if scene.device.clock != "lockstep" or duration is None:
+        return _RING_ROWS
+    return min(_RING_ROWS, 1 << math.ceil(math.log2(2.0 * min(duration * scene.rate, _RING_ROWS) + 2.0)))
 
 
 def _setting_of(

@@ -36,13 +36,14 @@ _TELLING_S = 1.0  # a guard that withholds the force for so long at the end of a
 def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) -> Trace:
     """Returns the trace of a loop that has ended."""
     rows, io, used = recorder.rows(), loop.record.io, slice(loop.wire.channels)
+    report, statistics = report_of(scene, loop, in_words(ending))
     return Trace(
         scene.rate,
         **columns_of(rows),
         position_scale=io.position_scale[used].copy(),
         force_scale=io.force_scale[used].copy(),
-        statistics=statistics_of(loop),
-        report=report_of(scene, loop, in_words(ending)),
+        statistics=statistics,
+        report=report,
         sensed=sensed_in(rows, lambda name: io[f"{name}_scale"][used]),
     )
 
@@ -96,15 +97,15 @@ def counters_of(loop: LoopMemory) -> dict[str, Any]:
     return counts | masses | sound | sentences
 
 
-def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
-    """Returns the report of a loop, during the run or afterwards."""
+def report_of(scene: Scene, loop: LoopMemory, ending: str) -> tuple[Report, Statistics]:
+    """Returns the report and the histograms of a loop, during the run or afterwards."""
     state, statistics, sensor = loop.state, statistics_of(loop), loop.record.frozen_sensor
     virtual = scene.device.clock == "lockstep"
     samples = max(int(state.ticks) - 1, 0)
     elapsed = (int(state.newest_ns) - int(state.first_ns)) * 1e-9
     if virtual:
         elapsed = (samples + int(state.lost_frames)) / scene.rate
-    return Report(
+    report = Report(
         ending=ending,
         duration_s=elapsed,
         rate_hz=samples / elapsed if elapsed > 0 else 0.0,
@@ -120,6 +121,7 @@ def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
         released=True if ending == endings.IN_WORDS[endings.DEVICE_STOPPED] and _is_released(loop) else None,
         **counters_of(loop),
     )
+    return report, statistics
 
 
 def _is_released(loop: LoopMemory) -> bool:

@@ -327,7 +327,7 @@ class SessionView:
             file = self._recorder.use_file(None)
         if file is None:
             return None
-        file.finish(outcome.report_of(self.scene, self._loop, "running"), outcome.statistics_of(self._loop))
+        file.finish(*outcome.report_of(self.scene, self._loop, "running"))
         self._publish("recorded", file.problem or str(file.path))
         return file.path
 
@@ -365,7 +365,7 @@ class SessionView:
         )
 
         def report_so_far() -> tuple[Report, Statistics]:
-            return outcome.report_of(scene, loop, "running"), outcome.statistics_of(loop)
+            return outcome.report_of(scene, loop, "running")
 
         return RecordFile(path, head, report_so_far, self._options.on_warning or (lambda _: None))
 

@@ -117,6 +117,7 @@ def tolerance_of(scene: Scene) -> Tolerance:
     return predict(scene).tolerances("hand", (0.05,))[0]
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("over", ["device.mass", "device.friction", "device.delay"])
 def test_how_well_the_device_has_to_be_known_is_drawn(
     chart: Chart, scene_file: SceneFile, rows_of: RowsOf, over: str
@@ -200,6 +201,7 @@ def test_hands_that_are_alike_share_a_plane_and_others_are_named(chart: Chart, s
     assert "hand has its own plane: --channel 0" in apart.out
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("words", "correction", "of_two"),
     [

@@ -57,6 +57,7 @@ def test_a_predictor_that_knows_the_mass_has_the_whole_plane(device: dict[str, A
     assert felt.share(1e-6) == 1.0
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("correction", DRAWN)
 @pytest.mark.parametrize(("mass", "delay"), [(0.5, 1.0), (1.0, 1.0), (1.1, 0.37), (2.0, 2.0)])
 def test_the_error_is_the_one_that_is_measured(correction: Any, mass: float, delay: float) -> None:
@@ -95,6 +96,7 @@ def test_what_the_device_has_more_of_by_itself_does_not_count() -> None:
     assert felt.share(0.05) == np.mean(felt.error[asked] <= 0.05)
 
 
+@pytest.mark.thorough
 def test_the_better_correction_feels_more_and_the_mass_matters(usual: Any) -> None:
     none, poles, predictor, sensed = (usual.felt[name].share(0.05) for name in DRAWN)
     assert none < 0.1

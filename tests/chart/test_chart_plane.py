@@ -64,6 +64,7 @@ def simulated(data: Plane, curve: Curve) -> tuple[Any, Any]:
     return curve.K[there], curve.B[there] - data.scale.offset
 
 
+@pytest.mark.thorough(keep=2)
 def test_what_is_felt_on_a_curve_is_what_it_is_drawn_for(case: tuple[Configuration, Plane]) -> None:
     configuration, data = case
     seen = [curve for curve in data.iso if curve.is_seen]
@@ -204,6 +205,7 @@ def test_more_masses_than_greys_are_refused() -> None:
         drawn(DEVICE, 2000.0, 5.0, masses=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("ending", [".svg", ".png", ".pdf"])
 def test_the_same_numbers_draw_the_same_bytes(tmp_path: Path, ending: str) -> None:
     data = drawn(DEVICE, 2000.0, 5.0)

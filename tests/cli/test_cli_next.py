@@ -23,6 +23,7 @@ def next_words(answer: Any) -> list[str]:
     return shlex.split(words)
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(
     ("words", "following"),
     [

@@ -35,6 +35,8 @@ from another_system import FUNCTIONS, MODULES
 ANOTHER_SYSTEM = Path(__file__).with_name("another_system.py")
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
+Elsewhere = Callable[..., list[tuple[int, str, str]]]
+Done = Callable[..., list[str]]
 
 IMPORT_EVERYTHING = """
 import importlib, pkgutil, sys
@@ -50,45 +52,51 @@ print(len([name for name in sys.modules if name.startswith(("hapsim.", "firmware
 """
 
 BREAK_A_RUN = """
-import os, signal, sys
-sys.path.insert(0, sys.argv[1])
-import another_system
-another_system.become_another_system()
+import os, signal
 import hapsim
 stop = lambda _: os.kill(os.getpid(), signal.SIGBREAK)  # as Windows calls it; here SIGUSR1
-print(hapsim.run(sys.argv[2], stop_on_signals=True, on_start=stop).report.ending)
+print(hapsim.run(SCENE, stop_on_signals=True, on_start=stop).report.ending)
 """
 
 
-def python(*words: object, given: str = "") -> str:
-    """Returns the output of a new Python process."""
-    answer = subprocess.run(
-        [sys.executable, *map(str, words)], input=given, capture_output=True, text=True, check=False, timeout=300
-    )
-    assert answer.returncode == 0, answer.stderr[-2000:]
-    return answer.stdout
+@pytest.fixture(scope="module")
+def elsewhere() -> Iterator[Elsewhere]:
+    """Returns (status, output, errors) of each `hapsim …`, all in one process on another system."""
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, ANOTHER_SYSTEM], text=True, **pipes) as process:
+
+        def answer(words: Sequence[object]) -> tuple[int, str, str]:
+            print(json.dumps(list(map(str, words))), file=process.stdin, flush=True)
+            status, output, errors = json.loads(process.stdout.readline())
+            return status, output, errors
+
+        yield lambda *commands: [*map(answer, commands)]
+        process.communicate()
 
 
-def elsewhere(*commands: Sequence[object]) -> list[tuple[int, str, str]]:
-    """(status, output, errors) of each `hapsim …`, all in one process on another system."""
-    given = "".join(json.dumps(list(map(str, words))) + "\n" for words in commands)
-    return [tuple(json.loads(line)) for line in python(ANOTHER_SYSTEM, given=given).splitlines()]
+@pytest.fixture
+def done(elsewhere: Elsewhere) -> Callable[..., list[str]]:
+    """Returns the outputs of commands on another system, all of which must succeed."""
+
+    def outputs(*commands: Sequence[object]) -> list[str]:
+        answers = elsewhere(*commands)
+        for words, (status, _, errors) in zip(commands, answers, strict=True):
+            assert status == 0, (words, errors[-2000:])
+            assert "armed" not in errors
+        return [output for _, output, _ in answers]
+
+    return outputs
 
 
-def done(*commands: Sequence[object]) -> list[str]:
-    """Returns the outputs of commands, all of which must succeed."""
-    answers = elsewhere(*commands)
-    for words, (status, _, errors) in zip(commands, answers, strict=True):
-        assert status == 0, (words, errors[-2000:])
-        assert "armed" not in errors
-    return [output for _, output, _ in answers]
-
-
+@pytest.mark.thorough
 def test_everything_can_be_imported() -> None:
-    assert int(python("-c", IMPORT_EVERYTHING, ANOTHER_SYSTEM.parent)) > 200
+    words = [sys.executable, "-c", IMPORT_EVERYTHING, str(ANOTHER_SYSTEM.parent)]
+    answer = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
+    assert answer.returncode == 0, answer.stderr[-2000:]
+    assert int(answer.stdout) > 200
 
 
-def test_what_needs_no_real_time_works(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path) -> None:
+def test_what_needs_no_real_time_works(hapsim: Hapsim, done: Done, scene_file: SceneFile, tmp_path: Path) -> None:
     """The portable loop sends the forces of the compiled one in memory. It runs to its end on a port and on the mock in
     real time, without being asked for."""
     scene, picture, first = scene_file("spring"), tmp_path / "plane.svg", tmp_path / "first.yaml"
@@ -105,7 +113,7 @@ def test_what_needs_no_real_time_works(hapsim: Hapsim, scene_file: SceneFile, tm
         ("schema",),
         ("ports", "--json"),
         ("compile", runs["device", 100.0]),
-        ("measure", scene, "--json", "--record", tmp_path / "there.npz"),
+        ("measure", scene, "--duration", 0.5, "--json", "--record", tmp_path / "there.npz"),
         *(("run", path, "--port", "COM3", *briefly) for path in runs.values()),
         *(("run", path, *briefly) for path in runs.values()),
         ("run", runs["lockstep", 1000.0], "--portable", *briefly),
@@ -123,7 +131,7 @@ def test_what_needs_no_real_time_works(hapsim: Hapsim, scene_file: SceneFile, tm
         report = json.loads(said)
         assert report["ending"] == "done"
         assert report["ticks"] == round(0.2 * rate) or (report["duration_s"] > 0.2 and clock != "lockstep")
-    assert hapsim("measure", scene, "--record", tmp_path / "here.npz").status == 0
+    assert hapsim("measure", scene, "--duration", 0.5, "--record", tmp_path / "here.npz").status == 0
     here, there = load_trace(tmp_path / "here.npz"), load_trace(tmp_path / "there.npz")
     for name in ("sample", "flags", "position_counts", "force_counts", "asked_force"):
         np.testing.assert_array_equal(getattr(there, name), getattr(here, name))
@@ -138,14 +146,14 @@ print(session.trace.report.ending, session.parameters["touch.stiffness"].value)
 """
 
 
-def test_whatever_opens_a_port_works_on_it(hapsim: Hapsim, scene_file: SceneFile, tmp_path: Path) -> None:
+def test_whatever_opens_a_port_works_on_it(hapsim: Hapsim, done: Done, scene_file: SceneFile, tmp_path: Path) -> None:
     """Measured values are equal to Linux's, a sweep's as well, which come without a session."""
     scene, on_port = scene_file("spring"), ("--port", "COM3", "--json")
-    sweep = ("sweep", scene, "touch.stiffness=500,1000", "--json", "--out")
+    sweep = ("sweep", scene, "touch.stiffness=500,1000", "--duration", 0.5, "--json", "--out")
     kept = tmp_path / "kept.trace"
     told = done(
-        ("measure", scene, *on_port),
-        ("identify", scene, *on_port),
+        ("measure", scene, "--duration", 0.5, *on_port),
+        ("identify", scene, "--duration", 1, *on_port),
         ("probe", "COM3", "--only", "arming", "--json"),
         ("frames", os.devnull, "--duration", 0.05, "--json"),
         (*sweep, tmp_path / "there.nc"),
@@ -154,7 +162,7 @@ def test_whatever_opens_a_port_works_on_it(hapsim: Hapsim, scene_file: SceneFile
         ("replay", kept),
     )
     measured, identified, probed, listened = map(json.loads, told[:4])
-    assert measured["measured"] == hapsim("measure", scene, "--json").document["measured"]
+    assert measured["measured"] == hapsim("measure", scene, "--duration", 0.5, "--json").document["measured"]
     assert identified["identified"]["mass"]["value"] == pytest.approx(0.2, rel=1e-3)
     assert (probed["failed"], listened["counters"]["bytes"]) == (0, 0)
     here = hapsim(*sweep, tmp_path / "here.nc").document
@@ -163,7 +171,7 @@ def test_whatever_opens_a_port_works_on_it(hapsim: Hapsim, scene_file: SceneFile
     assert "all forces are identical" in told[7]
 
 
-def test_the_doctor_measures_the_loop_in_python(scene_file: SceneFile) -> None:
+def test_the_doctor_measures_the_loop_in_python(done: Done, scene_file: SceneFile) -> None:
     device = scene_file("spring", clock="device", rate=100.0)
     told = done(
         ("doctor", device, "--port", "COM3", "--seconds", 0.1, "--rates", 100),
@@ -181,7 +189,7 @@ def test_the_doctor_measures_the_loop_in_python(scene_file: SceneFile) -> None:
     assert (found["load"], found["machine"]["governors"]) == (None, [])
 
 
-def test_what_takes_linux_states_it_in_a_sentence(scene_file: SceneFile, tmp_path: Path) -> None:
+def test_what_takes_linux_states_it_in_a_sentence(elsewhere: Elsewhere, scene_file: SceneFile, tmp_path: Path) -> None:
     device = scene_file("spring", clock="device").rename(tmp_path / "device.yaml")
     lockstep = scene_file("spring")
     refused = {
@@ -199,7 +207,7 @@ def test_what_takes_linux_states_it_in_a_sentence(scene_file: SceneFile, tmp_pat
         assert not [line for line in before if not line.startswith("Warning: ")]
 
 
-def test_a_status_takes_unix_sockets(scene_file: SceneFile) -> None:
+def test_a_status_takes_unix_sockets(elsewhere: Elsewhere, scene_file: SceneFile) -> None:
     run = ("run", scene_file("spring"), "--duration", 0.05, "--status")
     for status, _, errors in elsewhere((*run, "auto"), (*run, "here.sock"), ("status",), ("status", "COM3")):
         assert status == 2
@@ -237,8 +245,8 @@ def _run_at_import(statements: Sequence[ast.stmt]) -> Iterator[ast.AST]:
             ahead += ast.iter_child_nodes(node)
 
 
-def test_ctrl_break_ends_a_run_as_ctrl_c_does(scene_file: SceneFile) -> None:
-    assert python("-c", BREAK_A_RUN, ANOTHER_SYSTEM.parent, scene_file("spring")) == "stopped\n"
+def test_ctrl_break_ends_a_run_as_ctrl_c_does(done: Done, scene_file: SceneFile) -> None:
+    assert done(("-c", BREAK_A_RUN.replace("SCENE", repr(str(scene_file("spring")))))) == ["stopped\n"]
 
 
 def test_windows_pipes_and_files_have_utf_8(monkeypatch: pytest.MonkeyPatch) -> None:

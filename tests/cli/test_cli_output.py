@@ -28,6 +28,7 @@ def environment(buffered: bool) -> dict[str, str]:
     return kept | ({} if buffered else {"PYTHONUNBUFFERED": "1"})
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     ("words", "buffered"),
     [

@@ -195,12 +195,14 @@ def test_what_new_writes_has_no_hint(hapsim: Hapsim, tmp_path: Path) -> None:
     assert hapsim("check", path, "--json").document["warnings"] == []
 
 
+@pytest.mark.thorough
 def test_random_devices_as_people_build_them_have_no_hint(bench: ModuleType) -> None:
     chance = random.Random(11)
     scenes = [bench.sensible_scene(chance) for _ in range(30)]
     assert [unlikely(parse_scene(yaml.safe_dump(one), "by chance")) for one in scenes] == [[]] * 30
 
 
+@pytest.mark.thorough
 def test_most_wrong_units_are_named_and_with_the_value_that_was_meant(bench: ModuleType) -> None:
     """Unnoticed slips are harmless or stay within the usual range: tools/bench/README.md."""
     counted: Counter[str] = Counter()

@@ -77,6 +77,7 @@ def without_option() -> dict[tuple[str, str], dict[str, Any]]:
     return {}
 
 
+@pytest.mark.thorough(keep=len(OPTIONS) - 1)
 @each_motion
 @pytest.mark.parametrize(("command", "option", "unit", "key"), OPTIONS[1:])
 def test_a_quantity_is_its_number_in_si_units(
@@ -99,6 +100,7 @@ def test_a_quantity_is_its_number_in_si_units(
     assert with_unit[key] == bare[key] != without_option[command, motion][key]
 
 
+@pytest.mark.thorough(keep=len(OPTIONS))
 @each_motion
 @each_option
 def test_a_unit_of_the_other_motion_is_refused(

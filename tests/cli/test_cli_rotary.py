@@ -65,6 +65,7 @@ def knob(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize(
     "command",
     [

@@ -49,6 +49,7 @@ class Broken:
         return os.open(os.devnull, os.O_WRONLY)
 
 
+@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize("number", [errno.EIO, errno.EPIPE])
 @pytest.mark.parametrize("which", ["stdout", "stderr"])
 @pytest.mark.parametrize(("name", "status"), [("spring", 0), ("no_number", 4)])

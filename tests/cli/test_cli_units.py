@@ -70,6 +70,7 @@ def held_regions(text: str) -> list[list[float]]:
     return [[float(one) for one in row[-4:]] for row in rows if len(row) >= 4]
 
 
+@pytest.mark.thorough(keep=12)
 @pytest.mark.parametrize(
     "command",
     [
@@ -104,6 +105,7 @@ def test_text_is_in_the_units_of_the_file(command: str, scenes: tuple[Path, Path
         assert scenes[0].with_suffix(".csv").read_text() == scenes[1].with_suffix(".csv").read_text()
 
 
+@pytest.mark.thorough(keep=1)
 def test_a_correction_and_the_end_of_an_axis_are_in_the_units_of_the_file(
     scenes: tuple[Path, Path], hapsim: Hapsim
 ) -> None:

@@ -43,7 +43,7 @@ def double_all(numbers):
         numbers[i] *= 2.0
 
 
-def test_loops_are_compact_unless_they_run_over_many_numbers() -> None:
+def test_loops_are_compact_and_without_vectors_unless_they_run_over_many_numbers() -> None:
     loops = {}
     for compiler in (Whole, BulkWhole):
         compiled = numba.njit(**OPTIONS | {"pipeline_class": compiler})(double_all)
@@ -51,8 +51,9 @@ def test_loops_are_compact_unless_they_run_over_many_numbers() -> None:
         compiled(numbers)
         assert np.array_equal(numbers, 2 * np.arange(37.0))
         (code,) = compiled.inspect_llvm().values()
-        loops[compiler] = code.count(" fmul ")
-    assert loops[Whole] == 1 < loops[BulkWhole]
+        loops[compiler] = code.count(" fmul "), code.count(" fmul <")
+    assert loops[Whole] == (1, 0) < loops[BulkWhole]
+    assert loops[BulkWhole][1] > 1
 
 
 @inlined

@@ -85,6 +85,7 @@ def played(scene: Scene) -> np.ndarray:
     return forces
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("name", LINKS)
 def test_what_else_a_scene_has_changes_no_bit_of_a_link(name: str, precision: str) -> None:

@@ -122,6 +122,7 @@ def test_every_type_of_module_is_here() -> None:
     assert {"masses", *MODULES, *IN_PLANE} == {kind.name for kind in PART_TYPES}
 
 
+@pytest.mark.thorough(keep=9)
 @pytest.mark.parametrize("name", [*MODULES, *IN_PLANE])
 def test_a_type_of_module_adds_its_own_calls_and_no_other(name: str) -> None:
     make = with_types if name in MODULES else in_plane

@@ -43,6 +43,7 @@ def chain_matrices(count: int, stiffness: float, damping: float) -> tuple[np.nda
     return 0.1 * (1 + np.arange(count) % 2), stiffness * rows, damping * rows
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize(("count", "stiffness", "damping"), [(1, 2e4, 3.0), (2, 1e4, 5.0), (6, 3e4, 0.0)])
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_tick_is_the_matrix_of_the_formula(scheme: str, count: int, stiffness: float, damping: float) -> None:

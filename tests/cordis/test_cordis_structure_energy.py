@@ -44,6 +44,7 @@ def thrown(rng: np.random.Generator, scene: Scene) -> dict[str, tuple[float, flo
     return begin
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("which", [*CASES, None], ids=lambda case: "network" if case is None else "-".join(case[0]))
 def test_without_damping_the_energy_of_the_scheme_is_kept(which: tuple[Any, Any] | None) -> None:
     """m (x[n+1] - 2 x[n] + x[n-1])/T² = -K x[n], times x[n+1] - x[n-1] and added up over all masses, says that

@@ -149,6 +149,7 @@ def test_a_damped_mode_decays_as_in_the_closed_form(swinging: list[Swinging]) ->
         assert np.log(abs(z)) == pytest.approx(np.log(abs(expected)), rel=1e-7)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     "swinging",
     [swinging_strings(Numbers(a=0.03)), swinging_strings(Numbers(a=0.03, g=0.01)), swinging_membranes(Numbers(a=0.03))],

@@ -39,6 +39,7 @@ DOUBLE = [("double", 1e-12, *case) for case in CASES]
 SINGLE = [("single", 1e-5, *case) for case in CASES[::4]]
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(("precision", "bound", "ends", "edges"), DOUBLE + SINGLE)
 def test_a_structure_moves_as_the_masses_and_links_that_it_stands_for(
     precision: str, bound: float, ends: tuple[str, str], edges: Sequence[tuple[str, ...]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +19,7 @@ from hapsim.prediction.correction.kind import predictor_for
 from hapsim.running import Excitation, Session
 from hapsim.scene import Device, DevicePoint, Ground, Initial, Mock, Scene, ViscoElastic
 from hapsim.theory import Configuration
+from tests import thorough
 
 LEAST, MOST, RATE = 0.1, 0.4, 1000.0
 
@@ -71,9 +71,10 @@ def schedules(count: int) -> list[tuple[tuple[float, float], tuple[tuple[float, 
     return made
 
 
-POINTS = int(os.environ.get("HAPSIM_POINTS", "3"))
+POINTS = thorough.points(1, 3)
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("n", range(4 * POINTS))
 def test_a_hand_that_grips_and_releases_never_swings_more_and_more(n: int) -> None:
     (stiffness, damping), grips = schedules(4 * POINTS)[n]

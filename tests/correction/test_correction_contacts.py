@@ -37,6 +37,7 @@ def scene_of(document: dict[str, Any], **mock: Any) -> Scene:
     return parse_scene(json.dumps(document | {"mock": document["mock"] | mock}))
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_contact_feels_as_predicted(seed: int) -> None:
     document = random_contact(seed)
@@ -67,6 +68,7 @@ def test_a_contact_trembles_with_a_mass_outside_of_the_stated_range(seed: int) -
             assert bool(pressed.position[-100:, 0].std() < 1e-7) is holds
 
 
+@pytest.mark.thorough
 def test_most_contacts_are_reached() -> None:
     found = [predict(scene_of(random_contact(seed)), with_margins=False).desired[0].reached for seed in range(30)]
     assert np.mean(found) > 0.9

@@ -26,6 +26,7 @@ def predicted(*args: Any, **device: Any) -> Prediction:
     return predict(parse_scene(text_of(*args, **device), "scene"), with_margins=False)
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(
     ("stiffness", "damping", "correction", "least", "most"),
     [

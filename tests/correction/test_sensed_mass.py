@@ -100,6 +100,7 @@ def some_forces(samples: int, seed: int = 1) -> Samples:
     return np.tile(block, samples // BLOCK + 1)[:samples]
 
 
+@pytest.mark.thorough
 def test_the_spread_is_what_the_noise_of_the_sensor_makes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """The slope of a regression on a known force: var = p R p / (p p)², with R of noise that is differenced twice."""
     forces, noise, seeds = some_forces(13 * BLOCK), 0.5, 120
@@ -180,6 +181,7 @@ def test_positions_that_are_too_noisy_show_no_mass() -> None:
     assert estimated(run_pushed({}, 1.0, sensors=()))[1] > 0.1
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("age", [0, 1])
 @pytest.mark.parametrize(
     ("delay", "hold"), [(0.0, "zoh"), (0.4, "zoh"), (1.0, "zoh"), (2.3, "zoh"), (1.0, "ramp"), (0.6, "ramp")]
@@ -230,6 +232,7 @@ def test_a_late_force_is_not_compared_in_place_of_the_one_that_acted() -> None:
     assert uncertainty < 1.1 * SCALE_TRUSTED
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("seed", range(3, 6))
 def test_whatever_disturbs_the_hand_is_in_the_uncertainty(bench: Any, seed: int) -> None:
     """Dry friction, a hand that pushes slowly, one that knocks."""

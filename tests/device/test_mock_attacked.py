@@ -143,6 +143,7 @@ def test_a_flood_of_random_bytes_is_survived(new_host: New, channels: int, zeros
 
 
 # `beyond`: how far the scale of the forces reaches beyond the limit
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("channels", "beyond"), [(1, 100.0), (4, 1.0), (16, 100.0)])
 def test_a_flood_of_random_frames_is_survived(new_host: New, channels: int, beyond: float) -> None:
     host = new_host(channels, device={"delay": 2.5})

@@ -55,6 +55,7 @@ def require_exact(m: float, b: float, k: float, force: float, x: float, v: float
     assert (difference <= ROUNDING * sizes(m, b, k, force, x, v, t)).all()
 
 
+@pytest.mark.thorough(keep=60)
 @pytest.mark.parametrize(("b", "k", "t"), REGIMES)
 def test_position_velocity_and_area_are_exact_in_every_regime(b: float, k: float, t: float) -> None:
     for force, x, v in ((-1.7, 0.03, 0.4), (0.0, 0.02, 0.0), (0.0, 0.0, -0.3), (2.5, 0.0, 0.0)):
@@ -203,6 +204,7 @@ def require_every_stop(
     return body
 
 
+@pytest.mark.thorough(keep=12)
 @pytest.mark.parametrize("ratio", [0.0, 0.02, 0.4, 1 - 1e-9, 1.0, 1 + 1e-9, 1.3, 3.0])
 @pytest.mark.parametrize("seed", range(5))
 def test_on_a_spring_dry_friction_follows_every_stop_of_an_independent_search(ratio: float, seed: int) -> None:
@@ -214,6 +216,7 @@ def test_on_a_spring_dry_friction_follows_every_stop_of_an_independent_search(ra
     require_every_stop(m, 2 * ratio * math.sqrt(m * k), k, coulomb, force, x, v, random.uniform(1, 12) / frequency)
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("seed", range(12))
 def test_a_free_mass_pushed_about_under_dry_friction_follows_it_too(seed: int) -> None:
     random = np.random.default_rng(seed)

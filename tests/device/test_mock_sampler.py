@@ -57,6 +57,7 @@ def read_by_the_mock(
     return positions, velocities
 
 
+@pytest.mark.thorough(keep=50)
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("sampling", WINDOWS)
 @pytest.mark.parametrize("hold", HOLDS | UNSHIPPED)
@@ -107,6 +108,7 @@ def test_an_impulse_gives_what_its_force_gives_in_a_period_however_long_the_samp
     assert host.bodies["velocity"][0] == pytest.approx(speed, rel=1e-15)
 
 
+@pytest.mark.thorough(keep=20)
 @pytest.mark.parametrize(("hold", "sampling", "delay", "b"), CASES)
 def test_through_the_wire_positions_and_velocities_are_those_of_an_event_by_event_simulation_rounded(
     new_host: Callable[..., Any], exchange: Callable, hold: str, sampling: str, delay: float, b: float

@@ -91,6 +91,7 @@ def test_the_hapkit_passes_every_check_that_can_be_seen_of_it(start_board: Start
     assert sum(result == "pass" for result in checks.values()) > 45
 
 
+@pytest.mark.thorough
 def test_the_wire_takes_the_time_of_the_baud_that_is_built(once: Any, start_board: Start) -> None:
     """The emulated clock is never ahead of this machine's: at least that long."""
     slow = once("slow", [str(FIRMWARE / "build")], {"DEFINES": "-DHAPSIM_BAUD=115200ul"})

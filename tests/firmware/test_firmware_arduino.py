@@ -186,6 +186,7 @@ def states_and_duties(run: Callable[[list[str]], list[str]], lines: list[str]) -
     return [(answer[0], int(answer[-1])) for answer in answers]
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("driver", [{}, TWO_PWMS])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_duty_is_the_force_while_armed_and_zero_at_any_other_time(
@@ -315,6 +316,7 @@ def test_the_scene_has_stable_detents_in_place_of_its_spring(tmp_path: Path) -> 
     assert hapsim.predict(hapsim.load_scene(path)).stable
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
 @pytest.mark.parametrize("name", ["arduino", "arduino_as5600", "arduino_potentiometer", "arduino_uno"])
 def test_an_emulated_board_is_identified_and_feels_as_predicted(
@@ -341,6 +343,7 @@ def test_an_emulated_board_is_identified_and_feels_as_predicted(
         assert by_default.k == pytest.approx(predicted.k, rel=0.03)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
 @pytest.mark.parametrize(("baud", "rate"), [(115200, 400), (250000, 500), (500000, 1000)])
 def test_an_uno_holds_the_rates_that_its_compiler_lets_pass(

@@ -221,6 +221,7 @@ def read_status_after_disarm(connection: Any) -> int:
     return read_register(connection, schema.REG_FAULT)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("name", [*BOARDS, "hapkit"])
 def test_a_tick_that_dies_ends_in_zero_force(
     name: str, built_to_die: Path, start_board: Start, start_hapsim: Start, swinging: Callable[[str], Path]

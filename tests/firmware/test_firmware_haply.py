@@ -6,7 +6,6 @@ from __future__ import annotations
 import ctypes
 import json
 import math
-import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,6 +19,7 @@ from scipy.optimize import brentq
 
 from hapsim.bringup.probe import STEPS, Leave, judge, open_wire, steps_of
 from hapsim.scene import load_scene
+from tests.attempts import attempts
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="bridges stand on pseudo-terminals of Linux")
 
@@ -151,12 +151,13 @@ def test_a_positive_force_accelerates_towards_larger_positions(start_bridged: Ca
         host.close()
 
 
+@pytest.mark.thorough
 def test_probe_passes_through_the_bridge(start_bridged: Callable[..., Bridged]) -> None:
-    """Probe passes in real time. Checks that a busy machine disturbed are repeated."""
+    """Probe passes in real time. Steps that a busy machine disturbed are repeated."""
     not_seen = {"bridge", "velocities", "accelerations", "acceleration"}
     not_seen |= {"limit_cut"}  # the motors give less than the limit of a channel
     port, again, bad, checks = start_bridged("period=0").port, STEPS, [], {}
-    for _ in range(6):
+    for _ in attempts():
         with open_wire(port) as wire:
             judgement = judge(wire, leave=Leave(force=1.0, travel=0.02, mass=0.1), steps=steps_of(again, None))
         checks |= {check.name: check for check in judgement.checks if check.step in again}
@@ -166,8 +167,6 @@ def test_probe_passes_through_the_bridge(start_bridged: Callable[..., Bridged]) 
             break
         if not judgement.released:
             port = start_bridged("period=0").port
-    if bad and os.getloadavg()[0] > 2 * (os.cpu_count() or 1) and {check.result for check in bad} == {"not seen"}:
-        pytest.skip(f"this machine has too much else to do to see {', '.join(check.name for check in bad)}")
     assert not bad, [(check.name, check.found) for check in bad]
     assert "when the bridge ends" in checks["bridge"].found
 

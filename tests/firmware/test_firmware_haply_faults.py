@@ -16,11 +16,12 @@ import pytest
 from bridged import Bridged, Pushing
 
 from firmware_protocol import schema
+from tests import thorough
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="bridges stand on pseudo-terminals of Linux")
 
 Start = Callable[..., Bridged]
-KILLS = int(os.environ.get("HAPSIM_POINTS", "4"))  # a thousand take a quarter of an hour
+KILLS = thorough.points(2, 4)  # a thousand take a quarter of an hour
 WHEN = 400  # the frame of torques at which the board fails
 
 FAULTS = {

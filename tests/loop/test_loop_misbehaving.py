@@ -206,6 +206,7 @@ def file_of(tmp_path: Path) -> Callable[[Scene], Path]:
     return write
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     ("samples", "last", "told"),
     [
@@ -261,6 +262,7 @@ def test_lost_positions_make_no_run_longer(step: int) -> None:
 # A position where no hand gets.
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("portable", [False, True])
 @pytest.mark.parametrize("clock", ["lockstep", "device", "host"])
 @pytest.mark.parametrize("from_sample", [0, 20])

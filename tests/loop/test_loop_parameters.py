@@ -138,6 +138,7 @@ def share_felt(trace: hapsim.recording.trace.Trace, channel: int, least: float) 
     return np.where(np.abs(slope) > least, share, np.nan)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("samples", [1, 20])
 def test_of_many_changes_no_tick_sees_half_of_one_or_jumps_further_than_stated(samples: int) -> None:
     origin = parameter_values(two_hands(0.0))

@@ -140,6 +140,7 @@ def test_substeps_that_take_longer_than_the_sample_period_are_refused(monkeypatc
     requirements.require_in_time(scene_of(200, "last"))  # virtual time waits
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(("hertz", "weaker_db"), [(501.0, 3.9), (880.0, 17.5), (999.0, 60.0), (1510.0, 13.5)])
 def test_the_mean_weakens_fast_vibration_by_a_box_filter(hertz: float, weaker_db: float) -> None:
     substeps, samples = 48, 1000

@@ -121,6 +121,7 @@ def test_a_column_that_no_memory_holds_is_reported(trace: Trace, tmp_path: Path)
         load_trace(tmp_path / "vast.npz")
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("in_report", [False, True])
 def test_of_a_flipped_bit_nothing_but_a_sentence_comes(trace: Trace, tmp_path: Path, in_report: bool) -> None:
     """Or the same rows: a bit that says nothing of them."""

@@ -42,6 +42,7 @@ def require_same(one: Trace, other: Trace) -> None:
         np.testing.assert_array_equal(a, b, err_msg=name)
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("channels", [1, 16])
 @pytest.mark.parametrize("device", DEVICES)
 def test_loopback_and_pseudo_terminal_give_the_same_trace_bit_for_bit(channels: int, device: dict[str, Any]) -> None:

@@ -48,6 +48,7 @@ def changed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., hapsim.
     return run
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("age", [0, 1])
 @pytest.mark.parametrize(("noise", "quantum"), [(0.05, 1e-6), (0.5, 1e-6), (0.05, 1e-5), (0.5, 1e-5)])
 def test_a_right_sensor_is_found_right_with_its_noise_and_age(age: int, noise: float, quantum: float) -> None:
@@ -64,6 +65,7 @@ def test_a_right_sensor_is_found_right_with_its_noise_and_age(age: int, noise: f
     assert f"found device.acceleration_age: {1 - age}, expected {age}" in warning
 
 
+@pytest.mark.thorough
 def test_the_uncertainties_are_those_of_the_noise() -> None:
     found = [sensor_of(identified(ONE, acceleration_noise=0.2, seed=seed)) for seed in range(8)]
     for name, truth in (("scale", 1.0), ("offset", 0.0)):

@@ -39,6 +39,7 @@ def with_device(scene: Scene, **values: object) -> Scene:
     return scene.model_copy(update={"device": scene.device.model_copy(update=values)})
 
 
+@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize("correction", ["none", "poles", "predictor"])
 def test_a_hold_is_predicted_and_measured_alike_whatever_corrects_it(held: Scene, correction: str) -> None:
     scene = with_device(held, correction=correction)
@@ -55,6 +56,7 @@ def test_the_ramp_feels_as_linear_interpolation_does() -> None:
     assert (found.k, found.b) == pytest.approx((2086.89017115, 1.94232467956), rel=1e-11)
 
 
+@pytest.mark.thorough(keep=2)
 def test_the_device_is_identified(held: Scene) -> None:
     found = hapsim.identify_device(with_device(held, mass=0.25, friction=0.8), duration=2.0)
     assert found.misfit == ""
@@ -96,6 +98,7 @@ def stepped(force: np.ndarray, delay: float, converters: Converters) -> np.ndarr
     return np.array(seen)
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize("sampling", ["ideal", "average"])
 @pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.6])

@@ -19,10 +19,11 @@ from hapsim.loop.endings import TIMED_OUT
 from hapsim.measuring import identify_device as room
 from hapsim.measuring.device_diagnosis import binned
 from hapsim.running.run import run_to_end
+from tests import thorough
 
 # A few in the ordinary suite; HAPSIM_POINTS=50 takes fifty, for longer.
 MANY = "HAPSIM_POINTS" in os.environ
-DEVICES = int(os.environ.get("HAPSIM_POINTS", "4"))
+DEVICES = thorough.points(2, 4)
 ONE = Device(rate=1000.0, mass=0.2, friction=1.0, stiffness=0.0, delay=1.0, coulomb=0.0)
 
 
@@ -246,6 +247,7 @@ def test_a_force_of_another_is_named_and_not_the_sign() -> None:
     assert "sign" not in str(found)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("coulomb", "bounds", "kind", "sentence"),
     [
@@ -326,6 +328,7 @@ LACKING: dict[str, Any] = {
 }
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("sentence", LACKING)
 def test_a_force_that_the_model_lacks_is_reported_with_what_it_depends_on(
     sentence: str, monkeypatch: pytest.MonkeyPatch

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from hapsim.running import run
 from hapsim.scene import WITH_CUTOFF
 from hapsim.theory import Configuration
 from hapsim.theory.interface import SAMPLINGS
+from tests import thorough
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 #: Scenes of a hand on one spring and damper; the others are played where the tick is tested.
@@ -35,8 +35,8 @@ MASS, RATE = 0.2, 1000.0
 COMBINATIONS = list(
     itertools.product(("zoh", "impulse"), ("ideal", "average"), (0.0, 0.37, 1.0, 1.5, 2.0), (0.0, 0.05))
 )
-# 80 in all; HAPSIM_POINTS=200 makes it 8000, in half an hour.
-POINTS_EACH = int(os.environ.get("HAPSIM_POINTS", "2"))
+# 40 or 80 in all; HAPSIM_POINTS=200 makes it 8000, in half an hour.
+POINTS_EACH = thorough.points(1, 2)
 
 
 def random_target(rng: np.random.Generator, friction: float) -> tuple[float, float]:
@@ -96,13 +96,14 @@ def test_at_a_picometre_every_pole_lies_within_four_of_the_uncertainties_stated(
         f"worst {np.max(errors):.1e}; in stated uncertainties, worst of pole {worst[0]:.2f}, k {worst[1]:.2f}, "
         f"b {worst[2]:.2f}, root mean square {np.sqrt(np.mean(np.square(ratios))):.2f}"
     )
-    assert len(errors) >= 80
+    assert len(errors) >= len(COMBINATIONS)
     assert np.median(errors) < 1e-9
     assert np.max(worst) < 4.0
     # Nor are they stated larger than they are: their squares average to about one.
     assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.3
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("spring", [0.0, 0.001, 0.02])
 @pytest.mark.parametrize("damper", DAMPERS)
 def test_with_every_damper_and_a_spring_in_the_device_what_is_measured_is_what_is_predicted(
@@ -187,6 +188,7 @@ def test_without_a_spring_there_is_no_stiffness(stiffness: float, damping: float
     assert measured.b == pytest.approx(felt.b, rel=1e-6)
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("path", [CONFIGS / f"{name}.yaml" for name in RINGING], ids=lambda path: path.stem)
 def test_every_shipped_scene_is_felt_as_predicted_over_a_pseudo_terminal(path: Path) -> None:
     scene = hapsim.load_scene(path)
@@ -194,6 +196,7 @@ def test_every_shipped_scene_is_felt_as_predicted_over_a_pseudo_terminal(path: P
     assert_felt_as_predicted(scene)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("seed", range(6))
 def test_any_scene_of_one_spring_is_felt_as_predicted_over_a_pseudo_terminal(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -344,6 +344,7 @@ def noisy_periods(seed: int) -> Periods:
     return periods_of(trace, LINES, CONVERTERS, senses=False)
 
 
+@pytest.mark.thorough
 def test_as_many_values_lie_outside_their_circles_as_the_confidence_states(
     monkeypatch: pytest.MonkeyPatch, figures: Any
 ) -> None:

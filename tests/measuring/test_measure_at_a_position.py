@@ -51,6 +51,7 @@ def agrees(scene: Scene, measured: Any, channel: int = 0, within: float = 1e-5) 
     assert abs(measured.b - felt.b) < within * 2.0 * math.sqrt(felt.k * measured.mass)
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize(
     ("scene", "at"),
     [

@@ -3,7 +3,6 @@ predicted."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,8 +17,9 @@ from hapsim.measuring.measure_hands import HandsMeasurement, measure_hands
 from hapsim.prediction import FeltTogether
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
+from tests import thorough
 
-SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))
+SEEDS = range(thorough.points(2, 6))
 Hapsim = Callable[..., Any]
 
 
@@ -77,6 +77,7 @@ class TestMatrices:
         np.testing.assert_allclose(found.k, 2167.8914017232 * np.array([[1, -1], [-1, 1]]), rtol=2e-6)
         np.testing.assert_allclose(found.b, np.eye(2) + 1.9923820182 * np.array([[1, -1], [-1, 1]]), rtol=4e-6)
 
+    @pytest.mark.thorough(keep=1)
     @pytest.mark.parametrize("seed", [3, 5, 8])
     def test_of_hands_that_nothing_holds(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -144,6 +145,7 @@ class TestMatrices:
         np.testing.assert_allclose(found[1].k, found[0].k, rtol=1e-5)
         np.testing.assert_allclose(found[1].b, found[0].b, rtol=1e-5)
 
+    @pytest.mark.thorough
     def test_are_as_uncertain_as_stated_with_noise(self) -> None:
         off = []
         for seed in range(5):

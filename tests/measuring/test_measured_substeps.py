@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
 
 import hapsim
+from tests import thorough
 from tests.substep_scenes import errors, growth, random_scene, with_factor
 
-SCENES = int(os.environ.get("HAPSIM_POINTS", "16"))
+SCENES = thorough.points(6, 16)
 
 
 @pytest.mark.parametrize("seed", range(SCENES))
@@ -17,6 +16,7 @@ def test_k_and_b_are_measured_as_predicted(seed: int) -> None:
     assert max(errors(random_scene(seed))) < 1e-6
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("seed", range(4, 4 + SCENES // 2))
 def test_below_its_margin_a_scene_comes_to_rest_and_above_it_shakes(seed: int) -> None:
     scene = random_scene(seed)

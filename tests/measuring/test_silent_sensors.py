@@ -39,6 +39,7 @@ def farthest(traces: list[hapsim.Trace], mass: float) -> float:
     return float(np.abs(np.cumsum(speed) / traces[0].rate).max())
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("mass", "force", "travel"),
     [(0.05, 1.0, 0.005), (0.05, 10.0, 0.005), (0.2, 5.0, 2e-4), (2.0, 10.0, 0.005), (2.0, 5.0, 2e-4)],

@@ -85,6 +85,7 @@ def _usable(position: np.ndarray) -> np.ndarray:
     return position[: BLOCK * max(int(out[0]) if out.size else blocks.size, 3)]
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_just_below_the_limit_a_ring_down_decays_and_just_above_it_grows(batch: int, figures: Any) -> None:
     for configuration, B, K in points()[batch::BATCHES]:

@@ -173,6 +173,7 @@ main(["loopback"])
 """
 
 
+@pytest.mark.thorough
 def test_what_two_processes_compile_for_a_scene_is_kept_and_the_scene_runs_and_is_measured(
     hapsim: Callable[..., Any],
 ) -> None:
@@ -205,6 +206,7 @@ for words in (["new", "--from", "wall", "scene.yaml"], ["faults", "--list"], ["s
 """
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     "layout", [("--target", "there"), ("--prefix", "there"), ("--user",)], ids=lambda words: words[0]
 )

@@ -113,6 +113,7 @@ def _line(name: str, kind: str, number: int, word: int) -> tuple[Any, NDArray[np
     return decoder, np.frombuffer(bytearray(data), np.uint8), np.array(fields)
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize(("name", "kind"), EVERY_TYPE)
 def test_a_frame_with_any_one_two_or_three_bits_flipped_is_refused_and_its_neighbours_are_not(
     name: str, kind: str, figures: Any
@@ -126,6 +127,7 @@ def test_a_frame_with_any_one_two_or_three_bits_flipped_is_refused_and_its_neigh
             figures.count("patterns of one, two or three flipped bits, none taken for a sound frame", tried)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(("name", "kind"), ONE_EACH)
 def test_a_frame_with_any_four_bits_flipped_is_refused_and_its_neighbours_are_not(
     name: str, kind: str, figures: Any
@@ -137,6 +139,7 @@ def test_a_frame_with_any_four_bits_flipped_is_refused_and_its_neighbours_are_no
     figures.count("patterns of four flipped bits, none taken for a sound frame", tried)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(("name", "kind"), ONE_EACH)
 def test_flips_anywhere_in_three_frames_bring_out_nothing_that_was_not_sent(name: str, kind: str) -> None:
     # No guarantee (PROTOCOL.md, section 16), but it has to be rare: on these lines it does not happen at all.
@@ -146,6 +149,7 @@ def test_flips_anywhere_in_three_frames_bring_out_nothing_that_was_not_sent(name
         assert (tried, misread) == (comb(8 * stream.size, flips), 0)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("name", "kind"), ONE_EACH[2:])
 def test_a_frame_hit_by_any_burst_of_sixteen_bits_is_refused_and_its_neighbours_are_not(name: str, kind: str) -> None:
     decoder, stream, fields = _line(name, kind, 0x123, 0x01020408)

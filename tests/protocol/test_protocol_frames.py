@@ -213,6 +213,7 @@ def test_an_echo_s_header_points_beyond_the_end_of_a_short_frame(channels: int) 
     assert min(TO_DEVICE.values()) << 4 > schema.encoded_bytes(channels, to_device=False)
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize("parts", schema.COMBINATIONS[1:])
 @pytest.mark.parametrize("fault", sorted(schema.FAULTS))
 def test_a_device_of_one_channel_never_takes_its_own_status_for_a_frame(fault: int, parts: int) -> None:

@@ -126,6 +126,7 @@ def damaged(stream: bytes, wire: Format) -> bytes:
     return np.repeat(data, np.where(hit & (how == 2), 0, np.where(hit & (how == 3), 2, 1))).tobytes()
 
 
+@pytest.mark.thorough(keep=20)
 @pytest.mark.parametrize("wire", EVERY_FORMAT, ids=IDS)
 def test_of_random_frames_and_of_the_same_damaged_it_reads_what_python_reads(
     wire: Format, compiled_codec: Any, harness: Harness

@@ -10,11 +10,12 @@ import pytest
 from recorded_runs import random_scene, recorded
 
 from hapsim.replaying.replay import Record, compare
+from tests import thorough
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
 
 # A few in the ordinary suite; HAPSIM_POINTS=50 takes fifty, for longer.
-SCENES, SECONDS = int(os.environ.get("HAPSIM_POINTS", "4")), 1.0 if "HAPSIM_POINTS" in os.environ else 0.4
+SCENES, SECONDS = thorough.points(2, 4), 1.0 if "HAPSIM_POINTS" in os.environ else 0.4
 
 
 @pytest.mark.parametrize("seed", range(SCENES))

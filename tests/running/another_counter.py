@@ -38,18 +38,19 @@ def shown(file: str) -> dict[str, Any]:
     from hapsim.live.web import WebView
     from hapsim.recording.report import read_summary, summary_document
     from hapsim.running.assemble_loop import LoopMemory
-    from hapsim.running.outcome import progress_of, report_of, statistics_of
+    from hapsim.running.outcome import progress_of, report_of
     from hapsim.running.reconnecting import Lifetime
     from hapsim.running.status import RunState
     from hapsim.scene import load_scene
 
+    report: Any
     scene = load_scene(file)
     description = Description("test", scene.rate, 0b111, 200, (1e-6,), (1e-3,), (10.0,))
     loop = LoopMemory(Connection(None, "mock", lambda: None), description, False, scene.device.clock)  # type: ignore[arg-type]
     loop.rendered_scene, loop.record.slot.substeps = scene, 1
     loop.state.odd_ticks += COUNTED
-    statistics, progress = statistics_of(loop), progress_of(loop)
-    report: Any = report_of(scene, loop, "done")
+    progress = progress_of(loop)
+    report, statistics = report_of(scene, loop, "done")
     read: Any = read_summary(json.loads(json.dumps(summary_document(report, statistics, True))))[0]
     session: Any = SimpleNamespace(progress=lambda: progress, statistics=lambda: statistics)
     state = RunState(file, None, scene.rate)

@@ -55,6 +55,7 @@ def require_one_verdict(scene: Scene) -> tuple[bool, bool]:
     return soon, shaking is not None
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize("name", SCENES)
 def test_what_is_quickly_accepted_shakes_no_hand(name: str) -> None:
     chance = random.Random(name)
@@ -64,6 +65,7 @@ def test_what_is_quickly_accepted_shakes_no_hand(name: str) -> None:
     assert any(soon or shakes for soon, shakes in found)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("kind", ["one hand in regions", *substep_scenes.KINDS])
 def test_of_random_scenes_none_is_quickly_accepted_that_shakes(kind: str) -> None:
     draw, found = np.random.default_rng(len(kind)), []

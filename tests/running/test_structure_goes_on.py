@@ -70,6 +70,7 @@ def test_a_change_elsewhere_is_not_felt_on_any_matter(scheme: str) -> None:
     np.testing.assert_allclose(changed, force, rtol=0.0, atol=rounding.get(scheme, 0.0))
 
 
+@pytest.mark.thorough(keep=12)
 @pytest.mark.parametrize("wanted", SCHEMES)
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("damping", [0.0, 0.3])

@@ -80,6 +80,7 @@ def random_change(random: random.Random, modules: Modules) -> Modules:
 CHANGES = 60
 
 
+@pytest.mark.thorough
 def test_many_changes_of_structure(monkeypatch: pytest.MonkeyPatch) -> None:
     chance, modules, adopted = random.Random(3), BEGIN, 0
     with running(scene_of(modules), monkeypatch) as runner:

@@ -51,6 +51,7 @@ def test_pieces_join_without_a_gap(name: str, side: str) -> None:
             assert math.dist(piece.at(1.0), pieces[piece.after].at(0.0)) < 1e-12
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize(("name", "side"), BOTH)
 @settings(max_examples=30, deadline=None)
 @given(at=place)

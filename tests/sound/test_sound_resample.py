@@ -20,6 +20,7 @@ def largest_step(values: NDArray[np.float32]) -> float:
     return float(np.abs(np.diff(values, axis=0)).max())
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("card_hz", [44100, 48000, 96000])
 def test_after_15_s_the_ratio_is_within_1_ppm_and_its_steps_are_small(card_hz: int, seed: int, figures: Any) -> None:
@@ -37,6 +38,7 @@ def test_after_15_s_the_ratio_is_within_1_ppm_and_its_steps_are_small(card_hz: i
     assert card.record.underruns == 0
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("rates", [(1000.0, 48), (1000.0, 44), (44100.0, 1), (3000.0, 5), (1000.0, 300)])
 @pytest.mark.parametrize("card_hz", [44100, 48000, 96000])
 def test_a_sine_of_1_khz_stays_one(rates: tuple[float, int], card_hz: int, figures: Any) -> None:

@@ -56,6 +56,7 @@ def test_every_scene_with_a_sound_is_here() -> None:
     assert tuple(path.stem for path in sorted(FOLDER.glob("*.yaml")) if load_scene(path).sound) == SCENES
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("name", SCENES)
 def test_a_scene_sounds_by_itself_and_peaks_near_minus_6_db(name: str) -> None:
     sound, force = rendered(name)

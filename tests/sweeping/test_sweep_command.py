@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import re
 import sys
@@ -18,9 +17,10 @@ import xarray
 
 import hapsim as package
 from hapsim.number_format import share_in_percent
+from tests import thorough
 
-KILLS = int(os.environ.get("HAPSIM_POINTS", "2"))  # HAPSIM_POINTS=10 in half a minute
-WORDS = ("touch.stiffness=log:100:4000:25", "device.delay=0,0.5,1", "--duration", "0.5")
+KILLS = thorough.points(1, 2)  # HAPSIM_POINTS=10 in half a minute
+WORDS = ("touch.stiffness=log:100:4000:12", "device.delay=0,0.5,1", "--duration", "0.5")
 
 
 def results(file: Path) -> xarray.Dataset:
@@ -62,9 +62,10 @@ def cluster(workers: int) -> Iterator[Any]:
         yield found
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")  # of dask, of its event loop and of what it imports
 def test_the_workers_of_a_cluster_find_the_same_though_one_is_killed_and_one_joins(scene: Path) -> None:
-    axes = {"touch.stiffness": np.geomspace(100, 4000, 40), "device.delay": [0.0, 0.5, 1.0]}
+    axes = {"touch.stiffness": np.geomspace(100, 4000, 25), "device.delay": [0.0, 0.5, 1.0]}
     here = package.sweep(scene, axes, duration=0.5)
     with cluster(2) as found:
         happened: list[str] = []

@@ -4,7 +4,6 @@ against the condition of a lone wall."""
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 from typing import Any
 
@@ -21,8 +20,9 @@ from hapsim.theory.interface import damper_named
 from hapsim.theory.network import poles_of
 from hapsim.theory.network.impedance import loop_impedance
 from hapsim.theory.network.scene_passivity import HeldScene, passivity_of
+from tests import thorough
 
-SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))
+SEEDS = range(thorough.points(2, 6))
 RATE = 1000.0
 Floats = NDArray[np.float64]
 

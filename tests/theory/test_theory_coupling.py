@@ -59,6 +59,7 @@ def test_the_needed_friction_has_a_closed_form(delay: int) -> None:
             assert needed_friction(Coupling(2.0 * kappa / T, damping), T, delay) == pytest.approx(closed, rel=1e-12)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("delay", range(5))
 def test_no_hand_shakes_a_coupling_and_with_less_friction_one_does(delay: int, figures: Any) -> None:
     rng, coupling = np.random.default_rng(delay), stiffest_coupling(1.0, T, delay)
@@ -73,6 +74,7 @@ def test_no_hand_shakes_a_coupling_and_with_less_friction_one_does(delay: int, f
     figures.note(f"coupling at a delay of {delay} samples: {grows}")
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(
     ("masses", "delay", "stiffness"),
     [
@@ -157,6 +159,7 @@ CUP = "  cup: {type: proxy, mass: 0.02, hand: hand, stiffness: 769, damping: 0.3
 BEHIND = "  it: {type: %s, between: [cup, wall], %s}"
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(
     ("modules", "passive"),
     [

@@ -117,6 +117,7 @@ def test_the_free_motion_of_a_ths_satisfies_the_predicted_characteristic_equatio
     assert np.abs(y[settled:]).max() > 1e-3
 
 
+@pytest.mark.thorough(keep=14)
 @pytest.mark.parametrize(("hold", "sampling", "delay", "friction"), CASES)
 def test_a_network_moves_as_its_transition_matrix_predicts(
     hold: str, sampling: str, delay: float, friction: float

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from itertools import pairwise
 from typing import Any
 
@@ -17,8 +16,9 @@ from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration, Network
 from hapsim.theory.network import continuous_mass, felt_mass, felt_pair
+from tests import thorough
 
-SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "12")))
+SEEDS = range(thorough.points(4, 12))
 HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
 
 

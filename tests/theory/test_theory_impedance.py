@@ -55,6 +55,7 @@ def test_a_lone_hand_has_the_rendered_impedance_of_its_configuration(damper: str
         np.testing.assert_allclose(rendered, c.impedance(2000.0, 5.0, F) - 1.0 - 100.0 / S, rtol=1e-12)
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize(("hold", "sampling"), list(itertools.product(HOLDS, SAMPLINGS)))
 @pytest.mark.parametrize("damper", DAMPERS)
 def test_the_closed_loop_is_what_the_transition_makes_of_an_added_force(damper: str, hold: str, sampling: str) -> None:

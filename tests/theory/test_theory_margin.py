@@ -45,6 +45,7 @@ def agree(found: float, expected: float, rtol: float) -> bool:
     return abs(found / expected - 1.0) < rtol
 
 
+@pytest.mark.thorough(keep=6)
 @pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.5])
 @pytest.mark.parametrize("sampling", ["ideal", "average"])
 @pytest.mark.parametrize("hold", ["zoh", "impulse"])
@@ -78,6 +79,7 @@ def random_scene(seed: int) -> Network:
     )
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("seed", range(8))
 def test_random_scenes_have_the_margins_of_their_poles(seed: int) -> None:
     scene = random_scene(seed)
@@ -164,6 +166,7 @@ def chain(masses: int, B: float, held: int) -> Network:
     return Network(RATE, [0.2], [1.0], 1.0, "zoh", "ideal", np.full(masses, 0.01), ends, stiffness, damping)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("B", "masses"), [(0.1, 40), (0.0, 50)])
 def test_a_strings_many_narrow_resonances_are_not_stepped_over(B: float, masses: int) -> None:
     """Just below every margin of the hand's link and of some others the poles are inside, just above they are not."""

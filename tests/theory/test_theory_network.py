@@ -42,6 +42,7 @@ def unmatched(poles: np.ndarray, expected: np.ndarray, atol: float) -> np.ndarra
     return np.array(left)
 
 
+@pytest.mark.thorough(keep=14)
 @pytest.mark.parametrize("delay", [0.0, 0.2, 0.37, 1.0, 1.5, 2.0, 3.9])
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("hold", HOLDS)

@@ -86,6 +86,7 @@ def test_an_operator_is_the_transition(scheme: str, sampling: str) -> None:
     assert np.abs(back - motion).max() < 1e-9
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_large_scene_has_the_poles_of_its_whole_transition(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sample, "LARGE", 220)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import resource
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from hapsim.theory import Network, sample
 from hapsim.theory.interface import damper_named
 from hapsim.theory.network import is_large, margins, margins_of, solve
 from hapsim.theory.network.large_loop import sparse_transition
+from tests.peak_memory import peak_memory
 from tests.transitions import transition
 
 RATE = 1000.0
@@ -87,6 +87,7 @@ def test_a_large_string_has_some_of_them_and_names_them() -> None:
     np.testing.assert_allclose(slowest.participation, shape / shape.sum(), atol=1e-9)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("damper", ["backward", "centred", "filtered"])
 def test_sparse_and_dense_agree_on_100_masses(damper: str, monkeypatch: pytest.MonkeyPatch) -> None:
     made = damper_named(damper, 80.0 if damper == "filtered" else None, RATE)
@@ -141,15 +142,15 @@ def test_a_free_string_is_at_the_limit_and_no_more() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_ten_thousand_masses_answer_in_seconds_and_in_little_memory() -> None:
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    solution = solve(string(10_000, 0.1))
+    with peak_memory() as grown:
+        solution = solve(string(10_000, 0.1))
     assert solution.is_stable
     assert solution.modes[0].participation.shape == (10_000,)
     assert "of 20000 poles" in solution.method
     assert nearest(solution.poles, string_poles(10_000, 0.1)).max() < 1e-10
-    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
-    assert grown < 1e9  # one dense matrix would be 3.2e9
+    assert grown[0] < 1e9  # bytes; one dense matrix would be 3.2e9
 
 
 class TestAVerdictOnALargeScene:

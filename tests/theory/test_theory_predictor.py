@@ -15,6 +15,7 @@ DEVICE = Configuration(mass=0.2, rate=1000.0)
 K, B = np.array([0.0, 300.0, 3000.0, 40000.0]), np.array([1.0, 0.0, 20.0, 90.0])
 
 
+@pytest.mark.thorough(keep=40)
 @pytest.mark.parametrize("senses", [False, True])
 @pytest.mark.parametrize("sampling", ["ideal", "average"])
 @pytest.mark.parametrize("hold", ["zoh", "impulse"])

@@ -118,6 +118,7 @@ def test_the_poles_are_those_of_the_loop_written_out(delay: int, has_mass: bool)
         assert float(np.abs(poles_of(network(hand, coupling, scene, delay))).max()) == pytest.approx(written, rel=2e-7)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("delay", range(3))
 def test_no_hand_shakes_a_proxy_with_the_friction_of_its_coupling(delay: int) -> None:
     rng, coupling = np.random.default_rng(delay), stiffest_coupling(1.0, T, delay)

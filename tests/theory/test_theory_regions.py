@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,10 @@ import hapsim
 from hapsim.errors import UsageError
 from hapsim.prediction import Region, predict, warnings_about
 from hapsim.scene import parse_scene
+from tests import thorough
 from tests.piecewise_scenes import TRAVEL, as_scene, formulas, random_scene
 
-SCENES = int(os.environ.get("HAPSIM_POINTS", "40"))
+SCENES = thorough.points(15, 40)
 STEP = 1e-6  # m, of the scan
 
 
@@ -113,6 +113,7 @@ def test_a_plectrum_s_regions_are_those_in_which_it_can_grip_and_their_energy_is
         assert np.allclose(plucked_force(document, x), whole * x)
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_plectrum_grips_where_it_is_predicted_to(seed: int) -> None:
     """Measured in virtual time, in every region with a spring that is wide enough."""

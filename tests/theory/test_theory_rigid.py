@@ -97,6 +97,7 @@ def exact_poles(name: str) -> np.ndarray:
         return np.array([1.0 if abs(pole - 1) < mp.mpf(10) ** -25 else complex(pole) for pole in poles])
 
 
+@pytest.mark.thorough(keep=7)
 @pytest.mark.parametrize("name", BARS)
 def test_a_bar_rests_drifts_and_grows_as_in_sixty_digits(name: str) -> None:
     exact, (_, expected) = exact_poles(name), BARS[name]
@@ -105,6 +106,7 @@ def test_a_bar_rests_drifts_and_grows_as_in_sixty_digits(name: str) -> None:
     assert solve(bar(name)).spectral_radius == pytest.approx(np.abs(exact).max(), abs=1e-12)
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("masses", [4, 30, 300])
 @pytest.mark.parametrize("first", [[], [-1]], ids=["free", "hinged"])
 def test_a_bar_of_any_length_is_at_the_limit_and_no_more(masses: int, first: list[int]) -> None:
@@ -189,6 +191,7 @@ def test_a_bar_on_a_membrane_turns_where_it_is_held() -> None:
 class TestALongBar:
     """So long that some of its poles are worked out in place of all."""
 
+    @pytest.mark.thorough
     def test_it_drifts_and_turns_and_no_more(self) -> None:
         network = scene(900, bends(range(900)))
         solution = solve(network)
@@ -197,6 +200,7 @@ class TestALongBar:
         assert not solution.is_stable
         assert sum(mode.frequency_hz == 0.0 for mode in solution.modes) == 4
 
+    @pytest.mark.thorough(keep=1)
     @pytest.mark.parametrize(
         ("first", "beta_l"), [([], 4.730040744862704), ([-1], 3.926602312047919)], ids=["free", "hinged"]
     )
@@ -207,11 +211,13 @@ class TestALongBar:
         expected = (beta_l / 900) ** 2 * np.sqrt(BENDING / M) / (2.0 * np.pi)
         assert swing == pytest.approx(expected, rel=3e-3)
 
+    @pytest.mark.thorough
     def test_clamped_and_undamped_it_swings_for_ever_and_does_not_grow(self) -> None:
         network = scene(900, [*bends([-1, *range(900)]), (0, -1, BENDING, 0.0)])
         assert poles_at_rest(network) == 0
         assert solve(network).spectral_radius == pytest.approx(1.0, abs=1e-11)
 
+    @pytest.mark.thorough
     def test_braked_it_comes_to_rest_wherever_it_is(self) -> None:
         braked = [(i, -1, 0.0, 0.01) for i in range(900)]
         network = scene(900, bends(range(900)) + braked)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,10 +18,11 @@ from hapsim.scene import Scene, parse_scene
 from hapsim.scene.shipped import shipped_scene
 from hapsim.theory import Network
 from hapsim.theory.network import poles_of, proves_stability
+from tests import thorough
 from tests.contact_scenes import begun, contact_scene, growths_within, judged_unstable, unsnapped_states
 from tests.piecewise_scenes import as_scene, random_scene, springs_in_regions, springs_in_states
 
-SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "6")))
+SEEDS = range(thorough.points(2, 6))
 HAND = {"hand": {"type": "device", "channel": 0}, "wall": {"type": "ground"}}
 GRIP = {"type": "plectrum", "stiffness": 1200.0, "damping": 1.5, "release": 0.002}
 BALL = {"ball": {"type": "cell", "mass": 0.1, "stiffness": 400.0}}

@@ -203,6 +203,7 @@ class Played:
         return np.linalg.eigvals(np.array(columns).T)
 
 
+@pytest.mark.thorough(keep=16)
 @pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.0])
 @pytest.mark.parametrize("sampling", ["ideal", "average"])
 @pytest.mark.parametrize("decimation", ["last", "mean"])

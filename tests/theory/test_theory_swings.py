@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -19,9 +18,10 @@ from hapsim.prediction import Prediction, surely_shaken_by, warnings_about
 from hapsim.running.run import run, run_in_memory
 from hapsim.scene import Scene, parse_scene
 from hapsim.units import LINEAR
+from tests import thorough
 from tests.contact_scenes import Motion
 
-SEEDS = range(int(os.environ.get("HAPSIM_POINTS", "4")))
+SEEDS = range(thorough.points(2, 4))
 Points = list[tuple[float, float]]
 
 

@@ -113,6 +113,7 @@ MORE_THAN_TREMBLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 }
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("name", MORE_THAN_TREMBLES)
 def test_a_scene_that_does_more_than_tremble_is_refused(name: str) -> None:
     modules, device = MORE_THAN_TREMBLES[name]

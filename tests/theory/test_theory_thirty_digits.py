@@ -86,6 +86,7 @@ def worst_errors(c: Configuration, k: np.ndarray, b: np.ndarray) -> tuple[float,
     return worst[0], worst[1]
 
 
+@pytest.mark.thorough(keep=12)
 @pytest.mark.parametrize("friction", [0.0, 1.0])
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("sampling", SAMPLINGS)
@@ -102,6 +103,7 @@ def test_simulated_agrees_over_twelve_decades(
     figures.most("B off by, relative, over twelve decades", B_error)
 
 
+@pytest.mark.thorough(keep=40)
 @pytest.mark.parametrize("stiffness", [0.0, 0.04, 4e4])
 @pytest.mark.parametrize("damper", DAMPERS)
 @pytest.mark.parametrize("delay", DELAYS)

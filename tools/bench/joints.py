@@ -48,7 +48,9 @@ def main() -> None:
         counts["faults"] += len(faults)
         for fault in faults:
             print(f"seed {seed}: {fault}", flush=True)
-    print(f"{options.mazes} mazes: {dict(counts)}; most: { {name: float(f'{one:.3g}') for name, one in worst.items()} }")
+    print(
+        f"{options.mazes} mazes: {dict(counts)}; most: { {name: float(f'{one:.3g}') for name, one in worst.items()} }"
+    )
 
 
 if __name__ == "__main__":
