@@ -142,7 +142,7 @@ def test_what_another_client_changes_is_shown(page: Page) -> None:
 
 
 def rests_at(page: Page, position: float) -> bool:
-    """Whether the hand is there and slow: at the end of a swing it is slow somewhere else."""
+    """Returns whether the hand is there and slow: at the end of a swing it is slow somewhere else."""
     state = page.served.session.state()
     return abs(state.position[0] - position) < 0.02 * abs(position) and abs(state.velocity[0]) < 1e-3
 
