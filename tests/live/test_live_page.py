@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_clients import SCENE
+from live_clients import SCENE, SOFT
 
 from hapsim import predict
 
@@ -35,8 +35,6 @@ DETENT = SCENE.replace(
     "touch: {type: viscoelastic, between: [hand, wall], stiffness: 2000, damping: 5}",
     "notch: {type: detent, between: [hand, wall], shape: snap, pitch: 0.01, depth: 1.0, sharpness: 1.0, damping: 5}",
 )
-SOFT = SCENE.replace("stiffness: 2000, damping: 5", "stiffness: 20, damping: 5")
-"""Comes to rest even where a busy machine answers positions tens of milliseconds late."""
 PLANE = """
 version: 1
 rate: 1000
