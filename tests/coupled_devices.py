@@ -9,11 +9,11 @@ import numpy as np
 from scipy.linalg import expm
 
 from hapsim.theory import Configuration
-from hapsim.theory.coupling import Coupling
+from hapsim.theory.coupling import Coupling, stiffest_for
 
 
 class Behind(NamedTuple):
-    """What is behind a coupling, at one point: a mass, a spring and a damper in the backward difference (a contact is
+    """Things behind a coupling, at one point: a mass, a spring and a damper in the backward difference (a contact is
     such a spring and damper, or nothing), and a mass without losses by the trapezoidal rule. The damper may be centred,
     or have a filter of this share."""
 
@@ -85,7 +85,12 @@ def hard_ones(hand: Configuration, coupling: Coupling) -> Iterator[Behind]:
         yield Behind(lossless=share * hand.mass)
 
 
-def worst_radius(hand: Configuration, coupling: Coupling, rng: np.random.Generator, count: int) -> float:
-    """The largest radius with the hard ones and `count` random things behind."""
+def judged(seed: int, count: int) -> tuple[Configuration, Coupling, float]:
+    """A random device, the stiffest coupling for its mass, and the largest radius with the hard ones and `count` random
+    things behind."""
+    rng = np.random.default_rng(seed)
+    hand = random_device(rng)
+    coupling = stiffest_for([hand])
+    assert coupling is not None
     scenes = [*hard_ones(hand, coupling), *(random_behind(rng) for _ in range(count))]
-    return max(radius(hand, coupling, scene) for scene in scenes)
+    return hand, coupling, max(radius(hand, coupling, scene) for scene in scenes)

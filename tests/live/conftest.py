@@ -25,7 +25,7 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., Any]]:
 @pytest.fixture(scope="module")
 def shared() -> Iterator[Any]:
     """One scene for the tests of a file that leave it as it is."""
-    from live_clients import serving
+    from live_clients import SOFT, serving
 
-    with serving() as served:
+    with serving(SOFT) as served:
         yield served

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_clients import SCENE
+from live_clients import SCENE, SOFT
 
 from hapsim import predict
 
@@ -140,17 +140,18 @@ def test_what_another_client_changes_is_shown(page: Page) -> None:
 
 
 def rests_at(page: Page, position: float) -> bool:
-    """Whether the hand is there and slow: at the end of a swing it is slow somewhere else."""
+    """Returns whether the hand is there and slow: at the end of a swing it is slow somewhere else."""
     state = page.served.session.state()
     return abs(state.position[0] - position) < 0.02 * abs(position) and abs(state.velocity[0]) < 1e-3
 
 
-def test_a_slider_changes_the_force(page: Page) -> None:
-    page.served.session.set({"mock.hand": {"force": 2.0}})  # a steady push
-    page.until(lambda: rests_at(page, 2.0 / 2000.0))
+def test_a_slider_changes_the_force(browser: Any, serve: Callable[..., Any]) -> None:
+    page = Page(browser, serve(SOFT))
+    page.served.session.set({"mock.hand": {"force": 0.02}})  # a steady push
+    page.until(lambda: rests_at(page, 0.02 / 20.0))
     page.slide("touch.stiffness", 0.2, "change")  # softer: the same push goes farther
-    page.until(lambda: page.value("touch.stiffness") < 1000.0)
-    page.until(lambda: rests_at(page, 2.0 / page.value("touch.stiffness")))
+    page.until(lambda: page.value("touch.stiffness") < 10.0)
+    page.until(lambda: rests_at(page, 0.02 / page.value("touch.stiffness")))
 
 
 def test_a_reload_keeps_the_last_minute(page: Page) -> None:
@@ -245,10 +246,11 @@ def scope(page: Page, what: str) -> Any:
     return page.browser.execute_async_script(script)
 
 
-def test_a_single_shot_freezes_where_the_level_is_crossed(page: Page) -> None:
+def test_a_single_shot_freezes_where_the_level_is_crossed(browser: Any, serve: Callable[..., Any]) -> None:
+    page = Page(browser, serve(SOFT))
     session = page.served.session
-    session.set({"mock.hand": {"stiffness": 500.0, "damping": 5.0, "position": -0.004}})
-    page.until(lambda: rests_at(page, -0.004 * 500.0 / 2500.0))
+    session.set({"mock.hand": {"stiffness": 500.0, "damping": 20.0, "position": -0.004}})
+    page.until(lambda: rests_at(page, -0.004 * 500.0 / 520.0))
     settled = session.state().sample
     page.until(lambda: scope(page, "samples.last") > settled)  # the page may be behind: it has swings yet to come
     choose(page, "span", "0.2")
