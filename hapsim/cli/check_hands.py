@@ -55,7 +55,7 @@ def region_lines(scene: Scene, prediction: Prediction) -> Iterator[Line]:
     for name, swing in prediction.judge.swings.items():
         if swing is not None:
             unnoticed = ": less than a count" if swing.is_unnoticed else ""
-            ways = swing.sentence(scene.units_of(scene.device_points[name].channel))
+            ways = swing.sentence(scene.units_at(name))
             yield f"Where it is unstable, {escape(name)} swings by {ways}{unnoticed}"
     for name, link in scene.links.items():
         held = [one for one in link.between if one in prediction.regions]

@@ -77,3 +77,23 @@ def test_of_a_hand_without_a_motion_of_its_own_its_modes_are_named(hapsim: Hapsi
     assert [one["frequency_hz"] for one in document["moved"]] == [2.0, 8.0, 30.0]
     scene = load_scene(file)
     assert "predicted_k" not in Task(scene.model_dump(mode="json"), ("predicted",)).at(scene)[0]
+
+
+def test_a_mass_that_swings_across_its_notches_is_named_with_its_swing(hapsim: Hapsim, tmp_path: Path) -> None:
+    scene = tmp_path / "notches.yaml"
+    scene.write_text(
+        """
+version: 1
+rate: 1000
+device: {mass: 0.1, friction: 1.0, delay: 1, force_limit: 10, clock: lockstep}
+modules:
+  hand: {type: device, channel: 0}
+  floor: {type: ground}
+  ball: {type: mass, mass: 0.05}
+  link: {type: viscoelastic, between: [hand, ball], stiffness: 1500, damping: 0.5}
+  notch: {type: detent, between: [ball, floor], pitch: 4 mm, depth: 1.5, shape: snap, sharpness: 2, damping: 0.1}
+"""
+    )
+    answer = hapsim("check", scene)
+    assert "Where it is unstable, ball swings by" in words(answer.out)
+    assert "Unstable while notch is swept across its period: the motion of ball grows" in words(answer.out)
