@@ -32,7 +32,7 @@ OFF_M, SWING_M, LOOP_J = 1e-7, 1e-6, 1e-9
 SEAM = 2e-13  # m: bodies are thicker by this, so that no rounding parts those that meet
 _FAR = 10.0  # m: half of the edge of a half plane
 _OUTSIDE = 0.1  # m: a hand so far from the middle has left the maze
-_ROUNDS = 2000
+_ROUNDS = 500
 
 
 class Wall(NamedTuple):
@@ -287,10 +287,12 @@ def worked(seed: int) -> list[float]:
         if (at := _free(maze, rng)) is None:
             break
         into = at + np.linspace(0.0, 1.0, 1001)[:, None] * _vector(rng, 0.05, 0.05)
-        deep = np.hypot(*(followed(maze, into) - into).T) > rng.uniform(2e-4, 1.5e-3)
-        if not deep.any():
+        place, depth, n = at, rng.uniform(2e-4, 1.5e-3), 0
+        while n < len(into) and math.dist(place, into[n]) < depth:
+            place, n = followed(maze, into[n : n + 1], place)[0], n + 1
+        if n == len(into):
             continue
-        into = into[: deep.argmax() + 1]
+        into = into[:n]
         corners = [into[-1], *(into[-1] + rng.uniform(-0.003, 0.003, (2, 2))), into[-1]]
         sides = [
             a + np.linspace(0.0, 1.0, int(math.dist(a, b) / 2e-7) + 2)[1:, None] * (b - a) for a, b in pairwise(corners)

@@ -8,7 +8,7 @@ Stuck friction adds its bristle along t. Friction that slides reads the pressure
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -118,24 +118,22 @@ class PlaneLink(NamedTuple):
 
 
 class Corner(NamedTuple):
-    """A hollow corner that walls of two shapes share, as one of them has it.
+    """A hollow corner that walls of two shapes share, as one of them has it. The way out has a part along the normal of
+    each, which that wall answers. The second damps along its normal, the first across that.
 
-    The hand's way out has a part along the normal of each, which that wall answers. The second damps along its normal,
-    the first across that.
+    Attributes:
+        first, friction: name of the first wall, whose friction acts, and its coefficient.
+        normal, depth: unit vector from the hand to the corner, and the way out, m.
+        stretch: motion that changes the wall's own part by the unit, and not the other's.
+        damps: unit vector along which the wall damps.
     """
 
     first: str
-    """Name of the first wall, whose friction acts."""
     friction: float
-    """Its coefficient."""
     normal: Point
-    """Unit vector from the hand to the corner."""
     depth: float
-    """m, way out."""
     stretch: Point
-    """Motion that changes the wall's own part by the unit, and not the other's."""
     damps: Point
-    """Unit vector along which the wall damps."""
 
 
 class Row(NamedTuple):
@@ -160,9 +158,11 @@ class Plane:
         self.scene = scene
         self.links = {name: (link, link.law()) for name, link in scene.plane_links.items()}
         self.surfaces = surfaces_of(scene.plane_links)
-        shapes = {name for name, (link, _) in self.links.items() if isinstance(link, Shape)}
-        self._opposite = {name: _opposite(link) for name, (link, _) in self.links.items() if name not in shapes}
-        self._apart = {name: self._link(name, _NOWHERE) for name in shapes}
+        self._apart = {name: self._link(name, _NOWHERE) for one in self.surfaces for name in one.shapes}
+        others = {name: link for name, (link, _) in self.links.items() if name not in self._apart}
+        self._opposite = {
+            name: one.chain().nearest if isinstance(one, Guide) else _away for name, one in others.items()
+        }
         self.start = _start(scene)
         self.hands = tuple(name for name, one in scene.modules.items() if isinstance(one, DevicePoint))
         self.masses = tuple(name for name in self.start if f"{name}.x" in scene.masses)
@@ -175,16 +175,10 @@ class Plane:
             (ax, ay), (bx, by) = (at[end] for end in link.between)
             return ax - bx, ay - by
 
+        every = {name: self._link(name, of(*apart(self.links[name][0]))) for name, of in self._opposite.items()}
         faced = {one.name: one for surface in self.surfaces for one in self._faced(surface, *apart(surface))}
-        found = list[PlaneLink]()
-        for name, (link, _) in self.links.items():
-            if name in faced:
-                found.append(faced[name])
-            elif name in self._opposite:
-                found.append(self._link(name, self._opposite[name](*apart(link))))
-            else:
-                found.append(self._apart[name])
-        return found
+        every = self._apart | every | faced
+        return [every[name] for name in self.links]
 
     def _link(self, name: str, nearest: Nearest, on: Piece | None = None, corner: Corner | None = None) -> PlaneLink:
         """Returns a link as the nearest place of its chain has it."""
@@ -289,11 +283,6 @@ def _start(scene: Scene) -> dict[str, Point]:
     hands = {name: starts_at(scene, one.channel) or 0.0 for name, one in scene.device_points.items()}
     at, points = start_positions(scene) | hands, (name for name, one in scene.modules.items() if one.is_point)
     return {name: (at[f"{name}.x"], at[f"{name}.y"]) for name in points}
-
-
-def _opposite(link: Link) -> Callable[[float, float], Nearest]:
-    """Returns the function from the first end minus the second, m, to the nearest place of the link."""
-    return link.chain().nearest if isinstance(link, Guide) else _away
 
 
 def _remembers(link: Link, distance: float, on: Piece | None) -> bool:

@@ -140,9 +140,9 @@ def _cut(parts: Sequence[_Part], same: float) -> tuple[Any, list[_Edge]]:
     apart = (low[:, None] > high + same).any(2)
     pairs = [(i, j) for i, j in zip(*np.nonzero(~(apart | apart.T)), strict=True) if parts[i].shape < parts[j].shape]
     found = [(p, i, j) for i, j in pairs for p in _meet(parts[i], parts[j], same)]
-    met = np.array([p for p, _, _ in found], complex)
+    met, of = np.array([p for p, _, _ in found], complex), np.array([ij for _, *ij in found], int).reshape(-1, 2)
     for k, part in enumerate(parts):
-        mine = np.array([k in (i, j) for _, i, j in found], bool)
+        mine = (of == k).any(1)
         met[mine] = np.where(part.gap(met[mine]) <= _LOOSE * same, met[mine], np.nan)
     places = np.concatenate([ends.ravel(), met[np.isfinite(met)]])
     vertex = _vertices(places, same)
