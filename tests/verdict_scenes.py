@@ -190,7 +190,7 @@ def pushes(seed: int, count: int) -> Iterator[Push]:
 
 
 def as_scene(document: dict[str, Any], push: Push | None = None) -> Scene:
-    mock: dict[str, Any] = {"quantum": 1e-8}
+    mock: dict[str, Any] = {"quantum": 1e-7}
     if push is not None:
         channels = sum(one["type"] == "device" for one in document["modules"].values())
         rest = [0.0] * (channels - 1)
