@@ -233,6 +233,7 @@ FORMS: tuple[dict[str, Any], ...] = (
         ]
     },
     {
+        "start": [-0.03, 0.0],
         "shapes": [
             {"form": {"disc": 0.03}, "side": side, "stiffness": 1500.0, "damping": 4.0}
             for side in ("inside", "outside")
