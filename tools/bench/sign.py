@@ -237,7 +237,7 @@ FORMS: tuple[dict[str, Any], ...] = (
         "shapes": [
             {"form": {"disc": 0.03}, "side": side, "stiffness": 1500.0, "damping": 4.0}
             for side in ("inside", "outside")
-        ]
+        ],
     },
 )
 """A spring to the middle, a disc, a box with a wall, and a ring on which the hand is held."""
