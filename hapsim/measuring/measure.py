@@ -16,7 +16,6 @@ from hapsim.measuring.measurement_options import (
     SHARE_OF_LIMIT,
     Run,
     RunOptions,
-    as_limited,
     force_limit,
     require_above_zero,
     require_device_point,
@@ -26,6 +25,7 @@ from hapsim.measuring.pushes import LEAST_ROWS, pushes, recorded
 from hapsim.measuring.trace_quality import silence
 from hapsim.recording.trace import Trace
 from hapsim.running import Excitation
+from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
 from hapsim.scene.choices import AHEAD

@@ -20,11 +20,12 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
-from hapsim.measuring.measurement_options import Run, RunOptions, as_limited, require_above_zero, require_device_point
+from hapsim.measuring.measurement_options import Run, RunOptions, require_above_zero, require_device_point
 from hapsim.measuring.pushes import pushes
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
 from hapsim.recording.trace import Trace
+from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.scene import Scene
 from hapsim.scene.load import SceneSource, as_scene

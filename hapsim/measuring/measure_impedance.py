@@ -12,7 +12,7 @@ import numpy as np
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.measuring.converters import Converters, Floats
-from hapsim.measuring.measurement_options import Run, RunOptions, as_limited, largest_push, require_above_zero
+from hapsim.measuring.measurement_options import Run, RunOptions, largest_push, require_above_zero
 from hapsim.measuring.periodic_excitation import (
     LEAST_PERIODS,
     Impedance,
@@ -27,6 +27,7 @@ from hapsim.measuring.periodic_excitation import (
 from hapsim.measuring.trace_quality import SeenRate, seen_rate, silence
 from hapsim.recording.trace import Trace
 from hapsim.running import PeriodicExcitation
+from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.scene import Ground, Scene, ViscoElastic
 from hapsim.scene.load import SceneSource, as_scene

@@ -26,7 +26,6 @@ from hapsim.measuring.measure_hands import (
 from hapsim.measuring.measurement_options import (
     Run,
     RunOptions,
-    as_limited,
     force_limit,
     require_above_zero,
     require_device_point,
@@ -36,6 +35,7 @@ from hapsim.measuring.pushes import pushes, recorded
 from hapsim.one_thread import one_thread
 from hapsim.prediction.plane_geometry import Plane, PlaneLink
 from hapsim.recording.trace import Trace
+from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide
 from hapsim.scene import DevicePoint, Friction, Scene

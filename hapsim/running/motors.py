@@ -8,14 +8,21 @@ it like any limit of a device.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 from firmware_protocol.description import Description
-from hapsim.device.connection import Connection
+from hapsim.device.connection import Connection, describe
 from hapsim.device.known_motors import known_motors, note_motors, serial_number
+from hapsim.device.open_connection import open_connection, place_of_device
+from hapsim.errors import UsageError
 from hapsim.loop.guards import guard_that_ended
 from hapsim.prediction.force_bounds import unjudged_motors
+from hapsim.prediction.linear import with_device
+from hapsim.recording.trace import Trace
+from hapsim.running.requirements import require_compatible
 from hapsim.scene import Scene
 
 SHARE = 0.1
@@ -40,7 +47,7 @@ class Motors(NamedTuple):
         return self.advice if self.lowered else ""
 
 
-def may_be_lowered(scene: Scene) -> bool:
+def _may_be_lowered(scene: Scene) -> bool:
     """Returns whether a run of this scene at its port may have a lower force limit: no travel, and unknown motors."""
     used = range(scene.channels)
     in_hand = scene.device.port is not None and scene.device.clock != "lockstep"
@@ -87,6 +94,37 @@ def _advice(scene: Scene, port: str, hand: tuple[int, ...], tenth: float, reason
         f"{scene.units_of(hand[0])(tenth, 'N', '.3g')}. "
         + (lifts if is_kept else f"Only a device.travel in the scene lifts that: {nameless}")
     )
+
+
+def as_limited(
+    scene: Scene, channels: Sequence[int], push: float | None, run: Callable[..., Trace], options: Any
+) -> tuple[Scene, Callable[..., Trace]]:
+    """Returns, for a measurement, the scene with the force limit of its runs on these channels, so that pushes are made
+    for it, and `run` with these options. At a port whose motors are not known to be right that may be a tenth of the
+    scene's: `on_warning` says so. Raises UsageError if that is less than `push` (N)."""
+    warn, own = options.pop("on_warning", None), scene.device.force_limit
+    with_options = partial(run, **options)
+    kind = options.get("transport", "auto")
+    if place_of_device(scene, kind, portable=True) != "port" or not _may_be_lowered(scene):
+        return scene, with_options
+    with open_connection(scene, kind) as connection:
+        description = describe(connection)
+        require_compatible(scene, connection.name, description)
+        motors = motors_of(scene, connection, description)
+    if not set(channels) & set(motors.lowered):
+        return scene, with_options
+    limit = min(motors.description.force_limit[c] for c in channels)
+    if push is not None and push > limit:
+        units = scene.units_of(channels[0])
+        found, most = units(push, "N", "g"), units(limit, "N", ".3g")
+        raise UsageError(f"push: found {found}, expected at most {most}. {motors.warning}")
+    if warn is not None:
+        warn(motors.warning)
+
+    def run_with_own_limit(scene: Scene, **more: Any) -> Trace:
+        return with_options(with_device(scene, force_limit=own), **more)
+
+    return with_device(scene, force_limit=limit), run_with_own_limit
 
 
 def note_end(loop: Any, scene: Scene, port: str, ending: int) -> None:

@@ -91,6 +91,16 @@ def test_a_hand_that_was_out_once_feels_the_whole_wall() -> None:
     assert force[out:].max() > 5.0
 
 
+def test_a_hand_between_two_walls_that_overlap_is_out_where_it_has_passed_their_middle() -> None:
+    modules = {"other": BUFFER | {"between": ["post", "hand"], "distance": 0.0}}
+    trace, force, _ = played(scene_with(BUFFER, -0.02, modules=modules, mock={"hand": {"force": 0.0}}), 0.6)
+    assert trace.report.armed_inside.startswith("hand was armed 20 mm inside wall")
+    passed = int(np.argmax(trace.position[:, 0] > 0.0))
+    assert passed > 0
+    assert force[:passed].max() <= 0.1 * ENERGY / 0.02 + 1e-3
+    assert force[passed:].max() > 3.0  # it swings to the other side
+
+
 def test_the_hand_of_two_that_is_inside_is_the_one_that_is_low() -> None:
     more = {"other": {"type": "device", "channel": 1}, "stop": BUFFER | {"between": ["other", "post"]}}
     scene = scene_with(BUFFER, [-0.001, -0.04], modules=more)

@@ -151,9 +151,7 @@ def test_by_the_device_s_clock_neither(late_ms: int, row: tuple[int, int], limit
 
 @pytest.mark.parametrize("held_up", ["on its way", "in the host"])
 @pytest.mark.parametrize(("positions", "in_time", "is_told"), [(60, 0, True), (30, 0, False), (60, 3, False)])
-def test_a_run_whose_last_second_had_no_force_tells_so(
-    held_up: str, positions: int, in_time: int, is_told: bool
-) -> None:
+def test_a_run_whose_last_second_had_no_force_fails(held_up: str, positions: int, in_time: int, is_told: bool) -> None:
     """Positions 25 ms apart, each too old when it arrives or when its force would leave; the last ones are not."""
     loop, at = on("host"), START
     for n in range(positions + in_time):

@@ -54,6 +54,7 @@ INSIDE = {
     ("tools/bench/frozen_sensor.py", "hapsim.compiling"): A_GUARD_ALONE,
     ("tools/bench/frozen_sensor.py", "hapsim.loop"): A_GUARD_ALONE,
     ("tools/bench/frozen_sensor.py", "hapsim.scales"): A_GUARD_ALONE,
+    ("tools/bench/on_port.py", "hapsim.device.known_motors"): "has a motor known that no test has shown to be right",
     ("tools/bench/energy_guard.py", "hapsim.scales"): WITHIN_THE_GUARDS,
     ("tools/bench/wheels.py", "hapsim.scales"): WITHIN_THE_GUARDS,
     ("tools/bench/sign.py", "hapsim.compiling"): RUNS_AGAIN,

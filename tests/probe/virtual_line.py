@@ -90,6 +90,6 @@ def virtual_port(patch: pytest.MonkeyPatch, **options: Any) -> Device:
     def opened(*_: object, **_also: object) -> Iterator[Connection]:
         yield Connection(line, PORT, lambda: None, behind_port=True)
 
-    for module in ("running.session", "measuring.measurement_options"):
+    for module in ("running.session", "running.motors"):
         patch.setattr(f"hapsim.{module}.open_connection", opened)
     return line.device

@@ -80,7 +80,7 @@ def pushed(ticks: int = 150, rate: float = 1000.0, **device: Any) -> tuple[float
     return float(np.abs(trace.force).max()), trace.report.unknown_motor, said
 
 
-def test_an_unknown_motor_that_cannot_be_judged_has_a_tenth_and_a_sentence_says_what_lifts_it(
+def test_an_unknown_motor_that_cannot_be_judged_has_a_tenth_and_a_sentence_names_what_lifts_it(
     device: Callable[..., Any],
 ) -> None:
     seen = device(rate=1000.0, scale=COARSE, bodies=[PULLED])

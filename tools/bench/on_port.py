@@ -1,4 +1,4 @@
-"""What the guards make of a faulty device at a pseudo-terminal, one in plain Python (tests/probe/device.py).
+"""Faulty devices at a pseudo-terminal, in plain Python (tests/probe/device.py): what the guards make of them.
 
     tools/bench/on_port [--only WORDS ...]
 

@@ -5,7 +5,8 @@ whole limit over its depth: no hand has put that in. So the force of such a hand
 
     ARMED_INSIDE energy_limit / depth,
 
-with the depth at arming, until it is in no contact. It keeps its direction. The depth is that in the deepest contact
+with the depth at arming, until it is in no contact, or its force turns by more than 90 degrees: then it has passed
+where two contacts hold it between them. The force keeps its direction. The depth is that in the deepest contact
 of the hand; a contact is a shape, a buffer, a click, or a table that has no force on one side, or in its middle.
 """
 
@@ -41,7 +42,8 @@ INSIDE = np.dtype(
         ("most", np.float64, _EACH),  # N, by the first channel of such a hand; 0: another
         ("depth", np.float64, _EACH),  # m, at arming,
         ("contact", np.int64, _EACH),  # in the contact of this number,
-        ("place", np.float64, _EACH),  # and the place, m, by channel
+        ("place", np.float64, _EACH),  # and the place, m,
+        ("asked", np.float64, _EACH),  # and the scene's force, N, by channel
     ],
     align=True,
 )
@@ -66,18 +68,29 @@ def lower_inside(inside, tick):
             continue
         depth, contact = deepest_contact(stored, position, h)
         if inside.begun == 0:
-            inside.place[c] = io.measured[c]
+            inside.place[c], inside.asked[c] = io.measured[c], io.asked[c]
             is_beyond = share_within_limit(io, c, False) < 1.0 or abs(io.asked[c]) > io.force_limit[c]
             if depth > 0.0 and is_beyond:
                 inside.most[c], inside.depth[c], inside.contact[c] = inside.work / depth, depth, contact
                 inside.hands += 1
-        elif not depth > 0.0:
+        elif not (depth > 0.0 and _pushes_as_before(inside, io, c)):
             inside.most[c] = 0.0
             inside.hands -= 1
         if inside.most[c] > 0.0 and _lower(io, c, inside.most[c]):
             tick.flags |= FADED
     inside.begun = 1
     return 0
+
+
+@helper
+def _pushes_as_before(inside, io, c):
+    """Returns whether the scene's force on a hand is within 90 degrees of that at arming."""
+    along, other = 0.0, c
+    while True:
+        along += io.asked[other] * inside.asked[other]
+        other += io.to_next[other]
+        if other == c:
+            return along > 0.0
 
 
 @helper
