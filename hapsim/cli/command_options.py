@@ -20,7 +20,7 @@ from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 
 import typer
 
-from hapsim.cli.output import output_units, print_line, set_output_units
+from hapsim.cli.output import output_units, print_line, set_output_units, warn
 from hapsim.errors import UsageError
 from hapsim.scene.issue import as_argument, command_line
 from hapsim.units import MOTIONS, Units
@@ -229,6 +229,7 @@ class ExcitationOptions:
             "transport": transport,
             "stop_on_signals": True,
             "unstable": None if unstable else False,
+            "on_warning": partial(warn, event="unknown motor"),
         }
 
 

@@ -20,7 +20,6 @@ from hapsim.cli.command_options import (
 )
 from hapsim.cli.live import live_line
 from hapsim.cli.output import output_units
-from hapsim.device.ports import is_first_use
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.measuring.device_sensor import has_right_scale, sensor_warnings
@@ -99,8 +98,6 @@ def identify(
             on_progress=show_progress,
             stop_on_signals=True,
         )
-    if port:
-        is_first_use(port)  # from now on not
     if picture.wanted:
         from hapsim.chart.trace_chart import draw_device_residual, residual_columns
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from hapsim.bringup.probe import Leave, judge, open_wire, steps_of
 from hapsim.cli.command_options import Json, argument, option, require_positive, require_units
 from hapsim.cli.live import live_words
 from hapsim.cli.output import document, print_message, set_output_units, stderr, stdout
-from hapsim.device.ports import is_first_use
+from hapsim.device.known_motors import note_motors
 from hapsim.errors import UsageError
 from hapsim.number_format import plural
 from hapsim.stopping import stopping_on_signals
@@ -64,8 +65,8 @@ def probe(
                 on_step=lambda step, number, of: show(f"{step}: step {number} of {of}"),
                 announce=print_message,
             )
-    if any(check.name == "sign" and check.result in ("pass", "FAIL") for check in judgement.checks):
-        is_first_use(port)  # from now on not
+    if leave is not None:
+        note_motor(port, leave.pair or (leave.channel,), judgement)
     if judgement.device is not None:
         set_output_units(Units.of(judgement.device.motions))
     if json:
@@ -74,6 +75,14 @@ def probe(
         show_judgement(stdout(), judgement)
     if judgement.exit_status:
         raise typer.Exit(judgement.exit_status)
+
+
+def note_motor(port: str, channels: Sequence[int], judgement: Judgement) -> None:
+    """Keeps that the motors of these channels, which were pushed, are right; forgets it if the probe failed."""
+    pushed = {check.name: check.result for check in judgement.checks if check.step == "push"}
+    is_right = pushed.get("sign") == "pass" and "FAIL" not in pushed.values()
+    if is_right or judgement.failed:
+        note_motors(port, channels, are_right=is_right)
 
 
 def _leave(

@@ -29,7 +29,6 @@ from hapsim.cli.command_options import (
 )
 from hapsim.cli.live import LiveOptions, live_line
 from hapsim.cli.output import output_units
-from hapsim.device.ports import is_first_use
 from hapsim.documents import pick
 from hapsim.errors import UsageError
 from hapsim.loop.background import BackgroundWork
@@ -56,6 +55,7 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
 
 
+_SENTENCES = ("armed_inside", "frozen", "wrong_sensor")  # of a Progress, printed when they come
 _LOOK_S = 0.05  # how often the scene's file is looked at
 
 
@@ -256,15 +256,10 @@ class _Reporter:
             ),
         )
 
-    def _meet(self) -> None:
-        """Reports that the sign of a new device's motor is not tested yet."""
-        if self._port and is_first_use(self._port):
-            output.print_message(
-                f"First run at {self._port}: `hapsim probe {self._port} --push 0.5`, or `hapsim identify`, judges "
-                "whether its motor pushes the right way. Hold it loosely until then.",
-                "new device",
-                "info",
-            )
+    def _meet(self, session: Session) -> None:
+        """Reports motors that nothing has shown to be right; `on_warning` has it where that lowers a force limit."""
+        if session.motors.advice and not session.motors.warning:
+            output.print_message(f"{session.motors.advice}.", "unknown motor", "info")
 
     def _started(self, session: Session) -> None:
         """The device is armed. From now on the file is followed, in a thread of its own."""
@@ -293,7 +288,7 @@ class _Reporter:
                     "outside",
                     "warning",
                 )
-        wrong = {kind: getattr(progress, kind) for kind in ("frozen", "wrong_sensor") if getattr(progress, kind)}
+        wrong = {kind: text for kind in _SENTENCES if (text := getattr(progress, kind))}
         for kind in wrong.keys() - self._said:
             output.print_message(wrong[kind], kind, "warning")
         self._said = set(wrong)

@@ -59,6 +59,9 @@ _SPRING = np.dtype(
         ("reach", np.float64),  # and beyond which it has no force
         ("shape", np.uint64, (5,)),  # addresses of a sine's pitch, depth; of a table's edges to period
         ("knots", np.int64),  # of a table, how many
+        ("contact", np.int64),  # number of a contact, from 1 on; 0: it is none
+        ("low", np.uint64),  # addresses of the ends of a contact's stretch without force; 0: it has no such end
+        ("high", np.uint64),
     ],
     align=True,
 )
@@ -137,13 +140,34 @@ def evaluate(stored, position, previous, way):
 
 
 @helper
-def _spring_energy(stored, spring, position, way):
+def deepest_contact(stored, position, point):
+    """Returns (depth in m, number) of the contact that a point is deepest in; depth 0 if it is in none."""
+    springs, depth, number, none = _springs_at(stored.springs, stored.count), 0.0, 0, np.uint64(0)
+    for i in range(stored.count):
+        spring = springs[i]
+        is_end = (spring.ends[0] == point and spring.at[0] == 0) or (spring.ends[1] == point and spring.at[1] == 0)
+        if is_end and spring.contact != 0:
+            d = _stretch(stored, spring, position, none)
+            below = _value(stored, spring.low, none) - d if spring.low != 0 else 0.0
+            above = d - _value(stored, spring.high, none) if spring.high != 0 else 0.0
+            if max(below, above) > depth:
+                depth, number = max(below, above), spring.contact
+    return depth, number
+
+
+@helper
+def _stretch(stored, spring, position, way):
+    """Returns the distance of a spring's ends beyond its offset, m."""
     d = _end(stored, spring, position, way, 0, 0) - _end(stored, spring, position, way, 1, 0)
     if spring.measured != ON_A_LINE:
         y = _end(stored, spring, position, way, 0, 1) - _end(stored, spring, position, way, 1, 1)
         d = _distance(spring, d, y, stored.single)
-    if spring.offset:
-        d -= _value(stored, spring.offset, way)
+    return d - _value(stored, spring.offset, way) if spring.offset else d
+
+
+@helper
+def _spring_energy(stored, spring, position, way):
+    d = _stretch(stored, spring, position, way)
     if spring.kind == TABLE:
         return _table_energy(spring, d, way, stored.single)
     if spring.kind == SINE:
@@ -282,6 +306,8 @@ class StoredEnergy:
         `tank`: a TANK; `force_limit`: N, of the hands."""
         self._program, self._scene, self._force_limit = program, scene, force_limit
         self._kept: list[Any] = []
+        self.contacts: list[str] = []
+        """Names of the contacts, by number less 1."""
         connected = _connected(scene)
         of_links = self._links(connected) if scene.space == 1 else self._plane_links(connected)
         springs = [*of_links, *self._points(connected), *self._structures(connected)]
@@ -342,7 +368,13 @@ class StoredEnergy:
     def _table(self, name: str, law: Law) -> dict[str, Any]:
         keys = [knot_field(what, name, 0, len(law.knots)) for what in ("edge", "tension")]
         shape = [self._live(*key) for key in [*keys, *((name, of) for of in ("below", "beyond", "period"))]]
-        return {"shape": shape, "knots": len(law.knots)}
+        size, edges = self._program.rows.itemsize, _edges_of_contact(law)
+        contact = {end: shape[0] + size * knot for end, knot in edges.items()}
+        return {"shape": shape, "knots": len(law.knots)} | (self._contact(name) | contact if edges else {})
+
+    def _contact(self, name: str) -> dict[str, int]:
+        self.contacts.append(name)
+        return {"contact": len(self.contacts)}
 
     def _plane_links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         scene, grounds, hands, zeros = (
@@ -372,7 +404,8 @@ class StoredEnergy:
                     free, reach = 0.5 * link.width, np.inf if link.reach is None else link.reach
                     yield _spring(SPRING, ends, at, offset=memory[4], free=free, reach=reach, **more)
                     continue
-                yield _spring(SPRING, ends, at, offset=memory[4], side=self._keep(1.0), **more)
+                contact = {"side": self._keep(1.0), "low": zeros} | self._contact(name)
+                yield _spring(SPRING, ends, at, offset=memory[4], **contact, **more)
                 bent, sliding, press = memory[7:]
                 slides = {"side": sliding, "force": self._live(name, "friction_coefficient"), "press": press}
                 more |= {"measured": ON_A_LINE} | ({"share": 0.5} if link.bristle_stiffness is None else {})
@@ -413,6 +446,24 @@ _SPRING_DEFAULTS = dict.fromkeys(_SPRING.names or (), 0) | {
 def _spring(kind: int, ends: Sequence[int], at: Sequence[int], **fields: Any) -> tuple[Any, ...]:
     """Returns the fields of a _SPRING, in its order."""
     return tuple((_SPRING_DEFAULTS | {"kind": kind, "ends": ends, "at": at} | fields).values())
+
+
+def _edges_of_contact(law: Law) -> dict[str, int]:
+    """Returns the knots between which a table has no force, if its ends are pushed back there from beyond them: "low",
+    "high" or both; none for any other table."""
+    forces = [force for _, force in law.knots]
+    before, after = [-law.below, *forces], [*forces[1:], law.beyond]  # a slope stands for the force beyond the ends
+    low = [i for i, force in enumerate(forces) if force == 0.0 > before[i]]
+    high = [i for i, force in enumerate(forces) if force == 0.0 < after[i]]
+    if law.period or len(low) > 1 or len(high) > 1 or not (low or high):
+        return {}
+    first, last = (low or [0])[0], (high or [len(forces) - 1])[0]
+    pushes_below, pushes_above = law.below > 0.0 or forces[0] < 0.0, law.beyond > 0.0 or forces[-1] > 0.0
+    if any(forces[first : last + 1]) or bool(low) is not pushes_below or bool(high) is not pushes_above:
+        return {}
+    if low and high and not law.knots[first][0] < law.knots[last][0]:
+        return {}  # a spring
+    return {"low": first} if not high else {"high": last} if not low else {"low": first, "high": last}
 
 
 def _module(scene: Scene, point: str) -> str:

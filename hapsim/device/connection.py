@@ -51,6 +51,8 @@ class Connection(Client):
     behind_port: bool = False
     """True if the device may have a timer and a hand of its own. A mock in this process has no hand, and is only as
     punctual as this machine."""
+    known_motors: tuple[int, ...] = ()
+    """Channels whose motor a test has shown to push the right way."""
     mock: Any = None
     """MOCK of this process; None for any other device."""
     inbox: Any = field(default_factory=_new_inbox)

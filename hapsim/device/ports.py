@@ -1,4 +1,4 @@
-"""Ports: opening a device's serial port, links to pseudo-terminals under a user's name, and known devices.
+"""Ports: opening a device's serial port, and links to pseudo-terminals under a user's name.
 
 pyserial finds, configures and locks a port, which is then raw for the loop. There are two locks, because pyserial's is
 advisory and the terminal's own does not stop root. The kernel releases both when the process ends.
@@ -102,30 +102,6 @@ def state_directory() -> Path:
     except RuntimeError as error:
         message = "this user has no home: set XDG_STATE_HOME, or name a directory"
         raise FileNotFoundError(errno.ENOENT, message) from error
-
-
-def is_first_use(port: str) -> bool:
-    """Returns whether this user uses the device at `port` for the first time, and records it.
-
-    A device is known by its serial number, or else by the port's name. False without a device, or if nothing can be
-    written.
-    """
-    from serial.tools import list_ports
-
-    there = os.path.realpath(port)
-    numbers = [one.serial_number for one in list_ports.comports() if os.path.realpath(one.device) == there]
-    if not numbers and not os.path.exists(port):  # a COM port is listed, but is no file
-        return False
-    name = next(filter(None, numbers), port)
-    with contextlib.suppress(OSError, UnicodeError):
-        file = state_directory() / "devices"
-        if file.exists() and name in file.read_text(encoding="utf-8").splitlines():
-            return False
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with file.open("a", encoding="utf-8") as known:
-            known.write(f"{name}\n")
-        return True
-    return False
 
 
 _PSEUDO_TERMINALS = range(136, 144)  # major numbers, Linux's Documentation/admin-guide/devices.txt

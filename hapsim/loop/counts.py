@@ -83,6 +83,10 @@ class Counts:
     """Sentence about a position that stands still while force acts; in a report, the one that did so for longest."""
     wrong_sensor: str = field(default="", metadata={"status": "acceleration sensor"})
     """Sentence about a sensed acceleration that contradicts the positions."""
+    armed_inside: str = field(default="", metadata={"status": "armed"})
+    """Sentence about a hand that was armed deeper inside a contact than the force limit presses."""
+    unknown_motor: str = field(default="", metadata={"status": "motor"})
+    """Sentence about motors of a port that have a lower force limit, because nothing has shown them to be right."""
     estimated_mass_kg: tuple[float | None, ...] = _estimate("estimated mass", "‹kg›")
     """Last estimate of each channel's mass, with an adaptive correction; None on other channels."""
     estimated_mass_uncertainty_kg: tuple[float | None, ...] = _estimate("its uncertainty", "‹kg›")

@@ -83,6 +83,8 @@ STATE = np.dtype(
         ("first_ns", np.int64),  # arrival of the first and of the newest position
         ("newest_ns", np.int64),
         ("since_sent", np.int64),  # samples from the position that the last force to leave answers
+        ("withholds", np.int64),  # 1: the composed force is zero because its position is too old
+        ("withheld_ns", np.int64),  # since when every answer to a new position is; 0: the last one was not
         ("unanswered", np.int64),  # 1: the newest position's force has not left yet
         ("tick_ns", np.int64),  # where the host paces: when the loop woke up to ask for the next position,
         ("asked_ns", np.int64),  # and for what it sent last, which may ask again
@@ -256,12 +258,13 @@ def compose_frame(loop, disarm):
     io = loop.io
     state, control = loop.state, loop.control
     kind, number, argument = schema.FORCE, state.sample & _MODULUS_MASK, control.time_to_live
-    state.asked_ns = loop.wait.begun_ns
+    state.asked_ns, state.withholds = loop.wait.begun_ns, loop.tick.withheld
     if disarm:
         kind, number, argument = schema.DISARM, 0, 0
         _take_force_away(io)
     elif control.clock == HOST_CLOCK and _is_outdated(control, _held_since(state, control), loop.wait.begun_ns):
         state.withheld_forces += 1
+        state.withholds = 1
         _take_force_away(io)
         _leave_zero(loop, io.channels)
         state.limited_ticks -= withhold_last(loop.ring)
@@ -302,8 +305,13 @@ def on_force_sent(loop, now):
     """Records that the force was sent at `now` (ns), and publishes the tick."""
     if loop.control.clock != HOST_CLOCK:
         note(loop.histograms.exchange, now - loop.state.newest_ns)
-    loop.state.sent_ns = now
-    loop.state.unanswered = 0
+    state = loop.state
+    if state.unanswered and state.withholds == 0:
+        state.withheld_ns = 0
+    elif state.unanswered and state.withheld_ns == 0:
+        state.withheld_ns = now
+    state.sent_ns = now
+    state.unanswered = 0
     publish(loop.ring)
 
 

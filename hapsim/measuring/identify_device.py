@@ -11,8 +11,9 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from hapsim.device.known_motors import note_motors
 from hapsim.errors import GuardError, UsageError
-from hapsim.loop.endings import IN_WORDS, STOPPED
+from hapsim.loop.endings import DONE, IN_WORDS, STOPPED
 from hapsim.loop.guards import travel
 from hapsim.measuring import measurement_options
 from hapsim.measuring.converters import Converters
@@ -155,11 +156,18 @@ def identify_device(
         bounds_of(scene, channel, force, travel),
         partial(run, **{**options, "unstable": True, "also_sense": ("acceleration",)}),
     )
-    with one_thread():
-        pusher.find_home()
-        rough = pusher.grow()
-        pusher.record(rough, SECONDS if duration is None else duration)
-        return pusher.identified(rough.shape)
+    port = scene.device.port if options.get("transport", "auto") == "auto" else None
+    try:
+        with one_thread():
+            pusher.find_home()
+            rough = pusher.grow()
+            pusher.record(rough, SECONDS if duration is None else duration)
+            found = pusher.identified(rough.shape)
+    except GuardError:
+        note_motors(port, [channel], are_right=False)
+        raise
+    note_motors(port, [channel], are_right=True)
+    return found
 
 
 class _Pusher:
@@ -371,7 +379,8 @@ class _Pusher:
         try:
             trace = self._run_scene(scene, duration=duration, excitation=excitation)
         except GuardError as error:
-            if error.trace is None or error.trace.report.ending != travel.GUARD.words:
+            # where the force did not move the device, the next one is larger
+            if error.trace is None or error.trace.report.ending not in (travel.GUARD.words, IN_WORDS[DONE]):
                 raise
             trace = error.trace
         self._stopped = trace.report.ending == IN_WORDS[STOPPED]

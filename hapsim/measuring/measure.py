@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -17,6 +16,7 @@ from hapsim.measuring.measurement_options import (
     SHARE_OF_LIMIT,
     Run,
     RunOptions,
+    as_limited,
     force_limit,
     require_above_zero,
     require_device_point,
@@ -91,7 +91,7 @@ def measure_on_line(
     at that position. If the device fails or stops by itself after enough was recorded, returns the measurement with
     the error as its `failure`.
     """
-    scene, run = as_scene(scene), partial(run, **options)
+    scene = as_scene(scene)
     if scene.space > 1:
         raise UsageError(
             "space: found 2; a hand in the plane is measured with a place, as by `hapsim measure --at X,Y`"
@@ -99,6 +99,7 @@ def measure_on_line(
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
+    scene, run = as_limited(scene, [channel], push, run, options)
     if duration is None:
         duration = min(max(_SECONDS, _LEAST_TICKS / scene.rate), _MOST_TICKS / scene.rate)
     place = place_of(scene, channel, at)

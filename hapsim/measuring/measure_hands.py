@@ -20,7 +20,7 @@ import numpy as np
 from hapsim.errors import UsageError
 from hapsim.loop.ring import BRIDGED, LATE_FORCE, LIMITED
 from hapsim.measuring.converters import Complexes, Floats
-from hapsim.measuring.measurement_options import Run, RunOptions, require_above_zero, require_device_point
+from hapsim.measuring.measurement_options import Run, RunOptions, as_limited, require_above_zero, require_device_point
 from hapsim.measuring.pushes import pushes
 from hapsim.number_format import percent
 from hapsim.one_thread import one_thread
@@ -55,12 +55,13 @@ def measure_hands(
     require_above_zero(scene.units.name("newton"), push=push)
     for channel in channels:
         require_device_point(scene, channel)
+    scene, run = as_limited(scene, channels, push, run, options)
     traces, segments = [], list[Floats]()
     for channel in channels:
         seconds = _SECONDS if duration is None else duration
         every = int(seconds * scene.rate) // _PUSHES
         excitation = replace(pushes(scene, channel, seconds, push), start=0, every=every, first=False)
-        trace = run(scene, duration=seconds, excitation=excitation, **options)
+        trace = run(scene, duration=seconds, excitation=excitation)
         begins = np.arange(0, trace.sample[-1] if trace.sample.size else 0, every)
         traces.append(trace)
         quiet = excitation.ticks + RUN_UP + math.ceil(scene.device.delay)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from hapsim.errors import HapsimError, UsageError
 from hapsim.loop.endings import IN_WORDS, STOPPED
 from hapsim.measuring.converters import Converters, Floats
-from hapsim.measuring.measurement_options import Run, RunOptions, largest_push, require_above_zero
+from hapsim.measuring.measurement_options import Run, RunOptions, as_limited, largest_push, require_above_zero
 from hapsim.measuring.periodic_excitation import (
     LEAST_PERIODS,
     Impedance,
@@ -106,7 +105,7 @@ def measure_impedance(
     `run` runs the scene, with `options`: `transport`, `on_progress`, `stop_on_signals` and `unstable` of `hapsim.run`.
     Raises the errors of `run`, and UsageError if too little moves or too little was recorded.
     """
-    scene, run = as_scene(scene), partial(run, **options)
+    scene = as_scene(scene)
     lines = lines_for(scene.rate)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units.name("metres"), travel=travel)
@@ -117,6 +116,7 @@ def measure_impedance(
             f"duration: found {duration:g} s, expected at least {fewest * lines.period_s:g} s ({fewest} periods of the "
             "excitation)"
         )
+    scene, run = as_limited(scene, range(scene.channels), push, run, options)
     rig = _Rig(run, scene, lines, travel, push)
     done = _excite_each(rig, periods, may_repeat=duration is None)
     found = impedance_of([one.periods for one in done], lines.frequency, scene.rate, scene.device.delay, rig.converters)

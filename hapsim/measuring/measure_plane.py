@@ -26,6 +26,7 @@ from hapsim.measuring.measure_hands import (
 from hapsim.measuring.measurement_options import (
     Run,
     RunOptions,
+    as_limited,
     force_limit,
     require_above_zero,
     require_device_point,
@@ -95,12 +96,13 @@ def measure_in_plane(
     Raises UsageError if no link acts there, or if the hand slides off: the message says how fast. The rest is as for
     `measure`.
     """
-    scene, run = as_scene(scene), partial(run, **options)
+    scene = as_scene(scene)
     require_device_point(scene, channel)
     require_above_zero("seconds", duration=duration)
     require_above_zero(scene.units_of(channel).name("newton"), push=push)
     hand = scene.hand_of(channel)
     _require_alone(scene, hand)
+    scene, run = as_limited(scene, hand, push, run, options)
     place = _place_of(scene, hand, at)
     seconds = duration or (_IN_VIRTUAL_TIME if scene.device.clock == "lockstep" else _SECONDS)
     rung = [_rung(scene, run, place, axis, seconds, push) for axis in range(len(hand))]

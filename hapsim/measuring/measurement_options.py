@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, TypedDict
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypedDict
 
+from hapsim.device.connection import describe
+from hapsim.device.open_connection import open_connection, place_of_device
 from hapsim.errors import UsageError
+from hapsim.prediction.linear import with_device
 from hapsim.recording.trace import Trace
+from hapsim.running.motors import may_be_lowered, motors_of
+from hapsim.running.requirements import require_compatible
 from hapsim.scene import Scene
 
 if TYPE_CHECKING:
@@ -28,6 +34,38 @@ class RunOptions(TypedDict, total=False):
     on_progress: Callable[[Progress], None] | None
     stop_on_signals: bool
     unstable: bool | None
+    on_warning: Callable[[str], None] | None
+
+
+def as_limited(
+    scene: Scene, channels: Sequence[int], push: float | None, run: Run, options: RunOptions
+) -> tuple[Scene, Run]:
+    """Returns the scene with the force limit that its runs have on these channels, so that pushes are made for it, and
+    `run` with these options. At a port whose motors are not known to be right that may be a tenth of the scene's:
+    `on_warning` says so. Raises UsageError if that is less than `push` (N)."""
+    warn, own = options.pop("on_warning", None), scene.device.force_limit
+    with_options: Run = partial(run, **options)
+    kind = options.get("transport", "auto")
+    if place_of_device(scene, kind, portable=True) != "port" or not may_be_lowered(scene):
+        return scene, with_options
+    with open_connection(scene, kind) as connection:
+        description = describe(connection)
+        require_compatible(scene, connection.name, description)
+        motors = motors_of(scene, connection, description)
+    if not set(channels) & set(motors.lowered):
+        return scene, with_options
+    limit = min(motors.description.force_limit[c] for c in channels)
+    if push is not None and push > limit:
+        units = scene.units_of(channels[0])
+        found, most = units(push, "N", "g"), units(limit, "N", ".3g")
+        raise UsageError(f"push: found {found}, expected at most {most}. {motors.warning}")
+    if warn is not None:
+        warn(motors.warning)
+
+    def run_with_own_limit(scene: Scene, **more: Any) -> Trace:
+        return with_options(with_device(scene, force_limit=own), **more)
+
+    return with_device(scene, force_limit=limit), run_with_own_limit
 
 
 def require_above_zero(unit: str, **values: float | None) -> None:

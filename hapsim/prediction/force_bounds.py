@@ -21,6 +21,7 @@ SOFT_START_S = 0.05
 SIGN_RATE_HZ = 500.0  # below, the guard of the sign has too few samples
 COARSEST = 2e-6  # s², of count times mass over force limit: with more, a hand moves as fast as the guard's filter
 _SIGN_HZ = 5.0  # below, the guard finds only every second motor with a wrong sign
+ARMED_INSIDE = 0.1  # of the energy limit: the work that a hand which is armed inside a contact gets on its way out
 ONE_PERIOD = 1.0 + 1e-12  # so that rounding keeps a whole number of counts
 _IN_HAND = 0.1  # of a mode's kinetic energy: with less in the hand, its force does not drive the mode
 

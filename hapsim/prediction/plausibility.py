@@ -356,15 +356,17 @@ def _jumps_in_plane(scene: Scene) -> Iterator[str]:
             yield f"{pushes}; the force limit is {units(limit, 'N')}: check its links and the positions of their ends."
 
 
-def begun_inside(scene: Scene) -> Iterator[str]:
-    """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps."""
+def begun_inside(scene: Scene, work: float = math.inf) -> Iterator[str]:
+    """Yields a sentence for each shape in which a hand starts before the mock: without a soft start the force jumps.
+    `work`: J, most of it over the depth where the surface asks for more than the force limit."""
     if scene.space == 1 or scene.device.port is not None or scene.device.soft_start:
         return
     plane, units = Plane(scene), scene.units
     for one in plane.at({}):
         hand = next((end for end in one.link.between if end in plane.hands), "")
         if hand and isinstance(one.link, Shape) and one.distance < 0.0:
-            force = min(-one.tension, scene.device.force_limit)
+            limit = scene.device.force_limit
+            force = -one.tension if -one.tension <= limit else min(limit, work / -one.distance)
             yield (
                 f"{hand} starts {units(-one.distance, 'mm', '.3g')} inside {one.name}: at arming the force jumps to "
                 f"{units(force, 'N', '.3g')}. Let it start outside (mock.initial.position), or set device.soft_start."

@@ -14,7 +14,7 @@ import numpy as np
 
 from hapsim.number_format import frequency, rounded_down
 from hapsim.prediction.characteristic import hand_at
-from hapsim.prediction.force_bounds import slew_warning
+from hapsim.prediction.force_bounds import ARMED_INSIDE, run_bounds, slew_warning
 from hapsim.prediction.linear import linear_scene, network_of
 from hapsim.prediction.plausibility import begun_inside, unlikely
 from hapsim.prediction.predict import Prediction, is_surely_unstable
@@ -27,7 +27,8 @@ from hapsim.theory.schemes import SCHEMES
 
 def warnings_about(scene: Scene, prediction: Prediction) -> list[str]:
     """Returns sentences on risks of `scene`, which has this prediction; an empty list if there are none."""
-    warnings, limit = [*unlikely(scene), *begun_inside(scene)], scene.mock_device.force_limit
+    work, limit = ARMED_INSIDE * run_bounds(scene).energy_limit, scene.mock_device.force_limit
+    warnings = [*unlikely(scene), *begun_inside(scene, work)]
     if not prediction.by_its_scheme:
         warnings.append(
             f"stability was worked out for scheme: cordis; the scene runs with scheme: {scene.scheme}."

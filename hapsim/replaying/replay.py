@@ -92,6 +92,7 @@ class Replay:
         self.scene = record.scene if scene is None else _as_recorded(record, scene)
         _require_sensed(record, self.scene)
         connection = Connection(None, str(record.path), lambda: None, behind_port=record.run.behind_port)  # type: ignore[arg-type]
+        connection.known_motors = record.run.known_motors
         self.loop: LoopMemory = assemble_loop(self.scene, connection, record.description, record.options)
         self.live = LiveScene(self.scene, self.loop, unstable=True if record.options.unstable else None)
         self._decoder = new_decoder(self.loop.wire, to_device=False)

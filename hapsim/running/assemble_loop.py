@@ -21,6 +21,7 @@ from hapsim.loop import guards
 from hapsim.loop.crossfade import cross_fade
 from hapsim.loop.exchange import DEVICE_CLOCK, HOST_CLOCK, LOOP, NO_CLOCK
 from hapsim.loop.force_history import history_hook
+from hapsim.loop.guards.armed_inside import inside_sentence
 from hapsim.loop.guards.energy_guard import set_predicted_unstable
 from hapsim.loop.guide import guide_hook
 from hapsim.loop.hooks import Hook, Setting, set_hooks
@@ -76,6 +77,8 @@ class LoopMemory:
         """The rest of the correction: predictors and the estimate of the mass."""
         self.sensor_check: SensorCheck | None = None
         """The check of the sensed acceleration in a session."""
+        self.unknown_motor = ""
+        """Sentence about motors that are not known to be right, and therefore have a lower force limit."""
         self.sound: SoundRing | None = None
         """Frames of the scene's pick-ups; None for a scene without pick-ups."""
         self.sound_output: SoundOutput | None = None
@@ -87,6 +90,7 @@ class LoopMemory:
         self.hand: LiveHand | None = None
         """Hand that holds the mock; None if the device is no mock in this process."""
         self._programs: list[Program] = []
+        self._contacts: list[str] = []  # of the first scene
         self._changes_before = 0
 
     @property
@@ -99,6 +103,7 @@ class LoopMemory:
         if self.has_energy_guard:
             limit = float(self.record.io.force_limit[: self.wire.channels].max())
             program.stored = StoredEnergy(program, scene, self.record.tank, limit)
+            self._contacts = self._contacts or program.stored.contacts
 
     @property
     def has_energy_guard(self) -> bool:
@@ -133,6 +138,10 @@ class LoopMemory:
         highpass = np.array([one.highpass for one in scene.sound.values()])
         record.keeps[:channels] = np.exp(-2.0 * np.pi * highpass / scene.step_rate)
         self.record.slot.sound, self.record.slot.add_frame = record.address, add_frame.address()
+
+    def armed_inside(self) -> str:
+        """Returns a sentence about a hand that was armed inside a contact; "" if none was."""
+        return inside_sentence(self.rendered_scene, self.record.armed_inside, self._contacts)
 
     @property
     def is_replacing(self) -> bool:
@@ -201,6 +210,7 @@ def _setting_of(
         behind_port=connection.behind_port,
         judges_energy=options.judges_energy,
         judges_sign=options.judges_sign,
+        known_motors=connection.known_motors,
         first_late=timing.lateness_sentences(scene, samples, connection.round_trip_s) if late else "",
     )
 

@@ -30,6 +30,8 @@ from hapsim.recording.trace import Report, Statistics, Trace, columns_of
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.scene import Scene
 
+_TELLING_S = 1.0  # a guard that withholds the force for so long at the end of a run makes it fail
+
 
 def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) -> Trace:
     """Returns the trace of a loop that has ended."""
@@ -90,7 +92,8 @@ def counters_of(loop: LoopMemory) -> dict[str, Any]:
     masses = {} if loop.correction is None else loop.correction.masses(loop.wire.channels)
     sound = {} if loop.sound_output is None else loop.sound_output.counts()
     sensor = "" if loop.sensor_check is None else loop.sensor_check.sentence(loop.rendered_scene)
-    return counts | masses | sound | {"wrong_sensor": sensor}
+    sentences = {"wrong_sensor": sensor, "unknown_motor": loop.unknown_motor, "armed_inside": loop.armed_inside()}
+    return counts | masses | sound | sentences
 
 
 def report_of(scene: Scene, loop: LoopMemory, ending: str) -> Report:
@@ -138,10 +141,12 @@ def failure_of(name: str, scene: Scene, loop: LoopMemory, trace: Trace, ending: 
     elif ending in _FAILURES:
         kind, sentence = _FAILURES[ending]
         what = sentence(loop, report) if callable(sentence) else sentence.format(report=report)
-    elif report.released:
-        return None
-    else:
+    elif not report.released:
         kind, what = DeviceError, f"the run ended normally after {report.ticks} ticks"
+    elif withheld := _withheld_at_end(loop):
+        kind, what = GuardError, f"the run ended normally after {report.ticks} ticks, without force: {withheld}"
+    else:
+        return None
     if kind is GuardError and (hints := " ".join(unlikely(scene)).removesuffix(".")):
         advice = f"A likely mistake: {hints}"
     what = ". ".join(filter(None, (what, report.wrong_sensor, advice)))
@@ -197,6 +202,23 @@ _FAILURES: dict[int, tuple[type[RunError], str | Callable[[LoopMemory, Report], 
     ),
 }
 """Error class and sentence without a full stop, or a function that returns it, by ending without a guard."""
+
+
+def _withheld_at_end(loop: LoopMemory) -> str:
+    """Returns a sentence, without a full stop, if a guard withheld the force for at least the last second because a
+    position stands still or all are too old; "" if none did."""
+    sensor, state, io = loop.record.frozen_sensor, loop.state, loop.record.io
+    period_s, is_asked = 1e-9 * int(loop.control.period_ns), np.abs(io.asked) > sensor.floor
+    still_s = sensor.still * sensor.frozen * is_asked * period_s
+    if still_s.max() >= _TELLING_S:
+        return frozen_sentence(loop.rendered_scene, int(np.argmax(still_s)), float(still_s.max()))
+    late_s = 1e-9 * (int(state.sent_ns) - int(state.withheld_ns)) if state.withheld_ns else 0.0
+    if late_s < _TELLING_S:
+        return ""
+    return (
+        f"for {duration(late_s)} every position was too old to be answered. {STEADINESS_ADVICE}; or something between "
+        "it and the device holds bytes back"
+    )
 
 
 def _useless_input(loop: LoopMemory, report: Report) -> str:

@@ -39,7 +39,7 @@ _LONG_S = 10.0  # a session of this length restarts the pauses
 class RunObserver:
     """Functions that are called in the thread of the run."""
 
-    arming: Callable[[], None] = lambda: None
+    arming: Callable[[Session], None] = lambda _: None
     """Called when the device has described itself, before arming."""
     started: Callable[[Session], None] = lambda _: None
     """Called when the device is armed."""
@@ -307,7 +307,7 @@ class _Reconnector:
     def _arming(self, session: Session) -> None:
         if self.stopped:  # a callback swallowed the interrupt
             raise KeyboardInterrupt
-        self.observer.arming()
+        self.observer.arming(session)
         self.session, self.starting = session, False
 
 

@@ -31,6 +31,7 @@ class RecordedRun:
     options: dict[Literal["unstable", "judges_energy", "judges_sign"], bool | None]
     excitation: Excitation | dict[str, Any] | None
     versions: dict[str, str]
+    known_motors: tuple[int, ...] = ()
 
 
 def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
@@ -45,12 +46,10 @@ def read_run(run: dict[str, Any], channels: int) -> RecordedRun:
     return found
 
 
-def run_of(
-    scene: Scene, loop: LoopMemory, description: Description, behind_port: bool, in_python: bool, options: RunOptions
-) -> dict[str, Any]:
-    """Returns the document of a run. `behind_port`: as of a Connection. `in_python`: the loop is not compiled. Readers:
-    `read_run`, `options_of` and `hapsim.scene.parse_scene`."""
-    excitation, pushes = options.excitation, None
+def run_of(scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions) -> dict[str, Any]:
+    """Returns the document of a run. `in_python`: the loop is not compiled. Readers: `read_run`, `options_of` and
+    `hapsim.scene.parse_scene`."""
+    excitation, pushes, setting = options.excitation, None, loop.setting
     if isinstance(excitation, PeriodicExcitation):
         pushes = {"channel": excitation.channel, "forces": excitation.forces.tolist()}
     elif excitation is not None:
@@ -58,8 +57,9 @@ def run_of(
     return {
         "scene": document_of(scene),
         "first_tick": int(loop.state.ticks),
-        "description": asdict(description),
-        "behind_port": behind_port,
+        "description": asdict(setting.description),
+        "behind_port": setting.behind_port,
+        "known_motors": setting.known_motors,
         "in_python": in_python,
         "options": {name: getattr(options, name) for name in _OPTIONS},
         "excitation": pushes,

@@ -43,6 +43,7 @@ from hapsim.running import outcome
 from hapsim.running.assemble_loop import assemble_loop
 from hapsim.running.changes import LiveScene
 from hapsim.running.compile_ahead import DEVICE_UNITS, compile_ahead
+from hapsim.running.motors import motors_of, note_end
 from hapsim.running.recorded_run import prediction_of
 from hapsim.running.requirements import (
     PACING,
@@ -113,7 +114,8 @@ class Session(SessionView):
         with contextlib.ExitStack() as stack:
             self._connection = self._open_device(scene, stack)
             scene = with_sensors(scene, options.also_sense, self._description)
-            self._loop = assemble_loop(scene, self._connection, self._description, options)
+            self._loop = assemble_loop(scene, self._connection, self.motors.description, options)
+            self._loop.unknown_motor = self.motors.warning
             require_in_time(self._loop.rendered_scene)
             self._live = LiveScene(scene, self._loop, self._over.is_set, self.idle_priority, options.unstable)
             self._body: Callable[[Any], int] = run_loop
@@ -193,6 +195,9 @@ class Session(SessionView):
             compile_ahead(units, counted)
         self._description = describe(connection)
         require_compatible(scene, connection.name, self._description)
+        self.motors = motors_of(scene, connection, self._description)
+        """The motors of the device, and what is known of them."""
+        connection.known_motors = self.motors.known
         self.restarted = options.resumes and has_restarted(connection)
         """True if the device has powered up since the last session, so that its position 0 has changed."""
         if self.restarted:
@@ -232,6 +237,8 @@ class Session(SessionView):
         _open.append(self)
         try:
             self._thread.start()
+            if self.motors.warning:
+                (self._options.on_warning or _ignore)(self.motors.warning)
             (self._options.on_arming or _ignore)(self)
             if self._options.realtime:
                 self.grants = self._resources.enter_context(realtime(self._thread.native_id or 0))
@@ -301,6 +308,8 @@ class Session(SessionView):
             ending = self._end_and_disarm()
         if not self._sent_before:
             return None  # never armed: `begin` raises why
+        if self._place == "port":
+            note_end(self._loop.record, self.scene, self.name, ending)
         failure = outcome.failure_of(self.name, self.scene, self._loop, self.trace, ending)
         if failure is not None:
             failure = self._with_report(failure)
@@ -407,8 +416,9 @@ def start(scene: SceneSource, **options: Any) -> Session:
       name `energy_limit`, it is always enabled.
     * `judges_sign`: stops a motor that pushes the wrong way for the mock, too. Behind a port it always does.
     * `on_progress`: called during compilation.
-    * `on_warning`: called, from another thread, with a sentence if a file can no longer be written or the sound card
-      is gone.
+    * `on_warning`: called with a sentence before arming, if a port's motor is not known to push the right way and has
+      a tenth of the force limit (hapsim/STABILITY.md); and, from another thread, if a file can no longer be written or
+      the sound card is gone.
     * `on_arming`: called with the session just before the device is armed. From then on `stop` ends the run cleanly.
     * `on_event`: called with an `Event` after each change, marker and recording, from the thread that caused it.
     * `history_s`: how many seconds `Session.history` returns.

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol import schema
-from firmware_protocol.description import Description
 from hapsim.cordis.program import Program, positions_of
 from hapsim.device.connection import Connection
 from hapsim.errors import UsageError
@@ -120,7 +119,6 @@ class SessionView:
     """Events of `mark`."""
     _noted_markers: int
     """Number of them in a record."""
-    _description: Description
     _in_python: bool
     _options: RunOptions
     _over: threading.Event
@@ -353,7 +351,7 @@ class SessionView:
         loop, io = self._loop, self._loop.record.io
         self._recorded_scene = scene
         position, force = (scale[: loop.wire.channels].tolist() for scale in (io.position_scale, io.force_scale))
-        run = run_of(scene, loop, self._description, self._connection.behind_port, self._in_python, self._options)
+        run = run_of(scene, loop, self._in_python, self._options)
         head = Head(
             scene.rate,
             position,

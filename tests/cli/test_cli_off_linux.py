@@ -237,15 +237,6 @@ def _run_at_import(statements: Sequence[ast.stmt]) -> Iterator[ast.AST]:
             ahead += ast.iter_child_nodes(node)
 
 
-def test_a_port_that_is_no_file_is_new_once(
-    scene_file: SceneFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    run = ("run", scene_file("spring"), "--port", "COM3", "--duration", 0.05)
-    errors = [errors for _, _, errors in elsewhere(run, run)]
-    assert ["First run at COM3" in one for one in errors] == [True, False]
-
-
 def test_ctrl_break_ends_a_run_as_ctrl_c_does(scene_file: SceneFile) -> None:
     assert python("-c", BREAK_A_RUN, ANOTHER_SYSTEM.parent, scene_file("spring")) == "stopped\n"
 

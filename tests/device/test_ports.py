@@ -11,13 +11,11 @@ import termios
 import tty
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
-from serial.tools import list_ports
 
 from hapsim.device import ports
-from hapsim.device.ports import free_name, is_first_use, link_to, open_serial_port, port_holders
+from hapsim.device.ports import free_name, link_to, open_serial_port, port_holders
 from hapsim.errors import DeviceError, UsageError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals of Linux")
@@ -179,33 +177,3 @@ def test_a_port_that_is_no_pseudo_terminal_is_exclusive(port: str, monkeypatch: 
     monkeypatch.setattr(fcntl, "ioctl", lambda *words: asked.append(words[1]) or ioctl(*words))
     open_serial_port(port, 2_000_000).close()
     assert termios.TIOCEXCL in asked
-
-
-@pytest.fixture
-def device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr(list_ports, "comports", list)
-    (tmp_path / "ttyA").touch()
-    return str(tmp_path / "ttyA")
-
-
-def test_a_device_is_new_once(device: str) -> None:
-    assert [is_first_use(device), is_first_use(device)] == [True, False]
-    assert not is_first_use(f"{device}_that_is_not_there")
-
-
-def test_a_device_is_known_by_its_serial_number_at_any_port(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, number, new in (("ttyA", "1", True), ("ttyB", "1", False), ("ttyB", "2", True)):
-        there = Path(device).with_name(name)
-        there.touch()
-        numbered = [SimpleNamespace(device=str(there), serial_number=number)]
-        monkeypatch.setattr(list_ports, "comports", lambda numbered=numbered: numbered)
-        assert is_first_use(str(there)) == new
-
-
-def test_where_nothing_can_be_kept_nothing_is_printed(
-    device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
-    assert not is_first_use(device)

@@ -20,6 +20,7 @@ from firmware_protocol.decoder import Frame, frames_in, new_decoder, use_format
 from firmware_protocol.description import Description, to_registers
 from firmware_protocol.frames import SETUP, armed_format, frame_to_host
 from hapsim.device.connection import Connection
+from hapsim.device.known_motors import note_motors
 from hapsim.device.mock.assemble_mock import assemble_mock
 from hapsim.device.mock.terminal import serving
 from hapsim.loop.portable import _take_and_compose
@@ -206,6 +207,7 @@ def scripted(
     path = os.ttyname(far)
     for end in (near, far):
         tty.setraw(end)
+    note_motors(path, range(schema.MAX_CHANNELS), are_right=True)
     device = ScriptedDevice(near, script, **differences)
     thread = threading.Thread(target=device.serve)
     thread.start()

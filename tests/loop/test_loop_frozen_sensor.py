@@ -25,12 +25,49 @@ MOST_M = 0.3  # of a free handle, until its force is zero: a `runaway`, and the 
 
 
 def guarded(scene: Scene, device: FrozenDevice | None = None, duration: float = 2.0, **options: Any) -> Trace:
-    return run(scene, duration=duration, between=device, judges_energy=True, **options)
+    """Returns the trace of a run to its end, with force or without."""
+    try:
+        return run(scene, duration=duration, between=device, judges_energy=True, **options)
+    except GuardError as error:
+        if error.trace is None or error.trace.report.ending != "done":
+            raise
+        return error.trace
 
 
 def lenient(**device: Any) -> dict[str, Any]:
     """A device on which the energy guard ends nothing: what is tested is that the force is gone before."""
     return {"energy_limit": 1e6, **device}
+
+
+@pytest.mark.parametrize(
+    ("died", "until", "duration", "is_told"),
+    [(12, 1 << 40, 2.0, True), (12, 1 << 40, 1.0, False), (12, 1500, 2.0, False)],
+)
+def test_a_run_that_ends_without_force_for_a_second_has_status_4(
+    died: int, until: int, duration: float, is_told: bool
+) -> None:
+    scene = scene_of(mock={"initial": {"velocity": 0.5}}, device=lenient(friction=20.0))
+    device, caught = FrozenDevice(after(died), until=until), None
+    try:
+        trace = run(scene, duration=duration, between=device, judges_energy=True)
+    except GuardError as error:
+        caught, trace = error, error.trace
+    assert trace is not None
+    assert trace.report.ending == "done"
+    assert trace.report.frozen_ticks > 100
+    assert (caught is not None) is is_told
+    if caught is not None:
+        assert caught.exit_status == 4
+        assert "ended normally after 2000 ticks, without force: the position of hand0 has not changed" in str(caught)
+
+
+def test_a_travel_that_takes_the_force_away_is_no_failure() -> None:
+    device = {"travel": [-0.05, 0.05], "travel_margin": 0.02, "origin": 0.0}
+    hand = {"stiffness": 1e4, "damping": 50.0, "position": 0.0695}
+    scene = scene_of(mock={"initial": {"position": 0.0695, "velocity": 0.0}, "hand": hand}, device=device)
+    trace = run(scene, duration=1.5, judges_energy=True)
+    assert trace.report.faded_ticks == 1500
+    assert np.abs(trace.force[-1]) < 0.1 * np.abs(trace.asked_force[-1])
 
 
 def no_force_at_the_end(trace: Trace, channel: int = 0) -> int:

@@ -179,7 +179,7 @@ def test_a_test_of_a_sensor_lowers_the_whole_force() -> None:
     with field_of(stiffness=1000.0):
         trace = run(
             plane({"energy_limit": 1e6}, {"hand": hand, "noise": 1e-7}),
-            duration=1.5,
+            duration=1.2,
             between=device,
             judges_energy=True,
         )

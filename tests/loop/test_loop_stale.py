@@ -11,9 +11,10 @@ from firmware_protocol import schema
 from firmware_protocol.decoder import frames_in, new_decoder
 from firmware_protocol.frames import armed_format
 from hapsim.loop.endings import RECEIVED
-from hapsim.loop.portable import _compose
+from hapsim.loop.portable import _compose, _on_force_sent
 from hapsim.loop.ring import LIMITED, OFF_GRID, SLEWED, WITHHELD
 from hapsim.running.assemble_loop import LoopMemory
+from hapsim.running.outcome import _withheld_at_end
 
 MS = 1_000_000
 START = 10**9
@@ -146,6 +147,25 @@ def test_by_the_device_s_clock_neither(late_ms: int, row: tuple[int, int], limit
     receive(loop, 1, at=START + (1 + late_ms) * MS)
     assert last_row(loop) == row
     assert loop.state.limited_ticks == limited
+
+
+@pytest.mark.parametrize("held_up", ["on its way", "in the host"])
+@pytest.mark.parametrize(("positions", "in_time", "is_told"), [(60, 0, True), (30, 0, False), (60, 3, False)])
+def test_a_run_whose_last_second_had_no_force_tells_so(
+    held_up: str, positions: int, in_time: int, is_told: bool
+) -> None:
+    """Positions 25 ms apart, each too old when it arrives or when its force would leave; the last ones are not."""
+    loop, at = on("host"), START
+    for n in range(positions + in_time):
+        late = 24 * MS if 0 < n < positions else 0
+        loop.state.tick_ns = at - (late if held_up == "on its way" else 0)
+        receive(loop, n, at=at)
+        leaves(loop, at + (late if held_up == "in the host" else 0))
+        loop.state.unanswered = 1
+        _on_force_sent(loop.record, at + (late if held_up == "in the host" else 0))
+        at += 25 * MS if n < positions - 1 else MS
+    assert loop.state.withheld_forces >= positions - 1
+    assert bool(_withheld_at_end(loop)) is is_told
 
 
 def test_a_hand_at_rest_and_late_forces_withhold_nothing() -> None:

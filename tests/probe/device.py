@@ -76,13 +76,13 @@ SETUP = Format(1, seed=0x4853)
 
 
 class Mass:
-    """A mass with viscous friction, moved exactly under a force that is held."""
+    """A mass with viscous friction, moved exactly under a force that is held. `hand`: a constant pull, N."""
 
-    def __init__(self, mass, friction):
-        self.mass, self.friction, self.x, self.v = mass, friction, 0.0, 0.0
+    def __init__(self, mass=0.2, friction=1.0, x=0.0, v=0.0, hand=0.0):
+        self.mass, self.friction, self.x, self.v, self.hand = mass, friction, x, v, hand
 
     def move(self, force, seconds):
-        rate, rest = self.friction / self.mass, force / self.friction
+        rate, rest = self.friction / self.mass, (force + self.hand) / self.friction
         gone = -math.expm1(-rate * seconds)
         self.x += rest * seconds + (self.v - rest) * gone / rate
         self.v += (rest - self.v) * gone
@@ -101,7 +101,12 @@ class Device:
         self.senses, self.accelerates = options.get("senses", True), options.get("accelerates", False)
         self.acceleration = 1e-4 * options.get("acceleration_off_by", 1.0)
         self.scale, self.force_scale, self.limit = options.get("scale", 1e-8), 1e-7, options.get("limit", 10.0)
-        self.bodies = [Mass(0.2, 1.0) for _ in range(self.channels)]
+        self.bodies = [Mass() for _ in range(self.channels)]
+        self.turned = options.get("turned", 0.0)  # degrees from the first two motors to their encoders
+        self.dies_at = options.get("dies_at", math.inf)  # the sample from which on the encoders stand still,
+        self.stuck_at = options.get("stuck_at", math.inf)  # and the sensors of acceleration
+        self.answers_after = options.get("answers_after", 0.0)  # s, where the host paces
+        self.kept, self.kept_acceleration, self.answer_at = [], [], None
         self.wire, self.rest, self.unsent, self.waiting, self.torn = SETUP, b"", b"", b"", False
         self.state, self.fault, self.pacing, self.watchdog = IDLE, 0, 0, 0
         self.n = self.answered = self.latest_force = self.expires = 0
@@ -109,7 +114,7 @@ class Device:
         self.output = self.command = self.previous = [0.0] * self.channels
         self.moved_at = self.due = now()
         self.force_at, self.life = 0.0, math.inf
-        self.farthest = 0.0  # m
+        self.farthest, self.fastest = 0.0, 0.0  # m, m/s
         self.largest = 0.0  # N, of what was asked for
         self.own = self.registers()
 
@@ -221,6 +226,8 @@ class Device:
         if self.fault:
             return self.status()
         self.state, self.pacing, self.watchdog, self.parts = ARMED, pacing, watchdog, parts
+        if "bodies" in self.options:  # a hand holds them until then
+            self.bodies, self.moved_at = [Mass(**one) for one in self.options["bodies"]], self.now()
         self.answered = self.latest_force = self.expires = -1
         if "keeps_counters" not in self.faults:
             self.counters = dict.fromkeys(self.counters, 0)
@@ -255,7 +262,9 @@ class Device:
         self.force_at, self.life = self.now(), (time_to_live + 1) / self.rate
         if "on_arrival" in self.faults:
             self.put_out(self.command)
-        if self.pacing != 0:
+        if self.pacing != 0 and self.answers_after:
+            self.answer_at = self.answer_at or self.now() + self.answers_after
+        elif self.pacing != 0:
             self.tick(self.now())
 
     def put_out(self, forces):
@@ -289,8 +298,16 @@ class Device:
 
     def send_position(self, kind):
         scale = self.scale * (0.5 if "wrong_scale" in self.faults else 1.0)
-        counts = [round(body.x / scale) for body in self.bodies]
-        self.farthest = max(self.farthest, *(abs(body.x) for body in self.bodies))
+        places = [body.x for body in self.bodies]
+        if self.turned:
+            c, s = math.cos(math.radians(self.turned)), math.sin(math.radians(self.turned))
+            places[:2] = c * places[0] - s * places[1], s * places[0] + c * places[1]
+        counts = [round(place / scale) for place in places]
+        if self.n >= self.dies_at:
+            counts = self.kept
+        self.kept = list(counts)
+        self.farthest = max(self.farthest, math.hypot(*(body.x for body in self.bodies)))
+        self.fastest = max(self.fastest, math.hypot(*(body.v for body in self.bodies)))
         if "frozen" in self.faults:
             counts = [0] * self.channels
         if "swapped" in self.faults:
@@ -301,9 +318,10 @@ class Device:
             late = self.previous if "late_acceleration" in self.faults else self.output
             sign = -1 if "inverted_sign" in self.faults else 1
             pulls = [sign * force - body.friction * body.v for body, force in zip(self.bodies, late, strict=True)]
-            counts += [
-                round(pull / body.mass / self.acceleration) for pull, body in zip(pulls, self.bodies, strict=True)
-            ]
+            if self.n < self.stuck_at:
+                pulls = zip(pulls, self.bodies, strict=True)
+                self.kept_acceleration = [round(pull / body.mass / self.acceleration) for pull, body in pulls]
+            counts += self.kept_acceleration or [0] * self.channels
         self.write(self.wire.to_host(kind, self.n, counts))
 
     def stop(self, state):
@@ -324,6 +342,10 @@ class Device:
                 if self.waits():
                     return
                 self.latch_where(self.n - self.latest_force > self.watchdog)
+        elif self.state == ARMED and self.answer_at is not None:
+            if now >= self.answer_at:
+                self.answer_at = None
+                self.tick(now)
         elif self.state == ARMED:
             quiet = now - self.force_at
             if quiet > self.life and "never_ends" not in self.faults:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,10 @@ from hapsim.device.mock import assemble_mock
 from hapsim.errors import GuardError
 from hapsim.loop.ring import row_type
 from hapsim.running.sensor_check import SensorCheck
+
+sys.path.append(str(Path(__file__).parents[1] / "probe"))
+
+from virtual_line import PORT, virtual_port
 
 SCENE = """
 version: 1
@@ -115,6 +120,33 @@ def test_neither_noise_nor_gravity_nor_a_lost_sample_is_a_contradiction_but_a_wr
         assert sentence_of(true + noise, position, int(rng.integers(0, 30))) == ""
         named += "its sign is wrong" in sentence_of(noise - true, position)
     assert named > 62
+
+
+@pytest.mark.parametrize("value", [0.0, -9.81])
+def test_a_stuck_sensor_is_named_and_one_at_rest_is_not(value: float) -> None:
+    rng, time = np.random.default_rng(5), np.arange(4000) / 2000.0
+    w = 2.0 * np.pi * 8.0
+    swing, true = 1e-3 * np.sin(w * time), -1e-3 * w**2 * np.sin(w * time)
+    constant = np.full(time.size, value)
+    expected = "hand: the sensed acceleration has not changed by one count for"
+    assert sentence_of(constant, swing).startswith(f"{expected} 2 s although the position accelerated")
+    assert sentence_of(constant, swing, lost=30).startswith(expected)
+    died = np.where(time < 1.0, true, value)
+    assert sentence_of(died, swing).startswith(f"{expected} 1 s")
+    assert sentence_of(np.where(time > 1.0, true, value), swing) == ""  # it is back
+    for noise in (0.0, 1e-6, 1e-4):  # at rest, and along a straight line
+        assert sentence_of(constant, 0.1 * time + noise * rng.normal(size=time.size)) == ""
+
+
+@pytest.mark.parametrize("at", [0, 60])
+def test_the_error_names_a_stuck_sensor_in_place_of_the_slew_limit(monkeypatch: pytest.MonkeyPatch, at: int) -> None:
+    virtual_port(monkeypatch, rate=1000.0, accelerates=True, stuck_at=at, bodies=[{"v": 0.1}])
+    scene = text(8000.0, 10.0).replace("clock: lockstep", f"port: {PORT}, slew_limit: 300")
+    scene = scene.replace("  spare: {type: device, channel: 0}\n", "").replace("channel: 1", "channel: 0")
+    scene = scene.replace("[0, 0.02]", "0.0")
+    with pytest.raises(GuardError, match="hand: the sensed acceleration has not changed by one count for") as caught:
+        hapsim.run(hapsim.parse_scene(scene), duration=1.0, portable=True)
+    assert "slew_limit" not in str(caught.value)
 
 
 def test_lost_samples_of_a_fast_hand_do_not_hide_a_wrong_sign() -> None:

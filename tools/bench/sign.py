@@ -233,10 +233,11 @@ FORMS: tuple[dict[str, Any], ...] = (
         ]
     },
     {
+        "start": [-0.03, 0.0],
         "shapes": [
             {"form": {"disc": 0.03}, "side": side, "stiffness": 1500.0, "damping": 4.0}
             for side in ("inside", "outside")
-        ]
+        ],
     },
 )
 """A spring to the middle, a disc, a box with a wall, and a ring on which the hand is held."""

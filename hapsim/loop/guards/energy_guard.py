@@ -396,7 +396,7 @@ def _advice(run: EndedRun) -> str:
     if int(energy.account) == LATE:
         return ""
     advice = "" if is_strict(energy) else "No passive object does that. "
-    if report.slewed_ticks > _MANY_SLEWED * report.ticks:
+    if report.slewed_ticks > _MANY_SLEWED * report.ticks and not report.wrong_sensor:
         limited, soft = int(slew.step[0]) < NO_LIMIT, float(slew.soft_samples) > 0.0
         by = " or ".join(["device.slew_limit"] * limited + ["device.soft_start"] * soft)
         advice = (

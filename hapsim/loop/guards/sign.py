@@ -407,4 +407,5 @@ GUARD = Guard(
     _sentence,
     plane_hooks={Stage.LOWER: release, Stage.JUDGE: judge_pairs},
     reads_history=True,
+    stopped_motor=lambda loop: int(loop.sign.channel),
 )

@@ -171,4 +171,5 @@ GUARD = Guard(
     "out of travel",
     _sentence,
     plane_hooks={Stage.LOWER: fade_in_plane},
+    stopped_motor=lambda loop: int(loop.travel.channel),
 )
