@@ -27,8 +27,6 @@ class Scale(NamedTuple):
     """A hand or an obstacle may reverse this speed within a sample: twice 5 m/s; fingers turn a 1 cm shaft at 2 m/s."""
     sensor: float = 0.005
     """The error of a position sensor, beside its noise; 3 degrees, of a magnet beside its sensor's axis."""
-    sign_pull: float = 15.0
-    """Acceleration of the mass by the force limit. With less, the test may miss a wrongly wired motor. On the rim."""
     kick: float = 0.1
     """The speed that a push of a measurement gives to what nothing holds: a fiftieth of a hand's 5 m/s or 60 rad/s."""
     travel: float = 0.005
@@ -69,7 +67,6 @@ SCALES: dict[Motion, Scale] = {
         hand_force=40.0,
         hand_speed=200.0,
         sensor=0.05,
-        sign_pull=75.0,
         kick=1.0,
         travel=0.2,
         excited=0.05,

@@ -127,19 +127,12 @@ def unjudged_motors(scene: Scene, description: Description | None = None) -> tup
 
 def sign_warning(scene: Scene, prediction: Prediction) -> str:
     """Returns a warning if the guard may miss a wrongly wired motor while `scene` runs; "" if it mostly finds it."""
-    spans, scales = scene.device.mass_spans(scene.channels), scene.device.scales(scene.channels)
-    pulls = [(scene.device.force_limit / most, one.sign_pull) for (_, most), one in zip(spans, scales, strict=True)]
-    channel = min(range(len(pulls)), key=lambda c: pulls[c][0] / pulls[c][1])
-    (pull, enough), units = pulls[channel], scene.units_of(channel)
-    fastest = fastest_swing_hz(scene, prediction)
-    if unjudged := next(filter(None, unjudged_motors(scene)), ""):
-        why = unjudged
-    elif pull < enough:
-        least = units(enough, "m/s²", "g")
-        why = f"its force limit accelerates the mass by {units(pull, 'm/s²', '.2g')}, less than {least}"
-    elif 0.0 < fastest < _SIGN_HZ:
+    reasons, fastest = unjudged_motors(scene), fastest_swing_hz(scene, prediction)
+    channel = next((c for c, reason in enumerate(reasons) if reason), 0)
+    why = reasons[channel]
+    if not why and 0.0 < fastest < _SIGN_HZ:
         why = f"it oscillates at {fastest:.2g} Hz, below {_SIGN_HZ:g} Hz, like a hand"
-    else:
+    if not why:
         return ""
     hand = scene.hand_of(channel)
     pair = f" --pair {hand[0]},{hand[1]}" if len(hand) > 1 else ""

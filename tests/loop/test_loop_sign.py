@@ -6,6 +6,7 @@ import math
 import random
 import sys
 from collections.abc import Callable, Container
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.compiled import new_record
+from firmware_protocol.description import Description
 from hapsim.bringup.faults import Injector
 from hapsim.bringup.faults.in_memory import in_memory
 from hapsim.bringup.faults.injector import parse_script
@@ -23,6 +25,8 @@ from hapsim.loop.force_history import FORCE_HISTORY, history_hook, keep
 from hapsim.loop.guards.sign import RELEASE_S, SIGN, judge_signs, watch_signs
 from hapsim.loop.hooks import TICK
 from hapsim.loop.ring import SLEWED
+from hapsim.prediction.force_bounds import sign_warning, unjudged_motors
+from hapsim.prediction.predict import predict
 from hapsim.recording.trace import Trace
 from hapsim.running import run, start
 from hapsim.scene import Scene
@@ -346,3 +350,39 @@ def test_a_thrown_handle_with_a_fine_encoder_is_not_taken_for_a_coarse_one() -> 
     for seed in range(6):
         rig.run(random.Random(seed), "thrown")
         assert rig.record.sign.count[0] <= 8e-6
+
+
+# What the guard cannot judge.
+
+
+@pytest.mark.parametrize(
+    ("changes", "mock", "reason"),
+    [
+        ({}, {}, ""),
+        ({"rate": 499}, {}, "it samples at less than 500 Hz"),
+        ({}, {"quantum": 1.0e-4}, ""),
+        (
+            {},
+            {"quantum": 1.1e-4},
+            "its positions have counts of 0.11 mm, more than 0.1 mm for this mass and force limit",
+        ),
+    ],
+)
+def test_what_the_guard_cannot_judge_is_said_by_channel(
+    changes: dict[str, Any], mock: dict[str, Any], reason: str
+) -> None:
+    document = touch(force_limit=10.0).model_dump(exclude_unset=True, by_alias=True) | changes
+    scene = Scene.model_validate(document | {"mock": {"mass": MASS, **mock}})
+    assert unjudged_motors(scene) == (reason,)
+    warning = sign_warning(scene, predict(scene, with_margins=False))
+    assert reason in warning if reason else warning == ""
+
+
+def test_a_device_s_own_counts_and_limit_decide_and_a_pair_is_never_judged_wholly() -> None:
+    scene = touch(force_limit=10.0)
+    device = Description("d", 1000.0, 1, 500, (1e-4, 1.0), (1e-3,) * 2, (10.0,) * 2)
+    assert unjudged_motors(scene, device) == ("",)
+    assert "more than 0.02 mm" in unjudged_motors(scene, replace(device, force_limit=(2.0,) * 2))[0]
+    pair = bench.plane_scene(bench.FORMS[0], **FIRM, count=1e-6)
+    assert unjudged_motors(pair) == ("in the plane, motors that are turned by 30° to 45° seem right",) * 2
+    assert "--pair 0,1" in sign_warning(pair, predict(pair, with_margins=False))

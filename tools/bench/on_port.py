@@ -50,6 +50,27 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
     ),
 }
 
+TURNS = {
+    "x inverted": [[-1, 0], [0, 1]],
+    "both inverted": [[-1, 0], [0, -1]],
+    "exchanged": [[0, 1], [1, 0]],
+    "turned by 90 degrees": [[0, -1], [1, 0]],
+    "turned by -90 degrees": [[0, 1], [-1, 0]],
+    "right": [[1, 0], [0, 1]],
+}
+"""What the motors of x and y make of a force."""
+SOFT = {"type": "shape", "form": {"disc": 0.001}, "side": "inside", "stiffness": 1000, "damping": 3}
+for um in (1, 20, 100):
+    coarse = {"scale": 1e-6 * um}
+    CASES[f"counts of {um} µm, inverted"] = ({"faults": ["inverted_sign"], "bodies": PULLED, **coarse}, SPRING, {})
+    for name, motors in TURNS.items():
+        bodies = [{"hand": 0.5}, {"hand": 0.2}]
+        CASES[f"counts of {um} µm, plane, {name}"] = (
+            {"channels": 2, "motors": motors, "bodies": bodies, **coarse},
+            SOFT,
+            {},
+        )
+
 
 def scene_of(port: str, options: dict[str, Any], link: dict[str, Any], device: dict[str, Any]) -> hapsim.Scene:
     """Returns a scene of one hand on one link to a ground at 0, at the force limit of 10 N."""

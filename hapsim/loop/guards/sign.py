@@ -93,6 +93,7 @@ SIGN = np.dtype(
         ("count", np.float64, _EACH),  # m, for which the times below are set; 0: for none
         ("pole", np.float64, _EACH),  # a
         ("forget", np.float64, _EACH),  # decay of the sums per sample
+        ("noise", np.float64, _EACH),  # m², of the counts, in the sums
         ("least", np.int64, _EACH),  # samples in a sum,
         ("row", np.int64, _EACH),  # suspicions in a row,
         ("release", np.int64, _EACH),  # samples without force,
@@ -206,7 +207,7 @@ def _judge_pair(sign, history, io, c, other, gap, against, along):
             sign.is_right[c] = sign.is_right[other] = is_right
         return
     x, y = acting_force(history, IN_ALL + c, 0), acting_force(history, IN_ALL + other, 0)
-    share = math.hypot(x / io.force_limit[c], y / io.force_limit[other])
+    share = _size(x / io.force_limit[c], y / io.force_limit[other])
     sector = _sector(x, y)
     at = SECTORS * c + sector
     is_open = sign.passed[at] < PASSES
@@ -231,6 +232,12 @@ def _continue_test(sign, c, gap):
     sign.since[c] = sign.since[c] + gap if sign.since[c] + gap <= sign.verdict[c] else -1
 
 
+@inlined
+def _size(x, y):
+    """Returns the length of (x, y)."""
+    return math.sqrt(x * x + y * y)
+
+
 @helper
 def _sector(x, y):
     """Returns the sector of a force's axis: 0 from x to the diagonal, and so on to 3."""
@@ -249,6 +256,7 @@ def _sum_up(sign, history, io, c, other, gap):
         count = max(count, _count(sign, io, other, gap))
     if count != sign.count[c]:
         _set_times(sign, c, count, io.force_limit[c])
+        sign.noise[c] = (NOISE if other == c else PAIR_NOISE) * count * count / (1.0 - sign.forget[c])
     pole = sign.pole[c]
     x, pushed_x = _filtered_channel(sign, history, io, c, gap, pole)
     y, pushed_y = _filtered_channel(sign, history, io, other, gap, pole) if other != c else (0.0, 0.0)
@@ -325,14 +333,12 @@ def _ratios(sign, c, in_plane):
     """Returns J of a hand, and the other ratio; 0 with too few samples."""
     if sign.kept[c] < sign.least[c]:
         return 0.0, 0.0
-    noise = (PAIR_NOISE if in_plane else NOISE) * sign.count[c] ** 2 / (1.0 - sign.forget[c])
-    along = sign.turned[c]
+    noise, along = sign.noise[c], sign.turned[c]
     if not in_plane:
         right, wrong = _residual(sign, c, along, RIGHT), _residual(sign, c, -along, WRONG)
         return (right - wrong) / (wrong + noise), (wrong - right) / (right + noise)
     aside = abs(sign.turned_aside[c])
-    turned = math.hypot(along, aside)
-    mirrored = math.hypot(sign.mirrored[c], sign.mirrored_aside[c])
+    turned, mirrored = _size(along, aside), _size(sign.mirrored[c], sign.mirrored_aside[c])
     right = _residual(sign, c, turned if along >= aside else _COS_45 * (along + aside), RIGHT)
     wrong = _residual(sign, c, turned if along <= 0.5 * turned else 0.5 * along + _SIN_60 * aside, WRONG)
     worst = wrong
