@@ -1,4 +1,4 @@
-"""What runs with `--all` alone: most cases of tests that many cases prove, and the larger part of random points."""
+"""The tests that run with `--all` alone: most cases of those that many cases prove, and more random points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What runs in real time is tried again where the machine held it up, and nowhere else."""
+"""Repetition of what runs in real time: where the machine held it up, and nowhere else."""
 
 from __future__ import annotations
 
