@@ -203,8 +203,8 @@ def _left(chains, i, place, j, x, y, distance):
 
 @helper
 def _enter(chains, i, place, j, was_x, was_y, x, y):
-    """Moves place j, which is on the nearest piece, to (x, y), inside, from where the straight way from a free
-    place goes in. Returns its distance, m."""
+    """Moves place j, which is on the nearest piece, to (x, y) from where the straight way from a free place goes in, if
+    it does. Returns its distance, m."""
     real, first, digit, least = chains.x.dtype.type, chains.begin[i], chains.digit[0], chains.x.dtype.type(1)
     gx, gy = x - was_x, y - was_y
     for k in range(first, chains.begin[i + ONE]):
@@ -318,7 +318,7 @@ def add_shape_forces(shapes, state):
         if not holds:
             was_x, was_y = _left(chains, i, place, j, x, y, distance) if shapes.touches[j] > 0 else (x - gx, y - gy)
             distance = find_nearest(chains, i, place, j, x, y)
-            if not distance > 0:
+            if shapes.touches[j] > 0 or not distance > 0:  # a hand that was pressed deep may be beyond another wall
                 distance = _enter(chains, i, place, j, was_x, was_y, x, y)
         k = chains.begin[i] + np.uint64(place.piece[j])
         if shapes.owner[k] != j:
