@@ -76,10 +76,10 @@ class _Part(NamedTuple):
     def tangent(self, along: float) -> complex:
         return complex(self.e * (1j * self.bend * np.exp(1j * self.bend * along) if self.bend else 1.0))
 
-    def ray(self, along: float, step: float) -> complex:
-        """Returns the way from a place to that which is a step before (less than 0) or after it."""
+    def ray(self, begin: complex, along: float, step: float) -> complex:
+        """Returns the way from `begin`, a vertex, to the place that is a step before (less than 0) or after `along`."""
         turn = math.copysign(2.0 * math.asin(0.5 * abs(step) / self.radius), step) if self.bend else step
-        return complex(self.at(along + turn) - self.at(along))
+        return complex(self.at(along + turn) - begin)
 
 
 class _Edge(NamedTuple):
@@ -257,8 +257,11 @@ def _followed(parts: Sequence[_Part], places: Any, edges: Sequence[_Edge]) -> di
     for vertex in ins.keys() | outs.keys():
         step = _step(places, *ins[vertex], *outs[vertex])
         for edge in ins[vertex]:
-            back = parts[edge.part].ray(edge.high, -step)
-            turns = [float(np.angle(parts[out.part].ray(out.low, step) / back)) % math.tau for out in outs[vertex]]
+            back = parts[edge.part].ray(places[vertex], edge.high, -step)
+            turns = [
+                float(np.angle(parts[out.part].ray(places[vertex], out.low, step) / back)) % math.tau
+                for out in outs[vertex]
+            ]
             after[edge] = outs[vertex][int(np.argmin(turns))] if turns else None
         if len({after[edge] for edge in ins[vertex]} - {None}) != max(len(ins[vertex]), len(outs[vertex])):
             return None
@@ -371,7 +374,7 @@ def _joint(
         return _Joint(high, low)
     if abs(turn) > math.pi - _CUSP:  # a narrow gap if what follows is on the right, else a tip
         step = _step(places, edge, after)
-        turn = math.copysign(turn, -np.angle(other.ray(low, step) / one.ray(high, -step)))
+        turn = math.copysign(turn, -np.angle(other.ray(spot, low, step) / one.ray(spot, high, -step)))
     side = math.copysign(1.0, turn)
     e = -1j * side * ahead
     return _Joint(
