@@ -179,6 +179,7 @@ def test_osc_sets_and_reports_parameters(client: tuple[Any, Client, OscView]) ->
         bundle(0, message("/hapsim/stop"), message("/hapsim/nothing")),
         bundle(time.time() + 1e5, message("/hapsim/stop")),  # of a machine whose clock is fast
     ],
+    ids=["alone", "with a number", "in a bundle", "in a bundle of later"],
 )
 @pytest.mark.parametrize("is_away", [False, True])
 def test_osc_stops_the_run_in_every_way_of_saying_so(
