@@ -70,8 +70,9 @@ def maze_of(walls: Sequence[Wall]) -> Maze:
 
 
 @numba.njit(cache=True)
-def _beside(maze, i, x, y):
-    """Returns the distance, m, of (x, y) from the material of body i, negative within, and its normal into the free."""
+def _beside(maze, i, x, y, wx=0.0, wy=0.0):
+    """Returns the distance, m, of (x, y) from the material of body i, negative within, and its normal into the free. At
+    a corner it is that of the side which is least in the way of (wx, wy)."""
     first, last = maze.begin[i], maze.begin[i + 1]
     most, mx, my, least, cx, cy = -np.inf, 0.0, 1.0, np.inf, 0.0, 0.0
     for k in range(first, last):
@@ -83,7 +84,8 @@ def _beside(maze, i, x, y):
         if size > 0.0:
             t = min(max(((x - ax) * dx + (y - ay) * dy) / (size * size), 0.0), 1.0)
             s = ((x - ax) * dy - (y - ay) * dx) / size
-            if s > most:
+            beside = abs(s - most) < 1e-13 and dy * wx - dx * wy > (mx * wx + my * wy) * size
+            if s > most + 1e-13 or beside:
                 most, mx, my = s, dy / size, -dx / size
         px, py = ax + t * dx, ay + t * dy
         away = math.hypot(x - px, y - py)
@@ -92,7 +94,7 @@ def _beside(maze, i, x, y):
     if last - first > 2 and most <= 1e-12:
         distance, nx, ny = most, mx, my
     elif least < 1e-12:
-        distance, nx, ny = least, mx, my
+        distance, nx, ny = (most if last - first > 2 else least), mx, my
     else:
         distance, nx, ny = least, (x - cx) / least, (y - cy) / least
         if last - first > 2 and least < 1e-6 and least <= most * (1.0 + 1e-9):
@@ -145,7 +147,7 @@ def _step(maze, lines, px, py, hx, hy):
     """Returns where the place at (px, py) goes for a hand at (hx, hy), and whether two lines hold it there."""
     count = maze.radius.size
     for i in range(count):
-        distance, nx, ny = _beside(maze, i, px, py)
+        distance, nx, ny = _beside(maze, i, px, py, hx - px, hy - py)
         lines[i] = nx, ny, nx * px + ny * py - distance
     qx, qy, _, other = _nearest_in(lines, count, hx, hy)
     for used in range(count, lines.shape[0]):  # what is free within a curve is less than what its tangents leave
