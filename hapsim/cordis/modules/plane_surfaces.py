@@ -337,7 +337,7 @@ def add_shape_forces(shapes, state):
         if chains.bend[k] < 0 and chains.extent[k] > 0:  # a hollow corner, where two walls hold and damp
             along = B * way * deep / (chains.radius[k] + deep)
             if shapes.owner[chains.after[k]] != j and chains.radius[k] == 0 and chains.extent[k] > real(CUSP):
-                push, px, py = _push_beside(shapes, i, j, k, x, y, gx, gy, deep)
+                push, px, py = _share_corner(shapes, i, j, k, x, y, gx, gy, deep)
                 tension -= push * (px * nx + py * ny)
                 along -= push * (py * nx - px * ny)
         if tension > 0:
@@ -348,7 +348,7 @@ def add_shape_forces(shapes, state):
 
 
 @helper
-def _push_beside(shapes, i, j, k, x, y, gx, gy, deep):
+def _share_corner(shapes, i, j, k, x, y, gx, gy, deep):
     """Returns how much more than shape j the other wall of the hollow corner k pushes, N, and its normal: in a corner
     of two shapes the way out has a part along the normal of each, and each holds its own part. Their shares of the
     energy are kept as the squares of two depths."""
