@@ -70,7 +70,7 @@ def maze_of(walls: Sequence[Wall]) -> Maze:
 
 
 @numba.njit(cache=True)
-def _beside(maze, i, x, y, wx=0.0, wy=0.0):
+def _distance(maze, i, x, y, wx=0.0, wy=0.0):
     """Returns the distance, m, of (x, y) from the material of body i, negative within, and its normal into the free. At
     a corner it is that of the side which is least in the way of (wx, wy)."""
     first, last = maze.begin[i], maze.begin[i + 1]
@@ -112,7 +112,7 @@ def depths(maze, x, y):
     found = np.full(x.size, -np.inf)
     for n in range(x.size):
         for i in range(maze.radius.size):
-            found[n] = max(found[n], -_beside(maze, i, x[n], y[n])[0])
+            found[n] = max(found[n], -_distance(maze, i, x[n], y[n])[0])
     return found
 
 
@@ -147,14 +147,14 @@ def _step(maze, lines, px, py, hx, hy):
     """Returns where the place at (px, py) goes for a hand at (hx, hy), and whether two lines hold it there."""
     count = maze.radius.size
     for i in range(count):
-        distance, nx, ny = _beside(maze, i, px, py, hx - px, hy - py)
+        distance, nx, ny = _distance(maze, i, px, py, hx - px, hy - py)
         lines[i] = nx, ny, nx * px + ny * py - distance
     qx, qy, _, other = _nearest_in(lines, count, hx, hy)
     for used in range(count, lines.shape[0]):  # what is free within a curve is less than what its tangents leave
         least = -1e-13
         for i in range(count):
             if maze.inside[i]:
-                distance, nx, ny = _beside(maze, i, qx, qy)
+                distance, nx, ny = _distance(maze, i, qx, qy)
                 if distance < least:
                     least = distance
                     lines[used] = nx, ny, nx * qx + ny * qy - distance
@@ -186,7 +186,7 @@ def _follow(maze, path, begin, place):
         place[n] = px, py
 
 
-def followed(maze: Maze, path: Floats, begin: Floats | None = None) -> Floats:
+def places_of(maze: Maze, path: Floats, begin: Floats | None = None) -> Floats:
     """Returns the place, m, at each row of a hand's path. It begins at `begin`, or where the hand does, in the free."""
     place = np.zeros_like(path)
     _follow(maze, path, path[0] if begin is None else begin, place)
@@ -247,7 +247,7 @@ def pressed(seed: int) -> Pressed | None:
     path = np.vstack([at, trace.position])
     own = np.tile(at, (6000, 1))
     _push(maze, own, velocity, force, K, B, mass, friction, 1e-3)
-    off = trace.force[-1] / K - (followed(maze, path)[-1] - path[-1])
+    off = trace.force[-1] / K - (places_of(maze, path)[-1] - path[-1])
     swings = (float(np.ptp(one[-1000:], axis=0).max()) for one in (path, own))
     return Pressed(*swings, math.hypot(*off), np.abs(path[-1]).max() > _OUTSIDE, scene, tuple(path[-1].tolist()))
 
@@ -292,7 +292,7 @@ def worked(seed: int) -> list[float]:
         into = at + np.linspace(0.0, 1.0, 1001)[:, None] * _vector(rng, 0.05, 0.05)
         place, depth, n = at, rng.uniform(2e-4, 1.5e-3), 0
         while n < len(into) and math.dist(place, into[n]) < depth:
-            place, n = followed(maze, into[n : n + 1], place)[0], n + 1
+            place, n = places_of(maze, into[n : n + 1], place)[0], n + 1
         if n == len(into):
             continue
         into = into[:n]
