@@ -294,7 +294,7 @@ def _ways(after: Mapping[_Edge, _Edge | None]) -> Iterator[tuple[list[_Edge], bo
 
 
 class _Joint(NamedTuple):
-    """Joint of two edges: where one ends and the next begins, along their parts, and its corners. `is_last`: a hollow one
+    """Joint of two edges: where one ends and the next begins along their parts, and its corners. `is_last`: hollow,
     at a vertex that other surfaces touch."""
 
     high: float
