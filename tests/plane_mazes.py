@@ -70,8 +70,9 @@ def maze_of(walls: Sequence[Wall]) -> Maze:
 
 
 @numba.njit(cache=True)
-def _beside(maze, i, x, y):
-    """Returns the distance, m, of (x, y) from the material of body i, negative within, and its normal into the free."""
+def _distance(maze, i, x, y, wx=0.0, wy=0.0):
+    """Returns the distance, m, of (x, y) from the material of body i, negative within, and its normal into the free. At
+    a corner it is that of the side which is least in the way of (wx, wy)."""
     first, last = maze.begin[i], maze.begin[i + 1]
     most, mx, my, least, cx, cy = -np.inf, 0.0, 1.0, np.inf, 0.0, 0.0
     for k in range(first, last):
@@ -83,7 +84,8 @@ def _beside(maze, i, x, y):
         if size > 0.0:
             t = min(max(((x - ax) * dx + (y - ay) * dy) / (size * size), 0.0), 1.0)
             s = ((x - ax) * dy - (y - ay) * dx) / size
-            if s > most:
+            beside = abs(s - most) < 1e-13 and dy * wx - dx * wy > (mx * wx + my * wy) * size
+            if s > most + 1e-13 or beside:
                 most, mx, my = s, dy / size, -dx / size
         px, py = ax + t * dx, ay + t * dy
         away = math.hypot(x - px, y - py)
@@ -92,7 +94,7 @@ def _beside(maze, i, x, y):
     if last - first > 2 and most <= 1e-12:
         distance, nx, ny = most, mx, my
     elif least < 1e-12:
-        distance, nx, ny = least, mx, my
+        distance, nx, ny = (most if last - first > 2 else least), mx, my
     else:
         distance, nx, ny = least, (x - cx) / least, (y - cy) / least
         if last - first > 2 and least < 1e-6 and least <= most * (1.0 + 1e-9):
@@ -110,7 +112,7 @@ def depths(maze, x, y):
     found = np.full(x.size, -np.inf)
     for n in range(x.size):
         for i in range(maze.radius.size):
-            found[n] = max(found[n], -_beside(maze, i, x[n], y[n])[0])
+            found[n] = max(found[n], -_distance(maze, i, x[n], y[n])[0])
     return found
 
 
@@ -145,14 +147,14 @@ def _step(maze, lines, px, py, hx, hy):
     """Returns where the place at (px, py) goes for a hand at (hx, hy), and whether two lines hold it there."""
     count = maze.radius.size
     for i in range(count):
-        distance, nx, ny = _beside(maze, i, px, py)
+        distance, nx, ny = _distance(maze, i, px, py, hx - px, hy - py)
         lines[i] = nx, ny, nx * px + ny * py - distance
     qx, qy, _, other = _nearest_in(lines, count, hx, hy)
     for used in range(count, lines.shape[0]):  # what is free within a curve is less than what its tangents leave
         least = -1e-13
         for i in range(count):
             if maze.inside[i]:
-                distance, nx, ny = _beside(maze, i, qx, qy)
+                distance, nx, ny = _distance(maze, i, qx, qy)
                 if distance < least:
                     least = distance
                     lines[used] = nx, ny, nx * qx + ny * qy - distance
@@ -184,7 +186,7 @@ def _follow(maze, path, begin, place):
         place[n] = px, py
 
 
-def followed(maze: Maze, path: Floats, begin: Floats | None = None) -> Floats:
+def places_of(maze: Maze, path: Floats, begin: Floats | None = None) -> Floats:
     """Returns the place, m, at each row of a hand's path. It begins at `begin`, or where the hand does, in the free."""
     place = np.zeros_like(path)
     _follow(maze, path, path[0] if begin is None else begin, place)
@@ -245,7 +247,7 @@ def pressed(seed: int) -> Pressed | None:
     path = np.vstack([at, trace.position])
     own = np.tile(at, (6000, 1))
     _push(maze, own, velocity, force, K, B, mass, friction, 1e-3)
-    off = trace.force[-1] / K - (followed(maze, path)[-1] - path[-1])
+    off = trace.force[-1] / K - (places_of(maze, path)[-1] - path[-1])
     swings = (float(np.ptp(one[-1000:], axis=0).max()) for one in (path, own))
     return Pressed(*swings, math.hypot(*off), np.abs(path[-1]).max() > _OUTSIDE, scene, tuple(path[-1].tolist()))
 
@@ -290,7 +292,7 @@ def worked(seed: int) -> list[float]:
         into = at + np.linspace(0.0, 1.0, 1001)[:, None] * _vector(rng, 0.05, 0.05)
         place, depth, n = at, rng.uniform(2e-4, 1.5e-3), 0
         while n < len(into) and math.dist(place, into[n]) < depth:
-            place, n = followed(maze, into[n : n + 1], place)[0], n + 1
+            place, n = places_of(maze, into[n : n + 1], place)[0], n + 1
         if n == len(into):
             continue
         into = into[:n]

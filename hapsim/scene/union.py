@@ -83,7 +83,7 @@ class _Part(NamedTuple):
 
 
 class _Edge(NamedTuple):
-    """What lies of a part between two vertices."""
+    """Stretch of a part between two vertices."""
 
     part: int
     low: float
@@ -103,7 +103,7 @@ def union(chains: Sequence[Chain]) -> Outline:
     parts = [part for shape, chain in enumerate(chains) for part in _parts(shape, chain)]
     for same in _SAME:
         places, edges = _cut(parts, same)
-        after = _followed(parts, places, _outer(parts, edges, chains, same))
+        after = _successors(parts, places, _outer(parts, edges, chains, same))
         if after is not None:
             break
     else:
@@ -244,7 +244,7 @@ def _distance(chain: Chain, p: Any) -> Any:
     return least
 
 
-def _followed(parts: Sequence[_Part], places: Any, edges: Sequence[_Edge]) -> dict[_Edge, _Edge | None] | None:
+def _successors(parts: Sequence[_Part], places: Any, edges: Sequence[_Edge]) -> dict[_Edge, _Edge | None] | None:
     """Returns of each edge the one that follows: at a vertex the first across the free place on its right, so that
     surfaces which only touch stay apart; None for one that ends afar. Returns None if a loop is open."""
     ins, outs = defaultdict(list), defaultdict(list)
@@ -294,7 +294,7 @@ def _ways(after: Mapping[_Edge, _Edge | None]) -> Iterator[tuple[list[_Edge], bo
 
 
 class _Joint(NamedTuple):
-    """Where an edge ends and the next begins, along their parts, with the corners between them. `is_last`: a hollow one
+    """Joint of two edges: where one ends and the next begins along their parts, and its corners. `is_last`: hollow,
     at a vertex that other surfaces touch."""
 
     high: float
