@@ -27,8 +27,9 @@ Floats = NDArray[np.float64]
 Point = tuple[float, float]
 
 GRID = 0.01  # m
-OFF_M, SWING_M, LOOP_J = 1e-7, 1e-6, 1e-9
-"""Bounds: of a force over K, of a hand at rest from peak to peak, and of the work on a closed way."""
+OFF_M, SWING_M, LOOP_J, OUT_M = 1e-7, 1e-6, 1e-9, 1e-5
+"""Bounds: of a force over K, of a hand at rest from peak to peak, of the work on a closed way, and of a place of a hand
+that may still move by the delay of its force."""
 SEAM = 2e-13  # m: bodies are thicker by this, so that no rounding parts those that meet
 _FAR = 10.0  # m: half of the edge of a half plane
 _OUTSIDE = 0.1  # m: a hand so far from the middle has left the maze

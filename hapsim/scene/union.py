@@ -19,6 +19,8 @@ from .chain import Chain, Piece
 
 _SAME = 2e-9, 1.3e-8, 1e-12, 1.1e-7
 """m: nearer places are one. The further lengths are tried where walls that are nearly alike leave a loop open."""
+_TOUCH = 1e-13  # m: deeper, arcs cross what they touch: by 1 nm, places of a round wall on a flat one are 1 um apart
+_DUST = 1e-7  # m: a loop that is shorter is what rounding leaves between walls
 _LOOSE = 1.5  # times that: so near a piece a vertex is on it
 _FAR, _NEAR = 1e3, 1.0
 """m: half of a whole line that is cut, and of its part that comes from afar the last piece: a piece is known by its
@@ -74,10 +76,10 @@ class _Part(NamedTuple):
     def tangent(self, along: float) -> complex:
         return complex(self.e * (1j * self.bend * np.exp(1j * self.bend * along) if self.bend else 1.0))
 
-    def ray(self, along: float, step: float) -> complex:
-        """Returns the way from a place to that which is a step before (less than 0) or after it."""
+    def ray(self, begin: complex, along: float, step: float) -> complex:
+        """Returns the way from `begin`, a vertex, to the place that is a step before (less than 0) or after `along`."""
         turn = math.copysign(2.0 * math.asin(0.5 * abs(step) / self.radius), step) if self.bend else step
-        return complex(self.at(along + turn) - self.at(along))
+        return complex(self.at(along + turn) - begin)
 
 
 class _Edge(NamedTuple):
@@ -106,9 +108,10 @@ def union(chains: Sequence[Chain]) -> Outline:
             break
     else:
         raise ValueError("found walls that nearly meet in too many ways; expected them to meet, or a gap of 1 µm")
-    if not after:
+    outline = _assembled(chains, parts, places, after, same)
+    if not outline.owners:
         raise NothingFreeError("the shapes leave no place free")
-    return _assembled(chains, parts, places, after, same)
+    return outline
 
 
 def _parts(shape: int, chain: Chain) -> Iterator[_Part]:
@@ -187,16 +190,16 @@ def _meet(a: _Part, b: _Part, same: float) -> list[complex]:
     if not a.bend:
         w *= a.e.conjugate()
         foot, way, height = a.z + a.e * w.real, a.e, abs(w.imag)
-        touches = abs(height - radius) <= same
+        gap = height - radius
     else:
         away, radius = abs(w), a.radius
         if away <= same:
             return []
         ahead = 0.5 * (away + (a.radius - b.radius) * (a.radius + b.radius) / away)
-        touches = min(abs(away - a.radius - b.radius), abs(away - abs(a.radius - b.radius))) <= same
-        height = abs(ahead)
+        gap = max(away - a.radius - b.radius, abs(a.radius - b.radius) - away)
+        touches, height = -_TOUCH <= gap <= same, abs(ahead)
         foot, way = a.z + w / away * (math.copysign(radius, ahead) if touches else ahead), 1j * w / away
-    if touches:
+    if -_TOUCH <= gap <= same:
         return [foot]
     half = math.sqrt(max((radius - height) * (radius + height), 0.0)) * way
     return [foot + half, foot - half] if height < radius else []
@@ -254,8 +257,11 @@ def _followed(parts: Sequence[_Part], places: Any, edges: Sequence[_Edge]) -> di
     for vertex in ins.keys() | outs.keys():
         step = _step(places, *ins[vertex], *outs[vertex])
         for edge in ins[vertex]:
-            back = parts[edge.part].ray(edge.high, -step)
-            turns = [float(np.angle(parts[out.part].ray(out.low, step) / back)) % math.tau for out in outs[vertex]]
+            back = parts[edge.part].ray(places[vertex], edge.high, -step)
+            turns = [
+                float(np.angle(parts[out.part].ray(places[vertex], out.low, step) / back)) % math.tau
+                for out in outs[vertex]
+            ]
             after[edge] = outs[vertex][int(np.argmin(turns))] if turns else None
         if len({after[edge] for edge in ins[vertex]} - {None}) != max(len(ins[vertex]), len(outs[vertex])):
             return None
@@ -305,6 +311,9 @@ def _assembled(
     count, passes = Counter(part.shape for part in parts), Counter(edge.last for edge in after)
     for way, closed in _ways(after):
         own = [parts[edge.part] for edge in way]
+        sizes = [(edge.high - edge.low) * (one.radius if one.bend else 1.0) for one, edge in zip(own, way, strict=True)]
+        if closed and sum(sizes) < _DUST:
+            continue
         shape, is_cut = own[0].shape, [(one.low, one.high) != edge[1:3] for one, edge in zip(own, way, strict=True)]
         if {one.shape for one in own} == {shape} and len(own) == count[shape] and not any(is_cut):
             new = [(piece, shape, False) for piece in chains[shape].pieces]
@@ -365,7 +374,7 @@ def _joint(
         return _Joint(high, low)
     if abs(turn) > math.pi - _CUSP:  # a narrow gap if what follows is on the right, else a tip
         step = _step(places, edge, after)
-        turn = math.copysign(turn, -np.angle(other.ray(low, step) / one.ray(high, -step)))
+        turn = math.copysign(turn, -np.angle(other.ray(spot, low, step) / one.ray(spot, high, -step)))
     side = math.copysign(1.0, turn)
     e = -1j * side * ahead
     return _Joint(

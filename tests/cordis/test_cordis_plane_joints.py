@@ -13,6 +13,7 @@ from hapsim.cordis.program import compile_scene
 from hapsim.prediction.plane_geometry import Plane
 from hapsim.scene import Scene
 from tests.cordis.plane_scenes import moved, scene_of
+from tests.plane_mazes import LOOP_J, OFF_M, OUT_M, SWING_M, pressed, thrown, worked
 
 
 def wall(begin: tuple[float, float], end: tuple[float, float], **more: Any) -> dict[str, Any]:
@@ -39,7 +40,7 @@ def room(corners: int, **more: Any) -> dict[str, Any]:
 def test_a_hand_that_is_pressed_into_any_corner_of_thin_walls_stays_in_the_room(corners: int, friction: float) -> None:
     """It is pressed by up to 10 mm, and thrown; a wall is 2 mm thick."""
     random = np.random.default_rng(corners)
-    for trial in range(12):
+    for trial in range(4):
         towards = 2.0 * math.pi * trial / corners + random.normal(0.0, 0.1)
         thrown = random.uniform(-0.3, 0.3, 2)
         scene = Scene.model_validate(
@@ -77,16 +78,31 @@ def force_at(places: np.ndarray, **modules: Any) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize("depth", [0.0005, 0.003])
-def test_of_two_walls_in_line_or_on_each_other_one_pushes(depth: float) -> None:
-    left, right = wall((-0.02, 0.0), (0.0, 0.0), damping=0.0), wall((0.0, 0.0), (0.02, 0.0), damping=0.0)
-    places = np.column_stack([np.linspace(-0.004, 0.004, 9), np.full(9, 0.001 - depth)])
-    for modules in (
-        {"a": left, "b": right},
-        {"a": left, "b": right, "c": wall((-0.02, 0.0), (0.02, 0.0), damping=0.0)},
-    ):
-        force = force_at(places, **modules)
-        np.testing.assert_allclose(force, np.tile([0.0, 600.0 * depth], (9, 1)), atol=1e-9)
+MAZES = 100
+"""tools/bench/joints has twenty times as many."""
+
+
+def test_hands_pressed_against_random_mazes_rest_where_the_referee_has_them() -> None:
+    rested = 0
+    for press in filter(None, map(pressed, range(MAZES))):
+        if press.own_swing < SWING_M and not press.leaves:
+            rested += 1
+            if press.swing >= SWING_M:
+                assert not hapsim.predict(press.scene, with_margins=False, at=press.end).stable_as_taken
+            else:
+                assert press.off <= OFF_M
+    assert rested > 0.3 * MAZES
+
+
+def test_walls_that_meet_give_no_work_on_a_closed_way() -> None:
+    works = [work for seed in range(MAZES) for work in worked(seed)]
+    assert len(works) > 0.5 * MAZES
+    assert max(works) <= LOOP_J
+
+
+@pytest.mark.parametrize("seeds", [range(MAZES), (257, 491, 1431)], ids=["any", "beyond a wall as a contact ends"])
+def test_no_hand_that_moves_less_than_the_thickness_in_a_sample_leaves_a_room(seeds: range) -> None:
+    assert max(map(thrown, seeds)) <= OUT_M
 
 
 @pytest.mark.parametrize("degrees", [40.0, 90.0, 140.0])

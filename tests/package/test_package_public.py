@@ -17,6 +17,7 @@ PUBLIC_ROOMS = ("hapsim", "hapsim.theory", "hapsim.prediction", "hapsim.running"
 ABOUT_ITSELF = {"__version__", "__file__", "__all__"}
 
 ADDS_PEERS = "adds C, Faust, MuJoCo and SciPy to what `hapsim chart speed-accuracy` works out and draws"
+TIMES_THE_TICK = "times the tick itself, without a loop and a device"
 TIMES_THE_EXCHANGE = "times the compiled exchange itself, on a transport in memory of its own"
 PLAYS_THE_DEVICE = "plays the device itself, to see when a run arms it"
 FAULTS_IN_MEMORY = "puts the faults between the loop and the mock in memory, where no command does"
@@ -28,7 +29,8 @@ INSIDE = {
     ("tools/bench/speed/", "hapsim.speed_accuracy"): ADDS_PEERS,
     ("tools/bench/speed/", "hapsim.documents"): ADDS_PEERS,
     ("tools/bench/speed/", "hapsim.chart"): ADDS_PEERS,
-    ("tools/bench/speed/", "hapsim.cordis"): "times the tick itself, without a loop and a device",
+    ("tools/bench/speed/", "hapsim.cordis"): TIMES_THE_TICK,
+    ("tools/bench/walls.py", "hapsim.cordis"): TIMES_THE_TICK,
     ("tools/bench/steadiness/", "hapsim.chart.figure"): "writes its pictures and tables as `hapsim chart` does",
     ("tools/bench/steadiness/in_memory.py", "firmware_protocol"): TIMES_THE_EXCHANGE,
     ("tools/bench/steadiness/in_memory.py", "hapsim.compiling"): TIMES_THE_EXCHANGE,

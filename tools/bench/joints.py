@@ -14,7 +14,7 @@ import argparse
 from collections import Counter
 
 import hapsim
-from tests.plane_mazes import LOOP_J, OFF_M, SWING_M, pressed, thrown, worked
+from tests.plane_mazes import LOOP_J, OFF_M, OUT_M, SWING_M, pressed, thrown, worked
 
 
 def main() -> None:
@@ -44,7 +44,7 @@ def main() -> None:
         out = thrown(seed)
         counts["thrown"] += 1
         worst["out of a room, m"] = max(worst["out of a room, m"], out)
-        faults += [f"leaves its room by {out:.3g} m"] * (out > SWING_M)
+        faults += [f"leaves its room by {out:.3g} m"] * (out > OUT_M)
         counts["faults"] += len(faults)
         for fault in faults:
             print(f"seed {seed}: {fault}", flush=True)

@@ -1,4 +1,4 @@
-"""What many walls in the plane cost: a tick, a start and `hapsim check`, beside another version of hapsim.
+"""Cost of many walls in the plane: a tick, a start and `hapsim check`, beside another version of hapsim.
 
     tools/bench/walls [--walls 80] [--rounds 15] [--beside CHECKOUT] [--scene]
 
@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
+from hapsim import load_scene
 from hapsim.cordis.offline import start, ticks
 from hapsim.cordis.program import compile_scene
-from hapsim.scene.load import load_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 PITCH, RADIUS, NODES = 0.008, 0.001, 10  # m, m, and nodes along each side of the grid

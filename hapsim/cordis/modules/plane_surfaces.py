@@ -203,8 +203,8 @@ def _left(chains, i, place, j, x, y, distance):
 
 @helper
 def _enter(chains, i, place, j, was_x, was_y, x, y):
-    """Moves place j, which is on the nearest piece, to (x, y), inside, from where the straight way from a free
-    place goes in. Returns its distance, m."""
+    """Moves place j, which is on the nearest piece, to (x, y) from where the straight way from a free place goes in, if
+    it does. Returns its distance, m."""
     real, first, digit, least = chains.x.dtype.type, chains.begin[i], chains.digit[0], chains.x.dtype.type(1)
     gx, gy = x - was_x, y - was_y
     for k in range(first, chains.begin[i + ONE]):
@@ -318,7 +318,7 @@ def add_shape_forces(shapes, state):
         if not holds:
             was_x, was_y = _left(chains, i, place, j, x, y, distance) if shapes.touches[j] > 0 else (x - gx, y - gy)
             distance = find_nearest(chains, i, place, j, x, y)
-            if not distance > 0:
+            if shapes.touches[j] > 0 or not distance > 0:  # a hand that was pressed deep may be beyond another wall
                 distance = _enter(chains, i, place, j, was_x, was_y, x, y)
         k = chains.begin[i] + np.uint64(place.piece[j])
         if shapes.owner[k] != j:
@@ -337,7 +337,7 @@ def add_shape_forces(shapes, state):
         if chains.bend[k] < 0 and chains.extent[k] > 0:  # a hollow corner, where two walls hold and damp
             along = B * way * deep / (chains.radius[k] + deep)
             if shapes.owner[chains.after[k]] != j and chains.radius[k] == 0 and chains.extent[k] > real(CUSP):
-                push, px, py = _push_beside(shapes, i, j, k, x, y, gx, gy, deep)
+                push, px, py = _share_corner(shapes, i, j, k, x, y, gx, gy, deep)
                 tension -= push * (px * nx + py * ny)
                 along -= push * (py * nx - px * ny)
         if tension > 0:
@@ -348,7 +348,7 @@ def add_shape_forces(shapes, state):
 
 
 @helper
-def _push_beside(shapes, i, j, k, x, y, gx, gy, deep):
+def _share_corner(shapes, i, j, k, x, y, gx, gy, deep):
     """Returns how much more than shape j the other wall of the hollow corner k pushes, N, and its normal: in a corner
     of two shapes the way out has a part along the normal of each, and each holds its own part. Their shares of the
     energy are kept as the squares of two depths."""
