@@ -205,7 +205,7 @@ def _judge_pair(sign, history, io, c, other, gap, against, along):
             sign.is_right[c] = sign.is_right[other] = is_right
         return
     x, y = acting_force(history, IN_ALL + c, 0), acting_force(history, IN_ALL + other, 0)
-    share = _size(x / io.force_limit[c], y / io.force_limit[other])
+    share = math.hypot(x / io.force_limit[c], y / io.force_limit[other])
     sector = _sector(x, y)
     at = SECTORS * c + sector
     is_open = sign.passed[at] < PASSES
@@ -228,12 +228,6 @@ def _begin_test(sign, c):
 @helper
 def _continue_test(sign, c, gap):
     sign.since[c] = sign.since[c] + gap if sign.since[c] + gap <= sign.verdict[c] else -1
-
-
-@inlined
-def _size(x, y):
-    """Returns the length of (x, y)."""
-    return math.sqrt(x * x + y * y)
 
 
 @helper
@@ -262,8 +256,7 @@ def _sum_up(sign, history, io, c, other, gap):
         return
     if sign.kept[c] == 0 or gap > MOST_GAP:
         sign.kept[c] = 0
-        sign.push_push[c] = sign.motion_motion[c] = 0.0
-        sign.turned[c] = sign.mirrored[c] = 0.0
+        sign.push_push[c] = sign.motion_motion[c] = sign.turned[c] = sign.mirrored[c] = 0.0
     sign.kept[c] += 1
     forget = sign.forget[c]
     sign.push_push[c] = forget * sign.push_push[c] + pushed_x * pushed_x + pushed_y * pushed_y
