@@ -59,7 +59,6 @@ _SPRING = np.dtype(
         ("reach", np.float64),  # and beyond which it has no force
         ("shape", np.uint64, (5,)),  # addresses of a sine's pitch, depth; of a table's edges to period
         ("knots", np.int64),  # of a table, how many
-        ("contact", np.int64),  # number of a contact, from 1 on; 0: it is none
         ("low", np.uint64),  # addresses of the ends of a contact's stretch without force; 0: it has no such end
         ("high", np.uint64),
     ],
@@ -140,19 +139,18 @@ def evaluate(stored, position, previous, way):
 
 
 @helper
-def deepest_contact(stored, position, point):
-    """Returns (depth in m, number) of the contact that a point is deepest in; depth 0 if it is in none."""
-    springs, depth, number, none = _springs_at(stored.springs, stored.count), 0.0, 0, np.uint64(0)
+def depth_in_contacts(stored, position, point):
+    """Returns how deep a point is in the contact that it is deepest in, m; 0 if it is in none."""
+    springs, depth, none = _springs_at(stored.springs, stored.count), 0.0, np.uint64(0)
     for i in range(stored.count):
         spring = springs[i]
         is_end = (spring.ends[0] == point and spring.at[0] == 0) or (spring.ends[1] == point and spring.at[1] == 0)
-        if is_end and spring.contact != 0:
+        if is_end and (spring.low != 0 or spring.high != 0):
             d = _stretch(stored, spring, position, none)
             below = _value(stored, spring.low, none) - d if spring.low != 0 else 0.0
             above = d - _value(stored, spring.high, none) if spring.high != 0 else 0.0
-            if max(below, above) > depth:
-                depth, number = max(below, above), spring.contact
-    return depth, number
+            depth = max(depth, below, above)
+    return depth
 
 
 @helper
@@ -306,8 +304,6 @@ class StoredEnergy:
         `tank`: a TANK; `force_limit`: N, of the hands."""
         self._program, self._scene, self._force_limit = program, scene, force_limit
         self._kept: list[Any] = []
-        self.contacts: list[str] = []
-        """Names of the contacts, by number less 1."""
         connected = _connected(scene)
         of_links = self._links(connected) if scene.space == 1 else self._plane_links(connected)
         springs = [*of_links, *self._points(connected), *self._structures(connected)]
@@ -368,13 +364,8 @@ class StoredEnergy:
     def _table(self, name: str, law: Law) -> dict[str, Any]:
         keys = [knot_field(what, name, 0, len(law.knots)) for what in ("edge", "tension")]
         shape = [self._live(*key) for key in [*keys, *((name, of) for of in ("below", "beyond", "period"))]]
-        size, edges = self._program.rows.itemsize, _edges_of_contact(law)
-        contact = {end: shape[0] + size * knot for end, knot in edges.items()}
-        return {"shape": shape, "knots": len(law.knots)} | (self._contact(name) | contact if edges else {})
-
-    def _contact(self, name: str) -> dict[str, int]:
-        self.contacts.append(name)
-        return {"contact": len(self.contacts)}
+        edges = {end: shape[0] + self._program.rows.itemsize * knot for end, knot in _edges_of_contact(law).items()}
+        return {"shape": shape, "knots": len(law.knots), **edges}
 
     def _plane_links(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         scene, grounds, hands, zeros = (
@@ -404,8 +395,7 @@ class StoredEnergy:
                     free, reach = 0.5 * link.width, np.inf if link.reach is None else link.reach
                     yield _spring(SPRING, ends, at, offset=memory[4], free=free, reach=reach, **more)
                     continue
-                contact = {"side": self._keep(1.0), "low": zeros} | self._contact(name)
-                yield _spring(SPRING, ends, at, offset=memory[4], **contact, **more)
+                yield _spring(SPRING, ends, at, offset=memory[4], side=self._keep(1.0), low=zeros, **more)
                 bent, sliding, press = memory[7:]
                 slides = {"side": sliding, "force": self._live(name, "friction_coefficient"), "press": press}
                 more |= {"measured": ON_A_LINE} | ({"share": 0.5} if link.bristle_stiffness is None else {})
@@ -452,18 +442,13 @@ def _edges_of_contact(law: Law) -> dict[str, int]:
     """Returns the knots between which a table has no force, if its ends are pushed back there from beyond them: "low",
     "high" or both; none for any other table."""
     forces = [force for _, force in law.knots]
-    before, after = [-law.below, *forces], [*forces[1:], law.beyond]  # a slope stands for the force beyond the ends
-    low = [i for i, force in enumerate(forces) if force == 0.0 > before[i]]
-    high = [i for i, force in enumerate(forces) if force == 0.0 < after[i]]
-    if law.period or len(low) > 1 or len(high) > 1 or not (low or high):
-        return {}
-    first, last = (low or [0])[0], (high or [len(forces) - 1])[0]
-    pushes_below, pushes_above = law.below > 0.0 or forces[0] < 0.0, law.beyond > 0.0 or forces[-1] > 0.0
-    if any(forces[first : last + 1]) or bool(low) is not pushes_below or bool(high) is not pushes_above:
-        return {}
-    if low and high and not law.knots[first][0] < law.knots[last][0]:
-        return {}  # a spring
-    return {"low": first} if not high else {"high": last} if not low else {"low": first, "high": last}
+    signs = np.sign([-law.below or forces[0], *forces, law.beyond or forces[-1]])
+    low, high = (np.flatnonzero((signs[1:-1] == 0.0) & outwards) for outwards in (signs[:-2] < 0.0, signs[2:] > 0.0))
+    edges = {end: int(found[0]) for end, found in (("low", low), ("high", high)) if found.size}
+    first, last = edges.get("low", 0), edges.get("high", len(forces) - 1)
+    is_one = (low.size, high.size) == (signs[0] < 0.0, signs[-1] > 0.0) and not any(forces[first : last + 1])
+    is_spring = len(edges) == 2 and first >= last
+    return edges if is_one and not is_spring and not law.period else {}
 
 
 def _module(scene: Scene, point: str) -> str:

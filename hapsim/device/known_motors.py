@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from urllib.parse import quote
 
@@ -28,15 +28,12 @@ def serial_number(port: str) -> str:
     return next((number.strip() for number in numbers if number), "")
 
 
-def known_motors(port: str, channels: Iterable[int]) -> frozenset[int]:
+def known_motors(port: str, channels: Sequence[int]) -> frozenset[int]:
     """Returns those of these channels of a device whose motors are known to push the right way."""
-    number, known = serial_number(port), set()
-    for channel in channels:
-        if (_identity(port, number), channel) in _in_this_process:
-            known.add(channel)
-        with contextlib.suppress(OSError):
-            if number and _file(number, channel).exists():
-                known.add(channel)
+    number = serial_number(port)
+    known = {channel for channel in channels if (_identity(port, number), channel) in _in_this_process}
+    with contextlib.suppress(OSError):
+        known |= {channel for channel in channels if number and _file(number, channel).exists()}
     return frozenset(known)
 
 
@@ -46,19 +43,16 @@ def note_motors(port: str | None, channels: Iterable[int], *, are_right: bool) -
         return
     number = serial_number(port)
     for channel in channels:
-        _in_this_process.discard((_identity(port, number), channel))
-        try:
+        own, is_kept = (_identity(port, number), channel), False
+        with contextlib.suppress(OSError):
             file = _file(number, channel)
             if not are_right:
                 file.unlink(missing_ok=True)
             elif number:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 file.touch()
-                continue
-        except OSError:
-            pass  # known in this process all the same
-        if are_right:
-            _in_this_process.add((_identity(port, number), channel))
+                is_kept = True
+        (_in_this_process.add if are_right and not is_kept else _in_this_process.discard)(own)
 
 
 def _identity(port: str, number: str) -> str:

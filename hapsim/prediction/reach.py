@@ -166,12 +166,10 @@ class Reach:
         begins, away = self._begins[between[0]] - self._begins[between[1]], [0.0]
         if period := option.period:
             least, most = (min(apart[way], _MOST_COPIES * period) for way in ((j, i), (i, j)))
-            numbers = (
-                math.floor((begins - least - option.high) / period),
-                math.ceil((begins + most - option.low) / period),
-            )
+            first = math.floor((begins - least - option.high) / period)
+            last = math.ceil((begins + most - option.low) / period)
             middle = begins - 0.5 * (option.low + option.high)
-            away = sorted((n * period for n in range(numbers[0], numbers[1] + 1)), key=lambda x: abs(x - middle))
+            away = sorted((n * period for n in range(first, last + 1)), key=lambda x: abs(x - middle))
         for x in away:
             self.tries -= bool(period)
             if self.tries < 0:

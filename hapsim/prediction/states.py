@@ -231,10 +231,8 @@ class ContactStates:
                 grown.setdefault(its, []).append((taken, state))
         most = {its: max((one for one, _ in every), key=lambda one: one.rank) for its, every in grown.items()}
         states = {its: [(one.growth, state) for one, state in every] for its, every in grown.items()}
-        return [
-            Grown(most[its], points[its], states[its])
-            for its in sorted(most, key=lambda its: most[its].rank, reverse=True)
-        ]
+        found = [Grown(most[its], points[its], states[its]) for its in most]
+        return sorted(found, key=lambda one: one.shaking.rank, reverse=True)
 
     def swing_of(self, grown: Grown) -> Swing | None:
         """Returns the size of the oscillation in this part of the scene; None if it was not found."""

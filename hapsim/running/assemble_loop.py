@@ -93,7 +93,6 @@ class LoopMemory:
         self.hand: LiveHand | None = None
         """Hand that holds the mock; None if the device is no mock in this process."""
         self._programs: list[Program] = []
-        self._contacts: list[str] = []  # of the first scene
         self._changes_before = 0
 
     @property
@@ -106,7 +105,6 @@ class LoopMemory:
         if self.has_energy_guard:
             limit = float(self.record.io.force_limit[: self.wire.channels].max())
             program.stored = StoredEnergy(program, scene, self.record.tank, limit)
-            self._contacts = self._contacts or program.stored.contacts
 
     @property
     def has_energy_guard(self) -> bool:
@@ -144,7 +142,7 @@ class LoopMemory:
 
     def armed_inside(self) -> str:
         """Returns a sentence about a hand that was armed inside a contact; "" if none was."""
-        return inside_sentence(self.rendered_scene, self.record.armed_inside, self._contacts)
+        return inside_sentence(self.rendered_scene, self.record.armed_inside)
 
     @property
     def is_replacing(self) -> bool:

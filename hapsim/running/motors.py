@@ -65,15 +65,12 @@ def motors_of(scene: Scene, connection: Connection, description: Description) ->
     reasons = unjudged_motors(scene, description)
     unjudged = [hand for hand in unknown if any(reasons[c] for c in hand)] if scene.device.travel is None else []
     lowered = tuple(c for hand in unjudged for c in hand)
-    limits = [
-        SHARE * min(limit, scene.device.force_limit) if c in lowered else limit
-        for c, limit in enumerate(description.force_limit)
-    ]
+    tenths = [SHARE * min(limit, scene.device.force_limit) for limit in description.force_limit]
+    limits = tuple(tenths[c] if c in lowered else limit for c, limit in enumerate(description.force_limit))
     hand = (unjudged or unknown)[0]
     reason = next((reasons[c] for c in hand if reasons[c]), "") if lowered else ""
-    tenth = SHARE * min(description.force_limit[hand[0]], scene.device.force_limit)
-    advice = _advice(scene, connection.name, hand, tenth, reason)
-    return Motors(tuple(sorted(known)), replace(description, force_limit=tuple(limits)), advice, lowered)
+    advice = _advice(scene, connection.name, hand, tenths[hand[0]], reason)
+    return Motors(tuple(sorted(known)), replace(description, force_limit=limits), advice, lowered)
 
 
 def _advice(scene: Scene, port: str, hand: tuple[int, ...], tenth: float, reason: str) -> str:

@@ -73,7 +73,7 @@ def played(scene: Scene, duration: float = 0.6, **options: Any) -> tuple[Trace, 
 def test_until_it_is_out_its_force_is_low(wall: dict[str, Any], at: Any, depth: float, parts: dict[str, Any]) -> None:
     trace, force, energy = played(scene_with(wall, at, **parts), 1.2)
     low = trace.report.armed_inside
-    assert low.startswith(f"hand was armed {1e3 * depth:.3g} mm inside wall, at ")
+    assert low.startswith(f"hand was armed {1e3 * depth:.3g} mm inside a contact, at ")
     out = int(np.argmax(np.linalg.norm(trace.asked_force, axis=1) == 0.0))
     assert 20 < out < 1200
     assert force[:out].max() <= 0.1 * ENERGY / depth + 1e-3
@@ -94,7 +94,7 @@ def test_a_hand_that_was_out_once_feels_the_whole_wall() -> None:
 def test_a_hand_between_two_walls_that_overlap_is_out_where_it_has_passed_their_middle() -> None:
     modules = {"other": BUFFER | {"between": ["post", "hand"], "distance": 0.0}}
     trace, force, _ = played(scene_with(BUFFER, -0.02, modules=modules, mock={"hand": {"force": 0.0}}), 0.6)
-    assert trace.report.armed_inside.startswith("hand was armed 20 mm inside wall")
+    assert trace.report.armed_inside.startswith("hand was armed 20 mm inside a contact")
     passed = int(np.argmax(trace.position[:, 0] > 0.0))
     assert passed > 0
     assert force[:passed].max() <= 0.1 * ENERGY / 0.02 + 1e-3
@@ -105,7 +105,7 @@ def test_the_hand_of_two_that_is_inside_is_the_one_that_is_low() -> None:
     more = {"other": {"type": "device", "channel": 1}, "stop": BUFFER | {"between": ["other", "post"]}}
     scene = scene_with(BUFFER, [-0.001, -0.04], modules=more)
     trace, _, _ = played(scene)
-    assert trace.report.armed_inside.startswith("other was armed 40 mm inside stop, at -0.04 m")
+    assert trace.report.armed_inside.startswith("other was armed 40 mm inside a contact, at -0.04 m")
     assert np.abs(trace.force[:, 1]).max() <= 0.1 * ENERGY / 0.04 + 1e-3
     assert np.abs(trace.force[0, 0]) == pytest.approx(2.0)
 
@@ -141,7 +141,9 @@ def test_on_a_port_the_place_is_printed_too(
         "  stop: {type: buffer, between: [hand, wall], stiffness: 2000, damping: 5}\n"
     )
     answer = hapsim("run", path, "--portable", "--duration", 0.5)
-    said = "hand was armed 20 mm inside stop, at -0.02 m. Until it is out once, its force is at most 1 N: move it out"
+    said = (
+        "hand was armed 20 mm inside a contact, at -0.02 m. Until it is out once, its force is at most 1 N: move it out"
+    )
     assert said in answer.err
     assert seen.largest <= 1.0
     assert 0.5 * 0.2 * seen.fastest**2 < 0.1 * ENERGY

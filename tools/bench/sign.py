@@ -206,9 +206,9 @@ def drawn_scene(
 def plane_scene(form: dict[str, Any], *, rate: float, force_limit: float, mass: float, count: float) -> Any:
     """A hand in the plane, and what `form` has of FORMS."""
     modules: dict[str, Any] = {"hand": {"type": "device", "channels": [0, 1]}}
-    modules["board"] = {"type": "ground", "position": [0.0, 0.0]}
-    for one in form["shapes"]:
-        modules[f"shape{len(modules)}"] = {"type": "shape", "between": ["hand", "board"], **one}
+    for i, one in enumerate(form["shapes"]):  # with its own ground: the material of a ring's two discs is everywhere
+        modules[f"board{i}"] = {"type": "ground", "position": [0.0, 0.0]}
+        modules[f"shape{i}"] = {"type": "shape", "between": ["hand", f"board{i}"], **one}
     device = {"clock": "lockstep", "mass": mass, "friction": 1.0, "force_limit": force_limit}
     device |= {"slew_limit": 1e3 * force_limit, "soft_start": 0.05, "energy_limit": 0.02 * force_limit}
     document = {"version": 1, "rate": rate, "space": 2, "device": device, "modules": modules}

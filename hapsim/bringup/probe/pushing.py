@@ -215,7 +215,7 @@ def _respond(probing: Probing, pushers: Sequence[Pusher]) -> None:
     response = best.total * probing.device.rate_hz**2
     if len(pushers) > 1:
         matrix = np.array([[one.total for one in answers.estimates] for answers in each]).T * probing.device.rate_hz**2
-        kept, words = turned_in_words(matrix, max(1.0 / answers.significance for answers in each), units)
+        kept, words = turned_in_words(matrix, max(1.0 / one.clearest.significance for one in each), units)
     else:
         kept, words = best.total > 0, "" if best.total > 0 else "inverted: "
         words += f"{units(1.0, 'N')} makes {units(response, 'm/s²', '.4g')} (± {100 / best.significance:.2g} %)"
@@ -263,9 +263,9 @@ class Answers(NamedTuple):
     """In words."""
 
     @property
-    def significance(self) -> float:
-        """That of the clearest channel."""
-        return max(one.significance for one in self.estimates)
+    def clearest(self) -> Estimate:
+        """That of the channel which shows it best."""
+        return max(self.estimates, key=lambda one: one.significance)
 
 
 def _answers(probing: Probing, pusher: Pusher) -> tuple[Answers | None, str]:
@@ -273,19 +273,19 @@ def _answers(probing: Probing, pusher: Pusher) -> tuple[Answers | None, str]:
     best: Answers | None = None
     went_too_far = ""
     for force, length in _stages(probing, pusher):
-        if best is not None and best.significance > _SEEN:
+        if best is not None and best.clearest.significance > _SEEN:
             reach = max(abs(one.total) for one in best.estimates) * force * length**2
             if reach > 0.3 * pusher.leave.travel:
                 break
         if not pusher.settle():
             break
         found, went_too_far = _pushed(pusher, force, length)
-        if found and (best is None or max(one.significance for one in found) > best.significance):
-            words = f"pushes of {pusher.units(force, 'N', '.3g')}, {length} long"
-            best = Answers(found, pusher.sensed, words)
-        if went_too_far or (best is not None and max(best.estimates, key=lambda one: one.significance).is_clear):
+        if found:
+            answers = Answers(found, pusher.sensed, f"pushes of {pusher.units(force, 'N', '.3g')}, {length} long")
+            best = max(best or answers, answers, key=lambda one: one.clearest.significance)
+        if went_too_far or (best is not None and best.clearest.is_clear):
             break
-    if best is not None and best.significance >= _SEEN:
+    if best is not None and best.clearest.significance >= _SEEN:
         return best, ""
     if went_too_far:
         return None, f"{went_too_far} (--travel allows more, --push asks less)"

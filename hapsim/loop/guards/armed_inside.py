@@ -13,7 +13,6 @@ of the hand; a contact is a shape, a buffer, a click, or a table that has no for
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ import numpy as np
 from firmware_protocol import schema
 from hapsim.compiling import helper
 from hapsim.compiling.native import address_of, record_at
-from hapsim.cordis.stored_energy import deepest_contact, stored_at
+from hapsim.cordis.stored_energy import depth_in_contacts, stored_at
 from hapsim.cordis.substep_loop import SCENE_SLOT
 from hapsim.cordis.tick import program_at, set_hands
 from hapsim.loop.buffers import share_within_limit
@@ -41,8 +40,7 @@ INSIDE = np.dtype(
         ("hands", np.int64),  # that are not out yet
         ("most", np.float64, _EACH),  # N, by the first channel of such a hand; 0: another
         ("depth", np.float64, _EACH),  # m, at arming,
-        ("contact", np.int64, _EACH),  # in the contact of this number,
-        ("place", np.float64, _EACH),  # and the place, m,
+        ("place", np.float64, _EACH),  # with the place, m,
         ("asked", np.float64, _EACH),  # and the scene's force, N, by channel
     ],
     align=True,
@@ -64,54 +62,36 @@ def lower_inside(inside, tick):
     set_hands(program, io.measured)
     for h in range(program.hands):
         c = program.channel[np.uint64(h)]
+        other = c + io.to_next[c]  # c, if the hand has one channel
         if inside.begun and inside.most[c] == 0.0:
             continue
-        depth, contact = deepest_contact(stored, position, h)
+        depth = depth_in_contacts(stored, position, h)
         if inside.begun == 0:
             inside.place[c], inside.asked[c] = io.measured[c], io.asked[c]
             is_beyond = share_within_limit(io, c, False) < 1.0 or abs(io.asked[c]) > io.force_limit[c]
             if depth > 0.0 and is_beyond:
-                inside.most[c], inside.depth[c], inside.contact[c] = inside.work / depth, depth, contact
+                inside.most[c], inside.depth[c] = inside.work / depth, depth
                 inside.hands += 1
-        elif not (depth > 0.0 and _pushes_as_before(inside, io, c)):
+        elif not (depth > 0.0 and io.asked[c] * inside.asked[c] + io.asked[other] * inside.asked[other] > 0.0):
             inside.most[c] = 0.0
             inside.hands -= 1
-        if inside.most[c] > 0.0 and _lower(io, c, inside.most[c]):
+        if inside.most[c] > 0.0 and _lower(io, c, other, inside.most[c]):
             tick.flags |= FADED
     inside.begun = 1
     return 0
 
 
 @helper
-def _pushes_as_before(inside, io, c):
-    """Returns whether the scene's force on a hand is within 90 degrees of that at arming."""
-    along, other = 0.0, c
-    while True:
-        along += io.asked[other] * inside.asked[other]
-        other += io.to_next[other]
-        if other == c:
-            return along > 0.0
-
-
-@helper
-def _lower(io, c, most):
+def _lower(io, c, other, most):
     """Brings the force of a hand down to `most` N, whole, so that it does not turn. Returns whether it was more."""
-    square, other = 0.0, c
-    while True:
-        square += (io.force_counts[other] * io.force_scale[other]) ** 2
-        other += io.to_next[other]
-        if other == c:
-            break
-    if not square > most * most:
-        return False
-    share = most / math.sqrt(square)
-    while True:
-        io.force_counts[other] = np.int64(io.force_counts[other] * share)  # towards zero
-        io.excitation[other] *= share
-        io.as_hand[other] *= share
-        other += io.to_next[other]
-        if other == c:
-            return True
+    x, y = io.force_counts[c] * io.force_scale[c], io.force_counts[other] * io.force_scale[other]
+    size = math.hypot(x, y) if other != c else abs(x)
+    for one in range(np.uint64(io.channels) if size > most else np.uint64(0)):
+        if one in (c, other):
+            io.force_counts[one] = np.int64(io.force_counts[one] * most / size)  # towards zero
+            io.excitation[one] *= most / size
+            io.as_hand[one] *= most / size
+    return size > most
 
 
 def _set_up(loop: Any, setting: Setting) -> Any:
@@ -124,16 +104,16 @@ def _set_up(loop: Any, setting: Setting) -> Any:
     return loop.armed_inside
 
 
-def inside_sentence(scene: Scene, inside: Any, contacts: Sequence[str]) -> str:
-    """Returns a sentence, without a full stop, about the hand that was armed deepest inside a contact; "" if none was.
-    `contacts`: their names, by number less 1."""
+def inside_sentence(scene: Scene, inside: Any) -> str:
+    """Returns a sentence, without a full stop, about the hand that was armed deepest inside a contact; "" if none
+    was."""
     c = int(np.argmax(inside.depth))
     if not inside.depth[c] > 0.0:
         return ""
     units = scene.units_of(c)
     place = ", ".join(units.number(inside.place[one], "m", ".3g") for one in scene.hand_of(c))
     most = min(inside.work / float(inside.depth[c]), scene.device.force_limit)
-    where = f"{units(inside.depth[c], 'mm', '.3g')} inside {contacts[inside.contact[c] - 1]}, at {units(place, 'm')}"
+    where = f"{units(inside.depth[c], 'mm', '.3g')} inside a contact, at {units(place, 'm')}"
     until = f"Until it is out once, its force is at most {units(most, 'N', '.3g')}: move it out"
     return f"{scene.hand_on(c)} was armed {where}. {until}"
 

@@ -101,10 +101,8 @@ SIGN = np.dtype(
         ("kept", np.int64, _EACH),  # samples in these sums
         ("push_push", np.float64, _EACH),
         ("motion_motion", np.float64, _EACH),
-        ("turned", np.float64, _EACH),  # Re z,
-        ("turned_aside", np.float64, _EACH),  # Im z,
-        ("mirrored", np.float64, _EACH),  # Re z',
-        ("mirrored_aside", np.float64, _EACH),  # and Im z'; of a line Re z alone is used
+        ("turned", np.complex128, _EACH),  # z,
+        ("mirrored", np.complex128, _EACH),  # and z'; of a line Re z alone is used
         ("against", np.int64, _EACH),  # samples in a row in which J is suspicious,
         ("along", np.int64, _EACH),  # or the other ratio sure
         ("since", np.int64, _EACH),  # samples since the release; -1: there is no test
@@ -207,7 +205,7 @@ def _judge_pair(sign, history, io, c, other, gap, against, along):
             sign.is_right[c] = sign.is_right[other] = is_right
         return
     x, y = acting_force(history, IN_ALL + c, 0), acting_force(history, IN_ALL + other, 0)
-    share = _size(x / io.force_limit[c], y / io.force_limit[other])
+    share = math.hypot(x / io.force_limit[c], y / io.force_limit[other])
     sector = _sector(x, y)
     at = SECTORS * c + sector
     is_open = sign.passed[at] < PASSES
@@ -230,12 +228,6 @@ def _begin_test(sign, c):
 @helper
 def _continue_test(sign, c, gap):
     sign.since[c] = sign.since[c] + gap if sign.since[c] + gap <= sign.verdict[c] else -1
-
-
-@inlined
-def _size(x, y):
-    """Returns the length of (x, y)."""
-    return math.sqrt(x * x + y * y)
 
 
 @helper
@@ -264,17 +256,14 @@ def _sum_up(sign, history, io, c, other, gap):
         return
     if sign.kept[c] == 0 or gap > MOST_GAP:
         sign.kept[c] = 0
-        sign.push_push[c] = sign.motion_motion[c] = sign.turned[c] = 0.0
-        sign.turned_aside[c] = sign.mirrored[c] = sign.mirrored_aside[c] = 0.0
+        sign.push_push[c] = sign.motion_motion[c] = sign.turned[c] = sign.mirrored[c] = 0.0
     sign.kept[c] += 1
     forget = sign.forget[c]
     sign.push_push[c] = forget * sign.push_push[c] + pushed_x * pushed_x + pushed_y * pushed_y
     sign.motion_motion[c] = forget * sign.motion_motion[c] + x * x + y * y
-    sign.turned[c] = forget * sign.turned[c] + pushed_x * x + pushed_y * y
-    if other != c:
-        sign.turned_aside[c] = forget * sign.turned_aside[c] + pushed_x * y - pushed_y * x
-        sign.mirrored[c] = forget * sign.mirrored[c] + pushed_x * x - pushed_y * y
-        sign.mirrored_aside[c] = forget * sign.mirrored_aside[c] + pushed_x * y + pushed_y * x
+    p, q = complex(pushed_x, pushed_y), complex(x, y)
+    sign.turned[c] = forget * sign.turned[c] + p.conjugate() * q
+    sign.mirrored[c] = forget * sign.mirrored[c] + p * q
 
 
 @helper
@@ -333,12 +322,11 @@ def _ratios(sign, c, in_plane):
     """Returns J of a hand, and the other ratio; 0 with too few samples."""
     if sign.kept[c] < sign.least[c]:
         return 0.0, 0.0
-    noise, along = sign.noise[c], sign.turned[c]
+    noise, along, aside = sign.noise[c], sign.turned[c].real, abs(sign.turned[c].imag)
     if not in_plane:
         right, wrong = _residual(sign, c, along, RIGHT), _residual(sign, c, -along, WRONG)
         return (right - wrong) / (wrong + noise), (wrong - right) / (right + noise)
-    aside = abs(sign.turned_aside[c])
-    turned, mirrored = _size(along, aside), _size(sign.mirrored[c], sign.mirrored_aside[c])
+    turned, mirrored = abs(sign.turned[c]), abs(sign.mirrored[c])
     right = _residual(sign, c, turned if along >= aside else _COS_45 * (along + aside), RIGHT)
     wrong = _residual(sign, c, turned if along <= 0.5 * turned else 0.5 * along + _SIN_60 * aside, WRONG)
     worst = wrong
