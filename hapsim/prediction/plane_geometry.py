@@ -17,7 +17,7 @@ from hapsim.prediction.characteristic import starts_at
 from hapsim.prediction.reach import start_positions
 from hapsim.scene import DevicePoint, Friction, Link, Scene, Spring, ViscoElastic
 from hapsim.scene.chain import NEAR, NEAR_SHARE, Nearest, Piece, Point
-from hapsim.scene.modules.surfaces import CUSP, Guide, Shape, Surface, surfaces_of
+from hapsim.scene.modules.surfaces import Guide, Shape, Surface, surfaces_of
 from hapsim.theory.arrays import Floats
 
 _MOST_STEPS = 100
@@ -196,9 +196,8 @@ class Plane:
         (chain, owners), names = surface.outline, [*surface.shapes]
         nearest = chain.nearest(x, y)
         on = chain.pieces[nearest.piece]
-        both = owners[nearest.piece], owners[on.after]
-        is_shared = nearest.distance < 0.0 and on.bend < 0 and on.radius == 0.0 and both[0] != both[1]
-        if not (is_shared and math.cos(0.5 * on.extent) > CUSP):
+        both = owners[nearest.piece], surface.sharers[nearest.piece]
+        if not nearest.distance < 0.0 or both[0] == both[1]:
             yield self._link(names[both[0]], nearest, on)
             return
         c, s = math.cos(on.extent), math.sin(on.extent)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from firmware_protocol.description import Description
 from hapsim.device.connection import Connection, describe
 from hapsim.device.known_motors import known_motors, note_motors, serial_number
-from hapsim.device.open_connection import open_connection, place_of_device
+from hapsim.device.open_connection import open_connection
 from hapsim.errors import UsageError
 from hapsim.loop.guards import guard_that_ended
 from hapsim.prediction.force_bounds import unjudged_motors
@@ -102,7 +102,7 @@ def as_limited(
     warn, own = options.pop("on_warning", None), scene.device.force_limit
     with_options = partial(run, **options)
     kind = options.get("transport", "auto")
-    if place_of_device(scene, kind, portable=True) != "port" or not _may_be_lowered(scene):
+    if kind != "auto" or not _may_be_lowered(scene):
         return scene, with_options
     with open_connection(scene, kind) as connection:
         description = describe(connection)

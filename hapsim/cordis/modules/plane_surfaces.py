@@ -24,7 +24,7 @@ from hapsim.cordis.modules.link import Ends, count, ends_of
 from hapsim.cordis.modules.plane_links import EXACT, between, near_of, pull, turned
 from hapsim.scene import Guide, Shape
 from hapsim.scene.chain import Chain, Piece
-from hapsim.scene.modules.surfaces import CUSP, surfaces_of
+from hapsim.scene.modules.surfaces import surfaces_of
 
 _FAR = 1e30  # m: extent of a whole line, and reach of a guide that never lets go
 _MOST_WALKED = 64  # pieces in a sample
@@ -77,7 +77,7 @@ class Shapes(NamedTuple):
 
     Attributes:
         ends, chains: of the surfaces: the outlines of their shapes' unions.
-        owner: (P,) number of the shape on whose surface a piece is.
+        owner, sharer: (P,) number of the shape on whose surface a piece is; in a corner that two share, of the other.
         surface: (L,) number of each shape's surface.
         current, beside: (S,) the shape with the place; in a corner of two, also the other, else the same.
         stiffness, damping_per_sample, coefficient, static: (L,) K and B/T in N/m, friction coefficients.
@@ -91,6 +91,7 @@ class Shapes(NamedTuple):
     chains: Chains
     place: Places
     owner: NDArray[np.uint64]
+    sharer: NDArray[np.uint64]
     surface: NDArray[np.uint64]
     current: NDArray[np.uint64]
     beside: NDArray[np.uint64]
@@ -336,7 +337,7 @@ def add_shape_forces(shapes, state):
         along = real(0)
         if chains.bend[k] < 0 and chains.extent[k] > 0:  # a hollow corner, where two walls hold and damp
             along = B * way * deep / (chains.radius[k] + deep)
-            if shapes.owner[chains.after[k]] != j and chains.radius[k] == 0 and chains.extent[k] > real(CUSP):
+            if shapes.sharer[k] != j:
                 push, px, py = _share_corner(shapes, i, j, k, x, y, gx, gy, deep)
                 tension -= push * (px * nx + py * ny)
                 along -= push * (py * nx - px * ny)
@@ -352,7 +353,7 @@ def _share_corner(shapes, i, j, k, x, y, gx, gy, deep):
     """Returns how much more than shape j the other wall of the hollow corner k pushes, N, and its normal: in a corner
     of two shapes the way out has a part along the normal of each, and each holds its own part. Their shares of the
     energy are kept as the squares of two depths."""
-    chains, place, other = shapes.chains, shapes.place, shapes.owner[shapes.chains.after[k]]
+    chains, place, other = shapes.chains, shapes.place, shapes.sharer[k]
     c, s, ex, ey = chains.extent[k], chains.sine[k], chains.ex[k], chains.ey[k]
     px, py, nx, ny = -(c * ex + s * ey), s * ex - c * ey, place.x[j], place.y[j]
     part = deep * ((c * ex - s * ey) * ny - (s * ex + c * ey) * nx) / ((s + s) * c)
@@ -451,6 +452,7 @@ def _shapes(links: Mapping[str, Any], columns: Sequence[Column], context: BuildC
         _chains_of([one.outline.chain for one in surfaces], context),
         place,
         np.array([own[i][j] for i, one in enumerate(surfaces) for j in one.outline.owners], np.uint64),
+        np.array([own[i][j] for i, one in enumerate(surfaces) for j in one.sharers], np.uint64),
         of_surface,
         current,
         beside,

@@ -22,7 +22,7 @@ from .links import Link
 if TYPE_CHECKING:
     from ..union import Outline
 
-CUSP = 0.1
+_CUSP = 0.1
 """Cosine of half the turn of a hollow corner that is a cusp: there a way out has no useful part along each normal."""
 
 _RADIUS = quantity("Radius of a capsule: half its thickness", "m", above=0, left_out="it is no capsule")
@@ -168,6 +168,16 @@ class Surface:
         """Outline of their union, by the first end minus the second; the first is free on its right. Raises
         TooRoundError, and ValueError where there is none."""
         return _union_of(tuple(one.chain() for one in self.shapes.values()))
+
+    @cached_property
+    def sharers(self) -> tuple[int, ...]:
+        """Number of the other shape that holds each piece of the outline: in a sharp hollow corner of two shapes that
+        of the piece behind it; elsewhere its owner."""
+        (pieces,), owners = self.outline
+        return tuple(
+            owners[one.after] if one.bend < 0 and not one.radius and math.cos(0.5 * one.extent) > _CUSP else owner
+            for one, owner in zip(pieces, owners, strict=True)
+        )
 
 
 def surfaces_of(links: Mapping[str, Any]) -> list[Surface]:
