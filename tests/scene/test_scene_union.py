@@ -35,7 +35,7 @@ def turned(chain: Chain, angle: float) -> Chain:
 
 
 def corners_of(outline: Outline) -> tuple[int, int]:
-    """How many sharp corners are round, and how many hollow."""
+    """Numbers of sharp corners that are round, and hollow."""
     bends = [piece.bend for piece in outline.chain.pieces if piece.bend and not piece.radius]
     return bends.count(1), bends.count(-1)
 

@@ -268,7 +268,7 @@ class TestAnOscillationBesideASnap:
             assert ("snap is swept across its period" in growing) == is_judged
 
     def test_within_the_snap_is_not_excused_by_its_faster_real_pole(self) -> None:
-        """Of a table that falls once, without periods to sweep across."""
+        """A table that falls once, without periods to sweep across."""
         points = [[-0.02, -20.0], [0.009, 2.25], [0.011, -2.25], [0.04, 20.0]]
         toggle = {"type": "nonlinear", "force_over_distance": points}
         growths = {one.state: one.growth for one in predict(on_a_rod(toggle), with_margins=False).states.growing}
@@ -426,7 +426,7 @@ class TestADamperThatIsSteeperWhileItMoves:
             assert states == ([] if stable else ["damper is faster than its table"])
 
     def test_a_bow_s_friction_is_also_judged_where_it_is_weakest(self) -> None:
-        """Its force falls with speed."""
+        """A brake whose force falls with speed."""
         bow = {
             "type": "nonlinear",
             "between": ["hand", "wall"],
