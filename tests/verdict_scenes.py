@@ -63,7 +63,7 @@ def _table(chance: random.Random, first: str, second: str) -> Modules:
 
 
 def _behind(chance: random.Random) -> tuple[Modules, str]:
-    """What the hand moves, on a spring, and its name: a mass or another hand."""
+    """The part that the hand moves, on a spring, and its name: a mass or another hand."""
     if chance.random() < 0.2:
         return {"other": {"type": "device", "channel": 1}, "rod": _spring(chance, "hand", "other", 100, 3000)}, "other"
     return {"ball": {"type": "mass", "mass": _mass(chance)}, "rod": _spring(chance, "hand", "ball", 100, 3000)}, "ball"

@@ -46,7 +46,7 @@ class Option(NamedTuple):
 
     @property
     def kind(self) -> tuple[object, ...]:
-        """What tells it from other pieces of its law; copies and alike pieces of a law that repeats are of one kind."""
+        """Key of alike pieces of its law; copies and alike pieces of a law that repeats have one."""
         return self.state, self.linear, None if self.period else self.low
 
     @property

@@ -368,7 +368,7 @@ def test_a_thrown_handle_with_a_fine_encoder_is_not_taken_for_a_coarse_one() -> 
         ),
     ],
 )
-def test_what_the_guard_cannot_judge_is_said_by_channel(
+def test_reasons_by_channel_name_what_the_guard_cannot_judge(
     changes: dict[str, Any], mock: dict[str, Any], reason: str
 ) -> None:
     document = touch(force_limit=10.0).model_dump(exclude_unset=True, by_alias=True) | changes

@@ -349,7 +349,7 @@ def test_a_channel_that_moves_in_place_of_the_pushed_one_is_named(new_bench: New
 
 
 def turned(degrees: float) -> list[list[float]]:
-    """What two motors make of their forces that are turned by so much."""
+    """The forces of two motors that are turned by so much."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     return [[c, -s], [s, c]]
 

@@ -208,7 +208,7 @@ def test_the_states_of_a_hand_that_moves_nothing_else_are_its_regions(seed: int)
     assert springs_in_states(scene) == springs_in_regions(scene)
 
 
-def test_a_detent_of_many_periods_is_in_each_piece_beside_a_stop() -> None:
+def test_a_detent_of_many_periods_is_in_each_piece_next_to_a_stop() -> None:
     """The stop is six pitches away. Two detents whose rests are half a pitch apart are never both in a notch's middle
     piece, but where one of them has another pitch, they are, some periods away."""
     ball = {"ball": {"type": "mass", "mass": 0.05}}
@@ -241,7 +241,7 @@ def on_a_rod(snap: dict[str, Any], speed: float = 0.0) -> Scene:
     return scene_of(ball, mock={"initial": {"velocity": speed}}, mass=0.1)
 
 
-class TestAnOscillationBesideASnap:
+class TestAnOscillationNextToASnap:
     CLICKS: ClassVar = {
         "type": "detent",
         "pitch": 0.004,
@@ -268,14 +268,14 @@ class TestAnOscillationBesideASnap:
             assert ("snap is swept across its period" in growing) == is_judged
 
     def test_within_the_snap_is_not_excused_by_its_faster_real_pole(self) -> None:
-        """Of a table that falls once, without periods to sweep across."""
+        """A table that falls once, without periods to sweep across."""
         points = [[-0.02, -20.0], [0.009, 2.25], [0.011, -2.25], [0.04, 20.0]]
         toggle = {"type": "nonlinear", "force_over_distance": points}
         growths = {one.state: one.growth for one in predict(on_a_rod(toggle), with_margins=False).states.growing}
         assert growths["snap is piece 2"] == pytest.approx(1.00556, abs=1e-5)
 
     @pytest.mark.parametrize("at", [None, 0.0019])
-    def test_beside_a_detent_counts_if_it_grows_in_the_mean_over_its_pieces(self, at: float | None) -> None:
+    def test_next_to_a_detent_counts_if_it_grows_in_the_mean_over_its_pieces(self, at: float | None) -> None:
         """Between the ridges of the güiro the hand's pair grows, less than it decays in a groove; at any place."""
         guiro = predict(parse_scene(shipped_scene("guiro")), with_margins=False, at=at)
         assert guiro.stable
@@ -426,7 +426,7 @@ class TestADamperThatIsSteeperWhileItMoves:
             assert states == ([] if stable else ["damper is faster than its table"])
 
     def test_a_bow_s_friction_is_also_judged_where_it_is_weakest(self) -> None:
-        """Its force falls with speed."""
+        """A brake whose force falls with speed."""
         bow = {
             "type": "nonlinear",
             "between": ["hand", "wall"],

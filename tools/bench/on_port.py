@@ -58,7 +58,7 @@ TURNS = {
     "turned by -90 degrees": [[0, 1], [-1, 0]],
     "right": [[1, 0], [0, 1]],
 }
-"""What the motors of x and y make of a force."""
+"""The forces that the motors of x and y make of one."""
 SOFT = {"type": "shape", "form": {"disc": 0.001}, "side": "inside", "stiffness": 1000, "damping": 3}
 for um in (1, 20, 100):
     coarse = {"scale": 1e-6 * um}

@@ -55,7 +55,7 @@ FAULTS: dict[str, Any] = {
     "a tenth of it": 0.1,
     "swapped channels": SWAPPED,
 }
-"""What the motors make of a force, by channel."""
+"""The force that the motors make of one, by channel."""
 
 
 def turn(degrees: float) -> Any:

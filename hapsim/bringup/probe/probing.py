@@ -248,7 +248,7 @@ class Leave:
 
     @property
     def named(self) -> str:
-        """Those channels in words."""
+        """Their names in words."""
         return f"channels {self.pair[0]} and {self.pair[1]}" if self.pair else f"channel {self.channel}"
 
 

@@ -256,15 +256,15 @@ class Answers(NamedTuple):
     """The clearest response to pushes of a channel."""
 
     estimates: list[Estimate]
-    """Of the channel, or of each of the pair."""
+    """Response of the channel, or of each of the pair."""
     sensed: Estimate | None
-    """Of the accelerations, from the same pushes."""
+    """Gain of the accelerations, from the same pushes."""
     pushes: str
     """In words."""
 
     @property
     def clearest(self) -> Estimate:
-        """That of the channel which shows it best."""
+        """Response of the channel that shows it best."""
         return max(self.estimates, key=lambda one: one.significance)
 
 

@@ -261,9 +261,9 @@ def _sum_up(sign, history, io, c, other, gap):
     forget = sign.forget[c]
     sign.push_push[c] = forget * sign.push_push[c] + pushed_x * pushed_x + pushed_y * pushed_y
     sign.motion_motion[c] = forget * sign.motion_motion[c] + x * x + y * y
-    p, q = complex(pushed_x, pushed_y), complex(x, y)
-    sign.turned[c] = forget * sign.turned[c] + p.conjugate() * q
-    sign.mirrored[c] = forget * sign.mirrored[c] + p * q
+    q = x + 1j * y
+    sign.turned[c] = forget * sign.turned[c] + (pushed_x - 1j * pushed_y) * q
+    sign.mirrored[c] = forget * sign.mirrored[c] + (pushed_x + 1j * pushed_y) * q
 
 
 @helper
