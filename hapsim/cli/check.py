@@ -296,7 +296,7 @@ def _margin_summary(prediction: Prediction) -> str:
     how += ", what slides being held" if slides else ""
     how += (
         ""
-        if prediction.stable or prediction.at_limit or slides
+        if prediction.stable or prediction.at_limit or slides or prediction.scene.space > 1
         else ", its contacts as the assumptions below have them"
     )
     if math.isinf(details.change_to_limit(links[0])):

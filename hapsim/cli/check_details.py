@@ -106,7 +106,8 @@ def margin_sentence(felt: Felt) -> str:
     """Returns the gain margin of one hand, in a sentence."""
     if felt.stiffness == 0.0:
         unstable = felt.spectral_radius > SURELY
-        return f"There is no stiffness to have a margin{_enough_damping(felt, '; stable is it') if unstable else ''}."
+        enough = _enough_damping(felt, "; the scene is stable") if unstable else ""
+        return f"There is no stiffness to have a margin{enough}."
     if felt.stiffness_factor == 0.0:
         return f"At this damping no stiffness is stable{_enough_damping(felt, '; this one is')}."
     if not math.isfinite(felt.stiffness_factor):

@@ -16,7 +16,7 @@ from hapsim.cli.command_options import quantity, require_units
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
 from hapsim.errors import UsageError
-from hapsim.number_format import duration, number, rounded_down, rounded_up
+from hapsim.number_format import duration, number, plural, rounded_down, rounded_up
 from hapsim.units import Units
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _summed_up(kinds: list[Region], count: int) -> str:
     units = kinds[0].hand.units
     low, high = (units.number(of(one.piece.stiffness for one in kinds), "N/m", 4) for of in (min, max))
     unstable, snaps = sum(not one.is_stable for one in kinds), sum(one.kind == "snap" for one in kinds)
-    words = f"{f', {unstable} unstable' if unstable else ''}{f', {snaps} snaps' if snaps else ''}"
+    words = f", {unstable} unstable" * bool(unstable) + f", {plural(snaps, 'snap')}" * bool(snaps)
     return f"and {count} others with K from {low} to {high}{words} (--json lists them)"
 
 

@@ -120,7 +120,8 @@ def _stretch_document(one: Stretch) -> dict[str, Any]:
 
 
 def _place(place: Point) -> str:
-    return ", ".join(output_units().number(value, "mm", 4) for value in place)
+    """Returns x and y to the nanometre: a boundary that halving found beside 0 is printed as 0."""
+    return ", ".join(output_units().number(round(value, 9) + 0.0, "mm", 4) for value in place)
 
 
 def _angle(degrees: float) -> str:

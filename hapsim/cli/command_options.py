@@ -367,8 +367,9 @@ def places(option: str, text: str | None, count: int) -> tuple[tuple[float, floa
         found = [tuple(quantity(option, word, "m") for word in place.split(",")) for place in text.split(":")]
     except ValueError:
         found = []
+    such = "0.01,0 or 10mm,0" if count == 1 else "0,0:0.01,0 or 0,0:10mm,0"
     if len(found) != count or any(len(place) != 2 or not all(map(math.isfinite, place)) for place in found):
-        raise UsageError(f"{option}: found '{text}', expected {':'.join(['X,Y'] * count)}, such as 0.01,0 or 10mm,0")
+        raise UsageError(f"{option}: found '{text}', expected {':'.join(['X,Y'] * count)}, such as {such}")
     for place in found:
         require_units(Units.parse("linear"), *place)
     return tuple((float(x), float(y)) for x, y in found)

@@ -136,7 +136,7 @@ def _require_derived(scene: Scene, hand: Configuration, name: str) -> None:
             raise UsageError(f"{name}: {key}: found {found}, expected {expected}: {why}")
     if not hand.friction > 0.0:
         raise UsageError(
-            f"{name}: device.friction: found 0, expected more: without it no coupling is stable in any hand"
+            f"{name}: device.friction: found 0, expected more: without friction no coupling is stable in any hand"
         )
 
 

@@ -85,7 +85,9 @@ def write_report(
     }
     directory.mkdir(parents=True, exist_ok=True)
     ending = trace.report.ending
-    words = (name.removeprefix("/dev/"), "not released" if ending in ("done", "stopped") else ending)
+    if ending in ("done", "stopped"):  # a run that ended as asked for has a report for one of these
+        ending = "without force" if trace.report.released else "not released"
+    words = (name.removeprefix("/dev/"), ending)
     port, ending = (re.sub(r"[^A-Za-z0-9.]+", "-", word).strip("-") for word in words)
     name = f"{now:%Y%m%dT%H%M%SZ}_{port[-40:]}_{ending}"
     paths = (directory / f"{name}{f'_{number}' if number > 1 else ''}.zip" for number in itertools.count(1))

@@ -76,18 +76,20 @@ def motors_of(scene: Scene, connection: Connection, description: Description) ->
 def _advice(scene: Scene, port: str, hand: tuple[int, ...], tenth: float, reason: str) -> str:
     """Returns a sentence, without a full stop, about the unknown motors of a hand. `tenth`: of the force limit, N.
     `reason`: why the guard cannot judge them, if that lowers the limit."""
-    channels, options = f"channel {hand[0]}", f" --channel {hand[0]}" if hand[0] else ""
+    motors, them = f"motor of channel {hand[0]} pushes", "it"
+    options = f" --channel {hand[0]}" if hand[0] else ""
     if hand[1:]:
-        channels, options = f"channels {hand[0]} and {hand[1]}", f" --pair {hand[0]},{hand[1]}"
-    found = f"{port}: no test has shown that the motor of {channels} pushes the right way"
+        motors, them = f"motors of channels {hand[0]} and {hand[1]} push", "them"
+        options = f" --pair {hand[0]},{hand[1]}"
+    found = f"{port}: no test has shown that the {motors} the right way"
     test = f"`hapsim probe {port} --push {tenth:.3g}{options}` or `hapsim identify`"
     is_kept, nameless = bool(serial_number(port)), "the port has no serial number, by which hapsim could keep a result"
     if not reason:
         until = "Hold it loosely until then" if is_kept else f"Hold it loosely in every run: {nameless}"
-        return f"{found}: {test} tests it. {until}"
+        return f"{found}: {test} tests {them}. {until}"
     lifts = f"{test} lifts that, a device.travel in the scene, or a run in which the guard finds the motor right"
     return (
-        f"{found}, and the sign guard cannot judge it: {reason}. So the force limit is a tenth, "
+        f"{found}, and the sign guard cannot judge {them}: {reason}. So the force limit is a tenth, "
         f"{scene.units_of(hand[0])(tenth, 'N', '.3g')}. "
         + (lifts if is_kept else f"Only a device.travel in the scene lifts that: {nameless}")
     )

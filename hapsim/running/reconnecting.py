@@ -124,7 +124,7 @@ def keep_running(
     errors of `start` before the first arming; later failures are in the Lifetime.
     """
     if reconnect and place_of_device(scene, options.get("transport", "auto"), portable=True) != "port":
-        raise UsageError("--reconnect waits for a device's port: found the mock, which does not go away; leave it out")
+        raise UsageError("--reconnect waits for a port: found the mock, which does not go away; omit --reconnect")
     reconnector = _Reconnector(scene, observer, reconnect, _Files(record), _Files(sound_file), duration, options)
     observer.begun(reconnector.stop_soon)
     with stopping_on_signals(reconnector.stop):

@@ -66,7 +66,8 @@ def _surface_issues(around: ModuleContext) -> Iterator[Issue]:
             continue  # its own check has found it
         except ValueError as error:
             *others, last = surface.shapes
-            sentence, hand = f"found one that, with {', '.join(others)}, leaves no place free", surface.between[0]
+            hand, with_others = surface.between[0], f"together with {', '.join(others)}"
+            sentence = f"found a form that, {with_others}, leaves no place free"
             is_full = type(error) is not ValueError  # else the error is a sentence
             yield Issue(("modules", last, "form"), f"{sentence}; expected room for {hand}" if is_full else str(error))
 

@@ -84,7 +84,7 @@ def test_the_picture_is_about_all_that_the_scene_has(hapsim: Hapsim, tmp_path: P
     [
         (["--speed", "0.1"], "--speed: found a scene with space: 2, whose force is drawn for a hand at rest"),
         (["--area", "0,0:0,0.1"], "--area: found an area without a size, expected two opposite corners"),
-        (["--area", "0,0"], "--area: found '0,0', expected X,Y:X,Y, such as 0.01,0 or 10mm,0"),
+        (["--area", "0,0"], "--area: found '0,0', expected X,Y:X,Y, such as 0,0:0.01,0 or 0,0:10mm,0"),
         (["--area", "0,0:0.1,nan"], "--area: found '0,0:0.1,nan', expected X,Y:X,Y"),
         (["--channel", "4"], "--channel 4: the scene has nothing there; its device points are on: 0, 1"),
     ],

@@ -91,6 +91,7 @@ def test_a_wall_that_is_too_stiff_is_reported_before_it_is_touched(hapsim: Hapsi
     told = words(hapsim("check", path).out)
     assert "unstable (spectral radius 1.0156" in told
     assert "Unstable while disc is touched with hand at 49.32, 4.762 mm: the motion of hand grows e-fold in" in told
+    assert ("no link makes it unstable here" in told, "assumptions" in told) == (True, False)
     assert "oscillates with up to the force limit of 10 N" in told
     refused = hapsim("run", path, "--duration", "0.1")
     assert (refused.status, "grows by 1.6 % per sample while disc is touched" in refused.err) == (2, True)
@@ -110,6 +111,16 @@ def test_along_a_line_it_lists_what_the_hand_touches(hapsim: Hapsim, written: Wr
     assert found[1]["principal"][0]["k"] == pytest.approx(2080.439463958, abs=2e-9)
 
 
+def test_the_middle_of_a_wall_is_printed_as_zero(hapsim: Hapsim, written: Written) -> None:
+    """Halving finds the place where the sides change to some 1e-15 m."""
+    path = written(0.0, form={"box": [0.04, 0.004]})
+    told = hapsim("check", path, "--along", "30mm,10mm:30mm,-5mm").out
+    assert [words(row).partition(" post")[0].partition(" disc")[0] for row in told.splitlines()[3:5]] == [
+        "30, 2 30, 0",
+        "30, 0 30, -2",
+    ]
+
+
 def test_it_fits_eighty_columns(hapsim: Hapsim, written: Written, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written()
     monkeypatch.setenv("COLUMNS", "80")
@@ -124,7 +135,7 @@ def test_it_fits_eighty_columns(hapsim: Hapsim, written: Written, monkeypatch: p
         (("check", "--at", "0.03"), "--at: found 0.03, expected X,Y in a scene with space: 2"),
         (("check", "--at", "0.03,left"), "--at: found '0.03,left', expected X,Y, such as 0.01,0 or 10mm,0"),
         (("check", "--at", "0.01,0.02,0.03"), "--at: found '0.01,0.02,0.03', expected X,Y"),
-        (("check", "--along", "0,0"), "--along: found '0,0', expected X,Y:X,Y, such as 0.01,0 or 10mm,0"),
+        (("check", "--along", "0,0"), "--along: found '0,0', expected X,Y:X,Y, such as 0,0:0.01,0 or 0,0:10mm,0"),
         (("check", "--along", "0,0:1,1", "--at", "0,0"), "--along does not go with --at"),
         (("couple",), "found a scene with space: 2; virtual couplings are derived for one coordinate"),
         (("chart", "plane"), "space: found 2, expected a scene with one coordinate"),

@@ -136,7 +136,7 @@ def test_the_stable_damping_of_an_unstable_drag_is_named(damping: float, end: st
     words = margin_sentence(predict(parsed(scene_of(drag))).felt[0])
     assert words.startswith("There is no stiffness to have a margin")
     assert words.endswith(end)
-    assert ("; stable is it where the damping is between" in words) is (damping > 100.0)
+    assert ("; the scene is stable where the damping is between" in words) is (damping > 100.0)
 
 
 def test_no_pole_has_digits_without_meaning(hapsim: Hapsim, tmp_path: Path) -> None:

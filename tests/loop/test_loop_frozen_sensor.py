@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,12 +45,12 @@ def lenient(**device: Any) -> dict[str, Any]:
     [(12, 1 << 40, 2.0, True), (12, 1 << 40, 1.0, False), (12, 1500, 2.0, False)],
 )
 def test_a_run_that_ends_without_force_for_a_second_has_status_4(
-    died: int, until: int, duration: float, is_told: bool
+    tmp_path: Path, died: int, until: int, duration: float, is_told: bool
 ) -> None:
     scene = scene_of(mock={"initial": {"velocity": 0.5}}, device=lenient(friction=20.0))
     device, caught = FrozenDevice(after(died), until=until), None
     try:
-        trace = run(scene, duration=duration, between=device, judges_energy=True)
+        trace = run(scene, duration=duration, between=device, judges_energy=True, reports=tmp_path)
     except GuardError as error:
         caught, trace = error, error.trace
     assert trace is not None
@@ -59,6 +60,7 @@ def test_a_run_that_ends_without_force_for_a_second_has_status_4(
     if caught is not None:
         assert caught.exit_status == 4
         assert "ended normally after 2000 ticks, without force: the position of hand0 has not changed" in str(caught)
+    assert [path.name.rpartition("_")[2] for path in tmp_path.iterdir()] == ["without-force.zip"] * is_told
 
 
 def test_a_travel_that_takes_the_force_away_is_no_failure() -> None:

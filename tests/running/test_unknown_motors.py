@@ -202,7 +202,7 @@ def test_a_pair_is_known_if_both_of_its_motors_are(numbered: Callable[..., None]
     numbered("9")
     found = motors(two_hands(2), channels=2, known=(0,))
     assert found.lowered == (0, 1)
-    assert "motor of channels 0 and 1 pushes" in found.advice
+    assert "motors of channels 0 and 1 push the right way, and the sign guard cannot judge them" in found.advice
     assert "--pair 0,1" in found.advice
     assert motors(two_hands(2), channels=2, known=(0, 1))[2:] == ("", ())
 

@@ -39,7 +39,7 @@ def fault(*changes: tuple[str, str]) -> str:
 def test_shapes_with_the_same_ends_that_leave_no_place_free_are_refused() -> None:
     ring = "  ring:  {type: shape, between: [hand, post], form: {disc: %s}, side: inside, stiffness: 2000}\n  lane:"
     told = fault(("  lane:", ring % "0.015"))
-    assert "form: found one that, with disc, leaves no place free; expected room for hand" in told
+    assert "form: found a form that, together with disc, leaves no place free; expected room for hand" in told
     for room in (ring % "0.025", (ring % "0.015").replace("[hand, post]", "[ball, post]")):
         assert "ring" in parse_scene(PLANE.replace("  lane:", room)).modules
 
