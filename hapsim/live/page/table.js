@@ -60,14 +60,12 @@ export function drawTable({ context, width, height, look }, model, places, view,
   const isShape = (/** @type {any} */ one) => one?.kind === "outside" || one?.kind === "inside";
   for (let i = 0; i < model.outlines.length; ) {
     const one = model.outlines[i], isSolid = isShape(one), about = one.about ? places.get(one.about) : [0, 0];
-    context.beginPath();
-    do { // all outlines of a surface together
-      const [first, ...others] = about ? model.outlines[i].places : [[0, 0]];
-      if (about) context.moveTo(x(about[0] + first[0]), y(about[1] + first[1]));
-      for (const [dx, dy] of others) context.lineTo(x(about[0] + dx), y(about[1] + dy));
-      i++;
-    } while (isSolid && isShape(model.outlines[i]) && model.outlines[i].of === one.of && model.outlines[i].about === one.about);
+    const first = i++;
+    while (isSolid && isShape(model.outlines[i]) && model.outlines[i].of === one.of && model.outlines[i].about === one.about) i++;
     if (!about) continue;
+    context.beginPath();
+    for (const { places: spots } of model.outlines.slice(first, i)) // all outlines of a surface together
+      for (const [n, [dx, dy]] of spots.entries()) context[n ? "lineTo" : "moveTo"](x(about[0] + dx), y(about[1] + dy));
     context.setLineDash(isSolid ? [] : one.kind === "guide" ? [6, 4] : [2, 4]);
     context.strokeStyle = one.kind === "travel" ? look.line : look.quiet;
     context.lineWidth = 1.5;
