@@ -109,10 +109,8 @@ def _couplings_of(scene: Scene, name: str, channel: int, proxy_mass: float | Non
     is_rotary = scene.device.motions(scene.channels)[channel] == "rotary"
     first, second, third = (one and _felt(hand, one, mass, is_rotary) for one in (any_hand, this_hand, present))
     assert first is not None
-    masses = least, most
-    return HandCouplings(
-        name, channel, hand.friction, masses, first, second, third, mass, is_passive, needed, misfit, assumptions
-    )
+    outcome = first, second, third, mass, is_passive, needed, misfit, assumptions
+    return HandCouplings(name, channel, hand.friction, (least, most), *outcome)
 
 
 def _is_passive_behind(scene: Scene, name: str, proxy: str) -> bool:
