@@ -30,7 +30,7 @@ from hapsim.recording.trace import Report, Statistics, Trace, columns_of
 from hapsim.running.assemble_loop import LoopMemory
 from hapsim.scene import Scene
 
-_TELLING_S = 1.0  # a guard that withholds the force for so long at the end of a run makes it fail
+_TELLING_S = 1.0  # a force withheld for this time at the end of a run makes it fail
 
 
 def trace_of(scene: Scene, loop: LoopMemory, recorder: Recorder, ending: int) -> Trace:

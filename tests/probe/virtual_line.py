@@ -26,7 +26,7 @@ _WORK_S = 20e-6  # of the host, for each call
 class VirtualLine:
     """A host's clock, transport and device in one: time passes where the host waits, and a little where it works.
 
-    `late`: the share of answers that are late, by up to so many s, by a seed.
+    `late`: the share of answers that are late, the largest delay in s, and a seed.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:

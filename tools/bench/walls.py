@@ -34,7 +34,7 @@ _SEED = 1
 
 
 def scene_of(walls: int) -> str:
-    """Returns the file of a scene with a room and so many walls less one, on different edges of a grid."""
+    """Returns the file of a scene with a room and `walls` - 1 walls, on different edges of a grid."""
     edges = [
         ((i, j), (i + di, j + dj))
         for i in range(NODES)

@@ -79,7 +79,7 @@ class Shapes(NamedTuple):
         ends, chains: of the surfaces: the outlines of their shapes' unions.
         owner, sharer: (P,) number of the shape on whose surface a piece is; in a corner that two share, of the other.
         surface: (L,) number of each shape's surface.
-        current, beside: (S,) the shape with the place; in a corner of two, also the other, else the same.
+        current, beside: (S,) the shape with the place; the same twice, but in a corner of two shapes both.
         stiffness, damping_per_sample, coefficient, static: (L,) K and B/T in N/m, friction coefficients.
         bristle, stiffness_share, bristle_damping, damping_share: (L,) the bristle's own K and B/T, N/m, and its shares
             of those of the surface.

@@ -59,7 +59,7 @@ MOST_GAP = 3  # samples; after more lost positions the paths are not comparable
 RIGHT, WRONG = (0.4, 50.0), (0.4, 4.0)  # 1/m times the declared mass: a device alone is much lighter than in a hand
 ROUNDED, COARSER = 2, 8  # counts of the wire: rounding changes a step by less; an encoder's larger counts are more
 SECTORS, PASSES = 4, 2  # of 45°, both ways alike; tests that acquit each of them
-PLANNED_FROM, PLANNED_AFTER_S, APART_S = 0.2, 0.01, 0.06  # of the force limit; for so long; so long after another test
+PLANNED_FROM, PLANNED_AFTER_S, APART_S = 0.2, 0.01, 0.06  # share of the force limit; duration; pause after a test
 MOST_PLANNED = 8  # tests in a sector
 
 _COS_45, _SIN_60 = math.sqrt(0.5), math.sqrt(0.75)
