@@ -274,7 +274,7 @@ def thrown(seed: int) -> float:
         walls.append(build(ring[0], end))
     velocity, force = _vector(rng, 0.3, 900.0 * half * (2 - (beyond in (0.0, 1e-9)))), _vector(rng, 0.1, 2.0)
     scene = _scene(walls, np.array([-0.1, 0.2]) * radius, velocity, force, K=1000.0, B=2.0, mass=0.2, friction=6.0)
-    trace = hapsim.run(scene, duration=2.0)
+    trace = hapsim.run(scene, duration=4.0)
     place = complex(*(trace.position[-1] + trace.force[-1] / 1000.0))
     out = [(place * (side.conjugate() / abs(side))).real - abs(side) for side in 0.5 * (ring + np.roll(ring, 1))]
     return float(max(out) + half)
