@@ -7,6 +7,7 @@ import fcntl
 import json
 import os
 import re
+import select
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
@@ -26,6 +27,8 @@ PLACE = Path(os.environ.get("HAPSIM_WINE", Path.home() / ".cache" / "hapsim-wine
 CLONE = Path(__file__).parents[2]
 PORT = f"COM{5 + int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])}"
 """Port of this worker's device."""
+
+LONGEST = 600.0  # seconds for an answer, on the slowest machine
 
 Hapsim = Callable[..., Any]
 SceneFile = Callable[..., Path]
@@ -48,27 +51,35 @@ class Windows:
     """`hapsim …` of this clone on Windows, all in one process, whose start takes seconds."""
 
     def __init__(self) -> None:
+        self._crashed = ""
         with open(PLACE / "lock", "w") as lock:  # of the workers of a test run only one makes it
             fcntl.flock(lock, fcntl.LOCK_EX)
             made = subprocess.run([CLONE / "tools" / "wine", PLACE], stdout=subprocess.DEVNULL, check=False)
             if made.returncode:
                 pytest.skip(f"`tools/wine` ended with status {made.returncode}")
-            environment = {"LC_ALL": "C.UTF-8", "WINEPREFIX": str(PLACE / "prefix"), "WINEDEBUG": "-all"}
             self._process = subprocess.Popen(
-                ["wine", PLACE / "python" / "python.exe", CLONE / "tests" / "cli" / "answers.py"],
+                [PLACE / "windows-python", CLONE / "tests" / "cli" / "answers.py"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env=os.environ | environment | {"COLUMNS": "200"},
+                env=os.environ | {"COLUMNS": "200"},
                 encoding="utf-8",
             )
             assert "Windows" in self("--version").out
 
     def __call__(self, *words: object) -> Answer:
+        if self._crashed:
+            pytest.fail(self._crashed)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         print(json.dumps([*map(str, words)]), file=self._process.stdin, flush=True)
-        return Answer(*json.loads(self._process.stdout.readline()))
+        answers, _, _ = select.select([self._process.stdout], [], [], LONGEST)
+        line = self._process.stdout.readline() if answers else ""
+        if not line:  # one that has crashed may neither end nor close its pipe
+            self._process.kill()
+            self._crashed = f"the Windows Python crashed at `hapsim {' '.join(map(str, words))[:200]}`"
+            pytest.fail(self._crashed)
+        return Answer(*json.loads(line))
 
     def python(self, code: str, **values: object) -> str:
         """Returns the output of Python code with these values."""
@@ -78,7 +89,8 @@ class Windows:
         return answer.out
 
     def close(self) -> None:
-        self._process.communicate()
+        if not self._crashed:
+            self._process.communicate()
 
 
 @pytest.fixture(scope="module")
