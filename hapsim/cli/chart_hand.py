@@ -417,8 +417,8 @@ def _of_scene(
         why = prediction.coupled.get(name, "is answered by a predictor")
         raise UsageError(f"--{others[0].replace('_', '-')}: {name} {why}; it is drawn as it is, leave that out")
     use_channel_units(channel)
-    shared = next((one for one in prediction.together if name in one.names), None)
-    motion = lone or (shared and shared.own_motion)
+    part = prediction.part_on(channel)
+    motion = part.own_motion if part else None
     chart = transparency_in(prediction, name, motion.frequency_hz if motion else math.nan)
     summary = {"name": name, "channel": channel, "k": motion and motion.k, "b": motion and motion.b}
     title = f"{name} of {scene_name(hand.scene)}, {scene.rate:g} Hz"

@@ -14,7 +14,7 @@ from hapsim.cli import check_hands, check_plane
 from hapsim.cli.check_correction import correction_lines, tolerance_sentences, unreached_sentences
 from hapsim.cli.command_options import At, Json, SceneFile, flag, load, option, place_at, places, print_next, scene_name
 from hapsim.cli.live import at_work
-from hapsim.cli.output import Line, document, show, stderr, stdout, table
+from hapsim.cli.output import Line, document, show, stderr, stdout
 from hapsim.documents import pick
 from hapsim.errors import GuardError, UsageError
 from hapsim.holds import HOLDS
@@ -26,12 +26,12 @@ from hapsim.prediction import (
     partials_of,
     predict,
     predict_on_wire,
-    robustness_of,
     warnings_about,
 )
 from hapsim.prediction.felt_alone import SHARES
 from hapsim.prediction.force_bounds import run_bounds, slew_error, slew_warning, travel_document, travel_error
 from hapsim.prediction.linear import mean_lag, with_device
+from hapsim.prediction.prediction import AT_LIMIT, SLIDES, SNAPS
 from hapsim.prediction.timing import on_wire
 from hapsim.theory.network.margins import SEARCHED
 from hapsim.units import Units
@@ -86,10 +86,11 @@ def check(
         whole = {
             **{"scene": scene, "motion": loaded.device.motions(loaded.channels), "warnings": warnings},
             **prediction_document(prediction, on_wire=on_wire),
-            "any_hands": check_hands.any_hands_document(prediction, hands),
             **{"force_bounds": run_bounds(loaded), "travel": travel_document(loaded)},
             **{name: one for name, one in some.items() if one},
         }
+        for one, part in zip(whole["parts"], prediction.parts, strict=True):
+            one["any_hand"] = check_hands.any_hand_document(part.any_hand, hands)
         print(document(whole))
         return
     out = stdout()
@@ -100,7 +101,7 @@ def check(
         of_hands = [*check_hands.worst_hand_sentences(prediction, hands)]
     show(out, [*of_hands, *(f"[yellow]Warning:[/yellow] {escape(warning)}" for warning in warnings)])
     if math.isfinite(prediction.spectral_radius) and prediction.judge.shaking is None and not refused:
-        if check_plane.is_held(prediction):
+        if prediction.is_held:
             print_next("measure", scene, *(() if at is None else (f"--at={at}",)))
         else:
             print_next("run", scene)
@@ -154,23 +155,21 @@ def _show_verdict(out: Console, scene: str, stability: str, rate: float) -> None
 
 def _stability(prediction: Prediction, is_slewed: bool) -> str:
     """`is_slewed`: the slew limit is too slow for the scene."""
-    verdict = "[green]stable[/green]" if prediction.stable else "[red]unstable[/red]"
-    note = ""
-    if snaps := [name for name, region in prediction.region_here.items() if region.kind == "snap"]:
-        verdict, note = "[yellow]in a snap[/yellow]", f": the scene drives {', '.join(snaps)} on to the next region"
-    elif check_plane.is_sliding(prediction):
-        verdict, note = "[yellow]slides[/yellow]", f": {next(check_plane.slide_sentences(prediction), 'out of range')}"
-    elif prediction.trembles:
-        verdict, note = "[yellow]trembles[/yellow]", f": {', '.join(prediction.trembles)} swings by less than a count"
-    elif not prediction.is_judged:
-        verdict, note = "[yellow]not judged[/yellow]", ": its contacts can be in too many states"
-    elif prediction.at_limit:
-        verdict = "[yellow]at the limit[/yellow]"
-        note = " between stable and unstable: something drifts or swings for ever"
-    elif prediction.stable and is_slewed:
-        verdict, note = "[yellow]stable without its slew limit[/yellow]", ": see the warning"
+    snaps = [name for name, region in prediction.region_here.items() if region.kind == "snap"]
+    notes = {
+        SNAPS: f": the scene drives {', '.join(snaps)} on to the next region",
+        SLIDES: f": {next(check_plane.slide_sentences(prediction), 'out of range')}",
+        "trembles": f": {', '.join(prediction.trembles)} swings by less than a count",
+        "not judged": ": its contacts can be in too many states",
+        AT_LIMIT: " between stable and unstable: something drifts or swings for ever",
+        "stable without its slew limit": ": see the warning",
+    }
+    verdict = prediction.verdict
+    verdict += " without its slew limit" if is_slewed and verdict == "stable" else ""
+    colour = "yellow" if verdict in notes else {"stable": "green"}.get(verdict, "red")
     radius = prediction.spectral_radius
-    return f"{verdict}{note}" + (f" (spectral radius {radius:.9g})" if math.isfinite(radius) else "")
+    shown = f" (spectral radius {radius:.9g})" if math.isfinite(radius) else ""
+    return f"[{colour}]{verdict}[/{colour}]{notes.get(verdict, '')}{shown}"
 
 
 def _predicted_for(scene: Scene) -> str:
@@ -216,15 +215,14 @@ def check_lines(
     """Yields the prediction: about ten lines, or everything with `explain`. `on_wire`: the result of `predict_on_wire`.
     Lines that are not printed are not computed."""
     every: tuple[tuple[set[bool], Iterable[Line]], ...] = (
-        (BRIEF, _felt_summary(prediction)),
         (EXPLAIN, details.assumption_lines(prediction.assumptions)),
         (EXPLAIN, details.felt_lines(prediction)),
         (BOTH, check_plane.place_lines(prediction)),
-        (BRIEF, check_hands.together_lines(prediction)),
+        (BRIEF, check_hands.felt_lines(prediction, with_alone=True)),
         (BOTH, check_hands.region_lines(scene, prediction)),
         (BOTH, check_hands.state_lines(prediction)),
         (EXPLAIN, correction_lines(prediction)),
-        (EXPLAIN, check_hands.together_lines(prediction)),
+        (EXPLAIN, check_hands.felt_lines(prediction, with_alone=False)),
         (EXPLAIN, check_hands.any_hand_sentences(prediction)),
         (EXPLAIN, details.mode_lines(prediction)),
         (BRIEF, [_margin_summary(prediction)]),
@@ -258,28 +256,12 @@ def _guards(scene: Scene, prediction: Prediction) -> Iterator[str]:
     )
 
 
-def _felt_summary(prediction: Prediction) -> Iterator[Line]:
-    """Yields k, b and static stiffness of each hand, beside the desired ones."""
-    rows = []
-    for felt in prediction.felt:
-        k, b = prediction.asked_for(felt)
-        units = prediction.scene.units_of(felt.channel)
-        stiffnesses = (units.number(one, "N/m") for one in (k, felt.k, robustness_of(felt).steady_stiffness))
-        rows.append((f"{escape(felt.name)}: k", *stiffnesses, units.name("N/m")))
-        dampings = (units.number(one, "N·s/m") for one in (b, felt.b))
-        rows.append((f"{escape(felt.name)}: b", *dampings, "", units.name("N·s/m")))
-    if rows:
-        yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
-    for felt in prediction.felt:
-        if felt.reason:
-            yield f"[bold]{escape(felt.name)}[/bold]: no spring and damper is equivalent: {felt.reason}"
-
-
 def _margin_summary(prediction: Prediction) -> str:
     """Returns the smallest gain margin in a sentence."""
-    if any(one.kind == "snap" for one in prediction.region_here.values()):
+    if prediction.verdict_here == SNAPS:
         return "In a snap there is no gain margin"
-    slides = check_plane.is_sliding(prediction)
+    slides = prediction.verdict_here == SLIDES
+    here = " here" if prediction.places else ""
     if not prediction.stable_as_taken and not prediction.at_limit and not slides:
         hands = [
             f"{escape(felt.name)}: " * (len(prediction.felt) > 1) + details.margin_sentence(felt)
@@ -294,13 +276,10 @@ def _margin_summary(prediction: Prediction) -> str:
         return "Gain margins were not worked out"
     how = f" ({SEARCHED})" if SEARCHED in prediction.margins_method else ""
     how += ", what slides being held" if slides else ""
-    how += (
-        ""
-        if prediction.stable or prediction.at_limit or slides or prediction.scene.space > 1
-        else ", its contacts as the assumptions below have them"
-    )
+    as_assumed = not (prediction.stable or prediction.at_limit or slides or here)
+    how += ", its contacts as the assumptions below have them" if as_assumed else ""
     if math.isinf(details.change_to_limit(links[0])):
-        return f"Gain margin: no link makes it unstable{' here' if prediction.scene.space > 1 else ''}{how}"
+        return f"Gain margin: no link makes it unstable{here}{how}"
     factors = {"stiffness": links[0].stiffness_factor, "damping": links[0].damping_factor}
     what, factor = min(factors.items(), key=lambda entry: abs(math.log(entry[1])) if entry[1] > 0.0 else math.inf)
     return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
@@ -346,16 +325,12 @@ def prediction_document(
     late = on_wire and felt_on(on_wire, channel)
     of_wire = {"of": prediction.wire_of, "predicted": late, "stable": on_wire and on_wire.stable}
     return {
-        **pick(prediction, "stable spectral_radius poles_in_all poles assumptions rate_hz=rate nominal_rate_hz=rate"),
-        "poles_method": prediction.poles_method or "every pole (memories, at zero, are not listed)",
+        **pick(prediction, "stable verdict spectral_radius assumptions rate_hz=rate nominal_rate_hz=rate"),
+        "here": check_plane.here_document(prediction),
         "dominant": felt is not None and felt.dominant,
         "predicted": felt,
         **corrected,
-        "device_points": _by_name(prediction.felt),
-        "coupled_device_points": prediction.coupled,
-        "felt_together": check_hands.together_document(prediction),
-        **check_plane.plane_document(prediction),
-        "regions": prediction.regions,
+        "parts": [check_hands.part_document(prediction, one) for one in prediction.parts],
         "swings": {name: swing and pick(swing, _SWING) for name, swing in prediction.judge.swings.items()},
         "contact_states": {
             **pick(prediction.states, "found=count complete=is_complete not_judged=unjudged"),

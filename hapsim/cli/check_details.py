@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from hapsim.cli.check_plane import is_sliding
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.number_format import between, duration, number, rounded_down, rounded_up
 from hapsim.prediction import correction_for, host_silence, robustness_of
 from hapsim.prediction.correction import CORRECTIONS
 from hapsim.prediction.felt_alone import felt_if_sensed
 from hapsim.prediction.force_bounds import force_bounds, run_bounds, sign_warning
+from hapsim.prediction.prediction import SLIDES
 from hapsim.prediction.timing import wire_parts, wire_remedies
 from hapsim.scene.outlines import travel_in_words
 from hapsim.theory.interface import damper_named
@@ -179,7 +179,7 @@ def margin_lines(prediction: Prediction) -> Iterator[Line]:
     if not prediction.margins:
         return
     links = tightest(prediction)
-    if prediction.stable_as_taken or prediction.at_limit or is_sliding(prediction):
+    if prediction.stable_as_taken or prediction.at_limit or prediction.verdict_here == SLIDES:
         rows = [(one.name, _factor(one.stiffness_factor), _factor(one.damping_factor)) for one in links]
         title, others = "Gain margins: a link makes the scene unstable at", "have larger margins"
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -20,13 +20,14 @@ from hapsim.number_format import duration, number, plural, rounded_down, rounded
 from hapsim.units import Units
 
 if TYPE_CHECKING:
-    from hapsim.prediction import AnyHand, FeltTogether, Prediction, Region, Weight, WorstHand
+    from hapsim.prediction import AnyHand, Part, Prediction, Region, Weight, WorstHand
     from hapsim.scene import Scene
 
 
 _ROWS = 10  # of a table; of more regions those that are alike share a row, and of these the others are summed up
 _ALIKE = 6  # digits
 _NOISY = 20  # regions below a count; nobody designs more
+_NONE = 1e-9  # of the largest stiffness: what rounding leaves
 _GROWING = 3  # states of contacts in which something grows
 
 
@@ -188,49 +189,60 @@ def state_lines(prediction: Prediction) -> Iterator[Line]:
 _FREQUENCIES = 5  # of a sentence
 
 
-def together_lines(prediction: Prediction) -> Iterator[Line]:
-    """Yields k, b and static stiffness of linked hands, beside the desired ones, and sentences about them."""
-    plane = check_plane.in_plane(prediction)
-    every = (check_plane.principal_rows(plane, one) if plane else _pair_rows(one) for one in prediction.together)
-    rows = [row for each in every for row in each]
-    if rows:
+def felt_lines(prediction: Prediction, *, with_alone: bool) -> Iterator[Line]:
+    """Yields k, b and static stiffness of the hands, beside the desired ones, and sentences about them. `with_alone`:
+    also of hands with a closed form."""
+    parts = [one for one in prediction.parts if with_alone or one.alone is None]
+    if rows := [row for one in parts for row in _rows_of(prediction, one)]:
         yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
-    yield from _sentences(prediction)
+    for one in parts:
+        yield from _sentences(prediction, one)
 
 
-def _pair_rows(together: FeltTogether) -> Iterator[tuple[str, ...]]:
-    """Yields rows for each hand, and for each pair of hands: the coupling that the first feels to the second."""
-    felt, asked, static = together.felt, together.asked_for, together.static_stiffness
-    if felt.reason:
+def _rows_of(prediction: Prediction, part: Part) -> Iterator[tuple[str, ...]]:
+    """Yields rows for each hand along its coordinate, or along its principal directions, and on a line for each pair of
+    hands: the coupling that the first feels to the second."""
+    felt, desired, static = part.felt, part.desired, part.static_stiffness
+    for name, (i, *_) in part.hands.items():
+        found, units = part.along(name), prediction.scene.units_of(part.channels[i])
+        least = _NONE * max(abs(one.static) for one in found) if len(found) > 1 else 0.0
+        for one in found:
+            who = escape(name) + (f" at {check_plane.angle(one.angle_deg)}" if len(found) > 1 else "")
+            k = (value if abs(value) > least else 0.0 for value in (one.desired_k, one.felt.k, one.static))
+            yield from _pair_rows(who, units, k, (one.desired_b, one.felt.b))
+        for j, other in enumerate(part.names) if len(found) == 1 else ():
+            if j != i:
+                k, b = (
+                    (-float(each[i, j]) for each in of) for of in ((desired.k, felt.k, static), (desired.b, felt.b))
+                )
+                yield from _pair_rows(f"{escape(name)} of {escape(other)}", units, k, b)
+
+
+def _pair_rows(who: str, units: Units, k: Iterable[float], b: Iterable[float]) -> Iterator[tuple[str, ...]]:
+    yield f"{who}: k", *(units.number(one, "N/m") for one in k), units.name("N/m")
+    yield f"{who}: b", *(units.number(one, "N·s/m") for one in b), "", units.name("N·s/m")
+
+
+def _sentences(prediction: Prediction, one: Part) -> Iterator[str]:
+    """Yields the meaning of a part's rows, or the felt stiffness over frequency if there are none."""
+    if one.alone is not None:
+        if one.alone.reason:
+            yield f"[bold]{escape(one.names[0])}[/bold]: no spring and damper is equivalent: {one.alone.reason}"
         return
-    names = [escape(name) for name in together.names]
-    for i, name in enumerate(names):
-        others = [(j, 1.0, name) if j == i else (j, -1.0, f"{name} of {names[j]}") for j in range(len(names))]
-        for j, sign, who in sorted(others, key=lambda one: one[0] != i):
-            units = output_units(together.channels[i])
-            k = (units.number(sign * float(one[i, j]), "N/m") for one in (asked.k, felt.k, static))
-            b = (units.number(sign * float(one[i, j]), "N·s/m") for one in (asked.b, felt.b))
-            yield f"{who}: k", *k, units.name("N/m")
-            yield f"{who}: b", *b, "", units.name("N·s/m")
+    whys = "; ".join(f"[bold]{escape(name)}[/bold] {escape(why)}" for name, why in one.whys.items())
+    is_line = len(one.hands) == len(one.names)
+    if not one.felt.reason and is_line:
+        pairs = " (of another hand: between them)" if len(one.names) > 1 else ""
+        yield f"{whys}. Felt: k and b of its own oscillation{pairs}. Desired: the same without sampling and delay"
+    elif one.felt.reason:
+        modes = _modes(one.felt.frequencies_hz)
+        yield f"{whys}: no single k and b describe what it feels, because {one.felt.reason}{modes}"
+        yield from (_at_frequencies(one, i, output_units(channel)) for i, channel in enumerate(one.channels))
+    if (weight := _weight_of(prediction, one)) is not None:
+        yield _weight(weight, output_units(one.channels[0]))
 
 
-def _sentences(prediction: Prediction) -> Iterator[str]:
-    """Yields the meaning of the rows, or the felt stiffness over frequency if there are no rows."""
-    for one in prediction.together:
-        whys = "; ".join(f"[bold]{escape(name)}[/bold] {escape(prediction.coupled[name])}" for name in one.names)
-        felt = one.felt
-        if not felt.reason and prediction.scene.space == 1:
-            pairs = " (of another hand: between them)" if len(one.names) > 1 else ""
-            yield f"{whys}. Felt: k and b of its own oscillation{pairs}. Desired: the same without sampling and delay"
-        elif felt.reason:
-            modes = _modes(felt.frequencies_hz)
-            yield f"{whys}: no single k and b describe what it feels, because {felt.reason}{modes}"
-            yield from (_at_frequencies(one, i, output_units(channel)) for i, channel in enumerate(one.channels))
-        if (weight := _weight_of(prediction, one)) is not None:
-            yield _weight(weight, output_units(one.channels[0]))
-
-
-def _weight_of(prediction: Prediction, one: FeltTogether) -> Weight | None:
+def _weight_of(prediction: Prediction, one: Part) -> Weight | None:
     """Returns the weight that the hands feel; None for rotary motion, to which `HAND_STIFFNESS` does not apply."""
     motions = prediction.scene.device.motions(prediction.scene.channels)
     return one.weight if motions[one.channels[0]] == "linear" else None
@@ -244,7 +256,7 @@ def _modes(frequencies: tuple[float, ...]) -> str:
     return f" (modes of {', '.join(first)} and {last} Hz)" if first else f" (a mode of {last} Hz)"
 
 
-def _at_frequencies(one: FeltTogether, i: int, units: Units) -> str:
+def _at_frequencies(one: Part, i: int, units: Units) -> str:
     from hapsim.prediction import HAND_HZ
 
     static, (k_moved, b_moved) = float(one.static_stiffness[i, i]), one.at_frequencies
@@ -274,28 +286,23 @@ def _weight(weight: Weight, units: Units) -> str:
     return text
 
 
-def together_document(prediction: Prediction) -> list[dict[str, Any]]:
-    """Returns the same as a JSON document."""
+def part_document(prediction: Prediction, one: Part) -> dict[str, Any]:
+    """Returns a part of the scene as a JSON document."""
     from hapsim.prediction import HAND_HZ
 
-    plane = check_plane.in_plane(prediction)
-    return [
-        {
-            "device_points": one.names,
-            **({"principal": check_plane.principal_document(plane, one)} if plane else {}),
-            "k": _matrix(one.felt.k),
-            "b": _matrix(one.felt.b),
-            "continuous": {"k": _matrix(one.asked_for.k), "b": _matrix(one.asked_for.b)},
-            "static_stiffness": _matrix(one.static_stiffness),
-            **pick(one.felt, "kinetic_share=share other_motions=others frequencies_hz reason"),
-            "weight": _weight_of(prediction, one),
-            "moved": [
-                {"frequency_hz": hz, "k": k, "b": b}
-                for hz, k, b in zip(HAND_HZ, *(part[0].tolist() for part in one.at_frequencies), strict=True)
-            ],
-        }
-        for one in prediction.together
-    ]
+    moved = (rows[0].tolist() for rows in one.at_frequencies)
+    return {
+        **pick(one, "device_points=names channels why=whys alone"),
+        "hands": [{"hand": name} | pick(each, check_plane.ALONG) for name in one.hands for each in one.along(name)],
+        "k": _matrix(one.felt.k),
+        "b": _matrix(one.felt.b),
+        "desired": {"k": _matrix(one.desired.k), "b": _matrix(one.desired.b)},
+        "static_stiffness": _matrix(one.static_stiffness),
+        **pick(one.felt, "kinetic_share=share other_motions=others frequencies_hz reason"),
+        "weight": _weight_of(prediction, one),
+        "moved": [{"frequency_hz": hz, "k": k, "b": b} for hz, k, b in zip(HAND_HZ, *moved, strict=True)],
+        "regions": one.regions,
+    }
 
 
 def _matrix(values: np.ndarray[Any, Any]) -> Any:
@@ -332,7 +339,7 @@ def any_hand_sentences(prediction: Prediction) -> Iterator[str]:
     """Yields for each part of the scene the friction that makes it stable in any hands, the hands that make it
     oscillate, and the result for ordinary hands. Equal sentences are merged."""
     alike: dict[str, list[str]] = {}
-    for one in prediction.any_hands:
+    for one in (part.any_hand for part in prediction.parts):
         sentence = f"{_passive(prediction, one)}{_ordinary(prediction, one)}"
         alike.setdefault(sentence, []).append(_who(one))
     for sentence, whose in alike.items():
@@ -425,7 +432,7 @@ def worst_hand_sentences(prediction: Prediction, ranges: tuple[Range, Range] | N
     """Yields each part's stability with hands in these ranges of mass and stiffness, and the worst hand."""
     if ranges is None:
         return
-    for one in prediction.any_hands:
+    for one in (part.any_hand for part in prediction.parts):
         units, worst = prediction.scene.units_of(one.channels[0]), one.worst_hand(*ranges)
         if worst is None:
             yield f"Hands on {_who(one)}: not worked out, because the loop has too many masses or too long a delay"
@@ -441,10 +448,7 @@ def _low_to_high(values: Range, unit: str, units: Units) -> str:
     return units(high, unit) if low == high else f"{units.number(low, unit)} to {units(high, unit)}"
 
 
-def any_hands_document(prediction: Prediction, ranges: tuple[Range, Range] | None = None) -> list[dict[str, Any]]:
-    """Returns the same as a JSON document. `ranges`: of mass and stiffness."""
-    found = []
-    for one in prediction.any_hands:
-        worst = one.worst_hand(*ranges) if ranges else None
-        found.append(pick(one, one.DOCUMENT) | {"worst_hand": worst and pick(worst, "* stable=is_stable")})
-    return found
+def any_hand_document(one: AnyHand, ranges: tuple[Range, Range] | None) -> dict[str, Any]:
+    """Returns a part in other hands as a JSON document. `ranges`: of the mass and stiffness that they add."""
+    worst = one.worst_hand(*ranges) if ranges else None
+    return pick(one, one.DOCUMENT) | {"worst_hand": worst and pick(worst, "* stable=is_stable")}

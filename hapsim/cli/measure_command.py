@@ -222,8 +222,9 @@ def show_measurement(
         )
     where = "" if measurement.at_m is None else f", at {units(measurement.at_m, 'm')}"
     title = f"What the hand feels at {escape(hands[channel])}, channel {channel}{where}{remarks.of_mock(scene)}"
-    own = next((one.own_motion for one in prediction.together if channel in one.channels), None)
-    out.print(_side_by_side(title, felt or own, measurement, of_mass, desired))
+    part = prediction.part_on(channel)
+    own = part.own_motion if part else None
+    out.print(_side_by_side(title, own, measurement, of_mass, desired))
     seen, declared = measurement.seen_rate, measurement.trace.rate
     if seen is not None and seen.differs_from(declared):
         rate, uncertainty = (rounded(one, seen.uncertainty_hz) for one in (seen.rate_hz, seen.uncertainty_hz))
@@ -257,7 +258,7 @@ def show_measurement(
         out.print(f"Other hands of this scene: {others}.")
 
 
-def _of_coupled(why: str, own: OwnMotion | None) -> str:
+def _of_coupled(why: str, own: Felt | OwnMotion | None) -> str:
     """Returns the meaning of prediction and measurement for a hand that moves masses or another hand."""
     what = "no single spring and damper" if own is None else "its own oscillation"
     return (

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from hapsim.measuring.measure_hands import HandsMeasurement
     from hapsim.measuring.measure_impedance import MeasuredImpedance
-    from hapsim.prediction import FeltTogether
+    from hapsim.prediction import Part
     from hapsim.recording.trace import Trace
     from hapsim.scene import Scene
     from hapsim.theory.network import FeltPair
@@ -67,8 +67,8 @@ def measure_hands(
     prediction = predict(scene, with_margins=False)
     channel = next(iter(scene.device_points.values())).channel if excitation.channel is None else excitation.channel
     require_device_point(scene, channel)
-    one = next((part for part in prediction.together if channel in part.channels and len(part.names) > 1), None)
-    if one is None:
+    one = prediction.part_on(channel)
+    if one is None or len(one.names) == 1:
         raise UsageError(f"--hands: the hand on channel {channel} is linked to no other; leave the option out")
     excitation.require_units(scene, one.channels)
     require_stable(device.scene, scene, prediction, unstable)
@@ -99,7 +99,7 @@ def _fitted(found: HandsMeasurement, masses: str) -> str:
     )
 
 
-def _rows(one: FeltTogether, found: HandsMeasurement, i: int, j: int) -> list[tuple[str, ...]]:
+def _rows(one: Part, found: HandsMeasurement, i: int, j: int) -> list[tuple[str, ...]]:
     name = escape(one.names[i]) if i == j else f"{escape(one.names[i])} of {escape(one.names[j])}"
     sign, unit = 1.0 if i == j else -1.0, output_units(one.channels[i])
     rows: list[tuple[str, ...]] = []
@@ -138,7 +138,8 @@ def measure_plane(
         options = excitation.for_runs(kind, unstable) | {"on_progress": show_progress}
         found = measure_in_plane(scene, channel=channel, at=at, **options)
     _save_traces(found.channels, found.traces, record.record)
-    one = next(part for part in prediction.together if channel in part.channels)
+    one = prediction.part_on(channel)
+    assert one is not None
     own = np.ix_(*[[one.channels.index(each) for each in found.channels]] * 2)
     felt = one.felt._replace(k=one.felt.k[own], b=one.felt.b[own])
     if json:
@@ -183,7 +184,7 @@ def _pair_document(pair: FeltPair | HandsMeasurement) -> dict[str, Any]:
     return {"k": pair.k, "b": pair.b, "principal": each}
 
 
-def hands_document(one: FeltTogether, found: HandsMeasurement) -> dict[str, Any]:
+def hands_document(one: Part, found: HandsMeasurement) -> dict[str, Any]:
     """Returns the document of `hapsim measure --hands`; matrices by device points."""
     predicted = None if one.felt.reason else pick(one.felt, "k b")
     measured = pick(found, "k b k_uncertainty b_uncertainty poles others samples")

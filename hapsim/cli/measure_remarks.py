@@ -186,7 +186,7 @@ def measured_weight(
     if stiffness is None:
         assert scene.mock is not None
         stiffness = float(per_channel(scene.mock.hand.stiffness, scene.channels)[channel])
-    one = next((one for one in prediction.together if channel in one.channels), None)
+    one = prediction.part_on(channel)
     predicted = None if one is None else one.weighs(stiffness)
     return MeasuredWeight(stiffness, *measurement.felt_mass(stiffness), *(predicted or (None, None)))
 

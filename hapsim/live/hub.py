@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -21,7 +21,7 @@ import numpy as np
 
 from hapsim.errors import GuardError, HapsimError, UsageError
 from hapsim.live.messages import Predict
-from hapsim.prediction import Felt, FeltTogether, Prediction, Region, predict
+from hapsim.prediction import Felt, Part, Prediction, Region, predict
 from hapsim.running.changes import changed
 from hapsim.running.live_parameters import Parameter, changes_from, parameters_of
 from hapsim.running.reconnecting import RunObserver
@@ -259,7 +259,7 @@ def predicted(scene: Scene, parameters: Mapping[str, Parameter], asked: Predict)
         "contacts": prediction.contacts_at(dict.fromkeys(wanted.device_points, 0.0) | at),
         "spectral_radius": prediction.spectral_radius,
         "hands": [_of_hand(one, prediction.asked_for(one), here.get(one.name)) for one in felt],
-        "together": [_of_hands(one) for one in prediction.together if not one.felt.reason],
+        "felt": [one for part in prediction.parts if part.alone is None for one in _felt(part)],
         "why": dict(prediction.coupled),
         "wire_delay": prediction.wire_delay,
     }
@@ -283,17 +283,14 @@ def _in_plane(scene: Scene, at: Sequence[float]) -> dict[str, Any]:
 
     x, y = scene.channel_groups[0]
     here = PlanePrediction(scene, (at[x], at[y]) if len(at) > max(x, y) else None, with_margins=False)
-    directions = ((name, one) for name in here.hands for one in here.principal(name))
     return {
         "stable": (whole := _predicted(scene)).stable,
-        "verdict": here.verdict,
+        "verdict": here.verdict_here,
         "states": whole.states.words if whole.states.growing else "",
         "contacts": ", ".join(f"{one.name} is {one.state}" for one in here.links if one.acts and one.state),
-        "spectral_radius": max(map(abs, here.poles)),
+        "spectral_radius": here.spectral_radius_here,
         "hands": [],
-        "directions": [
-            {"hand": name, "angle_deg": one.angle_deg, "k": one.felt.k, "b": one.felt.b} for name, one in directions
-        ],
+        "felt": [one for part in here.parts for one in _felt(part)],
         "slides": [one._asdict() for one in here.slides],
         "wire_delay": here.wire_delay,
     }
@@ -317,9 +314,12 @@ def _of_hand(felt: Felt, asked: tuple[float, float], region: Region | None) -> d
     return {name: getattr(felt, name) for name in _FIELDS} | scene | margins
 
 
-def _of_hands(one: FeltTogether) -> dict[str, Any]:
-    """k and b of each of these hands, the others held."""
-    return {"names": one.names, "k": np.diag(one.felt.k).tolist(), "b": np.diag(one.felt.b).tolist()}
+def _felt(part: Part) -> Iterator[dict[str, Any]]:
+    """Yields k and b of each hand along its coordinate, or along its principal directions, with other hands held."""
+    for name in part.hands:
+        for one in part.along(name):
+            of = {"hand": name, "angle_deg": one.angle_deg, "is_held": len(part.hands) > 1}
+            yield of | {"k": one.felt.k, "b": one.felt.b}
 
 
 @lru_cache(maxsize=64)

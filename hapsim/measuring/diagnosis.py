@@ -86,8 +86,8 @@ def diagnose(prediction: Prediction, measurement: Measurement, channel: int = 0)
 
 def _link_changed(prediction: Prediction, measurement: Measurement, channel: int) -> bool:
     """Returns True if k is missing or far from that of the assumed states, and the force followed no single law."""
-    felt = next((one for one in prediction.felt if one.channel == channel), None)
-    own = felt or next((one.own_motion for one in prediction.together if channel in one.channels), None)
+    part = prediction.part_on(channel)
+    own = part.own_motion if part else None
     predicts = prediction.scene.device.correction in AHEAD  # positions that the record lacks
     if own is None or predicts or not prediction.assumptions:
         return False

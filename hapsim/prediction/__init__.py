@@ -6,8 +6,8 @@ Public names are those in `__all__`.
 from firmware_protocol.schema import WireTime
 from hapsim.prediction.any_hand import AnyHand, ShakingHand, WorstHand
 from hapsim.prediction.felt_alone import Desired, Felt, Robustness, correction_for, felt_at_rate, robustness_of
-from hapsim.prediction.felt_together import HAND_HZ, HAND_STIFFNESS, FeltTogether, OwnMotion, Weight
 from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.part import HAND_HZ, HAND_STIFFNESS, Along, OwnMotion, Part, Weight
 from hapsim.prediction.plausibility import unlikely
 from hapsim.prediction.predict import (
     Prediction,
@@ -26,13 +26,14 @@ from hapsim.prediction.warnings import warnings_about
 __all__ = [
     "HAND_HZ",
     "HAND_STIFFNESS",
+    "Along",
     "AnyHand",
     "Desired",
     "Felt",
-    "FeltTogether",
     "HostSilence",
     "LinkMargin",
     "OwnMotion",
+    "Part",
     "PredictedImpedance",
     "Prediction",
     "Region",

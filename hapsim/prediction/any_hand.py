@@ -74,7 +74,7 @@ class AnyHand:
     """
 
     DOCUMENT = (
-        "device_points=names friction needed_friction=needed needed_friction_of_single_hands=needed_for_one "
+        "friction needed_friction=needed needed_friction_of_single_hands=needed_for_one "
         "passive=is_passive frequency_hz lasting pushes_away not_derived shaking_hand=shaking"
     )
 

@@ -105,6 +105,7 @@ def with_mass(prediction: Prediction, channel: int, mass: float) -> Prediction:
             frequency, ratio = swing(mass, one.k, one.b)
             desired[i] = one._replace(frequency_hz=frequency, damping_ratio=ratio)
     found.desired = tuple(desired)
+    found.__dict__.pop("parts", None)  # they are made of these
     return found
 
 

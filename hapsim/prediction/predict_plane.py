@@ -2,51 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from hapsim.errors import UsageError
 from hapsim.prediction.linear import LinearLink, linear_scene, network_of
-from hapsim.prediction.plane_geometry import Plane, PlaneLink
+from hapsim.prediction.part import Along
+from hapsim.prediction.plane_geometry import Plane
 from hapsim.prediction.plane_states import PlaneJudge, PlaneStates, Slide, directions, held, slides_of, with_links
-from hapsim.prediction.prediction import Prediction
+from hapsim.prediction.prediction import AT_LIMIT, SLIDES, Prediction
 from hapsim.scene import Scene
 from hapsim.scene.chain import Point
 from hapsim.scene.outlines import travel_boundary, travel_in_words
 from hapsim.theory import Margins, margins_of
-from hapsim.theory.network import Direction, principal
 
 _SAMPLES = 256  # along a line
 _WITHIN = 0.382  # of the way to the next sample: seldom on the edge of a link
 _HALVINGS = 30
 
 
-class Directed(NamedTuple):
-    """Felt k and b along a principal direction, with the desired ones and the static stiffness."""
-
-    felt: Direction
-    desired_k: float
-    desired_b: float
-    static: float
-
-    @property
-    def angle_deg(self) -> float:
-        """Angle from x towards y, 0 <= angle < 180."""
-        return math.degrees(self.felt.angle)
-
-
 class PlanePrediction(Prediction):
-    """Prediction of a scene in the plane; `at` is the place of the first hand, m, or places by hand.
-
-    Attributes:
-        network: the scene, linear. links: every link where its ends are, in the scene's order.
-        hands: their names. places: of all points, m, by module.
-    """
+    """Prediction of a scene in the plane; `at` is the place of the first hand, m, or places by hand."""
 
     def _take(self, _instead: object = None) -> None:
         plane = Plane(self._seen)
@@ -57,11 +35,11 @@ class PlanePrediction(Prediction):
             hands |= {name: self._require_reached(name, place) for name, place in at.items()}
         rest = plane.at_rest(hands)
         self.places, self._rests = plane.start | hands if rest is None else rest, rest is not None
-        self.links: list[PlaneLink] = plane.at(self.places)
+        self.links = plane.at(self.places)
         points = linear_scene(self._seen)
         bare, self.points = network_of(self._seen, points)
         self._also = [[self.points.index(f"{name}.{axis}") for axis in "xy"] for name in plane.hands]
-        self._network = self.network = with_links(bare, self.points, self.links)
+        self.network = with_links(bare, self.points, self.links)
         linear = {one.name: LinearLink(one.link.between, one.slope, one.damping) for one in self.links}
         self._linear = points._replace(links=linear, assumptions=[*self._assumed()])
         self.states = PlaneStates(plane, bare, self.points, self.places)  # type: ignore[assignment]
@@ -88,12 +66,12 @@ class PlanePrediction(Prediction):
 
     @cached_property
     def judge(self) -> PlaneJudge:
-        return PlaneJudge(self._network, self.points, False, {}, (), self.states)
+        return PlaneJudge(self.network, self.points, False, {}, (), self.states)
 
     @cached_property
     def slides(self) -> tuple[Slide, ...]:
         """Motions that the scene drives without an oscillation, the fastest first."""
-        return slides_of(self._network, self.points, self.judge.solved.solution)
+        return slides_of(self.network, self.points, self.judge.solved.solution)
 
     @cached_property
     def directions(self) -> tuple[int, int]:
@@ -101,34 +79,22 @@ class PlanePrediction(Prediction):
         return directions(self.network)
 
     @property
-    def verdict(self) -> str:
-        """Verdict on the places where it is linearised, in a word or three."""
+    def verdict_here(self) -> str:
         if self.judge.shaken_by_network() is not None:
             return "unstable"
-        return "slides" if self.directions[0] else "stable" if self.stable_as_taken else "at the limit"
+        return SLIDES if self.directions[0] else "stable" if self.stable_as_taken else AT_LIMIT
+
+    @property
+    def is_held(self) -> bool:
+        acts = any(one.acts and self.hands[0] in one.link.between for one in self.links)
+        return acts and self.verdict_here != SLIDES
 
     @cached_property
     def _margins(self) -> Margins:
         """Margins of what shakes: what slides is held."""
         if not self._with_margins or not self.directions[0]:
             return super()._margins
-        return margins_of(held(self._network))
-
-    def principal(self, name: str) -> list[Directed]:
-        """Returns what the hand of this module feels along its two principal directions, the stiffest first; empty if
-        it feels no spring and damper."""
-        one = next(one for one in self.together if f"{name}.x" in one.names)
-        own = np.ix_(*[[one.names.index(f"{name}.{axis}") for axis in "xy"]] * 2)
-        if one.felt.reason:
-            return []
-        found = []
-        for felt in principal(one.felt.k[own], one.felt.b[own]):
-            n = np.array([np.cos(felt.angle), np.sin(felt.angle)])
-            k, b, static = (
-                float(n @ each[own] @ n) for each in (one.asked_for.k, one.asked_for.b, one.static_stiffness)
-            )
-            found.append(Directed(felt, k, b, static))
-        return found
+        return margins_of(held(self.network))
 
 
 class Stretch(NamedTuple):
@@ -137,6 +103,12 @@ class Stretch(NamedTuple):
     begin: Point
     end: Point
     middle: PlanePrediction
+
+    @property
+    def felt(self) -> list[Along]:
+        """What the first hand feels in the middle, along its principal directions."""
+        (first, *_), one = self.middle.hands, self.middle.parts[0]
+        return one.along(first)
 
     @property
     def links(self) -> dict[str, str]:
@@ -156,7 +128,7 @@ def stretches_along(scene: Scene, begin: Point, end: Point) -> list[Stretch]:
 
     def kind(share: float) -> object:
         here = at(share)
-        return [(one.name, one.piece, one.state) for one in here.links if one.acts], here.verdict
+        return [(one.name, one.piece, one.state) for one in here.links if one.acts], here.verdict_here
 
     shares = [(i + _WITHIN) / _SAMPLES for i in range(_SAMPLES)]
     edges, low, before = [0.0], shares[0], kind(shares[0])

@@ -3,30 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.laws import Linear
 from hapsim.one_thread import one_thread
-from hapsim.prediction.any_hand import AnyHand
 from hapsim.prediction.characteristic import Piece, characteristic_of, linear_at, piece_at, scene_at
 from hapsim.prediction.correction import Rendering, rendered
 from hapsim.prediction.felt_alone import SHARES, Desired, Felt, Tolerance, desired_of, felt_of, tolerance_of
-from hapsim.prediction.felt_together import FeltTogether
 from hapsim.prediction.linear import coupling_reason, links_of, needs_network, network_of, require_within_numbers
+from hapsim.prediction.part import Part
 from hapsim.prediction.stability import Judge, LinkMargin, Region, link_margins
 from hapsim.prediction.states import ContactStates
 from hapsim.prediction.timing import wire_delay, wire_of, wire_time_of
 from hapsim.scene import Scene
 from hapsim.scene.quantity import per_channel
 from hapsim.theory import Margins, Mode, Network, margins_of
-from hapsim.theory.arrays import Indices, sort_by_modulus
-from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, part_of, parts_of
+from hapsim.theory.arrays import sort_by_modulus
+from hapsim.theory.network import SURELY, ContinuousMode, continuous_modes, is_large, parts_of
 from hapsim.theory.network.network import is_centred
+
+if TYPE_CHECKING:
+    from hapsim.prediction.plane_geometry import PlaneLink
+    from hapsim.prediction.plane_states import Slide
 
 Place = float | tuple[float, float] | None
 """Position of a hand, m: in the plane x and y; None: not given."""
@@ -34,8 +37,18 @@ Places = Place | Mapping[str, tuple[float, float]]
 """The same, or the places of hands of the plane by their names."""
 
 
+SNAPS, SLIDES, AT_LIMIT = "in a snap", "slides", "at the limit"
+"""Verdicts: the scene drives a point on, in a snap or without a stiffness; or nothing decays and nothing grows."""
+
+
 class Prediction:
-    """Prediction of a scene; each part is computed on demand, and once."""
+    """Prediction of a scene; each part is computed on demand, and once.
+
+    Attributes:
+        hands: names of the hands of a scene in the plane; () on a line, as `places` and `links` are empty.
+        places: of its hands and masses where it is linearised, m, by module.
+        links: every link of it, with its ends at these places.
+    """
 
     points: tuple[str, ...]
     """Names to which a mode's participation refers."""
@@ -49,6 +62,9 @@ class Prediction:
         self._rendering = rendered(scene)
         self._tolerances: dict[object, Tolerance | None] = {}
         self._seen = self._rendering.seen
+        self.hands: Sequence[str] = ()
+        self.places: Mapping[str, tuple[float, float]] = {}
+        self.links: Sequence[PlaneLink] = ()
         self._take()
         if scene.space == 1 and (instead := self.states.instead(self._at is None)):
             self._take(instead)
@@ -67,8 +83,8 @@ class Prediction:
     def _take(self, instead: Mapping[str, Linear] | None = None) -> None:
         """Sets the linear form of the scene; `instead` replaces the forms of some links."""
         self._linear = scene_at(self._seen, self._at, instead)
-        self._network, self.points = network_of(self._seen, self._linear)
-        self.states = ContactStates(self._seen, self._linear, self._network, self.points)
+        self.network, self.points = network_of(self._seen, self._linear)
+        self.states = ContactStates(self._seen, self._linear, self.network, self.points)
         """States of its contacts."""
 
     def _coupling_reason(self, name: str) -> str:
@@ -126,40 +142,25 @@ class Prediction:
         return {name: one for name, one in every if (one.piece.low, one.piece.high) == here[name]}
 
     @cached_property
-    def together(self) -> tuple[FeltTogether, ...]:
-        """Predictions for the device points that are `coupled`, by the parts of the scene that no link joins."""
-        kind, (network, solution, _) = self._rendering.kind, self.judge.solved
-        not_predicted = f"it is not worked out with correction: {kind.name}" if kind and kind.predicts else ""
-        written = self._network if kind is None else self._written
-        return tuple(
-            FeltTogether(
-                names, channels, not_predicted, part_of(network, inside), part_of(written, inside),
-                solution.eigen if inside.size == len(self.points) else None,
-            )
-            for names, channels, inside in self._parts(self.coupled)
-        )  # fmt: skip
+    def parts(self) -> tuple[Part, ...]:
+        """Parts of the scene that no link joins and that have hands, in the scene's order."""
+        part, number = parts_of(self.network, also=self._also), self.points.index
+        of_name = {name: int(part[number(name)]) for name in self.scene.device_points}
+        found = []
+        for its in dict.fromkeys(of_name.values()):
+            names = tuple(name for name, one in of_name.items() if one == its)
+            channels = tuple(self.scene.device_points[name].channel for name in names)
+            found.append(Part(names, channels, self, np.flatnonzero(part == its)))
+        return tuple(found)
+
+    def part_on(self, channel: int) -> Part | None:
+        """Returns the part of the scene with this channel; None if none has it."""
+        return next((one for one in self.parts if channel in one.channels), None)
 
     @property
-    def _written(self) -> Network:
+    def written(self) -> Network:
         """Network of the desired scene, without the correction."""
         return network_of(self._rendering.desired, scene_at(self._rendering.desired))[0]
-
-    def _parts(self, names: Collection[str]) -> Iterator[tuple[tuple[str, ...], tuple[int, ...], Indices]]:
-        """Yields, per part of the scene with some of these device points, these, their channels and all its points."""
-        part, number = parts_of(self._network, also=self._also), self.points.index
-        for its in dict.fromkeys(int(part[number(name)]) for name in names):
-            own = tuple(name for name in names if part[number(name)] == its)
-            yield own, tuple(self.scene.device_points[name].channel for name in own), np.flatnonzero(part == its)
-
-    @cached_property
-    def any_hands(self) -> tuple[AnyHand, ...]:
-        """Stability in hands other than the declared one, by the parts of the scene that no link joins."""
-        kind, network = self._rendering.kind, self.judge.solved.network
-        why = "the condition is not derived for a predictor" if kind and kind.predicts else ""
-        return tuple(
-            AnyHand(names, channels, why, part_of(network, inside), tuple(self.points[at] for at in inside))
-            for names, channels, inside in self._parts(self.scene.device_points)
-        )
 
     @cached_property
     def judge(self) -> Judge:
@@ -168,7 +169,7 @@ class Prediction:
         held = {name for name, every in regions if any(one.kind == "held" and one.is_stable for one in every)}
         loose = tuple(felt for felt in self._lone if not felt.stable and felt.name not in held)
         judged = {name: one for name, one in self._every_region.items() if not needs_network(self._seen, name)}
-        return Judge(self._network, self.points, self.is_lone, judged, loose, self.states)
+        return Judge(self.network, self.points, self.is_lone, judged, loose, self.states)
 
     @property
     def by_its_scheme(self) -> bool:
@@ -179,6 +180,26 @@ class Prediction:
     def stable(self) -> bool:
         """True if the scene is stable, for the computed poles: see `poles_method`."""
         return self.judge.is_stable
+
+    @property
+    def verdict(self) -> str:
+        """Verdict on the scene in a word or three, over every state of its contacts."""
+        if (here := self.verdict_here) in (SNAPS, SLIDES):
+            return here
+        if self.trembles:
+            return "trembles"
+        if not self.is_judged:
+            return "not judged"
+        return AT_LIMIT if self.at_limit else "stable" if self.stable else "unstable"
+
+    @property
+    def verdict_here(self) -> str:
+        """Verdict on the scene as it is linearised."""
+        if any(region.kind == "snap" for region in self.region_here.values()):
+            return SNAPS
+        if self.stable_as_taken:
+            return "stable"
+        return AT_LIMIT if abs(self.spectral_radius_here - 1.0) < SURELY - 1.0 else "unstable"
 
     @property
     def stable_as_taken(self) -> bool:
@@ -201,6 +222,17 @@ class Prediction:
         return ", ".join(f"{name} is {state}" for name, state in how.items() if state)
 
     @property
+    def slides(self) -> tuple[Slide, ...]:
+        """Motions that a scene in the plane drives without an oscillation, the fastest first."""
+        return ()
+
+    @property
+    def is_held(self) -> bool:
+        """True if the first hand can be measured where it is: on a line, or where a link of the plane acts on it and it
+        does not slide off."""
+        return True
+
+    @property
     def is_judged(self) -> bool:
         """True if there is a verdict: either a motion is unstable, or each state that was found was judged."""
         return not self.states.unjudged or not self.stable_as_taken or bool(self.states.growing)
@@ -218,13 +250,15 @@ class Prediction:
     @cached_property
     def spectral_radius(self) -> float:
         """Largest modulus of a pole, over all regions of the hands."""
-        radius = (
-            max(one.spectral_radius for one in self._lone)
-            if self.is_lone
-            else self.judge.solved.solution.spectral_radius
-        )
         grown = [one.growth for regions in self.judge.regions.values() for one in regions]
-        return max([radius, *grown, *(one.growth for one in self.states.growing)])
+        return max([self.spectral_radius_here, *grown, *(one.growth for one in self.states.growing)])
+
+    @property
+    def spectral_radius_here(self) -> float:
+        """Largest modulus of a pole of the scene as it is linearised."""
+        if self.is_lone:
+            return max(one.spectral_radius for one in self._lone)
+        return self.judge.solved.solution.spectral_radius
 
     @cached_property
     def poles(self) -> tuple[complex, ...]:
@@ -314,7 +348,7 @@ class Prediction:
     @cached_property
     def desired_modes(self) -> tuple[ContinuousMode, ...]:
         """Modes of the scene in continuous time, the slowest to decay first; empty without a correction."""
-        if self._rendering.kind is None or is_large(network := self._written):
+        if self._rendering.kind is None or is_large(network := self.written):
             return ()
         return tuple(continuous_modes(network))
 

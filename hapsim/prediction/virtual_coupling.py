@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hapsim.errors import SceneError, UsageError
-from hapsim.prediction.felt_together import HAND_STIFFNESS
 from hapsim.prediction.linear import configuration_of
+from hapsim.prediction.part import HAND_STIFFNESS
 from hapsim.prediction.predict import predict
 from hapsim.scene import Scene
 from hapsim.scene.load import scene_from_document
@@ -102,8 +102,8 @@ def _couplings_of(scene: Scene, name: str, channel: int, proxy_mass: float | Non
         coupled = scene if own is not None else coupled_scene(scene, name, any_hand, mass)
         is_passive = _is_passive_behind(coupled, name, proxy)
         prediction = predict(coupled, with_margins=False)
-        assumptions, of_scene = prediction.assumptions, prediction.any_hands
-        needed = next((float(one.needed[one.names.index(name)]) for one in of_scene if name in one.names), math.nan)
+        assumptions, part = prediction.assumptions, prediction.part_on(channel)
+        needed = math.nan if part is None else float(part.any_hand.needed[part.names.index(name)])
     except SceneError as error:
         misfit = str(error)
     is_rotary = scene.device.motions(scene.channels)[channel] == "rotary"

@@ -68,8 +68,8 @@ def run_of(scene: Scene, loop: LoopMemory, in_python: bool, options: RunOptions)
 
 
 def prediction_of(scene: Scene) -> dict[str, Any]:
-    """Returns the prediction of a scene for a record: `stable`, `spectral_radius`, `poles` and `device_points` as
-    `hapsim check --json` prints them; `error` if there is no prediction."""
+    """Returns the prediction of a scene for a record: `stable`, `spectral_radius`, its `poles`, and by `device_points`
+    the parts of one; `error` if there is no prediction."""
     try:
         found = predict(scene, with_margins=False)
         hands = {felt.name: felt for felt in found.felt}

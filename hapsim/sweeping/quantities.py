@@ -17,7 +17,6 @@ from hapsim.measuring.periodic_excitation import lines_for
 from hapsim.one_thread import one_thread
 from hapsim.prediction import predict_impedance
 from hapsim.prediction.predict import prediction_of
-from hapsim.prediction.predict_plane import PlanePrediction
 from hapsim.prediction.prediction import Place
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene
@@ -129,28 +128,20 @@ class Task:
 
 
 def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
-    prediction = prediction_of(scene, task.place, with_margins=False)
-    if isinstance(prediction, PlanePrediction):
-        return _predicted_in_plane(task, prediction)
-    hand = next((one for one in prediction.felt if one.channel == task.channel), None)
-    found = {name: one.of(prediction) for name, one in _OF_SCENE.items()}
-    if hand is not None:
-        found |= {"passive": _truth(hand.passive), "needed_friction": hand.needed_friction}
-        return {name: one.of(hand) for name, one in _OF_HAND.items()} | found, hand.reason
-    shared = next((one for one in prediction.together if task.channel in one.channels), None)
-    if (any_hand := next((one for one in prediction.any_hands if task.channel in one.channels), None)) is not None:
-        needed = float(any_hand.needed[any_hand.channels.index(task.channel)])
-        found |= {"passive": _truth(any_hand.is_passive), "needed_friction": needed}
-    if shared is None or (own := shared.own_motion) is None:
-        return found, "" if shared is None else f"no single k and b: {shared.felt.reason or 'several hands'}"
-    return {f"predicted_{name}": one.of(own) for name, one in _FELT.items()} | found, ""
-
-
-def _predicted_in_plane(task: Task, prediction: PlanePrediction) -> tuple[Values, str]:
-    found = {name: _OF_SCENE[name].of(prediction) for name in ("stable", "spectral_radius")}
-    shared = next(one for one in prediction.together if task.channel in one.channels)
-    felt = [one.felt for one in prediction.principal(prediction.scene.hand_on(task.channel))]
-    return found | _along("predicted", _ALONG, felt), shared.felt.reason
+    prediction, variables = prediction_of(scene, task.place, with_margins=False), kinds_of(scene)["predicted"]
+    found = {name: one.of(prediction) for name, one in _OF_SCENE.items() if name in variables}
+    if (part := prediction.part_on(task.channel)) is None:
+        return found, ""
+    if _PASSIVE.keys() <= variables.keys():
+        needed = float(part.needed_friction[part.channels.index(task.channel)])
+        found |= {"passive": _truth(part.passive), "needed_friction": needed}
+    if "predicted_k_1" in variables:
+        felt = [one.felt for one in part.along(scene.hand_on(task.channel))]
+        return found | _along("predicted", _ALONG, felt), part.felt.reason
+    if (own := part.own_motion) is None:
+        return found, f"no single k and b: {part.felt.reason or 'several hands'}"
+    reason = "" if part.alone is None else part.alone.reason
+    return {name: one.of(own) for name, one in _OF_HAND.items()} | found, reason
 
 
 def _along(how: str, variables: Mapping[str, Variable], directions: Iterable[object]) -> Values:

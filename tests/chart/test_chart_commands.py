@@ -65,8 +65,8 @@ def test_left_out_the_picture_has_the_name_of_the_command(chart: Chart, scene_fi
     answer = chart("transparency", scene_file("spring"))
     assert "Picture: transparency.svg" in answer.out
     left_out = Path("transparency.svg").read_bytes()
-    chart("transparency", scene_file("spring"), "--picture", "asked_for.svg")
-    assert left_out == Path("asked_for.svg").read_bytes()
+    chart("transparency", scene_file("spring"), "--picture", "desired.svg")
+    assert left_out == Path("desired.svg").read_bytes()
 
 
 def test_a_hand_that_feels_nothing_can_be_drawn(chart: Chart, scene_file: SceneFile, rows_of: RowsOf) -> None:
@@ -87,7 +87,7 @@ def test_a_hand_that_moves_masses_is_drawn_as_the_scene_has_it(
     for name, wanted in (("desired", impedance.desired), ("rendered", impedance.rendered)):
         k, b = (np.array([float(row[f"{name}_{one}"]) for row in rows]) for one in ("k_N_per_m", "b_Ns_per_m"))
         np.testing.assert_allclose(k / (2j * np.pi * at) + b, wanted[:, 0, 0], rtol=1e-9)
-    own = predicted.together[0].own_motion
+    own = predicted.parts[0].own_motion
     assert (answer.document["hand"]["k"], answer.document["hand"]["b"]) == ((own.k, own.b) if own else (None, None))
     for mode in predicted.modes:  # a sharp resonance is not missed
         assert mode.damping_ratio > 0.3 or min(abs(at - mode.frequency_hz)) < 1e-6

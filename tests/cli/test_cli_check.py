@@ -41,11 +41,11 @@ def test_every_scene_is_reported_in_words_and_in_json(
     assert "at 1000 Hz: " in told.out
     assert "nan" not in told.out
     document = checked(scene_file(every_scene))
-    assert {"predicted", "stable", "dominant", "poles", "spectral_radius", "rate_hz"} <= document.keys()
+    assert {"predicted", "stable", "dominant", "here", "spectral_radius", "rate_hz"} <= document.keys()
     assert document["predicted"] is None or document["predicted"].keys() >= FELT
-    assert all(len(pole) == 2 for pole in document["poles"])
+    assert all(len(pole) == 2 for pole in document["here"]["poles"])
     assert document["rate_hz"] == 1000
-    largest = max(abs(complex(*pole)) for pole in document["poles"])
+    largest = max(abs(complex(*pole)) for pole in document["here"]["poles"])
     assert document["spectral_radius"] == pytest.approx(largest, rel=1e-12)
 
 
@@ -75,7 +75,7 @@ def test_a_spring_is_predicted_with_its_k_and_b(scene_file: SceneFile, checked: 
     assert document["dominant"]
     # To first order a held and delayed spring loses K T (1 + 1/2) of its damping.
     assert b == pytest.approx(5 + 1 - 1.5, rel=0.05)
-    slowest = next(complex(*pole) for pole in document["poles"])
+    slowest = next(complex(*pole) for pole in document["here"]["poles"])
     s = np.log(slowest) * 1000
     assert k == pytest.approx(0.2 * abs(s) ** 2, rel=1e-6)
     assert b == pytest.approx(-2 * 0.2 * s.real, rel=1e-6)
@@ -185,7 +185,7 @@ def test_a_scene_with_masses_lists_modes_and_states_that_there_is_no_single_k_an
     assert "Modes" in told
     document = checked(scene_file(name))
     assert (document["predicted"], document["dominant"]) == (None, False)
-    assert "hand" in document["coupled_device_points"]
+    assert "hand" in document["parts"][0]["why"]
     assert document["modes"]
 
 
@@ -223,8 +223,8 @@ def test_a_large_scene_is_judged_by_some_of_its_poles_and_names_them(
     document = checked(path)
     assert document["stable"] is True
     assert document["spectral_radius"] < 1.0
-    assert document["poles_in_all"] > LARGE
-    assert "poles were worked out" in document["poles_method"]
+    assert document["here"]["poles_in_all"] > LARGE
+    assert "poles were worked out" in document["here"]["poles_method"]
     assert document["margins"]["l0"]["stiffness_factor"] > 1.0
     diverging = checked(chain(tmp_path, 500, 1e-9, 0.0))
     assert diverging["stable"] is False
@@ -243,7 +243,7 @@ def test_a_gain_margin_is_printed_once(scene_file: SceneFile, checked: Checked, 
 def test_each_link_is_reported_with_its_gain_margin(checked: Checked, tmp_path: Path, explained: Explained) -> None:
     path = chain(tmp_path, 3, 0.1, 0.5)
     document = checked(path)
-    assert document["poles_method"].startswith("every pole")
+    assert document["here"]["poles_method"].startswith("every pole")
     assert set(document["margins"]) == {"l0", "l1", "l2", "l3"}
     assert "Gain margins" in explained(path)
     factor = document["margins"]["l1"]["stiffness_factor"]
@@ -259,7 +259,7 @@ def test_a_hand_whose_dampers_are_of_several_kinds_has_no_single_k_and_b(
     more = {name: SPRING | {"damping": 1.0, "damper": damper} for name, damper in dampers.items()}
     document = checked(scene_file("spring", more=more))
     assert (document["predicted"], document["stable"]) == (None, True)
-    assert "has dampers of several kinds (other: backward, one: centred)" in document["coupled_device_points"]["hand"]
+    assert "has dampers of several kinds (other: backward, one: centred)" in document["parts"][0]["why"]["hand"]
 
 
 def test_a_stiffness_beyond_reason_is_reported_without_a_warning(scene_file: SceneFile, checked: Checked) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,7 +43,7 @@ def test_the_friction_needed_and_the_hand_that_oscillates_are_reported(
     hapsim: Hapsim, scene: Callable[..., str]
 ) -> None:
     path = scene()
-    (one,) = predict(load_scene(path), with_margins=False).any_hands
+    one = predict(load_scene(path), with_margins=False).parts[0].any_hand
     told = words(hapsim("check", path, "--explain").out)
     assert (
         f"hand: not passive: stability in any hands needs {one.needed[0]:.4g} N·s/m of friction (declared: 1)" in told
@@ -54,7 +53,7 @@ def test_the_friction_needed_and_the_hand_that_oscillates_are_reported(
     clamp = f"{float(f'{hand.stiffness:.3g}'):.0f} N/m"
     grows = f"with a clamp of {clamp} the oscillation grows {hand.growth:.7g}-fold per sample"
     assert f"a mass or a spring makes it oscillate; {grows}" in told
-    (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
+    (document,) = [one["any_hand"] for one in hapsim("check", path, "--json").document["parts"]]
     assert document["needed_friction"] == one.needed.tolist()
     assert document["needed_friction_of_single_hands"] == one.needed_for_one
     assert document["shaking_hand"] == hand._asdict()
@@ -64,7 +63,7 @@ def test_the_friction_needed_and_the_hand_that_oscillates_are_reported(
 def test_of_a_passive_scene_no_hand_is_named(hapsim: Hapsim, scene: Callable[..., str]) -> None:
     path = scene(friction=30.0)
     assert "hand: passive: stable in any hands" in words(hapsim("check", path, "--explain").out)
-    (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
+    (document,) = [one["any_hand"] for one in hapsim("check", path, "--json").document["parts"]]
     assert (document["passive"], document["shaking_hand"]) == (True, None)
 
 
@@ -72,7 +71,7 @@ def test_what_swings_for_ever_is_named(hapsim: Hapsim, scene: Callable[..., str]
     path = scene(damping=0.0, friction=30.0)
     told = words(hapsim("check", path, "--explain").out)
     assert "not passive at any friction: while the hand is held, a motion of ball at 7.9" in told
-    (document,) = json.loads(hapsim("check", path, "--json").out)["any_hands"]
+    (document,) = [one["any_hand"] for one in hapsim("check", path, "--json").document["parts"]]
     assert (document["needed_friction"], document["lasting"]) == ([None], "ball")
 
 
@@ -88,9 +87,10 @@ class TestARange:
         assert "Hands that add 0.1 to 2 kg and 0 to 3000 N/m to hand: all tested are stable" in told
         shaken = words(hapsim("check", path, "--hand-stiffness", "3e5:5e5").out)
         assert "Hands that add 0 kg and 300000 to 500000 N/m to hand: some are unstable. The worst adds 0 kg" in shaken
-        (document,) = json.loads(hapsim("check", path, "--hand-stiffness", "3e5:5e5", "--json").out)["any_hands"]
-        assert document["worst_hand"]["stable"] is False
-        assert 3e5 <= document["worst_hand"]["stiffnesses"][0] <= 5e5
+        (document,) = hapsim("check", path, "--hand-stiffness", "3e5:5e5", "--json").document["parts"]
+        worst = document["any_hand"]["worst_hand"]
+        assert worst["stable"] is False
+        assert 3e5 <= worst["stiffnesses"][0] <= 5e5
 
     @pytest.mark.parametrize("text", ["2:1", "-1:1", "1:2:3", "a", "nan", "0:inf"])
     def test_that_is_none_is_refused(self, hapsim: Hapsim, scene: Callable[..., str], text: str) -> None:
@@ -102,12 +102,12 @@ class TestARange:
 def test_a_sweep_has_the_friction_that_is_needed(scene: Callable[..., str]) -> None:
     loaded = load_scene(scene())
     found, _ = Task(loaded.model_dump(mode="json"), ("predicted",)).at(loaded)
-    (one,) = predict(loaded, with_margins=False).any_hands
+    one = predict(loaded, with_margins=False).parts[0].any_hand
     assert (found["needed_friction"], found["passive"]) == (one.needed[0], 0.0)
     alone = load_scene("configs/wall.yaml")
     found, _ = Task(alone.model_dump(mode="json"), ("predicted",)).at(alone)
-    (one,) = predict(alone, with_margins=False).any_hands
-    assert found["needed_friction"] == pytest.approx(one.needed[0], rel=1e-8)
+    (one,) = predict(alone, with_margins=False).parts
+    assert found["needed_friction"] == pytest.approx(one.any_hand.needed[0], rel=1e-8)
 
 
 def test_ordinary_hands_are_judged_without_being_asked_for(hapsim: Hapsim, tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_ordinary_hands_are_judged_without_being_asked_for(hapsim: Hapsim, tmp_p
     wall = "wall: {type: ground}\n  tie: {type: viscoelastic, between: [hand, wall], stiffness: %s, damping: %s}"
     text = WALL.format(friction=29.5, damping=0.0, more="").split("  wall:")[0]
     path.write_text(f"{text}  {wall % (20000, 0)}\n")
-    (one,) = predict(load_scene(path), with_margins=False).any_hands
+    one = predict(load_scene(path), with_margins=False).parts[0].any_hand
     worst = one.worst_hand((0.0, 2.0), (0.0, 3000.0))
     assert worst is not None
     told = words(hapsim("check", path, "--explain").out)

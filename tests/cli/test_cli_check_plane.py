@@ -63,15 +63,15 @@ def test_explained_it_has_margins_and_any_hands(explained: Callable[[Path], str]
 
 def test_a_document_has_matrices_and_principal_directions(hapsim: Hapsim, written: Written) -> None:
     found = hapsim("check", written(), "--json").document
-    (one,) = found["felt_together"]
+    (one,), here = found["parts"], found["here"]
     assert one["device_points"] == ["hand.x", "hand.y"]
     assert [row[i] for i, row in enumerate(one["k"])] == pytest.approx([2080.439463958, -105.328041658], abs=2e-9)
-    stiffest, other = one["principal"]
+    stiffest, other = one["hands"]
     assert (stiffest["angle_deg"], stiffest["k"]) == pytest.approx((0.0, 2080.439463958), abs=2e-9)
     assert (other["angle_deg"], other["b"]) == pytest.approx((90.0, 1.158643213), abs=2e-9)
-    assert (found["verdict"], found["stable"], found["places_m"]["hand"]) == ("slides", False, [0.011, 0.0])
-    assert found["links"]["disc"]["state"] == "touched"
-    assert found["slides"][0]["e_fold_s"] == pytest.approx(0.0494215, rel=1e-5)
+    assert (found["verdict"], found["stable"], here["places_m"]["hand"]) == ("slides", False, [0.011, 0.0])
+    assert here["links"]["disc"]["state"] == "touched"
+    assert here["slides"][0]["e_fold_s"] == pytest.approx(0.0494215, rel=1e-5)
 
 
 def test_at_a_place_of_its_own(hapsim: Hapsim, written: Written) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -36,19 +35,19 @@ def words(told: str) -> str:
 
 def test_of_a_hand_with_a_motion_of_its_own_the_pair_is_shown_everywhere(hapsim: Hapsim) -> None:
     scene = load_scene("configs/held_string.yaml")
-    (one,) = predict(scene, with_margins=False).together
+    (one,) = predict(scene, with_margins=False).parts
     own = one.own_motion
     assert own is not None
     out = words(hapsim("check", "configs/held_string.yaml").out)
-    assert f"hand: k {one.asked_for.k[0, 0]:.6g} {own.k:.6g} {one.static_stiffness[0, 0]:.6g} N/m" in out
+    assert f"hand: k {one.desired.k[0, 0]:.6g} {own.k:.6g} {one.static_stiffness[0, 0]:.6g} N/m" in out
     assert "Felt: k and b of its own oscillation. Desired: the same without sampling and delay" in out
-    (document,) = json.loads(hapsim("check", "configs/held_string.yaml", "--json").out)["felt_together"]
+    (document,) = hapsim("check", "configs/held_string.yaml", "--json").document["parts"]
     assert (document["k"], document["b"], document["reason"]) == ([[own.k]], [[own.b]], "")
     task = Task(scene.model_dump(mode="json"), ("predicted",))
     found, reason = task.at(scene)
     assert (found["predicted_k"], found["predicted_b"], reason) == (own.k, own.b, "")
-    (shown,) = predicted(scene, {}, Predict(type="predict"))["together"]
-    assert shown == {"names": ("hand",), "k": [own.k], "b": [own.b]}
+    (shown,) = predicted(scene, {}, Predict(type="predict"))["felt"]
+    assert (shown["hand"], shown["k"], shown["b"], shown["is_held"]) == ("hand", own.k, own.b, False)
 
 
 def test_it_is_what_measure_finds(hapsim: Hapsim) -> None:
@@ -59,10 +58,10 @@ def test_it_is_what_measure_finds(hapsim: Hapsim) -> None:
 
 
 def test_of_two_hands_it_is_shown_what_each_feels_of_the_other(hapsim: Hapsim) -> None:
-    (one,) = predict(load_scene("configs/two_hands.yaml"), with_margins=False).together
+    (one,) = predict(load_scene("configs/two_hands.yaml"), with_margins=False).parts
     out = words(hapsim("check", "configs/two_hands.yaml").out)
-    assert f"left of right: k {-one.asked_for.k[0, 1]:.6g} {-one.felt.k[0, 1]:.6g} 300 N/m" in out
-    assert f"right: b {one.asked_for.b[1, 1]:.6g} {one.felt.b[1, 1]:.6g} N·s/m" in out
+    assert f"left of right: k {-one.desired.k[0, 1]:.6g} {-one.felt.k[0, 1]:.6g} 300 N/m" in out
+    assert f"right: b {one.desired.b[1, 1]:.6g} {one.felt.b[1, 1]:.6g} N·s/m" in out
 
 
 def test_of_a_hand_without_a_motion_of_its_own_its_modes_are_named(hapsim: Hapsim, tmp_path: Path) -> None:
@@ -72,8 +71,8 @@ def test_of_a_hand_without_a_motion_of_its_own_its_modes_are_named(hapsim: Hapsi
     words_of_modes = "it oscillates together with the parts that it moves (modes of 3.66, 8.8 and 18.1 Hz)"
     assert f"no single k and b describe what it feels, because {words_of_modes}" in out
     assert "A steady push meets 666.7 N/m; moved to and fro, the hand meets at 2 Hz" in out
-    (document,) = json.loads(hapsim("check", str(file), "--json").out)["felt_together"]
-    assert (document["k"], document["continuous"]["k"]) == (None, None)
+    (document,) = hapsim("check", str(file), "--json").document["parts"]
+    assert (document["k"], document["desired"]["k"]) == (None, None)
     assert [one["frequency_hz"] for one in document["moved"]] == [2.0, 8.0, 30.0]
     scene = load_scene(file)
     assert "predicted_k" not in Task(scene.model_dump(mode="json"), ("predicted",)).at(scene)[0]

@@ -169,5 +169,5 @@ def test_bounces_are_reported_below_the_friction_that_passivity_needs(
     out = " ".join(hapsim("check", str(file)).out.split())
     assert ("Not passive: bounces can grow below 49.25 N·s/m of friction" in out) == can_grow
     assert ": stable" in out
-    touched = json.loads(hapsim("check", str(file), "--json").out)["regions"]["hand"][0]
+    touched = json.loads(hapsim("check", str(file), "--json").out)["parts"][0]["regions"][0]
     assert touched["needed_friction"] == pytest.approx(49.25)

@@ -24,9 +24,9 @@ def test_the_printed_modules_can_be_put_into_the_file(hapsim: Hapsim, scene_file
     between = "between:\n    - hand\n"
     assert between in text
     scene.write_text(text.replace(between, between.replace("hand", "hand_proxy")) + modules, "utf-8")
-    (part,) = hapsim("check", scene, "--json").document["any_hands"]
-    assert (part["device_points"], part["passive"]) == (["hand"], True)
-    assert part["needed_friction"][0] == pytest.approx(first["needed_friction"], rel=1e-5)
+    (part,) = hapsim("check", scene, "--json").document["parts"]
+    assert (part["device_points"], part["any_hand"]["passive"]) == (["hand"], True)
+    assert part["any_hand"]["needed_friction"][0] == pytest.approx(first["needed_friction"], rel=1e-5)
     assert first["any_hand"]["stiffness"] == pytest.approx(4.0 * first["friction"] / (27.0**0.5 * 1e-3), rel=1e-9)
     assert first["this_hand"]["stiffness"] > first["any_hand"]["stiffness"]
     assert first["present"] is None
@@ -49,8 +49,8 @@ def test_a_coupling_in_the_scene_is_judged(hapsim: Hapsim, scene_file: SceneFile
     moved = scene_file("spring", more={"cup": cup, "touch": at_cup, "ball": ball, "tied": tied})
     text = " ".join(hapsim("couple", moved).out.split())
     (one,) = hapsim("couple", moved, "--json").document["hands"]
-    (part,) = hapsim("check", moved, "--json").document["any_hands"]
-    assert one["needed_friction"] == part["needed_friction"][0]
+    (part,) = hapsim("check", moved, "--json").document["parts"]
+    assert one["needed_friction"] == part["any_hand"]["needed_friction"][0]
     assert f"The friction that the scene needs for any hand is {one['needed_friction']:.6g} N·s/m" in text
 
 

@@ -42,8 +42,8 @@ for _unit, _linear, _rotary in (
 #: nothing in this scene.
 OPTIONS = [
     ("check", "--at", "m", "predicted"),
-    ("check", "--hand-mass", "kg", "any_hands"),
-    ("check", "--hand-stiffness", "N/m", "any_hands"),
+    ("check", "--hand-mass", "kg", "parts"),
+    ("check", "--hand-stiffness", "N/m", "parts"),
     ("measure", "--at", "m", "at_m"),
     ("measure", "--push", "N", "push_n"),
     ("measure --mass", "--hand-stiffness", "N/m", "felt_mass"),
@@ -133,7 +133,7 @@ def test_lists_and_ranges_have_a_unit_on_each_number(hapsim: Hapsim, scene: Path
     assert [one["mass"] for one in masses] == [0.2, 0.4]
     texts = f"{low}{ours}:{high}{ours}", "0.2:0.4"
     with_unit, bare = (hapsim("check", scene, f"--hand-mass={text}", "--json").document for text in texts)
-    assert with_unit["any_hands"] == bare["any_hands"]
+    assert with_unit["parts"] == bare["parts"]
     second, expected = ("3 kg·m²", LINEAR["kg"][2]) if motion == "linear" else ("3 kg", ROTARY["kg"][2])
     for wrong in (second, "3 s"):
         mixed = hapsim("chart", "plane", scene, f"--mass={low}{ours},{wrong}", "--json")

@@ -157,7 +157,7 @@ def test_a_measurement_prints_prediction_and_measurement_side_by_side(hapsim: Ha
     answer = hapsim("measure", scene_file("spring"), "--json")
     assert answer.status == 0
     document = answer.document
-    assert document.keys() >= RAN | {"predicted", "measured", "stable", "dominant", "poles", "spectral_radius"}
+    assert document.keys() >= RAN | {"predicted", "measured", "stable", "dominant", "here", "spectral_radius"}
     assert document["predicted"].keys() >= FELT
     assert document["measured"].keys() >= FELT
     for key in FELT:

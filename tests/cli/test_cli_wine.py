@@ -112,7 +112,7 @@ def plugged_in(scene: Path | None = None, port: str = "") -> Iterator[None]:
 
 
 # The values that are not equal to Linux's to 1e-9, with the reason: LAPACK and the library of C are others there.
-PLACES_OF_MAXIMA = re.compile(r"any_hands\[\d+\]\.(shaking_hand\.)?(frequency_hz|stiffness)")
+PLACES_OF_MAXIMA = re.compile(r"parts\[\d+\]\.any_hand\.(shaking_hand\.)?(frequency_hz|stiffness)")
 """Frequencies of a maximum, and what follows from them. A curve is flat there: a value that differs in its last bit
 moves the place by the square root of that, 1.5e-8."""
 

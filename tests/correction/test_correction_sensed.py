@@ -84,7 +84,7 @@ def test_a_hand_that_moves_a_mass_feels_what_is_predicted(more: dict[str, Any]) 
         "hold": ViscoElastic(between=("ball", "wall"), stiffness=1500.0, damping=1.0),
     }
     scene = hand_on(modules=modules, **more)
-    (together,), found = predict(scene).together, measure(scene)
+    (together,), found = predict(scene).parts, measure(scene)
     assert (found.k, found.b) == pytest.approx((together.own_motion.k, together.own_motion.b), rel=1e-6)
 
 

@@ -96,13 +96,13 @@ def test_what_is_felt_is_predicted_where_the_hand_is(at: tuple[float, float]) ->
     scene = parse_scene(SCENE)
     found: dict[str, Any] = predicted(scene, parameters_of(scene, False), Predict(type="predict", at=[at[1], at[0]]))
     prediction = predict(scene, at=at, with_margins=False)
-    names, felt = prediction.together[0].names, prediction.together[0].felt
-    for one in found["directions"]:
+    names, felt = prediction.parts[0].names, prediction.parts[0].felt
+    for one in found["felt"]:
         assert one["hand"] == "hand"
         x, y = np.cos(np.radians(one["angle_deg"])), np.sin(np.radians(one["angle_deg"]))
         n = np.array([{"hand.x": x, "hand.y": y}[name] for name in names])
         assert [one["k"], one["b"]] == pytest.approx([n @ felt.k @ n, n @ felt.b @ n], abs=1e-6)
-    assert len(found["directions"]) == 2
+    assert len(found["felt"]) == 2
     assert found["contacts"] == ("" if at == (0.0, 0.0) else "disc is touched")
     assert found["verdict"] == ("at the limit" if at == (0.0, 0.0) else "slides")  # nothing brakes the ball
     assert [one["module"] for one in found["slides"]] == ([] if at == (0.0, 0.0) else ["hand"])

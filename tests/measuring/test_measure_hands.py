@@ -14,7 +14,7 @@ import yaml
 from hapsim import load_scene, predict
 from hapsim.errors import UsageError
 from hapsim.measuring.measure_hands import HandsMeasurement, measure_hands
-from hapsim.prediction import FeltTogether
+from hapsim.prediction import Part
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 from tests import thorough
@@ -64,7 +64,7 @@ def random_scene(rng: np.random.Generator) -> Scene:
     return scene_of(modules, hands, device=device, **substeps)
 
 
-def measured(scene: Scene, one: FeltTogether, **more: Any) -> HandsMeasurement:
+def measured(scene: Scene, one: Part, **more: Any) -> HandsMeasurement:
     return measure_hands(scene, channels=one.channels, duration=more.pop("duration", None), run=run_in_memory)
 
 
@@ -72,7 +72,7 @@ class TestMatrices:
     def test_of_two_hands_that_are_tied_are_those_of_the_prediction(self) -> None:
         """Nothing holds them: they go on together, and the place where they stop is one of their motions."""
         scene = scene_of(TIED)
-        (one,) = predict(scene, with_margins=False).together
+        (one,) = predict(scene, with_margins=False).parts
         found = measured(scene, one)
         np.testing.assert_allclose(found.k, 2167.8914017232 * np.array([[1, -1], [-1, 1]]), rtol=2e-6)
         np.testing.assert_allclose(found.b, np.eye(2) + 1.9923820182 * np.array([[1, -1], [-1, 1]]), rtol=4e-6)
@@ -88,7 +88,7 @@ class TestMatrices:
             for i in range(1, hands)
         }
         scene = scene_of(ties, hands)
-        (one,) = predict(scene, with_margins=False).together
+        (one,) = predict(scene, with_margins=False).parts
         np.testing.assert_allclose(measured(scene, one).k, one.felt.k, atol=1e-5 * np.abs(one.felt.k).max())
 
     @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ class TestMatrices:
         scene = scene_of(
             {"tie": link("hand_0", "hand_1", 500.0, 5.0), "hold": link("hand_1", "wall", 500.0, 2.0)}, **more
         )
-        (one,) = predict(scene, with_margins=False).together
+        (one,) = predict(scene, with_margins=False).parts
         found = measured(scene, one)
         np.testing.assert_allclose(found.k, one.felt.k, atol=1e-5 * np.abs(one.felt.k).max())
         np.testing.assert_allclose(found.b, one.felt.b, atol=3e-5 * np.abs(one.felt.b).max())
@@ -118,7 +118,7 @@ class TestMatrices:
         mock = {"initial": {"velocity": [0.05, 0.0]}}
         device = {"mass": [0.15, 0.2], "friction": [friction, 1.2 * friction]}
         scene = scene_of({"tie": tie, "hold": hold}, device=device, mock=mock)
-        (one,) = predict(scene, with_margins=False).together
+        (one,) = predict(scene, with_margins=False).parts
         with pytest.raises(UsageError, match="springs and dampers"):
             measured(scene, one)
 
@@ -129,7 +129,7 @@ class TestMatrices:
         while not compared:
             scene = random_scene(rng)
             prediction = predict(scene, with_margins=False)
-            for one in prediction.together if prediction.stable else ():
+            for one in prediction.parts if prediction.stable else ():
                 if one.felt.reason or len(one.names) < 2:
                     continue
                 found, compared = measured(scene, one), compared + 1
@@ -141,7 +141,7 @@ class TestMatrices:
         found = []
         for position in (0.0, 0.002):
             scene = scene_of(held | {"wall": {"type": "ground", "position": position}})
-            found.append(measured(scene, predict(scene, with_margins=False).together[0]))
+            found.append(measured(scene, predict(scene, with_margins=False).parts[0]))
         np.testing.assert_allclose(found[1].k, found[0].k, rtol=1e-5)
         np.testing.assert_allclose(found[1].b, found[0].b, rtol=1e-5)
 
@@ -151,7 +151,7 @@ class TestMatrices:
         for seed in range(5):
             held = TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}
             scene = scene_of(held, mock={"noise": 2e-6, "seed": seed})
-            (one,) = predict(scene, with_margins=False).together
+            (one,) = predict(scene, with_margins=False).parts
             found = measured(scene, one)
             off += [
                 ((found.k - one.felt.k) / found.k_uncertainty).ravel(),
@@ -162,13 +162,13 @@ class TestMatrices:
 
     def test_are_not_reported_where_too_little_moves(self) -> None:
         scene = scene_of(TIED | {"hold": link("hand_1", "wall", 500.0, 2.0)}, mock={"noise": 1e-4})
-        (one,) = predict(scene, with_margins=False).together
+        (one,) = predict(scene, with_margins=False).parts
         with pytest.raises(UsageError, match=r"show clearly the 4 decaying modes of 2 springs and dampers"):
             measured(scene, one)
 
     def test_need_a_record(self) -> None:
         scene = scene_of(TIED)
-        (one,) = predict(scene, with_margins=False).together
+        (one,) = predict(scene, with_margins=False).parts
         with pytest.raises(UsageError, match="too little of the free motion was recorded without a gap"):
             measured(scene, one, duration=0.1)
 

@@ -45,7 +45,7 @@ def scene_of(modules: dict[str, Any]) -> Scene:
 @pytest.mark.parametrize("name", BEHIND)
 def test_k_and_b_are_those_of_the_prediction(name: str) -> None:
     scene = scene_of(BEHIND[name])
-    (one,) = predict(scene, with_margins=False).together
+    (one,) = predict(scene, with_margins=False).parts
     felt = one.own_motion
     assert felt is not None
     found = measure(scene, run=run_in_memory)

@@ -105,7 +105,7 @@ def test_a_scene_in_the_plane_is_stable_and_pressed_it_feels_as_in_its_comment(
     assert start.stable
     assert min(margin.stiffness_factor for margin in start.margins) > 2.0
     told = re.findall(r"k = ([\d.]+) N/m, b = ([\d.]+) N·s/m", text_of(name))
-    felt = predict(scene, at=at).principal("hand")
+    felt = predict(scene, at=at).parts[0].along("hand")
     assert told
     for (k, b), one in zip(told, felt, strict=False):
         assert one.felt.k == pytest.approx(float(k), abs=0.005)
@@ -119,7 +119,7 @@ def test_what_slides_off_is_as_fast_as_its_comment() -> None:
     for scene, name in ((disc, "disc"), (haply, "boards/haply_disc")):
         here = predict(scene, at=IN_THE_PLANE[name])
         (slide,) = here.slides
-        _, along = here.principal("hand")
+        _, along = here.parts[0].along("hand")
         text = text_of(name)
         assert f"{along.felt.k:.2f} N/m" in text
         assert f"e-fold in {1e3 * slide.e_fold_s:.3g} ms" in text

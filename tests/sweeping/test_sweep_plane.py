@@ -37,7 +37,7 @@ def test_a_place_in_the_plane_is_predicted_and_measured_along_both_directions(di
             point, scene = found.sel(values), Varied(package.load_scene(disc)).scene(values)
             prediction: Any = package.predict(scene, at=ASIDE)
             assert (point["stable"], point["spectral_radius"]) == (prediction.stable, prediction.spectral_radius)
-            for rank, one in enumerate(prediction.principal("hand"), 1):
+            for rank, one in enumerate(prediction.parts[0].along("hand"), 1):
                 assert point[f"predicted_k_{rank}"] == one.felt.k
                 assert point[f"predicted_b_{rank}"] == one.felt.b
                 assert point[f"predicted_angle_{rank}"] == one.angle_deg

@@ -149,8 +149,8 @@ def test_an_explicit_mass_behind_the_coupling_needs_more_friction(mass: float, e
     assert (found.needed_friction, found.is_passive_behind) == (pytest.approx(proxy, rel=1e-6), True)
     Kc, Bc = found.any_hand.coupling
     joined = f"c: {{type: viscoelastic, between: [hand, ball], stiffness: {Kc}, damping: {Bc}}}"
-    (part,) = predict(scene_of(DEVICE, f"  ball: {{type: mass, mass: {mass}}}\n  {joined}")).any_hands
-    assert part.needed[0] == pytest.approx(explicit, rel=1e-6)
+    (part,) = predict(scene_of(DEVICE, f"  ball: {{type: mass, mass: {mass}}}\n  {joined}")).parts
+    assert part.any_hand.needed[0] == pytest.approx(explicit, rel=1e-6)
 
 
 CUP = "  cup: {type: proxy, mass: 0.02, hand: hand, stiffness: 769, damping: 0.3}\n"
@@ -179,7 +179,7 @@ def test_a_scene_with_a_proxy_is_judged(modules: str, passive: bool) -> None:
 
 def test_what_is_felt_through_a_coupling_with_nothing_behind() -> None:
     (found,) = virtual_couplings(scene_of(DEVICE, CUP))
-    (one,) = predict(scene_of(DEVICE, CUP)).together
+    (one,) = predict(scene_of(DEVICE, CUP)).parts
     assert found.present is not None
     assert one.weight is not None
     assert found.present.free_mass == pytest.approx(one.weight.felt, rel=1e-9)

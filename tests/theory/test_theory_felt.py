@@ -11,7 +11,7 @@ import yaml
 from numpy.typing import NDArray
 
 from hapsim import predict
-from hapsim.prediction import FeltTogether, OwnMotion
+from hapsim.prediction import OwnMotion, Part
 from hapsim.running.run import run_in_memory
 from hapsim.scene import Scene, parse_scene
 from hapsim.theory import Configuration, Network
@@ -32,8 +32,8 @@ def scene_of(modules: dict[str, Any], **more: Any) -> Scene:
     return parse_scene(yaml.safe_dump(document, sort_keys=False), "scene")
 
 
-def together(modules: dict[str, Any], **more: Any) -> FeltTogether:
-    (found,) = predict(scene_of(modules, **more), with_margins=False).together
+def together(modules: dict[str, Any], **more: Any) -> Part:
+    (found,) = predict(scene_of(modules, **more), with_margins=False).parts
     return found
 
 
@@ -48,7 +48,7 @@ class TestFiguresWorkedOutElsewhere:
         couple = link("hand", "proxy", 769.800358920, 0.281766487)
         one = together({"proxy": mass(0.02), "couple": couple, "hold": link("proxy", "wall", 2000.0, 5.0)})
         assert (one.felt.k[0, 0], one.felt.b[0, 0]) == pytest.approx((554.143495968, 0.708624809), rel=1e-9)
-        wanted = one.asked_for.k[0, 0], one.asked_for.b[0, 0]
+        wanted = one.desired.k[0, 0], one.desired.b[0, 0]
         assert wanted == pytest.approx((552.901493894, 1.535624061), rel=1e-9)
         assert one.felt.share == pytest.approx(0.99209, abs=1e-5)
 
@@ -79,7 +79,7 @@ class TestFiguresWorkedOutElsewhere:
         apart = np.array([[1.0, -1.0], [-1.0, 1.0]])
         np.testing.assert_allclose(one.felt.k, 2167.8914017232 * apart, rtol=1e-9)
         np.testing.assert_allclose(one.felt.b, np.eye(2) + 1.9923820182 * apart, rtol=1e-9)
-        np.testing.assert_allclose(one.asked_for.k, 2000.0 * apart, rtol=1e-9)
+        np.testing.assert_allclose(one.desired.k, 2000.0 * apart, rtol=1e-9)
         np.testing.assert_allclose(one.static_stiffness, 2000.0 * apart, rtol=1e-9)
         assert one.own_motion is None
 
@@ -185,7 +185,7 @@ def test_the_predicted_motion_is_the_mock_s(seed: int, figures: Any) -> None:
     are stated, others carry at least a quarter, or a mass has more than a tenth of the energy."""
     scene = random_scene(seed)
     prediction = predict(scene, with_margins=False)
-    (one,) = prediction.together
+    (one,) = prediction.parts
     if one.felt.reason:
         assert one.felt.others > 0.25 or one.felt.share < 0.9
     if one.felt.reason or not prediction.stable:  # one that grows to the force limit is no sum of swings

@@ -35,7 +35,7 @@ def plane(device: dict[str, Any] | None = None, **modules: Any) -> Scene:
 
 def felt_at(scene: Scene, x: float, y: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """The felt matrices with the hand at a place."""
-    (one,) = predict(scene, at=(x, y)).together
+    (one,) = predict(scene, at=(x, y)).parts
     return one.felt.k, one.felt.b
 
 
@@ -96,7 +96,7 @@ def test_a_hand_slides_off_as_fast_as_predicted() -> None:
     prediction = predict(plane(disc=DISC), at=PRESSED_DISC)
     assert isinstance(prediction, PlanePrediction)
     (slide,) = prediction.slides
-    assert (slide.module, prediction.verdict, prediction.stable) == ("hand", "slides", False)
+    assert (slide.module, prediction.verdict_here, prediction.stable) == ("hand", "slides", False)
     assert slide.pole == pytest.approx(1.020440217, abs=REFERENCE)
     assert slide.angle_deg == pytest.approx(90.0, abs=1e-9)
     assert slide.e_fold_s == pytest.approx(1e-3 / math.log(1.020440217), rel=1e-7)
@@ -211,7 +211,7 @@ def test_static_stiffness_is_the_change_of_the_force() -> None:
         along_y = (force(x, y + step) - force(x, y - step)) / (2.0 * step)
         if not prediction.directions[1]:  # the ball rests in one place
             checked += 1
-            (one,) = prediction.together
+            (one,) = prediction.parts
             found = -np.array([along_x, along_y]).T
             assert found == pytest.approx(one.static_stiffness, rel=1e-5, abs=1e-3)
     assert checked > 10
@@ -261,7 +261,7 @@ def test_stretches_of_a_line_end_where_a_link_is_touched() -> None:
     found = stretches_along(scene, (0.0, 0.005), (0.06, 0.005))
     half = math.sqrt(0.02**2 - 0.005**2)
     assert [one.end[0] for one in found] == pytest.approx([0.03 - half, 0.03 + half, 0.06], abs=1e-12)
-    assert [(one.links, one.middle.verdict) for one in found] == [
+    assert [(one.links, one.middle.verdict_here) for one in found] == [
         ({}, "stable"),
         ({"disc": "touched"}, "slides"),
         ({}, "stable"),

@@ -266,5 +266,5 @@ class TestARecordedButton:
             out.split()
         )
         document = json.loads(hapsim("check", str(file), "--json").out)
-        assert len(document["regions"]["hand"]) == 481
+        assert len(document["parts"][0]["regions"]) == 481
         assert 1e-6 < document["swings"]["hand"]["most_m"] < self.COARSE

@@ -42,13 +42,12 @@ export class Plane {
       ? `${pair(hand.asked).join(" and ")}${isHeld ? ` feel like ${shown(hand.k, 0)} and ${shown(hand.b, 1)}` : ""}${own && ` (the device's own ${own} included)`}\n` +
         `${verdict(now, hand, ...this.position)}${this.planned ? ", not applied yet" : ""}${margin(hand)}`
       : `${now.verdict ? `${now.verdict}${now.states && "; unstable"}` : now.stable ? "stable" : "unstable"}${now.states && ` ${now.states}`} (spectral radius ${short(now.spectral_radius)})`;
-    for (const one of now.directions ?? []) this.felt.textContent += `\n${one.hand} feels ${pair([one.k, one.b]).join(" and ")} along ${short(one.angle_deg)}°.`;
+    for (const one of now.felt ?? []) {
+      const along = one.angle_deg === null ? "" : ` along ${short(one.angle_deg)}°`;
+      const held = one.is_held ? " while the others hold still" : "";
+      this.felt.textContent += `\n${one.hand} feels ${pair([one.k, one.b]).join(" and ")}${along}${held}.`;
+    }
     for (const one of now.slides ?? []) this.felt.textContent += `\n${one.module} slides off along ${short(one.angle_deg)}°: grows e-fold in ${short(1e3 * one.e_fold_s)} ms.`;
-    for (const { names, k, b } of now.together ?? [])
-      for (const [i, name] of names.entries()) {
-        const held = names.length > 1 ? " while the others hold still" : "";
-        this.felt.textContent += `\n${name} feels ${pair([k[i], b[i]]).join(" and ")}${held}.`;
-      }
     if (now.contacts) this.felt.textContent += `\nAt rest here: ${now.contacts}.`;
     this.felt.classList.toggle("bad", now.verdict ? now.verdict === "unstable" || now.states !== "" : !now.stable);
     this.canvas.hidden = !hand;

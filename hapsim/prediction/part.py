@@ -1,0 +1,276 @@
+"""A part of a scene: the coordinates of hands that links join, and what the hands feel on them.
+
+A hand whose links all end on grounds is a part of one, and has a closed form. What a part of several feels, or one that
+moves masses, describes the hands' own motions, if these dominate; other quantities are always defined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hapsim.one_thread import one_thread
+from hapsim.prediction.any_hand import AnyHand
+from hapsim.prediction.felt_alone import Felt
+from hapsim.theory import Network, frequency_and_ratio
+from hapsim.theory.arrays import Floats, Indices
+from hapsim.theory.network import (
+    CARRIED,
+    Direction,
+    FeltPair,
+    continuous_mass,
+    continuous_pair,
+    felt_mass,
+    felt_pair,
+    no_pair,
+    part_of,
+    principal,
+    state_size,
+    static_stiffness,
+)
+from hapsim.theory.network.impedance import loop_impedance, spring_and_damper
+
+if TYPE_CHECKING:
+    from hapsim.prediction.prediction import Prediction
+    from hapsim.prediction.stability import Region
+
+HAND_HZ = (2.0, 8.0, 30.0)
+"""Frequencies at which a hand moves: slowly, as fast as it can, and shaken by the masses that it holds."""
+HAND_STIFFNESS = 300.0
+"""Stiffness of a hand that shakes a mass to feel its weight, N/m."""
+_OFF = 1.1  # ratio of the felt to the true mass at the limit of its range
+_FREE = 1e-9  # of the stiffest link: a smaller stiffness holds nothing
+_HALVINGS = 20
+_MOST_STATES = 100  # of the loop that is solved fifty times
+
+
+class Weight(NamedTuple):
+    """Felt weight of free masses, to a hand of `HAND_STIFFNESS`, kg."""
+
+    mass: float
+    """Total mass that the hand moves."""
+    felt: float
+    continuous: float
+    """Part of it that the same scene in continuous time has."""
+    within_10_percent_hz: float
+    """Frequency up to which it feels like itself within a tenth; NaN if it never does."""
+    to_simulate: float
+    """Mass to simulate so that it feels like `mass`; NaN if there is none."""
+
+
+class OwnMotion(NamedTuple):
+    """Own motion of one hand, to compare with a measurement: N/m, N·s/m, and its mass's frequency and damping ratio."""
+
+    k: float
+    b: float
+    frequency_hz: float
+    damping_ratio: float
+
+
+class Along(NamedTuple):
+    """What a hand feels along its coordinate, or along a principal direction of the plane: k and b, the desired ones
+    and the static stiffness."""
+
+    felt: Direction
+    """The angle is NaN on a line."""
+    desired_k: float
+    desired_b: float
+    static: float
+
+    @property
+    def angle_deg(self) -> float:
+        """Angle from x towards y, 0 <= angle < 180."""
+        return math.degrees(self.felt.angle)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Coordinates of hands that links join, alone or over masses.
+
+    Attributes:
+        names: of the n device points; in the plane each hand has two, "hand.x" and "hand.y".
+        channels: of the device points.
+    """
+
+    names: tuple[str, ...]
+    channels: tuple[int, ...]
+    _of: Prediction
+    _inside: Indices
+    """Numbers of all its points."""
+
+    @property
+    def hands(self) -> dict[str, list[int]]:
+        """Numbers of each hand's coordinates in `names`."""
+        found: dict[str, list[int]] = {}
+        for number, name in enumerate(self.names):
+            found.setdefault(name.partition(".")[0], []).append(number)
+        return found
+
+    @property
+    def alone(self) -> Felt | None:
+        """Closed form of a part of one; None if its hand moves masses, or is joined to another."""
+        return next((one for one in self._of.felt if (one.name,) == self.names), None)
+
+    @property
+    def whys(self) -> dict[str, str]:
+        """Reason why each of its device points has no closed form, to follow its name; empty for a part of one."""
+        return {name: self._of.coupled[name] for name in self.names if name in self._of.coupled}
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """Regions of a part of one, if it feels other springs and dampers at other places."""
+        return self._of.regions.get(self.names[0], ())
+
+    @property
+    def _not_predicted(self) -> str:
+        """Reason why the network does not describe the run; "" if it does."""
+        rendering = self._of.rendering
+        return rendering.kind.name if rendering and rendering.kind and rendering.kind.predicts else ""
+
+    @cached_property
+    def _network(self) -> Network:
+        return part_of(self._of.judge.solved.network, self._inside)
+
+    @cached_property
+    def any_hand(self) -> AnyHand:
+        """Its stability in hands other than the declared ones."""
+        why = "the condition is not derived for a predictor" if self._not_predicted else ""
+        points = tuple(self._of.points[at] for at in self._inside)
+        return AnyHand(self.names, self.channels, why, self._network, points)
+
+    @property
+    def passive(self) -> bool | None:
+        """True if no hand can make it unstable; None if unknown."""
+        return self.any_hand.is_passive if self.alone is None else self.alone.passive
+
+    @property
+    def needed_friction(self) -> Floats:
+        """Friction (n,), N·s/m, from which on no hand can make it unstable; NaN if not derived."""
+        return self.any_hand.needed if self.alone is None else np.array([self.alone.needed_friction])
+
+    @cached_property
+    def felt(self) -> FeltPair:
+        """Felt k and b (n, n); off the diagonal, the part that one hand feels of another is negative."""
+        if (one := self.alone) is not None:
+            return _of_one(one.k, one.b, one.reason)
+        if self._not_predicted:
+            return no_pair(len(self.names), f"it is not worked out with correction: {self._not_predicted}")
+        solution = self._of.judge.solved.solution
+        with one_thread():
+            known = solution.eigen if self._inside.size == len(self._of.points) else None
+            return felt_pair(self._network, known, self._most)
+
+    @property
+    def _most(self) -> float:
+        """Limit of the share of other motions; x and y of a single hand, without masses, have none."""
+        return math.inf if len(self.hands) == 1 and not self._network.point_mass.size else CARRIED
+
+    @property
+    def own_motion(self) -> Felt | OwnMotion | None:
+        """Own motion of a single hand, in the plane along its stiffest principal direction; None if no pair is felt,
+        but of a part of one always its closed form."""
+        if self.alone is not None:
+            return self.alone
+        if self.felt.reason or len(self.hands) > 1:
+            return None
+        k, b, mass = float(self.felt.k[0, 0]), float(self.felt.b[0, 0]), float(self._network.channel_mass[0])
+        if len(self.names) > 1:
+            (angle, k, b), _ = principal(self.felt.k, self.felt.b)
+            n = np.array([math.cos(angle), math.sin(angle)])
+            mass = 1.0 / float(n @ np.linalg.solve(self._network.mass_matrix, n))
+        frequency, ratio = frequency_and_ratio(mass, k, b)
+        return OwnMotion(k, b, float(frequency), float(ratio))
+
+    def along(self, hand: str) -> list[Along]:
+        """Returns what this hand feels along its coordinate, the others held; in the plane along its two principal
+        directions, the stiffest first. Empty if no pair is felt; of a part of one its numbers are then NaN."""
+        own = np.ix_(*[self.hands[hand]] * 2)
+        if self.felt.reason and self.alone is None:
+            return []
+        k, b = self.felt.k[own], self.felt.b[own]
+        is_line = len(k) == 1
+        found = []
+        for felt in [Direction(math.nan, float(k[0, 0]), float(b[0, 0]))] if is_line else principal(k, b):
+            n = np.ones(1) if is_line else np.array([np.cos(felt.angle), np.sin(felt.angle)])
+            wanted = (float(n @ one[own] @ n) for one in (self.desired.k, self.desired.b, self.static_stiffness))
+            found.append(Along(felt, *wanted))
+        return found
+
+    @cached_property
+    def weight(self) -> Weight | None:
+        """Felt weight of a single hand's free masses; else None."""
+        if self.alone is not None or len(self.names) > 1:
+            return None
+        network = self._network
+        mass, stiffest = float(network.point_mass.sum()), float(np.abs(network.stiffness).max(initial=0.0))
+        acts = (network.stiffness != 0.0) | (network.damping != 0.0)
+        is_held = bool((network.ends[acts] < 0).any()) or network.channel_stiffness[0] > 0.0
+        weighs = None if is_held else self.weighs(HAND_STIFFNESS)
+        if weighs is None or not np.isfinite(weighs).all():
+            return None
+        with one_thread():
+            off, hz = _crossing(lambda kh: felt_mass(network, kh), _OFF * mass, stiffest)
+            lighter, _ = _crossing(
+                lambda share: felt_mass(replace(network, point_mass=share * network.point_mass), HAND_STIFFNESS),
+                mass,
+                1.0,
+            )
+        return Weight(mass, *weighs, hz if off else math.nan, lighter * mass or math.nan)
+
+    def weighs(self, hand_stiffness: float) -> tuple[float, float] | None:
+        """Returns the mass, kg, that its masses feel like to one hand of this stiffness (N/m) that shakes them, and the
+        same in continuous time; NaN if the hand shakes them in no oscillation, None if not computed."""
+        if self.alone is not None or len(self.names) > 1 or self._not_predicted:
+            return None
+        network = self._network
+        if not network.point_mass.size or state_size(network) > _MOST_STATES:
+            return None
+        with one_thread():
+            return felt_mass(network, hand_stiffness)[0], continuous_mass(network, hand_stiffness)
+
+    @cached_property
+    def desired(self) -> FeltPair:
+        """Desired pair, of the scene in continuous time, without sampling, hold and delay."""
+        if (one := self.alone) is not None:
+            return _of_one(*self._of.asked_for(one))
+        written = self._of.written if self._of.rendering else self._of.network
+        with one_thread():
+            # The limit is wider: both pairs are shown side by side, and the felt one may be just within its own.
+            return continuous_pair(part_of(written, self._inside), 1.5 * self._most)
+
+    @cached_property
+    def static_stiffness(self) -> Floats:
+        """Static stiffness (n, n), N/m, that steady pushes meet."""
+        if self.alone is not None:
+            return np.array([[self.alone.robustness.steady_stiffness]])
+        with one_thread():
+            found = static_stiffness(self._network)
+        return np.where(np.abs(found) > _FREE * np.abs(self._network.stiffness).max(initial=0.0), found, 0.0)
+
+    @cached_property
+    def at_frequencies(self) -> tuple[Floats, Floats]:
+        """Stiffness and damping, each (n, 3), of each hand at `HAND_HZ`, the others held; NaN from half the rate on."""
+        rendered = np.diagonal(loop_impedance(self._network, HAND_HZ).rendered, axis1=1, axis2=2).T
+        k, b = spring_and_damper(np.array(HAND_HZ), rendered)
+        return self._network.channel_stiffness[:, None] + k, self._network.channel_friction[:, None] + b
+
+
+def _of_one(k: float, b: float, reason: str = "") -> FeltPair:
+    return FeltPair(np.array([[k]]), np.array([[b]]), 1.0, 0.0, (), reason)
+
+
+def _crossing(of: Callable[[float], tuple[float, float]], wanted: float, most: float) -> tuple[float, float]:
+    """Returns the number up to `most` at which the first value of the function exceeds `wanted`, and the second value
+    there; 0 if it does everywhere, or nowhere."""
+    low, high = 1e-6 * most, most
+    if of(low)[0] >= wanted or not of(high)[0] > wanted:  # a motion without oscillation is not above
+        return 0.0, math.nan
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if of(middle)[0] > wanted else (middle, high)
+    return low, of(low)[1]
