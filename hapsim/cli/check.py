@@ -285,6 +285,8 @@ def _margin_summary(prediction: Prediction) -> str:
     return f"Smallest gain margin: unstable at {factor:.4g} times the {what} of {escape(links[0].name)}{how}"
 
 
+VERSION = 2
+"""Of the documents with a prediction: it grows when a key moves, or means something else."""
 _TOLERANCE = "share mass_kg=mass friction delay_samples=delay"
 _CORRECTED = (
     "written.K=written.0 written.B=written.1 simulated.K=rendered.0 simulated.B=rendered.1 made_for_kg=made_for reached"
@@ -325,6 +327,7 @@ def prediction_document(
     late = on_wire and felt_on(on_wire, channel)
     of_wire = {"of": prediction.wire_of, "predicted": late, "stable": on_wire and on_wire.stable}
     return {
+        "version": VERSION,
         **pick(prediction, "stable verdict spectral_radius assumptions rate_hz=rate nominal_rate_hz=rate"),
         "here": check_plane.here_document(prediction),
         "dominant": felt is not None and felt.dominant,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.markup import escape
 
-from hapsim.cli import check_plane
+from hapsim.cli.check_plane import ALONG, angle
 from hapsim.cli.command_options import quantity, require_units
 from hapsim.cli.output import Line, Table, output_units, table
 from hapsim.documents import pick
@@ -193,29 +193,23 @@ def felt_lines(prediction: Prediction, *, with_alone: bool) -> Iterator[Line]:
     """Yields k, b and static stiffness of the hands, beside the desired ones, and sentences about them. `with_alone`:
     also of hands with a closed form."""
     parts = [one for one in prediction.parts if with_alone or one.alone is None]
-    if rows := [row for one in parts for row in _rows_of(prediction, one)]:
+    if rows := [row for one in parts for row in _rows_of(prediction.scene, one)]:
         yield table("", ("", "desired", "felt", "static", ""), rows, box=None)
     for one in parts:
         yield from _sentences(prediction, one)
 
 
-def _rows_of(prediction: Prediction, part: Part) -> Iterator[tuple[str, ...]]:
+def _rows_of(scene: Scene, part: Part) -> Iterator[tuple[str, ...]]:
     """Yields rows for each hand along its coordinate, or along its principal directions, and on a line for each pair of
     hands: the coupling that the first feels to the second."""
-    felt, desired, static = part.felt, part.desired, part.static_stiffness
-    for name, (i, *_) in part.hands.items():
-        found, units = part.along(name), prediction.scene.units_of(part.channels[i])
-        least = _NONE * max(abs(one.static) for one in found) if len(found) > 1 else 0.0
-        for one in found:
-            who = escape(name) + (f" at {check_plane.angle(one.angle_deg)}" if len(found) > 1 else "")
-            k = (value if abs(value) > least else 0.0 for value in (one.desired_k, one.felt.k, one.static))
-            yield from _pair_rows(who, units, k, (one.desired_b, one.felt.b))
-        for j, other in enumerate(part.names) if len(found) == 1 else ():
-            if j != i:
-                k, b = (
-                    (-float(each[i, j]) for each in of) for of in ((desired.k, felt.k, static), (desired.b, felt.b))
-                )
-                yield from _pair_rows(f"{escape(name)} of {escape(other)}", units, k, b)
+    largest = max((abs(one.static_stiffness) for one in part.rows), default=0.0)
+    for one in part.rows:
+        is_line, units = math.isnan(one.angle_deg), scene.units_at(one.hand)
+        turned = "" if is_line else f" at {angle(one.angle_deg)}"
+        who = escape(one.hand) + (f" of {escape(one.of)}" if one.of else turned)
+        least = 0.0 if is_line else _NONE * largest
+        k = (0.0 if abs(each) <= least else each for each in (one.desired_k, one.k, one.static_stiffness))
+        yield from _pair_rows(who, units, k, (one.desired_b, one.b))
 
 
 def _pair_rows(who: str, units: Units, k: Iterable[float], b: Iterable[float]) -> Iterator[tuple[str, ...]]:
@@ -293,7 +287,7 @@ def part_document(prediction: Prediction, one: Part) -> dict[str, Any]:
     moved = (rows[0].tolist() for rows in one.at_frequencies)
     return {
         **pick(one, "device_points=names channels why=whys alone"),
-        "hands": [{"hand": name} | pick(each, check_plane.ALONG) for name in one.hands for each in one.along(name)],
+        "hands": [pick(each, ALONG) for each in one.rows if not each.of],
         "k": _matrix(one.felt.k),
         "b": _matrix(one.felt.b),
         "desired": {"k": _matrix(one.desired.k), "b": _matrix(one.desired.b)},

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hapsim.scene import Scene
     from hapsim.scene.chain import Point
 
-ALONG = "angle_deg k=felt.k b=felt.b desired_k desired_b static_stiffness=static"
+ALONG = "hand angle_deg k b desired_k desired_b static_stiffness"
 """Keys of what a hand feels along a direction."""
 
 
@@ -66,7 +66,7 @@ def along(scene: Scene, ends: Sequence[Point], json: bool) -> list[Line] | dict[
 
 
 def _stretch_row(one: Stretch) -> tuple[str, ...]:
-    cells = [output_units().number(each.felt.k, "N/m", 4) for each in one.felt] or ["–", "–"]
+    cells = [output_units().number(each.k, "N/m", 4) for each in one.felt] or ["–", "–"]
     first = angle(one.felt[0].angle_deg) if one.felt else "–"
     states = {name: "" if state == "touched" else state for name, state in one.links.items()}
     links = ", ".join(f"{escape(name)} {state}".rstrip() for name, state in states.items())

@@ -36,13 +36,9 @@ _PERIOD_S = 1.0
 _PHRASE = 24  # characters: a longer cell is a phrase, which wraps, and not a number
 
 
-VERSION = 2
-"""Of JSON documents; a document whose keys moved, or mean something else, has a higher one."""
-
-
 def document(value: Any) -> str:
     """Returns the text of a JSON document: a result, or a dict of results."""
-    return json.dumps({"version": VERSION} | plain(value), indent=2, allow_nan=False)
+    return json.dumps(plain(value), indent=2, allow_nan=False)
 
 
 def failure_document(failure: HapsimError | None) -> dict[str, Any]:

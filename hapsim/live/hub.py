@@ -19,6 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from hapsim.documents import pick
 from hapsim.errors import GuardError, HapsimError, UsageError
 from hapsim.live.messages import Predict
 from hapsim.prediction import Felt, Part, Prediction, Region, predict
@@ -316,10 +317,9 @@ def _of_hand(felt: Felt, asked: tuple[float, float], region: Region | None) -> d
 
 def _felt(part: Part) -> Iterator[dict[str, Any]]:
     """Yields k and b of each hand along its coordinate, or along its principal directions, with other hands held."""
-    for name in part.hands:
-        for one in part.along(name):
-            of = {"hand": name, "angle_deg": one.angle_deg, "is_held": len(part.hands) > 1}
-            yield of | {"k": one.felt.k, "b": one.felt.b}
+    for one in part.rows:
+        if not one.of:
+            yield pick(one, "hand angle_deg k b") | {"is_held": len(part.hands) > 1}
 
 
 @lru_cache(maxsize=64)

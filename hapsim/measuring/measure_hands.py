@@ -123,6 +123,11 @@ class MeasuredDirection(NamedTuple):
     k_uncertainty: float
     b_uncertainty: float
 
+    @property
+    def angle_deg(self) -> float:
+        """The angle in degrees."""
+        return math.degrees(self.angle)
+
 
 @dataclass(frozen=True)
 class HandsMeasurement:

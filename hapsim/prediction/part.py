@@ -21,7 +21,6 @@ from hapsim.theory import Network, frequency_and_ratio
 from hapsim.theory.arrays import Floats, Indices
 from hapsim.theory.network import (
     CARRIED,
-    Direction,
     FeltPair,
     continuous_mass,
     continuous_pair,
@@ -73,19 +72,19 @@ class OwnMotion(NamedTuple):
 
 
 class Along(NamedTuple):
-    """What a hand feels along its coordinate, or along a principal direction of the plane: k and b, the desired ones
-    and the static stiffness."""
+    """What a hand feels along its coordinate, or along a principal direction of the plane, with the desired k and b and
+    the static stiffness."""
 
-    felt: Direction
-    """The angle is NaN on a line."""
+    hand: str
+    of: str
+    """The other hand of which it feels this: a spring and damper between them; "" for its own."""
+    angle_deg: float
+    """Angle from x towards y, 0 <= angle < 180; NaN on a line."""
+    k: float
+    b: float
     desired_k: float
     desired_b: float
-    static: float
-
-    @property
-    def angle_deg(self) -> float:
-        """Angle from x towards y, 0 <= angle < 180."""
-        return math.degrees(self.felt.angle)
+    static_stiffness: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,20 +185,31 @@ class Part:
         frequency, ratio = frequency_and_ratio(mass, k, b)
         return OwnMotion(k, b, float(frequency), float(ratio))
 
+    @cached_property
+    def rows(self) -> tuple[Along, ...]:
+        """What each hand feels along its coordinate, the others held, and then of each other hand; in the plane along
+        its two principal directions, the stiffest first. Empty if no pair is felt; of a part of one its numbers are
+        then NaN."""
+        felt, found = self.felt, list[Along]()
+        if felt.reason and self.alone is None:
+            return ()
+        every = felt.k, felt.b, self.desired.k, self.desired.b, self.static_stiffness
+        for hand, (i, *others) in self.hands.items():
+            if not others:
+                found.append(Along(hand, "", math.nan, *(float(one[i, i]) for one in every)))
+                between = [(of, j) for of, (j, *_) in self.hands.items() if j != i]
+                found += [Along(hand, of, math.nan, *(-float(one[i, j]) for one in every)) for of, j in between]
+                continue
+            own = np.ix_([i, *others], [i, *others])
+            for angle, k, b in principal(felt.k[own], felt.b[own]):
+                n = np.array([math.cos(angle), math.sin(angle)])
+                wanted = (float(n @ one[own] @ n) for one in every[2:])
+                found.append(Along(hand, "", math.degrees(angle), k, b, *wanted))
+        return tuple(found)
+
     def along(self, hand: str) -> list[Along]:
-        """Returns what this hand feels along its coordinate, the others held; in the plane along its two principal
-        directions, the stiffest first. Empty if no pair is felt; of a part of one its numbers are then NaN."""
-        own = np.ix_(*[self.hands[hand]] * 2)
-        if self.felt.reason and self.alone is None:
-            return []
-        k, b = self.felt.k[own], self.felt.b[own]
-        is_line = len(k) == 1
-        found = []
-        for felt in [Direction(math.nan, float(k[0, 0]), float(b[0, 0]))] if is_line else principal(k, b):
-            n = np.ones(1) if is_line else np.array([np.cos(felt.angle), np.sin(felt.angle)])
-            wanted = (float(n @ one[own] @ n) for one in (self.desired.k, self.desired.b, self.static_stiffness))
-            found.append(Along(felt, *wanted))
-        return found
+        """Returns those of this hand's own."""
+        return [one for one in self.rows if one.hand == hand and not one.of]
 
     @cached_property
     def weight(self) -> Weight | None:

@@ -76,7 +76,7 @@ _RANKS = {1: "stiffer", 2: "softer"}
 _ALONG = {
     "k_{}": _FELT["k"],
     "b_{}": _FELT["b"],
-    "angle_{}": Variable("°", "angle from x towards y", lambda one: math.degrees(one.angle)),
+    "angle_{}": Variable("°", "angle from x towards y", lambda one: one.angle_deg),
 }
 _UNCERTAIN = {f"{one}_{{}}_uncertainty": _MEASURED[f"measured_{one}_uncertainty"] for one in "kb"}
 _IN_PLANE = KINDS | {
@@ -136,8 +136,7 @@ def _predicted(task: Task, scene: Scene) -> tuple[Values, str]:
         needed = float(part.needed_friction[part.channels.index(task.channel)])
         found |= {"passive": _truth(part.passive), "needed_friction": needed}
     if "predicted_k_1" in variables:
-        felt = [one.felt for one in part.along(scene.hand_on(task.channel))]
-        return found | _along("predicted", _ALONG, felt), part.felt.reason
+        return found | _along("predicted", _ALONG, part.along(scene.hand_on(task.channel))), part.felt.reason
     if (own := part.own_motion) is None:
         return found, f"no single k and b: {part.felt.reason or 'several hands'}"
     reason = "" if part.alone is None else part.alone.reason

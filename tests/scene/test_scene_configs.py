@@ -108,8 +108,8 @@ def test_a_scene_in_the_plane_is_stable_and_pressed_it_feels_as_in_its_comment(
     felt = predict(scene, at=at).parts[0].along("hand")
     assert told
     for (k, b), one in zip(told, felt, strict=False):
-        assert one.felt.k == pytest.approx(float(k), abs=0.005)
-        assert one.felt.b == pytest.approx(float(b), abs=0.00005)
+        assert one.k == pytest.approx(float(k), abs=0.005)
+        assert one.b == pytest.approx(float(b), abs=0.00005)
 
 
 def test_what_slides_off_is_as_fast_as_its_comment() -> None:
@@ -121,7 +121,7 @@ def test_what_slides_off_is_as_fast_as_its_comment() -> None:
         (slide,) = here.slides
         _, along = here.parts[0].along("hand")
         text = text_of(name)
-        assert f"{along.felt.k:.2f} N/m" in text
+        assert f"{along.k:.2f} N/m" in text
         assert f"e-fold in {1e3 * slide.e_fold_s:.3g} ms" in text
 
 

@@ -38,11 +38,11 @@ def test_a_place_in_the_plane_is_predicted_and_measured_along_both_directions(di
             prediction: Any = package.predict(scene, at=ASIDE)
             assert (point["stable"], point["spectral_radius"]) == (prediction.stable, prediction.spectral_radius)
             for rank, one in enumerate(prediction.parts[0].along("hand"), 1):
-                assert point[f"predicted_k_{rank}"] == one.felt.k
-                assert point[f"predicted_b_{rank}"] == one.felt.b
+                assert point[f"predicted_k_{rank}"] == one.k
+                assert point[f"predicted_b_{rank}"] == one.b
                 assert point[f"predicted_angle_{rank}"] == one.angle_deg
-                assert point[f"measured_k_{rank}"] == pytest.approx(one.felt.k, rel=1e-4)
-                assert point[f"measured_b_{rank}"] == pytest.approx(one.felt.b, rel=1e-4)
+                assert point[f"measured_k_{rank}"] == pytest.approx(one.k, rel=1e-4)
+                assert point[f"measured_b_{rank}"] == pytest.approx(one.b, rel=1e-4)
                 assert point[f"measured_angle_{rank}"] == pytest.approx(one.angle_deg, abs=0.02)  # friction left
     assert (found["predicted_k_1"] > found["predicted_k_2"]).all()
 
