@@ -153,7 +153,7 @@ def printed(judgement: Judgement) -> list[str]:
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_build_that_is_broken_on_purpose_is_found_out(name: str, start_broken_board: Callable[[str], Any]) -> None:
-    """A judge that was held up may see the device go away one check later, or nothing."""
+    """A judge that was held up may see the device go away one check later, or nothing, or something else too."""
     step, check, fault, look_at = BROKEN[name]
     for _ in attempts():
         with open_wire(start_broken_board(name).port) as wire:
@@ -161,7 +161,7 @@ def test_a_build_that_is_broken_on_purpose_is_found_out(name: str, start_broken_
         failures = printed(judgement)
         if name == "scale":  # its accelerations, which are right, contradict those positions too
             failures = [one for one in failures if not one.startswith("FAIL acceleration (§ 6): ")]
-        if any(failure.startswith(f"FAIL {check}:") for failure in failures):
+        if len(failures) == 1 and failures[0].startswith(f"FAIL {check}:"):
             break
     assert len(failures) == 1, failures
     assert re.fullmatch(
