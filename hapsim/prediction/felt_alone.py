@@ -394,9 +394,13 @@ def tolerance_of(felt: Felt, k: float, b: float, share: float) -> Tolerance | No
         return _last(lambda x: meets(of(x)), -1, most_less), _last(lambda x: meets(of(x)), 1)
 
     less, more = span(lambda x: replace(device, mass=m * math.exp(x)), math.inf)
-    weaker, stronger = span(lambda x: replace(device, friction=b0 + b * x), b0 / b)
+
+    def friction_at(x: float) -> float:
+        return max(b0 + b * x, 0.0)  # b0 - b (b0 / b) may be less
+
+    weaker, stronger = span(lambda x: replace(device, friction=friction_at(x)), b0 / b)
     sooner, later = span(lambda x: replace(device, delay=delay + x), delay)
-    mass, friction = (m * math.exp(less), m * math.exp(more)), (b0 + b * weaker, b0 + b * stronger)
+    mass, friction = (m * math.exp(less), m * math.exp(more)), (friction_at(weaker), friction_at(stronger))
     return Tolerance(share, mass, friction, (delay + sooner, delay + later))
 
 

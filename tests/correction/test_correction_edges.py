@@ -81,3 +81,14 @@ def test_a_long_delay_is_searched_for_more_coarsely(correction: str, monkeypatch
     declared = Configuration(mass=0.2, rate=1000.0, friction=1.0, delay=20.0)
     element_for(CORRECTIONS[correction], declared, (0.1, 0.4), (3000.0, 10.0))
     assert 0 < work < 6e8
+
+
+@pytest.mark.parametrize("correction", ["poles", "predictor", "sensed"])
+@pytest.mark.parametrize("friction", [0.42, 0.69, 0.72, 1e-300, 1e-9])
+def test_a_tolerance_that_reaches_no_friction_at_all_is_one(correction: str, friction: float) -> None:
+    """With these, b0 - b (b0/b) is below 0 by rounding."""
+    touch = {"touch": {"type": "viscoelastic", "between": ["hand", "wall"], "stiffness": 1000.0, "damping": 10.0}}
+    sensors = ["velocity", "acceleration"] if correction == "sensed" else []
+    prediction = predict(scene_of(touch, correction, friction=friction, sensors=sensors), with_margins=False)
+    for one in prediction.tolerances("hand"):
+        assert 0.0 <= one.friction[0] <= friction <= one.friction[1]
