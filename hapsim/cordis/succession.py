@@ -20,7 +20,6 @@ from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.program import Program
 from hapsim.scene import Ground, Guide, Scene, Shape
 from hapsim.scene.modules import MaterialPoint, Structure
-from hapsim.scene.scene import AXES
 
 
 class CarriedPoints(NamedTuple):
@@ -102,10 +101,8 @@ def _ends(scene: Scene) -> dict[str, list[str]]:
     """Returns the points at the ends of each link, by the names of `_hands`; for any other module itself."""
     hands = _hands(scene)
     own = {name: [name] for name in scene.modules}
-    ends = {name: [*link.between] for name, link in scene.links.items()}
-    ends |= {
-        name: [f"{end}.{axis}" for end in link.between for axis in AXES] for name, link in scene.plane_links.items()
-    }
+    links = scene.links | scene.plane_links
+    ends = {name: [at for end in link.between for at in scene.coordinates_of(end)] for name, link in links.items()}
     return own | {name: [hands.get(end, end) for end in both] for name, both in ends.items()}
 
 
@@ -126,7 +123,7 @@ def _common_points(older: Scene, scene: Scene) -> set[str]:
         ):
             same |= {f"{name}.{place}" for place in before.point_names()}
         elif any(isinstance(before, kind) and isinstance(after, kind) for kind in (Ground, MaterialPoint)):
-            same |= {name} if scene.space == 1 else {f"{name}.{axis}" for axis in AXES}
+            same |= {*scene.coordinates_of(name)}
     return same
 
 
