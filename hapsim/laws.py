@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 if TYPE_CHECKING:  # a scene is read without NumPy
     import numpy as np
@@ -65,6 +65,32 @@ class Piece(NamedTuple):
     slope: float
     damping: float
     state: str
+
+
+class Potential(NamedTuple):
+    """A spring in which a link without a table stores energy. A text names a field of the link, which may be live, or a
+    number that its part of a program remembers.
+
+    Attributes:
+        stiffness: N/m, of which `share` counts; with a `pitch`, m, the depth of a sine, N.
+        stretch: m, from which it is bent: the distance of its ends, beyond `rest`; their way from its `anchor`; in the
+            plane their way along a remembered normal beyond a `level`; or the way of a `bristle`, as remembered.
+        side: while this number and the stretch have one sign, it stores nothing. pushes: so it does above 0.
+        slides_at: N, or over `press`, the force of a bristle while `side` is not 0.
+        free, reach: m, the stretch from which on it acts, and beyond which it does not.
+    """
+
+    stiffness: str | float = "stiffness"
+    share: float = 1.0
+    pitch: str = ""
+    stretch: Literal["distance", "anchor", "level", "bristle"] = "distance"
+    rest: float = 0.0
+    side: str = ""
+    pushes: bool = False
+    slides_at: str = ""
+    press: str = ""
+    free: float = 0.0
+    reach: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -138,10 +164,30 @@ class Law:
         return tuple(piece.edge for piece in self.pieces if math.isfinite(piece.edge))
 
     @property
+    def is_line(self) -> bool:
+        """True if it is a spring and a damper everywhere, and nothing else."""
+        return len(self.states) == 1 and self.memoryless and not self.speeds
+
+    @property
     def sector(self) -> tuple[float, float]:
         """N/m, the slopes between which the whole law lies: the least and the steepest."""
         slopes = [piece.slope for piece in self.pieces]
         return min(slopes), max(slopes)
+
+    @cached_property
+    def contact_edges(self) -> dict[str, int]:
+        """Knots between which it has no force, if the ends are pushed back there from beyond them: "low", "high" or
+        both; none of any other law."""
+        import numpy as np
+
+        forces = [force for _, force in self.knots]
+        signs = np.sign([-self.below or forces[0], *forces, self.beyond or forces[-1]])
+        low, high = (np.flatnonzero((signs[1:-1] == 0.0) & out) for out in (signs[:-2] < 0.0, signs[2:] > 0.0))
+        edges = {end: int(found[0]) for end, found in (("low", low), ("high", high)) if found.size}
+        first, last = edges.get("low", 0), edges.get("high", len(forces) - 1)
+        is_one = (low.size, high.size) == (signs[0] < 0.0, signs[-1] > 0.0) and not any(forces[first : last + 1])
+        is_spring = len(edges) == 2 and first >= last
+        return edges if is_one and not is_spring and not self.period else {}
 
     @property
     def most(self) -> float:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hapsim.compiling.native import NativeFunction, value_of
 from hapsim.cordis.dispatch import Column, action
 from hapsim.cordis.program import Program
-from hapsim.scene import Ground, Guide, Scene, Shape
+from hapsim.scene import Ground, Scene
 from hapsim.scene.modules import MaterialPoint, Structure
 
 
@@ -107,8 +107,8 @@ def _ends(scene: Scene) -> dict[str, list[str]]:
 
 
 def _chains(scene: Scene) -> dict[str, Any]:
-    """Returns what each shape and guide follows: the memory of one does not fit another."""
-    return {name: link.chain() for name, link in scene.plane_links.items() if isinstance(link, Shape | Guide)}
+    """Returns the line that each link follows, if any: the memory of one does not fit another."""
+    return {name: link.chain() for name, link in scene.plane_links.items()}
 
 
 def _common_points(older: Scene, scene: Scene) -> set[str]:
@@ -144,7 +144,7 @@ def _remembered(older: Program, program: Program, links: set[str]) -> Iterator[t
         there, here = ({name: i for i, name in enumerate(memory.modules)} for memory in (before, after))
         taken, placed = _in_order(there, here, links)
         if taken.size:
-            for source, target in zip(before.columns, after.columns, strict=True):
+            for source, target in zip(before.columns.values(), after.columns.values(), strict=True):
                 yield carry_numbers, CarriedNumbers(source, taken, target, placed)
 
 

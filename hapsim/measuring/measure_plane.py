@@ -40,7 +40,6 @@ from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide
 from hapsim.scene import DevicePoint, Friction, Scene
 from hapsim.scene.load import SceneSource, as_scene
-from hapsim.scene.modules.surfaces import Shape
 
 _SECONDS, _IN_VIRTUAL_TIME, _EVERY_S = 4.0, 10.0, 0.4  # of pushes along each coordinate, and from one to the next
 _MOST_RUNS = 3  # along each coordinate
@@ -278,8 +277,8 @@ def _overshoot(link: PlaneLink, path: Floats) -> Floats:
     slides."""
     if isinstance(link.link, Friction):
         return path * link.link.break_away / link.link.stiffness / max(float(np.hypot(*path)), 1e-300)
-    if not link.rubs or not isinstance(link.link, Shape):
+    if not link.rubs or (rubbing := link.link.rubbing()) is None:
         return np.zeros(2)
-    bent, t = link.link.break_away * abs(link.tension) / link.link.bristle[0], np.array(link.tangent)
+    bent, t = rubbing.break_away * abs(link.tension) / rubbing.stiffness, np.array(link.tangent)
     along = float(path @ t)
     return math.copysign(bent, along) * t if abs(along) > _EDGE else np.zeros(2)

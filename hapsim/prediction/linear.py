@@ -11,7 +11,7 @@ import numpy as np
 
 from hapsim.errors import UsageError
 from hapsim.laws import Linear, line
-from hapsim.scene import Scene, ViscoElastic
+from hapsim.scene import Scene
 from hapsim.scene.choices import BY_SENSORS
 from hapsim.theory import Configuration, Network, NotWorkedOutError
 from hapsim.theory.interface import Ahead, damper_named, hold_lag
@@ -71,9 +71,8 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
     assumptions = []
     for name, link in scene.links.items():
         linear = (taken or {}).get(name) or link.law().linear()
-        velocity = (link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None)
         outside = _is_outside(linear, scene.scheme)
-        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *velocity, outside)
+        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *link.velocity, outside)
         if linear.assumption:
             assumptions.append(f"{name} {scene.units_at(name).filled(linear.assumption)}")
     inner: list[LinearLink] = []
@@ -118,8 +117,7 @@ def needs_network(scene: Scene, name: str) -> bool:
     links = [link for link in scene.links.values() if name in link.between]
     laws = [link.law() for link in links]
     damping = [link for link, law in zip(links, laws, strict=True) if any(law.dampings)]
-    kinds = ((link.damper, link.cutoff) if isinstance(link, ViscoElastic) else ("backward", None) for link in damping)
-    return len({*kinds}) > 1 or any(law.dampings_at(fastest_motion(scene)) for law in laws)
+    return len({link.velocity for link in damping}) > 1 or any(law.dampings_at(fastest_motion(scene)) for law in laws)
 
 
 def coupling_reason(scene: Scene, linear: LinearScene, name: str) -> str:

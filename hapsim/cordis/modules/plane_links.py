@@ -260,15 +260,10 @@ def near_of(radii: Iterable[float], context: BuildContext) -> Column:
     return context.column([NEAR + NEAR_SHARE * abs(radius) for radius in radii])
 
 
-def _rest(link: Any) -> float:
-    """Returns the distance of a link's ends at rest, m."""
-    return getattr(link, "length", None) or getattr(link, "distance", None) or 0.0
-
-
 def _plane_type(
-    module: type[Link], name: str, numbers: Callable[..., Any], forces: NativeFunction, words: str = "", more: int = 0
+    module: type[Link], name: str, numbers: Callable[..., Any], forces: NativeFunction, words: str = "", *more: str
 ) -> PartType:
-    """Returns the type of the links of a module type with a direction each, and `more` columns of memory.
+    """Returns the type of the links of a module type with a direction each, and columns of memory with these names.
 
     Args:
         numbers: makes the part's numbers of ends, live columns, lengths, directions, and those columns.
@@ -276,23 +271,20 @@ def _plane_type(
     """
 
     def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
-        directions, remembered = _directions(links, context, more)
-        lengths = context.column([_rest(link) for link in links.values()])
-        own = numbers(ends_of(links, context), *columns, lengths, directions, *remembered[4:])
+        directions, remembered = _directions(links, context, *more)
+        lengths = context.column([link.rest for link in links.values()])
+        own = numbers(ends_of(links, context), *columns, lengths, directions, *[*remembered.values()][4:])
         return Part(own, add_forces=forces, memory=Memory(tuple(links), remembered))
 
     return PartType(all_of(module, space=2), build, name=f"{name} in the plane", compiled_as=f"{words}a direction each")
 
 
-def _directions(
-    links: Mapping[str, Any], context: BuildContext, more: int = 0
-) -> tuple[Directions, tuple[Column, ...]]:
-    """Returns the directions of links, and what is remembered of them, with `more` columns."""
-    near = near_of([_rest(link) for link in links.values()], context)
-    x, y, slack, *others = np.zeros((3 + more, near.size), context.real)
-    slack[:] = EXACT
-    remembered = x, y, slack, near * near, *others
-    return Directions(near, *remembered[:4]), remembered
+def _directions(links: Mapping[str, Any], context: BuildContext, *more: str) -> tuple[Directions, dict[str, Column]]:
+    """Returns the directions of links, and what is remembered of them, with more columns of these names."""
+    near = near_of([link.rest for link in links.values()], context)
+    remembered = {name: np.zeros_like(near) for name in (*Directions._fields[1:], *more)}
+    remembered["slack"][:], remembered["free_from"][:] = EXACT, near * near
+    return Directions(near, *[*remembered.values()][:4]), remembered
 
 
 def _laws(links: Mapping[str, Link]) -> dict[str, Law]:
@@ -334,7 +326,7 @@ PLANE_TABLES = PartType(
     compiled_as="a search in each one's knots; a direction each",
     live=_live_knots,
 )
-PLANE_PLECTRUM = _plane_type(Plectrum, "plectra", PlanePlectra, add_plectrum_forces, "a grip and ", more=1)
+PLANE_PLECTRUM = _plane_type(Plectrum, "plectra", PlanePlectra, add_plectrum_forces, "a grip and ", "side")
 PLANE_FRICTION = link_type(
     Friction, PlaneFrictions, add_friction_forces, "friction links in the plane", "an anchor each",
     remembers=3, initialize=initialize_friction, space=2,

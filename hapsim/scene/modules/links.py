@@ -1,19 +1,20 @@
 """The links, elements between two points: CORDIS's REF (visco-elastic link), RES (spring), FRO (damper), BUT (buffer)
-and LNL (nonlinear), dry friction, plectrum, detent and click. And pick-ups, output channels that listen to a point."""
+and LNL (nonlinear), dry friction, plectrum, detent and click."""
 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
-from hapsim.laws import GrippingLaw, Law, SineLaw, curve_law, line, roomy
+from hapsim.laws import GrippingLaw, Law, Potential, SineLaw, curve_law, line, roomy
 
+from ..chain import Chain, Piece
 from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DamperScheme, DetentShape
 from ..issue import Issue, did_you_mean, one_of, quote
-from ..part import Module, ModuleContext, Part, check_of
-from ..quantity import Curve, curve, names, quantity, text
+from ..part import Module, ModuleContext, check_of
+from ..quantity import Curve, curve, names, quantity
 from .point_modules import DevicePoint
 from .structures import Structure
 
@@ -25,6 +26,16 @@ ENDS = names(
 )
 
 
+class Rubbing(NamedTuple):
+    """Dry friction along a surface: over the pressure while it slides, and where it breaks away; N/m and N·s/m of the
+    bristle while it sticks."""
+
+    coefficient: float
+    break_away: float
+    stiffness: float
+    damping: float
+
+
 class Link(Module):
     """An element between two points, which are named and may stand anywhere in the file."""
 
@@ -32,6 +43,8 @@ class Link(Module):
     can_move: ClassVar[bool] = False
     #: Its law, whatever its values are, is its `table`.
     has_table: ClassVar[bool] = False
+    #: Whether in the plane it holds across the direction of its ends as along it: near where they meet, or everywhere.
+    holds_across: ClassVar[Literal["never", "near", "always"]] = "never"
     between: Annotated[tuple[str, str], ENDS]
 
     def law(self) -> Law:
@@ -41,6 +54,32 @@ class Link(Module):
     def table(self) -> Law | None:
         """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
         return self.law() if self.has_table else None
+
+    def potential(self) -> tuple[Potential, ...]:
+        """Returns where it stores energy if it has no table."""
+        raise NotImplementedError
+
+    @property
+    def rest(self) -> float:
+        """Distance of its ends at which it is not stretched, m: the radius of a round in the plane."""
+        return 0.0
+
+    @property
+    def velocity(self) -> tuple[str, float | None]:
+        """How it takes its velocity: its damper, and the cutoff of that in Hz."""
+        return "backward", None
+
+    def chain(self) -> Chain | None:
+        """Returns the line in the plane from which its distance counts; None: the other end."""
+        return None
+
+    def damps_along(self, _on: Piece | None) -> bool:
+        """Returns whether at this piece of its surface it damps along itself by the same share as it is stiff there."""
+        return False
+
+    def rubbing(self) -> Rubbing | None:
+        """Returns the dry friction along its surface; None without."""
+        return None
 
     @check_of("between")
     def _ends_fit(self, name: str, around: ModuleContext) -> Iterator[Issue]:
@@ -98,6 +137,7 @@ class ViscoElastic(Link):
     """A spring and a damper in parallel between two points, at rest where the two coincide or are `length` apart."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
+    holds_across: ClassVar[Literal["never", "near", "always"]] = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
@@ -108,7 +148,18 @@ class ViscoElastic(Link):
     length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        return line(self.stiffness, self.damping, self.length or 0.0, in_a_matrix=self.damper == "backward")
+        return line(self.stiffness, self.damping, self.rest, in_a_matrix=self.damper == "backward")
+
+    def potential(self) -> tuple[Potential, ...]:
+        return (Potential(rest=self.rest),)
+
+    @property
+    def rest(self) -> float:
+        return self.length or 0.0
+
+    @property
+    def velocity(self) -> tuple[str, float | None]:
+        return self.damper, self.cutoff
 
     @check_of("damper", "cutoff")
     def _cutoff_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
@@ -133,6 +184,7 @@ class Spring(Link):
     """A spring between two points, at rest where the two coincide or are `length` apart."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
+    holds_across: ClassVar[Literal["never", "near", "always"]] = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     type: Literal["spring"] = Field(default="spring", description="A spring")
@@ -140,7 +192,14 @@ class Spring(Link):
     length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        return line(self.stiffness, 0.0, self.length or 0.0, in_a_matrix=True)
+        return line(self.stiffness, 0.0, self.rest, in_a_matrix=True)
+
+    def potential(self) -> tuple[Potential, ...]:
+        return (Potential(rest=self.rest),)
+
+    @property
+    def rest(self) -> float:
+        return self.length or 0.0
 
 
 class Damper(Link):
@@ -154,6 +213,9 @@ class Damper(Link):
 
     def law(self) -> Law:
         return line(0.0, self.damping, in_a_matrix=True)
+
+    def potential(self) -> tuple[Potential, ...]:
+        return ()
 
 
 OVER_DISTANCE = curve(
@@ -183,8 +245,12 @@ class Buffer(Link):
 
     def law(self) -> Law:
         taken = "touches all the time; while its ends are apart, the hand does not feel it"
-        knots, dampings, states = ((self.distance, 0.0),), (self.damping, 0.0), ("touched", "apart")
+        knots, dampings, states = ((self.rest, 0.0),), (self.damping, 0.0), ("touched", "apart")
         return Law(knots, dampings, states, self.stiffness, pushes=True, taken_at=-math.inf, assumption=taken)
+
+    @property
+    def rest(self) -> float:
+        return self.distance
 
 
 class Nonlinear(Link):
@@ -218,11 +284,15 @@ class Nonlinear(Link):
     def table(self) -> Law | None:
         return None if self.force_over_distance is None else roomy(curve_law(self.force_over_distance))
 
+    def potential(self) -> tuple[Potential, ...]:
+        return ()
+
 
 class Friction(Link):
     """Dry friction between two points: a bristle that holds like a spring, and slides where it is pulled too hard."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
+    holds_across: ClassVar[Literal["never", "near", "always"]] = "always"
     live: ClassVar[tuple[str, ...]] = ("force", "static", "stiffness", "damping")
     with_default: ClassVar[Mapping[str, str]] = {"static": "break_away"}
 
@@ -257,11 +327,15 @@ class Friction(Link):
         }
         return line(self.stiffness, self.damping, **more)
 
+    def potential(self) -> tuple[Potential, ...]:
+        return (Potential(stretch="anchor", side="sliding", slides_at="force"),)
+
 
 class Plectrum(Link):
     """A visco-elastic link that releases where its ends are too far apart, and grips again where they meet."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
+    holds_across: ClassVar[Literal["never", "near", "always"]] = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "release")
 
     type: Literal["plectrum"] = Field(
@@ -276,6 +350,9 @@ class Plectrum(Link):
         knots = tuple((d, self.stiffness * d) for d in (-self.release, self.release))
         dampings, states = (0.0, self.damping, 0.0), ("released", "gripping", "released")
         return GrippingLaw(knots, dampings, states, assumption=taken, stiffness=self.stiffness)
+
+    def potential(self) -> tuple[Potential, ...]:
+        return (Potential(side="side"),)
 
 
 class Detent(Link):
@@ -335,6 +412,9 @@ class Detent(Link):
     def table(self) -> Law | None:
         return None if self.shape == "sine" else self.law()
 
+    def potential(self) -> tuple[Potential, ...]:
+        return (Potential("depth", pitch="pitch"),)
+
 
 class Click(Link):
     """A button: its first end is pressed down on its second, gives way, and meets the bottom."""
@@ -354,7 +434,7 @@ class Click(Link):
     length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        travel, peak, low, rest = self.travel, self.peak, self.peak - self.drop, self.length or 0.0
+        travel, peak, low, rest = self.travel, self.peak, self.peak - self.drop, self.rest
         forces = (-low - 0.5 * peak, -low, -peak, 0.0)
         knots = tuple(
             (rest - share * travel, force) for share, force in zip((1.0, 0.75, 0.5, 0.0), forces, strict=True)
@@ -363,59 +443,6 @@ class Click(Link):
         dampings, at, taken = (self.damping,) * 4 + (0.0,), rest - 0.25 * travel, "is taken as pressed before its click"
         return Law(knots, dampings, states, self.bottom, pushes=True, taken_at=at, assumption=taken)
 
-
-MOST_PICK_UPS = 16
-
-Quantity = Literal["velocity", "position", "force"]
-QUANTITIES: tuple[Quantity, ...] = ("velocity", "position", "force")
-"""Quantities, in the order of their numbers in compiled code."""
-
-POINT = text("The point that it listens to, by name", "the name of a point, such as hand or gut.7", ".+")
-GAIN = quantity("1.0, full scale, over the quantity in m/s, m or N; negative for the other sign", "1/(SI unit)")
-HIGHPASS = quantity("Frequency below which it gets quieter, by 6 dB an octave; 0: none", "Hz", least=0)
-
-
-class PickUp(Part):
-    """An output channel: a quantity of a point, times a gain. SI units."""
-
-    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, serialize_by_alias=True)
-
-    #: As of a module.
-    live: ClassVar[tuple[str, ...]] = ("gain",)
-    with_default: ClassVar[Mapping[str, str]] = {}
-    crossfaded: ClassVar[tuple[str, ...]] = ("from", "of")
-    type: ClassVar[str] = "pick-up"
-
-    point: Annotated[str, POINT] = Field(alias="from")
-    of: Quantity = Field(description="Quantity of the point: its velocity, its position, or the force of its links")
-    gain: Annotated[float, GAIN] = 1.0
-    highpass: Annotated[float, HIGHPASS] = 0.0
-
-
-def sound_issues(sound: Mapping[str, Any], around: ModuleContext, scheme: object) -> Iterator[Issue]:
-    """Yields the faults of pick-ups, as made or as written, together with the rest of the scene."""
-    if len(sound) > MOST_PICK_UPS:
-        yield Issue(("sound",), f"found {len(sound)} pick-ups, expected at most {MOST_PICK_UPS}", at_key=True)
-    for name, one in sound.items():
-        pick_up = {"from": one.point, "of": one.of} if isinstance(one, PickUp) else one
-        if name in around.kinds:
-            yield Issue(("sound", name), "found the name of a module too; expected one of its own", at_key=True)
-        if not isinstance(pick_up, dict):
-            continue
-        point, of = pick_up.get("from"), pick_up.get("of")
-        if isinstance(point, str):
-            sentence = wrong_end(name, point, around) or _rests(point, around)
-            if sentence:
-                yield Issue(("sound", name, "from"), sentence)
-        if of == "force" and scheme not in (None, "cordis"):
-            expected = f"expected velocity or position: under scheme: {scheme} forces are no sums over a point's links"
-            yield Issue(("sound", name, "of"), f"found force, {expected}")
-
-
-def _rests(point: str, around: ModuleContext) -> str | None:
-    holder = around.kinds.get(around.holder(point))
-    if holder is None or holder.can_move or not holder.is_point:
-        return None
-    return (
-        f"found {quote(point)}, a {holder.model_fields['type'].default}, which does not move; expected a point that can"
-    )
+    @property
+    def rest(self) -> float:
+        return self.length or 0.0
