@@ -38,7 +38,7 @@ from hapsim.recording.trace import Trace
 from hapsim.running.motors import as_limited
 from hapsim.running.run import run_to_end
 from hapsim.running.session_options import Excitation, Guide
-from hapsim.scene import DevicePoint, Friction, Scene
+from hapsim.scene import DevicePoint, Scene
 from hapsim.scene.load import SceneSource, as_scene
 
 _SECONDS, _IN_VIRTUAL_TIME, _EVERY_S = 4.0, 10.0, 0.4  # of pushes along each coordinate, and from one to the next
@@ -275,8 +275,8 @@ def _require_way(plane: Plane, hand: str, place: tuple[float, float], words: str
 def _overshoot(link: PlaneLink, path: Floats) -> Floats:
     """Returns how far beyond its place, m, a hand that comes along this path bends the bristle of a link until it
     slides."""
-    if isinstance(link.link, Friction):
-        return path * link.link.break_away / link.link.stiffness / max(float(np.hypot(*path)), 1e-300)
+    if math.isfinite(reach := link.link.law().reach):
+        return path * reach / max(float(np.hypot(*path)), 1e-300)
     if not link.rubs or (rubbing := link.link.rubbing()) is None:
         return np.zeros(2)
     bent, t = rubbing.break_away * abs(link.tension) / rubbing.stiffness, np.array(link.tangent)

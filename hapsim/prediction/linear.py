@@ -72,7 +72,7 @@ def linear_scene(scene: Scene, taken: Mapping[str, Linear] | None = None) -> Lin
     for name, link in scene.links.items():
         linear = (taken or {}).get(name) or link.law().linear()
         outside = _is_outside(linear, scene.scheme)
-        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *link.velocity, outside)
+        links[name] = LinearLink(link.between, linear.stiffness, linear.damping, *link.damper_kind, outside)
         if linear.assumption:
             assumptions.append(f"{name} {scene.units_at(name).filled(linear.assumption)}")
     inner: list[LinearLink] = []
@@ -117,7 +117,7 @@ def needs_network(scene: Scene, name: str) -> bool:
     links = [link for link in scene.links.values() if name in link.between]
     laws = [link.law() for link in links]
     damping = [link for link, law in zip(links, laws, strict=True) if any(law.dampings)]
-    return len({link.velocity for link in damping}) > 1 or any(law.dampings_at(fastest_motion(scene)) for law in laws)
+    return len({link.damper_kind for link in damping}) > 1 or any(law.dampings_at(fastest_motion(scene)) for law in laws)
 
 
 def coupling_reason(scene: Scene, linear: LinearScene, name: str) -> str:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .load import load_scene, parse_scene, scene_schema
     from .modules import *  # noqa: F403
     from .modules.links import *  # noqa: F403
-    from .modules.pick_ups import *  # noqa: F403
+    from .modules.output_channels import *  # noqa: F403
     from .modules.point_modules import *  # noqa: F403
     from .modules.structures import *  # noqa: F403
     from .modules.surfaces import *  # noqa: F403
@@ -25,7 +25,7 @@ _MODULES = (
     "modules.point_modules",
     "modules.structures",
     "modules.links",
-    "modules.pick_ups",
+    "modules.output_channels",
     "modules.surfaces",
     "modules",
 )

@@ -21,7 +21,7 @@ from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
 from .modules.links import Link, ViscoElastic
-from .modules.pick_ups import PickUp
+from .modules.output_channels import PickUp
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
 from .part import Module, ModuleContext, Part, Table

@@ -65,8 +65,8 @@ class Link(Module):
         return 0.0
 
     @property
-    def velocity(self) -> tuple[str, float | None]:
-        """How it takes its velocity: its damper, and the cutoff of that in Hz."""
+    def damper_kind(self) -> tuple[str, float | None]:
+        """Name of its damper, and the cutoff of that in Hz."""
         return "backward", None
 
     def chain(self) -> Chain | None:
@@ -158,7 +158,7 @@ class ViscoElastic(Link):
         return self.length or 0.0
 
     @property
-    def velocity(self) -> tuple[str, float | None]:
+    def damper_kind(self) -> tuple[str, float | None]:
         return self.damper, self.cutoff
 
     @check_of("damper", "cutoff")
