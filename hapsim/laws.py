@@ -68,29 +68,28 @@ class Piece(NamedTuple):
 
 
 class Potential(NamedTuple):
-    """A spring in which a link without a table stores energy. A text names a field of the link, which may be live, or a
-    number that its part of a program remembers.
+    """A spring in which a link without a table stores energy. Texts name fields of the link, which may be live; those
+    of `side` and `press` name numbers that its part of a program remembers.
 
     Attributes:
-        stiffness: N/m, of which `share` counts; with a `pitch`, m, the depth of a sine, N.
-        stretch: m, from which it is bent: the distance of its ends, beyond `rest`; their way from its `anchor`; in the
-            plane their way along a remembered normal beyond a `level`; or the way of a `bristle`, as remembered.
-        side: while this number and the stretch have one sign, it stores nothing. pushes: so it does above 0.
+        stiffness: N/m, each with the share of it that counts: the first one that is set; of a sine its N, with
+            its `pitch`, m.
+        stretch: m: the distance of its ends beyond their rest; their way from an `anchor`; in the plane along a normal
+            beyond a `level`, or along a surface as its `bristle` is bent.
+        side: where this number and the stretch have one sign, it stores nothing. pushes: so it does above 0.
         slides_at: N, or over `press`, the force of a bristle while `side` is not 0.
-        free, reach: m, the stretch from which on it acts, and beyond which it does not.
+        width, reach: m, of the middle in which it is not stretched; beyond which it releases.
     """
 
-    stiffness: str | float = "stiffness"
-    share: float = 1.0
+    stiffness: tuple[tuple[str, float], ...] = (("stiffness", 1.0),)
     pitch: str = ""
     stretch: Literal["distance", "anchor", "level", "bristle"] = "distance"
-    rest: float = 0.0
     side: str = ""
     pushes: bool = False
     slides_at: str = ""
     press: str = ""
-    free: float = 0.0
-    reach: float = math.inf
+    width: str = ""
+    reach: str = ""
 
 
 @dataclass(frozen=True)
@@ -111,6 +110,7 @@ class Law:
         speeds: by ascending speed: m/s at which the ends part, and N, straight between and level beyond. What that is
             at rest, `knots` and `dampings` have too.
         memoryless, in_a_matrix: as of `Linear`.
+        damper, cutoff: how it takes the velocity, of `DAMPERS`; Hz.
     """
 
     #: Whether the slope changes within a piece, which has the steepest then.
@@ -132,6 +132,8 @@ class Law:
     speeds: tuple[tuple[float, float], ...] = ()
     memoryless: bool = True
     in_a_matrix: bool = False
+    damper: str = "backward"
+    cutoff: float | None = None
 
     @cached_property
     def pieces(self) -> tuple[Piece, ...]:
@@ -167,6 +169,11 @@ class Law:
     def is_line(self) -> bool:
         """True if it is a spring and a damper everywhere, and nothing else."""
         return len(self.states) == 1 and self.memoryless and not self.speeds
+
+    @property
+    def rest(self) -> float:
+        """m, where a straight line has no tension, and what pushes begins; of any other law 0."""
+        return self.knots[-1][0] if self.pushes or len(self.knots) == 1 else 0.0
 
     @property
     def sector(self) -> tuple[float, float]:

@@ -350,8 +350,8 @@ class StoredEnergy:
                 "most": self._force_limit if any(point in hands for point in points) else np.inf,
             }
             law = link.table() or (link.law() if name in at_proxies else None)
-            for one in link.potential() if law is None else ():
-                yield _spring(**(fields | self._potential(name, one)))
+            for one in link.potential if law is None else ():
+                yield _spring(**(fields | self._potential(name, link, one)))
             if law is not None:
                 yield _spring(**(fields | self._table(name, law)))
 
@@ -368,29 +368,30 @@ class StoredEnergy:
         memory = self._remembered(name)
         return {"measured": measured, "place": [memory["x"], memory["y"]]}
 
-    def _potential(self, name: str, one: Potential) -> dict[str, Any]:
+    def _potential(self, name: str, link: Link, one: Potential) -> dict[str, Any]:
         memory, zeros = self._remembered(name), self._keep([0.0, 0.0])
-        number = self._live(name, one.stiffness) if isinstance(one.stiffness, str) else self._keep(one.stiffness)
+        field, share = next(each for each in one.stiffness if getattr(link, each[0]) is not None)
         if one.pitch:
-            return {"kind": SINE, "shape": [self._live(name, one.pitch), number, 0, 0, 0]}
-        fields: dict[str, Any] = {"stiffness": number, "share": one.share, "free": one.free, "reach": one.reach}
+            return {"kind": SINE, "shape": [self._live(name, one.pitch), self._live(name, field), 0, 0, 0]}
+        fields: dict[str, Any] = {"stiffness": self._live(name, field), "share": share}
         if one.stretch == "bristle":
             fields |= {"ends": [0, 0], "at": [memory["bent"], zeros]}
         elif one.stretch == "level":
             fields |= self._stretch(name, ALONG) | {"offset": memory["level"]}
         elif one.stretch == "anchor":
             fields |= self._stretch(name, FROM_PLACE) or {"offset": memory["anchor"]}
-        elif one.rest:
-            fields |= self._stretch(name, BETWEEN) | {"offset": self._keep(one.rest)}
+        elif rest := link.law().rest:
+            fields |= self._stretch(name, BETWEEN) | {"offset": self._keep(rest)}
         elif name in self._scene.plane_links:
             fields |= {"measured": FROM_PLACE, "place": [zeros, zeros]}
         if one.pushes:
             fields |= {"side": self._keep(1.0), "low": zeros}
-        if one.side:
-            fields["side"] = memory[one.side]
         if one.slides_at:
             fields |= {"kind": BRISTLE, "force": self._live(name, one.slides_at)}
-        return fields | ({"press": memory[one.press]} if one.press else {})
+        fields |= {key: memory[of] for key, of in (("side", one.side), ("press", one.press)) if of}
+        if one.width:
+            fields["free"] = 0.5 * getattr(link, one.width)
+        return fields | ({"reach": reach} if one.reach and (reach := getattr(link, one.reach)) is not None else {})
 
     def _points(self, connected: frozenset[str]) -> Iterator[tuple[Any, ...]]:
         for name, point in self._scene.material_points.items():

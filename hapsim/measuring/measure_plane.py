@@ -277,8 +277,8 @@ def _overshoot(link: PlaneLink, path: Floats) -> Floats:
     slides."""
     if math.isfinite(reach := link.link.law().reach):
         return path * reach / max(float(np.hypot(*path)), 1e-300)
-    if not link.rubs or (rubbing := link.link.rubbing()) is None:
+    if not link.rubs:
         return np.zeros(2)
-    bent, t = rubbing.break_away * abs(link.tension) / rubbing.stiffness, np.array(link.tangent)
+    bent, t = link.link.break_away * abs(link.tension) / link.link.bristle[0], np.array(link.tangent)
     along = float(path @ t)
     return math.copysign(bent, along) * t if abs(along) > _EDGE else np.zeros(2)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class PlaneLink(NamedTuple):
     """Link of the plane where its ends are. It pulls its first end by `tension` against the normal."""
 
     name: str
-    link: Link
+    link: Any
     distance: float
     """Distance of its law, m."""
     normal: Point
@@ -78,8 +78,9 @@ class PlaneLink(NamedTuple):
         """Damping along the tangent, N·s/m: by the same share as it is stiff there, where it damps along itself."""
         if self.link.holds_across == "always":
             return self.damping
-        is_stiff = self.slope and 0.0 < self.across < math.inf
-        return self.damping * self.across / self.slope if is_stiff and self.link.damps_along(self.on) else 0.0
+        is_corner = self.on is not None and self.on.extent < math.pi
+        damps = self.link.damps_along == "always" or (is_corner and self.link.damps_along == "corners")
+        return self.damping * self.across / self.slope if damps and self.slope and 0.0 < self.across < math.inf else 0.0
 
     @property
     def acts(self) -> bool:
@@ -90,22 +91,21 @@ class PlaneLink(NamedTuple):
     def rubs(self) -> bool:
         """True if it touches with dry friction along its surface; in a corner that of one wall acts."""
         is_first = self.corner is None or self.corner.first == self.name
-        return is_first and self.link.rubbing() is not None and self.acts
+        return is_first and self.link.bristle is not None and self.link.break_away > 0.0 and self.acts
 
     def rows(self, sliding: int = 0) -> Iterator[Row]:
         """Yields the rows of small motions. `sliding`: 0 while its friction sticks; 1 or -1: towards or against the
         tangent. Friction holds no force where it sticks."""
         n, t, m, d, corner = self.normal, self.tangent, self.stretch, self.normal, self.corner
-        rubbing = self.link.rubbing() if self.rubs else None
         if corner is None:
             yield from (Row(n, n, self.slope, self.damping), Row(t, t, self.across, self.damping_across))
         else:
             n, t, d = corner.normal, (-corner.normal[1], corner.normal[0]), corner.damps
             yield from (Row(self.normal, m, self.slope, 0.0), Row(d, d, 0.0, self.damping))
-        if rubbing is not None and not sliding:
-            yield Row(t, t, rubbing.stiffness, rubbing.damping)
-        if sliding and corner is None and rubbing is not None:
-            share = -sliding * rubbing.coefficient
+        if self.rubs and not sliding:
+            yield Row(t, t, *self.link.bristle)
+        if sliding and corner is None:
+            share = -sliding * self.link.friction_coefficient
             yield Row(t, n, share * self.slope, share * self.damping)
             yield Row(n, t, -share * self.across, 0.0)
         elif sliding and corner is not None:
@@ -181,7 +181,7 @@ class Plane:
     def _link(self, name: str, nearest: Nearest, on: Piece | None = None, corner: Corner | None = None) -> PlaneLink:
         """Returns a link as the nearest place of its chain has it."""
         (d, normal, curvature, piece), (link, law) = nearest, self.links[name]
-        radius = abs(link.rest) if on is None else on.radius
+        radius = abs(law.rest) if on is None else on.radius
         is_near = (0.0 if on is None else radius) + d < NEAR + NEAR_SHARE * radius
         if curvature > 0.0 and is_near and (on is not None or self._opposite.get(name) is _away):
             curvature = math.inf

@@ -36,7 +36,7 @@ from hapsim.scene import Hand, Mock, Nonlinear, Scene
 from hapsim.scene.cross_checks import lists_of_another_length
 from hapsim.scene.issue import did_you_mean, one_of
 from hapsim.scene.modules import ModuleContext
-from hapsim.scene.modules.output_channels import PickUp, sound_issues
+from hapsim.scene.modules.links import PickUp, sound_issues
 from hapsim.scene.part import Part, Table
 from hapsim.units import Units
 

@@ -16,7 +16,7 @@ from hapsim.errors import UsageError
 from hapsim.scene import Ground, Hand, Mock, Scene
 from hapsim.scene.issue import did_you_mean
 from hapsim.scene.modules import Module
-from hapsim.scene.modules.output_channels import PickUp
+from hapsim.scene.modules.links import PickUp
 from hapsim.scene.part import Part
 from hapsim.scene.quantity import expectation_of
 

@@ -14,21 +14,13 @@ if TYPE_CHECKING:
     from .load import load_scene, parse_scene, scene_schema
     from .modules import *  # noqa: F403
     from .modules.links import *  # noqa: F403
-    from .modules.output_channels import *  # noqa: F403
     from .modules.point_modules import *  # noqa: F403
     from .modules.structures import *  # noqa: F403
     from .modules.surfaces import *  # noqa: F403
     from .quantity import Known, Span
     from .scene import VERSION, Scene
 
-_MODULES = (
-    "modules.point_modules",
-    "modules.structures",
-    "modules.links",
-    "modules.output_channels",
-    "modules.surfaces",
-    "modules",
-)
+_MODULES = ("modules.point_modules", "modules.structures", "modules.links", "modules.surfaces", "modules")
 _HOMES = ("choices", "quantity", "device", *_MODULES, "scene", "load")  # the light ones first
 
 __all__ = [

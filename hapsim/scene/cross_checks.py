@@ -14,8 +14,7 @@ from hapsim.units import MOTIONS, Motion
 
 from .choices import AHEAD, BY_SENSORS, SENSORS
 from .issue import Issue, Path, quote
-from .modules.links import Detent, Link, ViscoElastic
-from .modules.output_channels import sound_issues
+from .modules.links import Detent, Link, ViscoElastic, sound_issues
 from .modules.point_modules import DevicePoint, Ground, Proxy
 from .part import ModuleContext, Part
 from .plane_checks import space_issues

@@ -20,8 +20,7 @@ from .cross_checks import PER_CHANNEL_PARTS, cross_check_issues, motions_of
 from .device import Device, Mock, MockDevice, resolve
 from .issue import Path
 from .modules import MODULE_TYPES, TypedModule
-from .modules.links import Link, ViscoElastic
-from .modules.output_channels import PickUp
+from .modules.links import Link, PickUp, ViscoElastic
 from .modules.point_modules import DevicePoint, Ground, Mass, MaterialPoint, Proxy
 from .modules.structures import Structure
 from .part import Module, ModuleContext, Part, Table

@@ -139,6 +139,7 @@ def test_a_link_with_knots_is_its_law_in_the_plane_too(d: np.ndarray) -> None:
 class Doubled(Link):
     """A spring of twice its stiffness."""
 
+    potential = (Potential((("stiffness", 2.0),)),)
     live: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     type: Literal["doubled"] = Field(default="doubled", description="A spring of twice its stiffness")
@@ -146,9 +147,6 @@ class Doubled(Link):
 
     def law(self) -> Law:
         return line(2.0 * self.stiffness, 0.0)
-
-    def potential(self) -> tuple[Potential, ...]:
-        return (Potential("stiffness", share=2.0),)
 
 
 class DoubledLinks(NamedTuple):

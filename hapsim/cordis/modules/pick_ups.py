@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hapsim.compiling.native import value_of
 from hapsim.cordis.build_context import BuildContext, PartType
 from hapsim.cordis.dispatch import Column, Part, action
-from hapsim.scene.modules.output_channels import QUANTITIES
+from hapsim.scene.modules.links import QUANTITIES
 
 _VELOCITY, _POSITION, _FORCE = range(3)
 assert QUANTITIES == ("velocity", "position", "force")

@@ -18,12 +18,11 @@ import numpy as np
 
 from hapsim.compiling import helper, inlined
 from hapsim.compiling.native import NativeFunction, value_of
-from hapsim.cordis.build_context import BuildContext, LiveColumn, PartType, all_of
+from hapsim.cordis.build_context import BuildContext, PartType, all_of
 from hapsim.cordis.dispatch import Column, Memory, Part, action, fma_action
 from hapsim.cordis.modules.link import Ends, count, ends_of, link_type
-from hapsim.cordis.modules.table_links import TableLinks, knot_columns, law_at, table_numbers, update_pieces
-from hapsim.laws import Law
-from hapsim.scene import Damper, Friction, Plectrum, Scene, Spring, ViscoElastic
+from hapsim.cordis.modules.table_links import TableLinks, law_at, table_type, update_pieces
+from hapsim.scene import Damper, Friction, Plectrum, Spring, ViscoElastic
 from hapsim.scene.chain import NEAR, NEAR_SHARE
 from hapsim.scene.modules import Link
 
@@ -272,7 +271,7 @@ def _plane_type(
 
     def build(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
         directions, remembered = _directions(links, context, *more)
-        lengths = context.column([link.rest for link in links.values()])
+        lengths = context.column([link.law().rest for link in links.values()])
         own = numbers(ends_of(links, context), *columns, lengths, directions, *[*remembered.values()][4:])
         return Part(own, add_forces=forces, memory=Memory(tuple(links), remembered))
 
@@ -281,28 +280,14 @@ def _plane_type(
 
 def _directions(links: Mapping[str, Any], context: BuildContext, *more: str) -> tuple[Directions, dict[str, Column]]:
     """Returns the directions of links, and what is remembered of them, with more columns of these names."""
-    near = near_of([link.rest for link in links.values()], context)
+    near = near_of([link.law().rest for link in links.values()], context)
     remembered = {name: np.zeros_like(near) for name in (*Directions._fields[1:], *more)}
     remembered["slack"][:], remembered["free_from"][:] = EXACT, near * near
     return Directions(near, *[*remembered.values()][:4]), remembered
 
 
-def _laws(links: Mapping[str, Link]) -> dict[str, Law]:
-    return {name: law for name, link in links.items() if (law := link.table()) is not None}
-
-
-def _with_knots(scene: Scene) -> dict[str, Link]:
-    links = scene.plane_links
-    return {name: links[name] for name in _laws(links)}
-
-
-def _live_knots(links: Mapping[str, Link], rate: float) -> list[LiveColumn]:
-    return knot_columns(_laws(links), rate, 1.0, "")
-
-
-def _tables(links: Mapping[str, Any], columns: Sequence[Column], context: BuildContext) -> Part:
+def _tables(table: TableLinks, links: Mapping[str, Any], context: BuildContext) -> Part:
     directions, remembered = _directions(links, context)
-    table = table_numbers(links, list(_laws(links).values()), columns, context)
     return Part(
         PlaneTables(table, directions),
         initialize=retarget_tables,
@@ -319,12 +304,12 @@ PLANE_SPRING = _plane_type(
 PLANE_DAMPER = _plane_type(
     Damper, "dampers", lambda ends, B, *rest: PlaneLinks(ends, np.zeros_like(B), B, *rest), add_forces
 )
-PLANE_TABLES = PartType(
-    _with_knots,
+PLANE_TABLES = table_type(
+    lambda link: link.table(),
     _tables,
-    name="contacts, curves and clicks in the plane",
-    compiled_as="a search in each one's knots; a direction each",
-    live=_live_knots,
+    "contacts, curves and clicks in the plane",
+    links_of=lambda scene: scene.plane_links,
+    words="a search in each one's knots; a direction each",
 )
 PLANE_PLECTRUM = _plane_type(Plectrum, "plectra", PlanePlectra, add_plectrum_forces, "a grip and ", "side")
 PLANE_FRICTION = link_type(

@@ -1,20 +1,20 @@
 """The links, elements between two points: CORDIS's REF (visco-elastic link), RES (spring), FRO (damper), BUT (buffer)
-and LNL (nonlinear), dry friction, plectrum, detent and click."""
+and LNL (nonlinear), dry friction, plectrum, detent and click. And pick-ups, output channels that listen to a point."""
 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from hapsim.laws import GrippingLaw, Law, Potential, SineLaw, curve_law, line, roomy
 
-from ..chain import Chain, Piece
+from ..chain import Chain
 from ..choices import DAMPER, DETENT_SHAPE, WITH_CUTOFF, WITH_SENSOR, WITH_SHARPNESS, DamperScheme, DetentShape
 from ..issue import Issue, did_you_mean, one_of, quote
-from ..part import Module, ModuleContext, check_of
-from ..quantity import Curve, curve, names, quantity
+from ..part import Module, ModuleContext, Part, check_of
+from ..quantity import Curve, curve, names, quantity, text
 from .point_modules import DevicePoint
 from .structures import Structure
 
@@ -26,16 +26,6 @@ ENDS = names(
 )
 
 
-class Rubbing(NamedTuple):
-    """Dry friction along a surface: over the pressure while it slides, and where it breaks away; N/m and N·s/m of the
-    bristle while it sticks."""
-
-    coefficient: float
-    break_away: float
-    stiffness: float
-    damping: float
-
-
 class Link(Module):
     """An element between two points, which are named and may stand anywhere in the file."""
 
@@ -45,6 +35,10 @@ class Link(Module):
     has_table: ClassVar[bool] = False
     #: Whether in the plane it holds across the direction of its ends as along it: near where they meet, or everywhere.
     holds_across: ClassVar[Literal["never", "near", "always"]] = "never"
+    #: Where along its `chain` it damps by the same share as it is stiff there: in hollow corners, or everywhere.
+    damps_along: ClassVar[Literal["never", "corners", "always"]] = "never"
+    #: Where it stores energy if it has no table.
+    potential: ClassVar[tuple[Potential, ...]]
     between: Annotated[tuple[str, str], ENDS]
 
     def law(self) -> Law:
@@ -55,30 +49,13 @@ class Link(Module):
         """Returns the law by whose knots the kernel works out its force; None where it has a recurrence of its own."""
         return self.law() if self.has_table else None
 
-    def potential(self) -> tuple[Potential, ...]:
-        """Returns where it stores energy if it has no table."""
-        raise NotImplementedError
-
     @property
-    def rest(self) -> float:
-        """Distance of its ends at which it is not stretched, m: the radius of a round in the plane."""
-        return 0.0
-
-    @property
-    def damper_kind(self) -> tuple[str, float | None]:
-        """Name of its damper, and the cutoff of that in Hz."""
-        return "backward", None
+    def bristle(self) -> tuple[float, float] | None:
+        """Stiffness, N/m, and viscosity, N·s/m, along a surface while dry friction sticks; None: it has no surface."""
+        return None
 
     def chain(self) -> Chain | None:
         """Returns the line in the plane from which its distance counts; None: the other end."""
-        return None
-
-    def damps_along(self, _on: Piece | None) -> bool:
-        """Returns whether at this piece of its surface it damps along itself by the same share as it is stiff there."""
-        return False
-
-    def rubbing(self) -> Rubbing | None:
-        """Returns the dry friction along its surface; None without."""
         return None
 
     @check_of("between")
@@ -137,8 +114,9 @@ class ViscoElastic(Link):
     """A spring and a damper in parallel between two points, at rest where the two coincide or are `length` apart."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
-    holds_across: ClassVar[Literal["never", "near", "always"]] = "near"
+    holds_across = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
+    potential = (Potential(),)
 
     type: Literal["viscoelastic"] = Field(default="viscoelastic", description="A spring and a damper in parallel")
     stiffness: Annotated[float, quantity("Stiffness of the spring", "N/m", least=0)]
@@ -148,18 +126,8 @@ class ViscoElastic(Link):
     length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        return line(self.stiffness, self.damping, self.rest, in_a_matrix=self.damper == "backward")
-
-    def potential(self) -> tuple[Potential, ...]:
-        return (Potential(rest=self.rest),)
-
-    @property
-    def rest(self) -> float:
-        return self.length or 0.0
-
-    @property
-    def damper_kind(self) -> tuple[str, float | None]:
-        return self.damper, self.cutoff
+        kind = {"damper": self.damper, "cutoff": self.cutoff, "in_a_matrix": self.damper == "backward"}
+        return line(self.stiffness, self.damping, self.length or 0.0, **kind)
 
     @check_of("damper", "cutoff")
     def _cutoff_fits(self, _name: str, _around: ModuleContext) -> Iterator[Issue]:
@@ -184,22 +152,16 @@ class Spring(Link):
     """A spring between two points, at rest where the two coincide or are `length` apart."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
-    holds_across: ClassVar[Literal["never", "near", "always"]] = "near"
+    holds_across = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness",)
+    potential = (Potential(),)
 
     type: Literal["spring"] = Field(default="spring", description="A spring")
     stiffness: Annotated[float, quantity("Stiffness", "N/m", least=0)]
     length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        return line(self.stiffness, 0.0, self.rest, in_a_matrix=True)
-
-    def potential(self) -> tuple[Potential, ...]:
-        return (Potential(rest=self.rest),)
-
-    @property
-    def rest(self) -> float:
-        return self.length or 0.0
+        return line(self.stiffness, 0.0, self.length or 0.0, in_a_matrix=True)
 
 
 class Damper(Link):
@@ -207,15 +169,13 @@ class Damper(Link):
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
     live: ClassVar[tuple[str, ...]] = ("damping",)
+    potential = ()
 
     type: Literal["damper"] = Field(default="damper", description="A viscous damper")
     damping: Annotated[float, quantity("Viscosity", "N·s/m", least=0)]
 
     def law(self) -> Law:
         return line(0.0, self.damping, in_a_matrix=True)
-
-    def potential(self) -> tuple[Potential, ...]:
-        return ()
 
 
 OVER_DISTANCE = curve(
@@ -245,12 +205,8 @@ class Buffer(Link):
 
     def law(self) -> Law:
         taken = "touches all the time; while its ends are apart, the hand does not feel it"
-        knots, dampings, states = ((self.rest, 0.0),), (self.damping, 0.0), ("touched", "apart")
+        knots, dampings, states = ((self.distance, 0.0),), (self.damping, 0.0), ("touched", "apart")
         return Law(knots, dampings, states, self.stiffness, pushes=True, taken_at=-math.inf, assumption=taken)
-
-    @property
-    def rest(self) -> float:
-        return self.distance
 
 
 class Nonlinear(Link):
@@ -258,6 +214,7 @@ class Nonlinear(Link):
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
     crossfaded: ClassVar[tuple[str, ...]] = ("force_over_distance", "force_over_velocity")
+    potential = ()
 
     type: Literal["nonlinear"] = Field(
         default="nonlinear", description="A spring and a damper of any characteristic, given as curves"
@@ -284,17 +241,15 @@ class Nonlinear(Link):
     def table(self) -> Law | None:
         return None if self.force_over_distance is None else roomy(curve_law(self.force_over_distance))
 
-    def potential(self) -> tuple[Potential, ...]:
-        return ()
-
 
 class Friction(Link):
     """Dry friction between two points: a bristle that holds like a spring, and slides where it is pulled too hard."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
-    holds_across: ClassVar[Literal["never", "near", "always"]] = "always"
+    holds_across = "always"
     live: ClassVar[tuple[str, ...]] = ("force", "static", "stiffness", "damping")
     with_default: ClassVar[Mapping[str, str]] = {"static": "break_away"}
+    potential = (Potential(stretch="anchor", side="sliding", slides_at="force"),)
 
     type: Literal["friction"] = Field(default="friction", description="Dry friction: sticks, and slides")
     force: Annotated[float, quantity("Friction while it slides", "N", least=0)]
@@ -327,16 +282,14 @@ class Friction(Link):
         }
         return line(self.stiffness, self.damping, **more)
 
-    def potential(self) -> tuple[Potential, ...]:
-        return (Potential(stretch="anchor", side="sliding", slides_at="force"),)
-
 
 class Plectrum(Link):
     """A visco-elastic link that releases where its ends are too far apart, and grips again where they meet."""
 
     spaces: ClassVar[tuple[int, ...]] = (1, 2)
-    holds_across: ClassVar[Literal["never", "near", "always"]] = "near"
+    holds_across = "near"
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "release")
+    potential = (Potential(side="side"),)
 
     type: Literal["plectrum"] = Field(
         default="plectrum", description="Plucks: grips, releases beyond a distance, and grips again where its ends meet"
@@ -351,9 +304,6 @@ class Plectrum(Link):
         dampings, states = (0.0, self.damping, 0.0), ("released", "gripping", "released")
         return GrippingLaw(knots, dampings, states, assumption=taken, stiffness=self.stiffness)
 
-    def potential(self) -> tuple[Potential, ...]:
-        return (Potential(side="side"),)
-
 
 class Detent(Link):
     """Rests at every multiple of its pitch: between two rests its ends are pulled to the nearer one."""
@@ -361,6 +311,7 @@ class Detent(Link):
     live: ClassVar[tuple[str, ...]] = ("pitch", "depth", "damping", "sharpness")
     with_default: ClassVar[Mapping[str, str]] = {"sharpness": "steepness"}
     crossfaded: ClassVar[tuple[str, ...]] = ("shape",)
+    potential = (Potential((("depth", 1.0),), pitch="pitch"),)
 
     type: Literal["detent"] = Field(default="detent", description="Detents: a place to rest at every pitch")
     pitch: Annotated[float, quantity("Distance from one rest to the next", "m", above=0)]
@@ -412,9 +363,6 @@ class Detent(Link):
     def table(self) -> Law | None:
         return None if self.shape == "sine" else self.law()
 
-    def potential(self) -> tuple[Potential, ...]:
-        return (Potential("depth", pitch="pitch"),)
-
 
 class Click(Link):
     """A button: its first end is pressed down on its second, gives way, and meets the bottom."""
@@ -434,7 +382,7 @@ class Click(Link):
     length: Annotated[float | None, LENGTH] = None
 
     def law(self) -> Law:
-        travel, peak, low, rest = self.travel, self.peak, self.peak - self.drop, self.rest
+        travel, peak, low, rest = self.travel, self.peak, self.peak - self.drop, self.length or 0.0
         forces = (-low - 0.5 * peak, -low, -peak, 0.0)
         knots = tuple(
             (rest - share * travel, force) for share, force in zip((1.0, 0.75, 0.5, 0.0), forces, strict=True)
@@ -443,6 +391,59 @@ class Click(Link):
         dampings, at, taken = (self.damping,) * 4 + (0.0,), rest - 0.25 * travel, "is taken as pressed before its click"
         return Law(knots, dampings, states, self.bottom, pushes=True, taken_at=at, assumption=taken)
 
-    @property
-    def rest(self) -> float:
-        return self.length or 0.0
+
+MOST_PICK_UPS = 16
+
+Quantity = Literal["velocity", "position", "force"]
+QUANTITIES: tuple[Quantity, ...] = ("velocity", "position", "force")
+"""Quantities, in the order of their numbers in compiled code."""
+
+POINT = text("The point that it listens to, by name", "the name of a point, such as hand or gut.7", ".+")
+GAIN = quantity("1.0, full scale, over the quantity in m/s, m or N; negative for the other sign", "1/(SI unit)")
+HIGHPASS = quantity("Frequency below which it gets quieter, by 6 dB an octave; 0: none", "Hz", least=0)
+
+
+class PickUp(Part):
+    """An output channel: a quantity of a point, times a gain. SI units."""
+
+    model_config = ConfigDict(validate_by_name=True, validate_by_alias=True, serialize_by_alias=True)
+
+    #: As of a module.
+    live: ClassVar[tuple[str, ...]] = ("gain",)
+    with_default: ClassVar[Mapping[str, str]] = {}
+    crossfaded: ClassVar[tuple[str, ...]] = ("from", "of")
+    type: ClassVar[str] = "pick-up"
+
+    point: Annotated[str, POINT] = Field(alias="from")
+    of: Quantity = Field(description="Quantity of the point: its velocity, its position, or the force of its links")
+    gain: Annotated[float, GAIN] = 1.0
+    highpass: Annotated[float, HIGHPASS] = 0.0
+
+
+def sound_issues(sound: Mapping[str, Any], around: ModuleContext, scheme: object) -> Iterator[Issue]:
+    """Yields the faults of pick-ups, as made or as written, together with the rest of the scene."""
+    if len(sound) > MOST_PICK_UPS:
+        yield Issue(("sound",), f"found {len(sound)} pick-ups, expected at most {MOST_PICK_UPS}", at_key=True)
+    for name, one in sound.items():
+        pick_up = {"from": one.point, "of": one.of} if isinstance(one, PickUp) else one
+        if name in around.kinds:
+            yield Issue(("sound", name), "found the name of a module too; expected one of its own", at_key=True)
+        if not isinstance(pick_up, dict):
+            continue
+        point, of = pick_up.get("from"), pick_up.get("of")
+        if isinstance(point, str):
+            sentence = wrong_end(name, point, around) or _rests(point, around)
+            if sentence:
+                yield Issue(("sound", name, "from"), sentence)
+        if of == "force" and scheme not in (None, "cordis"):
+            expected = f"expected velocity or position: under scheme: {scheme} forces are no sums over a point's links"
+            yield Issue(("sound", name, "of"), f"found force, {expected}")
+
+
+def _rests(point: str, around: ModuleContext) -> str | None:
+    holder = around.kinds.get(around.holder(point))
+    if holder is None or holder.can_move or not holder.is_point:
+        return None
+    return (
+        f"found {quote(point)}, a {holder.model_fields['type'].default}, which does not move; expected a point that can"
+    )

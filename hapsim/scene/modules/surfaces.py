@@ -13,22 +13,11 @@ from pydantic import Field
 
 from hapsim.laws import Law, Potential
 
-from ..chain import (
-    Chain,
-    Piece,
-    TooRoundError,
-    capsule,
-    crossing,
-    disc,
-    half_plane,
-    polygon,
-    smooth_path,
-    straight_path,
-)
+from ..chain import Chain, TooRoundError, capsule, crossing, disc, half_plane, polygon, smooth_path, straight_path
 from ..issue import Issue
 from ..part import ModuleContext, Part, check_of
 from ..quantity import place, places, quantity
-from .links import Link, Rubbing
+from .links import Link
 
 if TYPE_CHECKING:
     from ..union import Outline
@@ -110,6 +99,14 @@ class Shape(Link):
     spaces: ClassVar[tuple[int, ...]] = (2,)
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "friction_coefficient", "static_coefficient")
     with_default: ClassVar[Mapping[str, str]] = {"static_coefficient": "break_away"}
+    damps_along = "corners"
+    potential = (
+        Potential(stretch="level", pushes=True),
+        Potential(
+            (("bristle_stiffness", 1.0), ("stiffness", 0.5)), stretch="bristle", side="sliding",
+            slides_at="friction_coefficient", press="press",
+        ),
+    )  # fmt: skip
 
     type: Literal["shape"] = Field(
         default="shape", description="A surface about its second end, in the plane: keeps its first end out, or in"
@@ -132,23 +129,10 @@ class Shape(Link):
         """Friction over pressure at which it breaks away."""
         return self.friction_coefficient if self.static_coefficient is None else self.static_coefficient
 
-    def rubbing(self) -> Rubbing | None:
-        if not self.break_away > 0.0:
-            return None
-        stiffness = 0.5 * self.stiffness if self.bristle_stiffness is None else self.bristle_stiffness
-        damping = self.damping if self.bristle_damping is None else self.bristle_damping
-        return Rubbing(self.friction_coefficient, self.break_away, stiffness, damping)
-
-    def damps_along(self, on: Piece | None) -> bool:
-        """Returns whether this piece is a hollow corner, with two walls."""
-        return on is not None and on.extent < math.pi
-
-    def potential(self) -> tuple[Potential, ...]:
-        K = self.bristle_stiffness
-        bristle = Potential(stretch="bristle", side="sliding", slides_at="friction_coefficient", press="press")
-        return Potential(stretch="level", pushes=True), (
-            bristle._replace(share=0.5) if K is None else bristle._replace(stiffness=K)
-        )
+    @property
+    def bristle(self) -> tuple[float, float]:
+        stiffness, damping = self.bristle_stiffness, self.bristle_damping
+        return 0.5 * self.stiffness if stiffness is None else stiffness, self.damping if damping is None else damping
 
     def chain(self) -> Chain:
         """Returns the surface, by the first end minus the second; the first is free on its right."""
@@ -235,6 +219,8 @@ class Guide(Link):
 
     spaces: ClassVar[tuple[int, ...]] = (2,)
     live: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
+    damps_along = "always"  # outside a bend and beyond an end
+    potential = (Potential(stretch="level", width="width", reach="reach"),)
 
     type: Literal["guide"] = Field(default="guide", description="A path in the plane that holds its first end")
     through: Annotated[tuple[tuple[float, float], ...], places("Places that the path leads through", "m", 2)]
@@ -247,13 +233,6 @@ class Guide(Link):
     reach: Annotated[float | None, quantity("Distance beyond which it lets go", "m", above=0, left_out="never")] = None
     stiffness: Annotated[float, quantity("Stiffness across the path", "N/m", least=0)]
     damping: Annotated[float, quantity("Viscosity across the path", "N·s/m", least=0)] = 0.0
-
-    def damps_along(self, _on: Piece | None) -> bool:
-        return True  # outside a bend and beyond an end
-
-    def potential(self) -> tuple[Potential, ...]:
-        reach = math.inf if self.reach is None else self.reach
-        return (Potential(stretch="level", free=0.5 * self.width, reach=reach),)
 
     def chain(self) -> Chain:
         """Returns the middle of the path, by the first end minus the second."""
